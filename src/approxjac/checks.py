@@ -1,0 +1,90 @@
+"""Validation shared by everything that takes numbers from a user."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from approxjac.errors import InvalidInputError
+
+Array = NDArray[np.float64]
+
+
+def as_array(name: str, value: Any, shape: tuple[int, ...], unit: str = "") -> Array:
+    """Return `value` as a new read-only float array of `shape`, all entries finite.
+
+    Raises:
+        InvalidInputError: Wrong shape, not numeric, NaN or infinite.
+    """
+    suffix = f" [{unit}]" if unit else ""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(
+            f"{name} must be numbers of shape {shape}{suffix}, got {value!r}", given=value
+        ) from error
+    if array.shape != shape:
+        raise InvalidInputError(
+            f"{name} must have shape {shape}{suffix}, got shape {array.shape}", given=value
+        )
+    if not np.isfinite(array).all():
+        raise InvalidInputError(f"{name} must be finite{suffix}, got {array.tolist()}", given=value)
+    array.flags.writeable = False
+    return array
+
+
+def as_number(
+    name: str,
+    value: Any,
+    *,
+    unit: str = "",
+    minimum: float = -math.inf,
+    above: float = -math.inf,
+) -> float:
+    """Return `value` as a finite float that is >= `minimum` and > `above`.
+
+    Raises:
+        InvalidInputError: Not a number, not finite, or out of range.
+    """
+    suffix = f" [{unit}]" if unit else ""
+    bound = ""
+    if minimum > -math.inf:
+        bound = f" >= {minimum:g}"
+    elif above > -math.inf:
+        bound = f" > {above:g}"
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if isinstance(value, bool) or not (
+        math.isfinite(number) and number >= minimum and number > above
+    ):
+        raise InvalidInputError(
+            f"{name} must be a finite number{bound}{suffix}, got {value!r}", given=value
+        )
+    return number
+
+
+def as_diagonal(
+    name: str, value: Any, size: int, *, unit: str = "", positive: bool = True
+) -> Array:
+    """Return a diagonal given as a scalar or a vector as a read-only vector of `size`.
+
+    Raises:
+        InvalidInputError: Wrong shape, not finite, negative, or zero where `positive`.
+    """
+    try:
+        scalar = np.ndim(value) == 0
+    except ValueError:
+        scalar = False
+    array = as_array(name, [value] * size if scalar else value, (size,), unit)
+    if (array <= 0).any() if positive else (array < 0).any():
+        wanted = "> 0" if positive else ">= 0"
+        suffix = f" [{unit}]" if unit else ""
+        raise InvalidInputError(
+            f"{name} must be {wanted} in every entry{suffix}, got {array.tolist()}", given=value
+        )
+    return array

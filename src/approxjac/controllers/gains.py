@@ -1,0 +1,55 @@
+"""Diagonal gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from approxjac.checks import Array, as_diagonal
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Gains of the laws (5), (6) and (28), each a number or one number a coordinate.
+
+    Attributes:
+        kp: K_p > 0, a number or shape (m,) [N per unit of the task where that is metres].
+        kv: K_v > 0, a number or shape (m,) [N s per unit of the task].
+        damping: Added joint damping B_c ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
+            Required to be positive where the arm has more joints than the task coordinates.
+
+    Raises:
+        InvalidInputError: Not finite, kp or kv not positive, damping negative.
+    """
+
+    kp: float | Sequence[float] | Array
+    kv: float | Sequence[float] | Array
+    damping: float | Sequence[float] | Array = 0.0
+
+    def __post_init__(self) -> None:
+        for name, positive in (("kp", True), ("kv", True), ("damping", False)):
+            value = getattr(self, name)
+            as_diagonal(name, value, np.size(value), positive=positive)
+
+    def diagonals(self, m: int, nv: int) -> Diagonals:
+        """Return the diagonals for a task of m coordinates on an arm of n_v joints.
+
+        Raises:
+            InvalidInputError: A vector of another length.
+        """
+        return Diagonals(
+            as_diagonal("kp", self.kp, m),
+            as_diagonal("kv", self.kv, m),
+            as_diagonal("damping", self.damping, nv, positive=False),
+        )
+
+
+class Diagonals(NamedTuple):
+    """Gains as vectors: kp (m,), kv (m,), damping (n_v,)."""
+
+    kp: Array
+    kv: Array
+    damping: Array

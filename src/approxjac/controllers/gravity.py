@@ -1,0 +1,123 @@
+"""Where the gravity torque of a law comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from approxjac.checks import Array, as_array, as_diagonal, as_number
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics, GravityRegressor, Robot
+
+
+class ModelGravity:
+    """g(q) of a robot's model, by RNEA: exact as far as its masses and lengths are.
+
+    Args:
+        robot: The believed robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._dynamics = Dynamics(robot)
+
+    @property
+    def robot(self) -> Robot:
+        """The robot whose gravity this is."""
+        return self._dynamics.robot
+
+    def torque(self, q: Array) -> Array:
+        """g(q), shape (n_v,) [N m or N]."""
+        return self._dynamics.g(q)
+
+
+class NoGravity:
+    """No gravity torque: the robot compensates it by itself, or there is none.
+
+    Args:
+        robot: The believed robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self._zero = np.zeros(robot.nv)
+
+    def torque(self, q: Array) -> Array:
+        """Zeros, shape (n_v,)."""
+        return self._zero.copy()
+
+
+class RegressorGravity:
+    """g(q) = Z(q) θ, eq. (27), with θ known from elsewhere (identification, a data sheet).
+
+    It is exact even where the regressor's robot has wrong lengths: see `GravityRegressor`.
+
+    Args:
+        regressor: Z(q) of the believed robot.
+        theta: Its parameters, shape (p,).
+
+    Raises:
+        InvalidInputError: Wrong shape or not finite.
+    """
+
+    def __init__(self, regressor: GravityRegressor, theta: Sequence[float] | Array) -> None:
+        self.regressor = regressor
+        self.theta = as_array("theta", theta, (regressor.p,))
+
+    @property
+    def robot(self) -> Robot:
+        """The robot whose regressor is used."""
+        return self.regressor.robot
+
+    def torque(self, q: Array) -> Array:
+        """Z(q) θ, shape (n_v,) [N m or N]."""
+        return self.regressor.Z(q) @ self.theta
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptiveGravity:
+    """Z(q) θ̂ with θ̂ learnt by eq. (29).
+
+    Attributes:
+        regressor: Z(q) of the believed robot.
+        L: Adaptation gain > 0: a number, a diagonal (p,), or a symmetric positive definite
+            matrix (p, p).
+        alpha: α > 0 of eq. (10) [1/s].
+        theta0: θ̂(0), shape (p,); that of the believed robot by default.
+
+    Raises:
+        InvalidInputError: Wrong shapes, not finite, L or alpha not positive.
+    """
+
+    regressor: GravityRegressor
+    L: float | Sequence[float] | Array
+    alpha: float
+    theta0: Sequence[float] | Array | None = None
+
+    def __post_init__(self) -> None:
+        p = self.regressor.p
+        as_number("alpha", self.alpha, unit="1/s", above=0.0)
+        theta0 = self.regressor.theta if self.theta0 is None else self.theta0
+        object.__setattr__(self, "theta0", as_array("theta0", theta0, (p,)))
+        object.__setattr__(self, "L", _adaptation_gain(self.L, p))
+
+    @property
+    def robot(self) -> Robot:
+        """The robot whose regressor is used."""
+        return self.regressor.robot
+
+
+Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
+
+
+def _adaptation_gain(L: Any, p: int) -> Array:
+    if np.ndim(L) < 2:
+        return as_diagonal("L", L, p)
+    matrix = as_array("L", L, (p, p))
+    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] <= 0.0:
+        raise InvalidInputError(
+            f"L must be symmetric positive definite, got {matrix.tolist()}", given=L
+        )
+    return matrix

@@ -1,0 +1,212 @@
+"""`SetpointController`: the laws (5), (6) and (28) put together with a believed robot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from approxjac.checks import Array, as_number
+from approxjac.controllers.gains import Gains
+from approxjac.controllers.gravity import AdaptiveGravity, Gravity, ModelGravity
+from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.interface import Evaluation, Measurement, Status
+from approxjac.law import (
+    Linear,
+    Saturation,
+    damped_right_pinv,
+    estimated_velocity_torque,
+    gravity as gravity_torque,
+    measured_velocity_torque,
+    passive_output,
+    theta_hat_rate,
+)
+from approxjac.tasks import Task
+
+
+@dataclass(frozen=True)
+class DifferentiatedVelocity:
+    """Ẋ of the earlier law (5): the measured x through a filtered differentiator, p/(1 + T p).
+
+    Attributes:
+        time_constant: T > 0 [s]. Sampled control needs dt well below it.
+    """
+
+    time_constant: float = 0.02
+
+    def __post_init__(self) -> None:
+        as_number("time_constant", self.time_constant, unit="s", above=0.0)
+
+
+class SetpointController:
+    """Brings a measured task value to a fixed target with an approximate Jacobian.
+
+    τ = −Ĵᵀ(K_p s(e) + K_v Ĵq̇) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
+    believed robot only, through the Jacobian of `task` and through `gravity`.
+
+    Its state is θ̂ where gravity is learnt, followed by the differentiator's state for law (5).
+
+    Immutable, but it owns scratch memory: one instance a thread.
+
+    Args:
+        task: The task of the believed robot.
+        gains: K_p, K_v and the added joint damping.
+        gravity: Where the gravity torque comes from; the believed robot's own model by default.
+            `NoGravity` is for robots that compensate it themselves, `AdaptiveGravity` makes this
+            the law (28), (29).
+        saturation: s(e); s(e) = e by default.
+        velocity: None for the paper's estimated task velocity Ĵq̇, law (6); or
+            `DifferentiatedVelocity`, law (5).
+
+    Raises:
+        InvalidInputError: Gains of the wrong shape, no added damping on an arm with more joints
+            than task coordinates, or gravity of a robot with other joints.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        gains: Gains,
+        *,
+        gravity: Gravity | None = None,
+        saturation: Saturation | None = None,
+        velocity: DifferentiatedVelocity | None = None,
+    ) -> None:
+        self.task = task
+        self.gains = gains
+        self.gravity: Gravity = ModelGravity(task.robot) if gravity is None else gravity
+        self.saturation: Saturation = Linear() if saturation is None else saturation
+        self.velocity = velocity
+        self.diagonals = gains.diagonals(task.m, task.robot.nv)
+        robot = task.robot
+        if robot.nv > task.m and not (self.diagonals.damping > 0.0).all():
+            raise InvalidInputError(
+                f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for "
+                f"{task.m} task coordinates, and nothing else damps its self-motion; "
+                f"got {self.diagonals.damping.tolist()}",
+                given=gains.damping,
+            )
+        if self.gravity.robot.joint_names != robot.joint_names:
+            raise InvalidInputError(
+                f"gravity must be that of a robot with the joints of the task's robot "
+                f"({', '.join(robot.joint_names)}), got {self.gravity.robot!r}",
+                given=gravity,
+            )
+        self._adaptive = self.gravity if isinstance(self.gravity, AdaptiveGravity) else None
+        self._p = 0 if self._adaptive is None else self._adaptive.regressor.p
+        self._n_state = self._p + (0 if velocity is None else task.m)
+        self._shapes = ((robot.nq,), (robot.nv,), (task.m,), (task.m,), (self._n_state,))
+        self._no_rate = np.zeros(self._n_state)
+        self._no_rate.flags.writeable = False
+
+    @property
+    def n_state(self) -> int:
+        """Length of the state: p where gravity is learnt, plus m for law (5)."""
+        return self._n_state
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """State before the first evaluation: θ̂(0), and the first measured x for law (5)."""
+        self._require_shapes(self._no_rate, measurement, measurement.x)
+        parts = [] if self._adaptive is None else [np.asarray(self._adaptive.theta0)]
+        if self.velocity is not None:
+            parts.append(measurement.x)
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def theta_hat(self, state: Array) -> Array:
+        """θ̂ from one state (n_state,) or a series of them (…, n_state); shape (…, p)."""
+        return state[..., : self._p]
+
+    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
+        """Torque for one measurement.
+
+        A measurement x that is not finite counts as lost: then there is no task force, only
+        damping and gravity compensation, and the state stands still.
+
+        Args:
+            state: Controller state, shape (n_state,).
+            measurement: t, q, v and the measured x.
+            target: x_d, shape (m,) [unit of the task].
+
+        Raises:
+            MeasurementError: q or v not finite, or a torque that overflows.
+            InvalidInputError: Wrong shapes, a target or state that is not finite.
+        """
+        self._require_shapes(state, measurement, target)
+        _, q, v, x = measurement
+        e = x - target
+        # One cheap number that is not finite if anything is; the rare cases are told apart after.
+        lost = False
+        if not math.isfinite(q.dot(q) + v.dot(v) + e.dot(e) + state.dot(state)):
+            lost = self._require_finite(state, measurement, target)
+        s = np.zeros(self.task.m) if lost else self.saturation.s(e)
+        J_hat = self.task.jacobian(q)
+        kp, kv, damping = self.diagonals
+        rate = self._no_rate
+        status = Status.MEASUREMENT_LOST if lost else Status.OK
+        sigma_min = math.nan
+
+        if self._adaptive is None:
+            g = self.gravity.torque(q)  # type: ignore[union-attr]
+        else:
+            Z = self._adaptive.regressor.Z(q)
+            g = gravity_torque(Z, state[: self._p])
+            J_hat_pinv, sigma_min, damped = damped_right_pinv(J_hat)
+            if not lost:
+                y = passive_output(v, J_hat_pinv, s, self._adaptive.alpha)
+                rate = theta_hat_rate(self._adaptive.L, Z, y)  # type: ignore[arg-type]
+                if damped > 0.0:
+                    status = Status.NEAR_SINGULAR
+
+        if self.velocity is None:
+            torque = estimated_velocity_torque(J_hat, kp, kv, s, v, damping, g)
+        else:
+            x_dot = np.zeros(self.task.m)
+            if not lost:
+                x_dot = (x - state[self._p :]) / self.velocity.time_constant
+            torque = measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, g)
+            # the differentiator's state follows x with time constant T: its rate is Ẋ itself
+            rate = np.concatenate([rate[: self._p], x_dot])
+        if not math.isfinite(torque.dot(torque)) and not np.isfinite(torque).all():
+            raise MeasurementError(
+                f"the torque overflows: q = {q.tolist()}, v = {v.tolist()}, x = {x.tolist()} are "
+                "beyond what the law can be evaluated at",
+                given=measurement,
+            )
+        return Evaluation(torque, rate, status, e, sigma_min)
+
+    def _require_shapes(self, state: Array, measurement: Measurement, target: Array) -> None:
+        _, q, v, x = measurement
+        try:
+            if (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes:
+                return
+        except AttributeError:
+            pass
+        names = ("q", "v", "x", "target", "state")
+        for name, value, shape in zip(
+            names, (q, v, x, target, state), self._shapes, strict=True
+        ):
+            if not isinstance(value, np.ndarray) or value.shape != shape:
+                given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
+                raise InvalidInputError(
+                    f"{name} must be an array of shape {shape} for {self.task!r}, got {given}",
+                    given=value,
+                )
+
+    def _require_finite(self, state: Array, measurement: Measurement, target: Array) -> bool:
+        """Tell what is not finite apart; return whether only the measured x is."""
+        for name, value in (("q", measurement.q), ("v", measurement.v)):
+            if not np.isfinite(value).all():
+                raise MeasurementError(
+                    f"{name} must be finite, got {value.tolist()}: no safe torque exists without "
+                    "the joint state; stop the robot",
+                    given=measurement,
+                )
+        for name, value in (("target", target), ("state", state)):
+            if not np.isfinite(value).all():
+                raise InvalidInputError(f"{name} must be finite, got {value.tolist()}", given=value)
+        return not bool(np.isfinite(measurement.x).all())
+
+    def __repr__(self) -> str:
+        law = "(28), (29)" if self._adaptive else "(6)" if self.velocity is None else "(5)"
+        return f"SetpointController(law {law}, {self.task!r}, {self.gains!r})"

@@ -1,0 +1,57 @@
+"""The errors of approxjac: one root, and each error carries what it was given.
+
+Every message says what was expected, what was given and, where that can be listed,
+what would be valid.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+
+class ApproxJacError(Exception):
+    """Root of all errors raised on purpose by this library.
+
+    Attributes:
+        given: The offending value, as it was handed in.
+    """
+
+    def __init__(self, message: str, *, given: Any = None) -> None:
+        super().__init__(message)
+        self.given = given
+
+
+class InvalidInputError(ApproxJacError, ValueError):
+    """A number, array or option that is outside what is meaningful."""
+
+
+class UnknownNameError(ApproxJacError, LookupError):
+    """A frame, joint, link or robot that does not exist, with near matches."""
+
+    def __init__(self, kind: str, name: object, where: str, valid: Iterable[str]) -> None:
+        self.valid = sorted(valid)
+        message = f"{kind} {name!r} not in {where}"
+        near = difflib.get_close_matches(str(name), self.valid, n=3, cutoff=0.5)
+        if near:
+            message += f"; did you mean {' or '.join(repr(n) for n in near)}?"
+        elif self.valid:
+            message += f"; valid are {', '.join(self.valid)}"
+        super().__init__(message, given=name)
+
+
+class UrdfError(ApproxJacError, ValueError):
+    """A URDF that is missing, malformed or not usable for torque control."""
+
+
+class MeasurementError(ApproxJacError, ValueError):
+    """A measurement without which no safe torque exists (q or v not finite)."""
+
+
+class SimulationError(ApproxJacError, RuntimeError):
+    """A simulation that could not be carried to its end."""
+
+
+class TrajectoryFileError(ApproxJacError, ValueError):
+    """A file that is missing or does not hold a trajectory."""

@@ -1,0 +1,101 @@
+"""What passes between a plant and a controller, and nothing else.
+
+The plant owns the true robot, the controller the believed one. Only a `Measurement` goes
+one way and a torque goes the other; neither side ever sees the other's model.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+from approxjac.checks import Array
+
+
+class Status(enum.IntEnum):
+    """What happened in one evaluation of a controller."""
+
+    OK = 0
+    NEAR_SINGULAR = 1
+    MEASUREMENT_LOST = 2
+
+    @property
+    def message(self) -> str:
+        """A sentence a person can act on."""
+        return _MESSAGES[self]
+
+
+_MESSAGES: Mapping[Status, str] = {
+    Status.OK: "the law was evaluated as written",
+    Status.NEAR_SINGULAR: (
+        "the estimated Jacobian is near a singular pose: its pseudo-inverse was damped"
+    ),
+    Status.MEASUREMENT_LOST: (
+        "the task measurement is not finite: no task force, damping and gravity compensation "
+        "only, adaptation frozen"
+    ),
+}
+
+
+class Measurement(NamedTuple):
+    """All that a controller may know about the true robot at one instant.
+
+    Attributes:
+        t: Time [s].
+        q: Joint configuration, shape (nq,) [rad or m].
+        v: Joint velocity q̇, shape (nv,) [rad/s or m/s].
+        x: Task value measured by a sensor, shape (m,) [unit of the task]; NaN when lost.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    x: Array
+
+
+class Evaluation(NamedTuple):
+    """What a controller answers to one measurement.
+
+    Attributes:
+        torque: Joint torque τ, shape (nv,) [N m or N].
+        state_rate: Time derivative of the controller's state, shape (n_state,).
+        status: What happened.
+        e: Task error x − x_d, shape (m,) [unit of the task].
+        sigma_min: Smallest singular value of the estimated Jacobian where the law needs
+            its pseudo-inverse, NaN otherwise.
+    """
+
+    torque: Array
+    state_rate: Array
+    status: Status
+    e: Array
+    sigma_min: float
+
+
+class Controller(Protocol):
+    """Anything that turns measurements into torques.
+
+    A controller holds no memory of its own: what evolves is a flat state array that goes
+    in and whose rate comes out, so that the same object can be integrated continuously
+    or sampled at a fixed rate.
+    """
+
+    @property
+    def n_state(self) -> int:
+        """Length of the controller's state."""
+        ...
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """State before the first evaluation, shape (n_state,)."""
+        ...
+
+    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
+        """Torque, state rate and status for one measurement.
+
+        Args:
+            state: Controller state, shape (n_state,).
+            measurement: What was measured.
+            target: Wanted task value x_d, shape (m,).
+        """
+        ...

@@ -1,0 +1,50 @@
+"""The mathematics of the paper: NumPy in, NumPy out, an equation a function.
+
+Symbols are the paper's; misprints are corrected and each departure is named where it is made.
+"""
+
+from approxjac.law.adaptation import passive_output, theta_hat_rate
+from approxjac.law.conditions import (
+    allowed_p_at_crossing,
+    allowed_p_position,
+    allowed_p_velocity,
+    jacobian_error,
+    lambda_2,
+    largest_allowed_p,
+)
+from approxjac.law.linearization import closed_loop_matrix
+from approxjac.law.lyapunov import V, W, parameter_potential
+from approxjac.law.pseudoinverse import damped_right_pinv, right_pinv, right_pinv_dot
+from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
+from approxjac.law.torque import (
+    estimated_velocity_torque,
+    gravity,
+    learnt_gravity_torque,
+    measured_velocity_torque,
+)
+
+__all__ = [
+    "Linear",
+    "Saturation",
+    "Sine",
+    "Tanh",
+    "V",
+    "W",
+    "allowed_p_at_crossing",
+    "allowed_p_position",
+    "allowed_p_velocity",
+    "closed_loop_matrix",
+    "damped_right_pinv",
+    "estimated_velocity_torque",
+    "gravity",
+    "jacobian_error",
+    "lambda_2",
+    "largest_allowed_p",
+    "learnt_gravity_torque",
+    "measured_velocity_torque",
+    "parameter_potential",
+    "passive_output",
+    "right_pinv",
+    "right_pinv_dot",
+    "theta_hat_rate",
+]

@@ -1,0 +1,112 @@
+"""The Lyapunov function V and its decrease W, eqs. (12), (13) and (31).
+
+Along the closed loop V̇ = −W holds identically. These functions need the true J and M: they
+analyse a closed loop and never run inside a controller.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from approxjac.checks import Array
+
+
+def V(
+    v: Array,
+    s: Array,
+    potential: Array,
+    J_hat_pinv: Array,
+    M: Array,
+    kp: Array,
+    kv: Array,
+    alpha: float,
+) -> float:
+    """V = ½ q̇ᵀM q̇ + α q̇ᵀM Ĵ⁺ s(e) + Σ (k_pi + α k_vi) S_i(e_i).
+
+    Implements Eq. (12).
+
+    Args:
+        v: Joint velocity q̇, shape (n_v,).
+        s: Saturated error s(e), shape (m,).
+        potential: S_i(e_i), shape (m,).
+        J_hat_pinv: Ĵ⁺, shape (n_v, m).
+        M: Inertia matrix, shape (n_v, n_v).
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        alpha: Scalar α [1/s].
+
+    Returns:
+        V [J].
+    """
+    Mv = M @ v
+    return float(0.5 * v @ Mv + alpha * (Mv @ (J_hat_pinv @ s)) + (kp + alpha * kv) @ potential)
+
+
+def W(
+    v: Array,
+    s: Array,
+    s_dot: Array,
+    J: Array,
+    J_hat: Array,
+    J_hat_pinv: Array,
+    J_hat_pinv_dot: Array,
+    M: Array,
+    M_dot: Array,
+    coriolis: Array,
+    B: Array,
+    kp: Array,
+    kv: Array,
+    alpha: float,
+) -> float:
+    """W = −V̇ along the closed loop.
+
+    Implements Eq. (13). Departures: the last term is −s(e)ᵀ(d/dt Ĵ⁺)ᵀM q̇ (the paper's dot is
+    missing), and (B − ½Ṁ + S)q̇ is evaluated as B q̇ + C(q, q̇)q̇ − Ṁ q̇.
+
+    Args:
+        v: Joint velocity q̇, shape (n_v,).
+        s: Saturated error s(e), shape (m,).
+        s_dot: ds/dt = s'(e) J q̇, shape (m,).
+        J: True task Jacobian, shape (m, n_v).
+        J_hat: Estimated task Jacobian, shape (m, n_v).
+        J_hat_pinv: Ĵ⁺, shape (n_v, m).
+        J_hat_pinv_dot: d/dt Ĵ⁺, shape (n_v, m).
+        M: Inertia matrix, shape (n_v, n_v).
+        M_dot: Its time derivative, shape (n_v, n_v).
+        coriolis: C(q, q̇)q̇, shape (n_v,).
+        B: Diagonal of all viscous damping, natural and added, shape (n_v,).
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        alpha: Scalar α [1/s].
+
+    Returns:
+        W [W].
+    """
+    Jhv = J_hat @ v
+    delta_v = J @ v - Jhv
+    Mv = M @ v
+    damping = v @ (B * v) + Jhv @ (kv * Jhv)
+    stiffness = alpha * s @ (kp * s)
+    mismatch = delta_v @ ((kp + alpha * kv) * s)
+    inertial = (
+        (J_hat_pinv @ s) @ (B * v + coriolis - M_dot @ v)
+        - (J_hat_pinv @ s_dot) @ Mv
+        - (J_hat_pinv_dot @ s) @ Mv
+    )
+    return float(damping + stiffness - mismatch + alpha * inertial)
+
+
+def parameter_potential(theta_error: Array, L: Array) -> float:
+    """½ Δθᵀ L⁻¹ Δθ, added to V where gravity is learnt.
+
+    Implements Eq. (31). Departure: the paper prints L for L⁻¹.
+
+    Args:
+        theta_error: Δθ = θ − θ̂, shape (p,).
+        L: Adaptation gain: a diagonal, shape (p,), or a matrix, shape (p, p).
+
+    Returns:
+        The term [J].
+    """
+    scaled = theta_error / L if L.ndim == 1 else np.linalg.solve(L, theta_error)
+    return float(0.5 * theta_error @ scaled)

@@ -1,0 +1,166 @@
+"""Saturated functions s(e), their potentials S(e) and the constants of eq. (8).
+
+All act entry by entry. γ may be a number or an array with one entry for each task
+coordinate.
+
+No bounded s has a global d̄ in (8): θ s(θ) grows with |θ| while s² stays put. So d̄ is
+given for |e| ≤ e_max; d and c̄ hold everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from approxjac.checks import Array
+from approxjac.errors import InvalidInputError
+
+
+class Saturation(Protocol):
+    """A function s with the properties (1)–(3) that the paper asks for.
+
+    Attributes:
+        d: Constant with θ s(θ) ≥ d s(θ)², eq. (8).
+        c_bar: Constant with S(θ) ≥ c̄ s(θ)², eq. (8).
+    """
+
+    @property
+    def d(self) -> float: ...
+
+    @property
+    def c_bar(self) -> float: ...
+
+    def s(self, e: Array) -> Array:
+        """Saturated error s(e), same shape and unit as e."""
+        ...
+
+    def S(self, e: Array) -> Array:
+        """Potential S(e) with dS/de = s, same shape as e, unit of e squared."""
+        ...
+
+    def ds(self, e: Array) -> Array:
+        """Slope s'(e), same shape as e, dimensionless."""
+        ...
+
+    def d_bar(self, e_max: float) -> float:
+        """Constant with d̄ s(θ)² ≥ θ s(θ) for |θ| ≤ e_max, eq. (8)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Linear:
+    """s(e) = e: no saturation, the limit γ → ∞. Implements Eq. (8) with d = d̄ = 1, c̄ = ½."""
+
+    d: float = 1.0
+    c_bar: float = 0.5
+
+    def s(self, e: Array) -> Array:
+        """s(e) = e."""
+        return e
+
+    def S(self, e: Array) -> Array:
+        """S(e) = e² / 2."""
+        return 0.5 * e * e
+
+    def ds(self, e: Array) -> Array:
+        """s'(e) = 1."""
+        return np.ones_like(e)
+
+    def d_bar(self, e_max: float) -> float:
+        """d̄ = 1 for any e_max."""
+        return 1.0
+
+
+@dataclass(frozen=True)
+class Sine:
+    """The paper's example: γ sin(e/γ) up to |e| = γπ/2, ±γ beyond.
+
+    Implements Eq. (8) with d = 1 and c̄ = ½, for S(e) = γ²(1 − cos(e/γ)) inside and
+    γ² + γ(|e| − γπ/2) outside. (The paper calls γ the error at which s saturates; here, as
+    in its simulations, γ is the value it saturates at.)
+
+    Attributes:
+        gamma: Saturation value γ > 0, a number or shape (m,) [unit of the task].
+    """
+
+    gamma: float | Array
+    d: float = 1.0
+    c_bar: float = 0.5
+
+    def __post_init__(self) -> None:
+        _check_gamma(self.gamma)
+
+    def s(self, e: Array) -> Array:
+        """s(e), between −γ and γ."""
+        return self.gamma * np.sin(self._angle(e))
+
+    def S(self, e: Array) -> Array:
+        """S(e) ≥ 0."""
+        u = self._angle(e)
+        beyond = np.abs(e) - self.gamma * np.abs(u)
+        return self.gamma**2 * (1.0 - np.cos(u)) + self.gamma * beyond
+
+    def ds(self, e: Array) -> Array:
+        """s'(e), between 0 and 1."""
+        inside = np.abs(e) < 0.5 * np.pi * self.gamma
+        return np.where(inside, np.cos(self._angle(e)), 0.0)
+
+    def d_bar(self, e_max: float) -> float:
+        """d̄ = u / sin u up to saturation, u beyond, with u = e_max / γ."""
+        u = e_max / float(np.min(self.gamma))
+        if u <= 0:
+            return 1.0
+        return float(u / np.sin(min(u, 0.5 * np.pi)))
+
+    def _angle(self, e: Array) -> Array:
+        return np.asarray(np.clip(e / self.gamma, -0.5 * np.pi, 0.5 * np.pi))
+
+
+@dataclass(frozen=True)
+class Tanh:
+    """s(e) = γ tanh(e/γ): smooth everywhere, strictly increasing, bounded by γ.
+
+    Implements Eq. (8) with d = 1 and c̄ = ½, for S(e) = γ² log cosh(e/γ). Departure from the
+    paper's property (2): γ is reached only in the limit, which no proof step needs.
+
+    Attributes:
+        gamma: Saturation value γ > 0, a number or shape (m,) [unit of the task].
+    """
+
+    gamma: float | Array
+    d: float = 1.0
+    c_bar: float = 0.5
+
+    def __post_init__(self) -> None:
+        _check_gamma(self.gamma)
+
+    def s(self, e: Array) -> Array:
+        """s(e), between −γ and γ."""
+        return np.asarray(self.gamma * np.tanh(e / self.gamma))
+
+    def S(self, e: Array) -> Array:
+        """S(e) ≥ 0."""
+        u = np.abs(e / self.gamma)
+        # log cosh u: the first form cancels for large u, the second for small u
+        near = 0.5 * np.log1p(np.sinh(np.minimum(u, 1.0)) ** 2)
+        far = u - np.log(2.0) + np.log1p(np.exp(-2.0 * u))
+        return np.asarray(self.gamma**2 * np.where(u < 1.0, near, far))
+
+    def ds(self, e: Array) -> Array:
+        """s'(e), between 0 and 1."""
+        return np.asarray(1.0 - np.tanh(e / self.gamma) ** 2)
+
+    def d_bar(self, e_max: float) -> float:
+        """d̄ = u / tanh u with u = e_max / γ."""
+        u = e_max / float(np.min(self.gamma))
+        return float(u / np.tanh(u)) if u > 0 else 1.0
+
+
+def _check_gamma(gamma: float | Array) -> None:
+    values = np.asarray(gamma, dtype=float)
+    if not (np.isfinite(values).all() and (values > 0).all()):
+        raise InvalidInputError(
+            f"gamma must be finite and > 0 [unit of the task], got {gamma!r}", given=gamma
+        )

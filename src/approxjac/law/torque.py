@@ -1,0 +1,82 @@
+"""The control laws: eqs. (5), (6) and (28).
+
+Shapes: Ĵ is (m, n_v), K_p, K_v, s and Ẋ are (m,) with the gains' diagonals, q̇, g, τ and the
+added damping B_c are (n_v,).
+"""
+
+from __future__ import annotations
+
+from approxjac.checks import Array
+
+
+def measured_velocity_torque(
+    J_hat: Array, kp: Array, kv: Array, s: Array, x_dot: Array, v: Array, damping: Array, g: Array
+) -> Array:
+    """τ = −Ĵᵀ(K_p s(e) + K_v Ẋ) − B_c q̇ + g(q), with Ẋ measured.
+
+    Implements Eq. (5), the earlier law, kept as a baseline. Departure: the added joint damping
+    −B_c q̇ is written out (the paper leaves it to "friction added intentionally").
+
+    Args:
+        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        s: Saturated error s(e), shape (m,).
+        x_dot: Measured task velocity Ẋ, shape (m,).
+        v: Joint velocity q̇, shape (n_v,).
+        damping: Diagonal of B_c, shape (n_v,).
+        g: Gravity torque, shape (n_v,).
+
+    Returns:
+        Joint torque τ, shape (n_v,).
+    """
+    return g - damping * v - (kp * s + kv * x_dot) @ J_hat
+
+
+def estimated_velocity_torque(
+    J_hat: Array, kp: Array, kv: Array, s: Array, v: Array, damping: Array, g: Array
+) -> Array:
+    """τ = −Ĵᵀ(K_p s(e) + K_v Ĵ q̇) − B_c q̇ + g(q).
+
+    Implements Eq. (6), the paper's law: Ĵ q̇ takes the place of the measured task velocity.
+    Departure: the added joint damping −B_c q̇ is written out; where n_v > m it is required.
+
+    Args and returns are those of `measured_velocity_torque`, without Ẋ.
+    """
+    return g - damping * v - (kp * s + kv * (J_hat @ v)) @ J_hat
+
+
+def learnt_gravity_torque(
+    J_hat: Array,
+    kp: Array,
+    kv: Array,
+    s: Array,
+    v: Array,
+    damping: Array,
+    Z: Array,
+    theta_hat: Array,
+) -> Array:
+    """τ = −Ĵᵀ(K_p s(e) + K_v Ĵ q̇) − B_c q̇ + Z(q) θ̂.
+
+    Implements Eq. (28): eq. (6) with the gravity that has been learnt so far.
+
+    Args:
+        Z: Gravity regressor, shape (n_v, p).
+        theta_hat: Estimated gravity parameters θ̂, shape (p,).
+
+    The others are those of `estimated_velocity_torque`.
+    """
+    return estimated_velocity_torque(J_hat, kp, kv, s, v, damping, gravity(Z, theta_hat))
+
+
+def gravity(Z: Array, theta: Array) -> Array:
+    """g = Z(q) θ. Implements Eq. (27).
+
+    Args:
+        Z: Gravity regressor, shape (n_v, p).
+        theta: Gravity parameters, shape (p,).
+
+    Returns:
+        Gravity torque, shape (n_v,).
+    """
+    return Z @ theta

@@ -1,0 +1,7 @@
+"""Robots: arms from URDF files, objects attached to them, errors applied to them."""
+
+from approxjac.robots.dynamics import Dynamics
+from approxjac.robots.gravity_regressor import GravityRegressor
+from approxjac.robots.robot import Robot, load_robot
+
+__all__ = ["Dynamics", "GravityRegressor", "Robot", "load_robot"]

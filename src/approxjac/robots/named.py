@@ -1,0 +1,68 @@
+"""Robots that load by name: our own URDFs, and those of example-robot-data."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+
+class NamedRobot(NamedTuple):
+    """Where a named robot is found.
+
+    Attributes:
+        path: URDF, relative to our `urdf/` folder or to example-robot-data's `robots/`.
+        tip: Suggested end-effector frame.
+        locked: Joints that are fixed at these values when loaded (fingers) [rad or m].
+    """
+
+    path: str
+    tip: str
+    locked: Mapping[str, float] = {}
+
+
+NAMED: Mapping[str, NamedRobot] = {
+    "two_link": NamedRobot("two_link.urdf", "tool0"),
+    "two_link_point_mass": NamedRobot("two_link_point_mass.urdf", "tool0"),
+    "panda": NamedRobot(
+        "panda_description/urdf/panda.urdf",
+        "panda_hand_tcp",
+        {"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0},
+    ),
+    "ur3": NamedRobot("ur_description/urdf/ur3_robot.urdf", "tool0"),
+    "ur5": NamedRobot("ur_description/urdf/ur5_robot.urdf", "tool0"),
+    "ur10": NamedRobot("ur_description/urdf/ur10_robot.urdf", "tool0"),
+    "xarm7": NamedRobot("xarm_description/urdf/xarm7.urdf", "link7"),
+    "talos_arm": NamedRobot("talos_data/robots/talos_left_arm.urdf", "wrist_left_ft_tool_link"),
+    "double_pendulum": NamedRobot(
+        "double_pendulum_description/urdf/double_pendulum_simple.urdf", "link2"
+    ),
+}
+
+
+def share_dir() -> Path | None:
+    """Return the folder that `package://example-robot-data/...` is relative to, if installed."""
+    try:
+        distribution = importlib.metadata.distribution("example-robot-data")
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    share = Path(str(distribution.locate_file("cmeel.prefix/share")))
+    return share if (share / "example-robot-data" / "robots").is_dir() else None
+
+
+@functools.cache
+def own_urdf_dir() -> Path:
+    """Return the folder of our own URDFs: package data, or `urdf/` in a source checkout."""
+    packaged = Path(__file__).parents[1] / "urdf"
+    return packaged if packaged.is_dir() else Path(__file__).parents[3] / "urdf"
+
+
+def urdf_path(entry: NamedRobot) -> Path:
+    """Return the URDF file of a named robot; it need not exist."""
+    own = own_urdf_dir() / entry.path
+    share = share_dir()
+    if "/" not in entry.path or share is None:
+        return own
+    return share / "example-robot-data" / "robots" / entry.path

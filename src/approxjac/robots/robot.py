@@ -1,0 +1,479 @@
+"""`Robot`: an arm from a URDF, with objects attached to it and errors applied to it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array, as_array, as_number
+from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError
+from approxjac.robots import urdf as urdf_xml
+from approxjac.robots.named import NAMED, urdf_path
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+class Robot:
+    """A fixed-base arm: its URDF text and the Pinocchio model built from it.
+
+    Immutable: every change returns a new robot. Two robots are equal when their URDF and
+    gravity are. Meshes are never needed.
+
+    Args:
+        urdf: URDF text.
+        gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
+        tip: End-effector frame to use where none is named; by default the last link of an
+            unbranched arm.
+        urdf_dir: Folder that mesh names in the URDF are relative to.
+        source: What to call the URDF in errors.
+
+    Raises:
+        UrdfError: Malformed, no moving joint, joints of more than one degree of freedom, or
+            links without inertia.
+        UnknownNameError: `tip` is not a frame.
+    """
+
+    def __init__(
+        self,
+        urdf: str,
+        *,
+        gravity: Sequence[float] | Array = STANDARD_GRAVITY,
+        tip: str | None = None,
+        urdf_dir: Path | None = None,
+        source: str = "URDF text",
+    ) -> None:
+        self._urdf = urdf
+        self._gravity = as_array("gravity", gravity, (3,), "m/s^2")
+        self._urdf_dir = urdf_dir
+        self._source = source
+        root = urdf_xml.parse(urdf, source)
+        links = urdf_xml.read(root, source)
+        self._name = str(root.get("name"))
+        self._model = _build_model(urdf, source)
+        self._model.gravity.linear = self._gravity
+        _require_inertia(self._model, source)
+        # A body and a joint may share a name; the body's frame is the one people mean.
+        frames = sorted(
+            (frame.type == pin.FrameType.BODY, index, frame.name)
+            for index, frame in enumerate(self._model.frames)
+        )
+        self._frames = {name: index for _, index, name in frames if name != "universe"}
+        parents = {joint.parent for joint in links.robot.joints}
+        leaves = [link.name for link in links.robot.links if link.name not in parents]
+        self._tip = tip if tip is not None else (leaves[0] if len(leaves) == 1 else None)
+        if self._tip is not None:
+            self.frame_id(self._tip)
+
+    # -- what it is ---------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """Name in the URDF."""
+        return self._name
+
+    @property
+    def urdf(self) -> str:
+        """URDF text."""
+        return self._urdf
+
+    @property
+    def urdf_dir(self) -> Path | None:
+        """Folder that mesh names are relative to, or None."""
+        return self._urdf_dir
+
+    @property
+    def gravity(self) -> Array:
+        """Acceleration of gravity in the world frame, shape (3,) [m/s²]."""
+        return self._gravity
+
+    @property
+    def tip(self) -> str | None:
+        """End-effector frame used where none is named, or None where it is not clear."""
+        return self._tip
+
+    @property
+    def model(self) -> pin.Model:
+        """Pinocchio model. Treat it as read-only; call `model.copy()` to change it."""
+        return self._model
+
+    @property
+    def nq(self) -> int:
+        """Length of a configuration q; larger than `nv` where joints are continuous."""
+        return int(self._model.nq)
+
+    @property
+    def nv(self) -> int:
+        """Number of degrees of freedom n_v."""
+        return int(self._model.nv)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints, in the order of v and τ."""
+        return tuple(self._model.names)[1:]
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of all frames: links and joints."""
+        return tuple(self._frames)
+
+    @property
+    def effort_limits(self) -> Array:
+        """Torque or force limits, shape (n_v,) [N m or N]; infinite where none is known."""
+        limits = np.array(self._model.upperEffortLimit, dtype=np.float64)
+        limits[limits <= 0.0] = np.inf  # 0 in a URDF means that nobody filled it in
+        return limits
+
+    def neutral(self) -> Array:
+        """Configuration with every joint at zero, shape (nq,)."""
+        return np.array(pin.neutral(self._model))
+
+    def random_configuration(self, rng: np.random.Generator) -> Array:
+        """Uniform configuration within the joint limits, shape (nq,) [rad or m].
+
+        Joints without limits, or that may turn more than once, are drawn from ±π.
+        """
+        q = self.neutral()
+        for joint in list(self._model.joints)[1:]:
+            i = joint.idx_q
+            if joint.nq == 2:  # continuous: (cos, sin)
+                angle = rng.uniform(-np.pi, np.pi)
+                q[i : i + 2] = np.cos(angle), np.sin(angle)
+                continue
+            low, high = self._model.lowerPositionLimit[i], self._model.upperPositionLimit[i]
+            if "P" in joint.shortname():  # prismatic joints may well be unlimited in a URDF
+                low, high = max(low, -1.0), min(high, 1.0)
+            else:
+                low, high = max(low, -np.pi), min(high, np.pi)
+            q[i] = rng.uniform(low, high)
+        return q
+
+    def frame_id(self, frame: str) -> int:
+        """Return Pinocchio's index of a frame.
+
+        Raises:
+            UnknownNameError: No such frame.
+        """
+        try:
+            return self._frames[frame]
+        except (KeyError, TypeError):
+            raise UnknownNameError("frame", frame, self._name, self._frames) from None
+
+    def tip_or(self, frame: str | None) -> str:
+        """Return `frame` if it exists, or the robot's own tip where it is None.
+
+        Raises:
+            UnknownNameError: No such frame.
+            InvalidInputError: None was given and the robot has more than one end.
+        """
+        if frame is None:
+            if self._tip is None:
+                raise InvalidInputError(
+                    f"frame must be named: {self._name} has more than one end; "
+                    f"frames are {', '.join(self._frames)}",
+                    given=None,
+                )
+            return self._tip
+        self.frame_id(frame)
+        return frame
+
+    # -- robots made from it ------------------------------------------------------------
+
+    def with_object(
+        self,
+        length: float,
+        mass: float = 0.0,
+        *,
+        radius: float = 0.01,
+        parent: str | None = None,
+        axis: str | Sequence[float] = "z",
+        name: str = "object",
+    ) -> Robot:
+        """Return this robot holding an object: a uniform cylinder with a frame at its far end.
+
+        The object is a URDF link `name` on a fixed joint at the origin of `parent`; the frame at
+        its end is the link `{name}_tip`, which becomes the new `tip`. Both keep the orientation
+        of `parent`.
+
+        Args:
+            length: From the parent's origin to the tip, ≥ 0 [m].
+            mass: ≥ 0 [kg].
+            radius: Of the cylinder, ≥ 0 [m]; 0 is a thin rod.
+            parent: Link that holds it; the robot's `tip` by default.
+            axis: Direction in the parent's frame: "x", "y", "z", with a sign if wanted, or a
+                vector of shape (3,).
+            name: Name of the new link.
+
+        Raises:
+            InvalidInputError: Negative or non-finite numbers, an axis that is none, or a name
+                that is taken.
+            UnknownNameError: No such parent.
+        """
+        length = as_number("length", length, unit="m", minimum=0.0)
+        mass = as_number("mass", mass, unit="kg", minimum=0.0)
+        radius = as_number("radius", radius, unit="m", minimum=0.0)
+        direction = _direction(axis)
+        parent = self.tip_or(parent)
+        root = urdf_xml.parse(self._urdf, self._source)
+        links = urdf_xml.read(root, self._source).link_map
+        if parent not in links:
+            raise UnknownNameError("link", parent, self._name, links)
+        taken = set(self._frames) | {"universe"}
+        for new in (name, f"{name}_tip", f"{name}_joint", f"{name}_tip_joint"):
+            if new in taken or not name:
+                raise InvalidInputError(
+                    f"name must be new to the robot, got {name!r}: {self._name} already has a "
+                    f"frame {new!r}; give another name",
+                    given=name,
+                )
+        urdf_xml.append_object(
+            root,
+            name=name,
+            parent=parent,
+            axis=direction,
+            length=length,
+            radius=radius,
+            mass=mass,
+        )
+        return self._changed(root, tip=f"{name}_tip")
+
+    def with_kinematic_error(
+        self,
+        shifts: Mapping[str, Sequence[float]] | None = None,
+        rotations: Mapping[str, Sequence[float]] | None = None,
+    ) -> Robot:
+        """Return this robot with the origins of joints shifted or turned.
+
+        Args:
+            shifts: Joint name → shift of its origin in the parent link's frame, shape (3,) [m].
+            rotations: Joint name → rotation vector in the joint's own frame, shape (3,) [rad].
+                Fixed joints may be named in both.
+
+        Raises:
+            UnknownNameError: No such joint.
+            InvalidInputError: Wrong shape or not finite.
+        """
+        root = urdf_xml.parse(self._urdf, self._source)
+        shifts, rotations = dict(shifts or {}), dict(rotations or {})
+        for joint in dict.fromkeys([*shifts, *rotations]):
+            links = urdf_xml.read(root, self._source)
+            if joint not in links.joint_map:
+                raise UnknownNameError("joint", joint, self._name, links.joint_map)
+            shift = as_array(f"shift of {joint}", shifts.get(joint, np.zeros(3)), (3,), "m")
+            turn = as_array(f"rotation of {joint}", rotations.get(joint, np.zeros(3)), (3,), "rad")
+            urdf_xml.move_joint_origin(root, links, joint, shift, pin.exp3(turn))
+        return self._changed(root)
+
+    def with_locked_joints(self, positions: Mapping[str, float]) -> Robot:
+        """Return this robot with joints fixed for good, such as those of fingers.
+
+        Args:
+            positions: Joint name → position at which it is fixed [rad or m].
+
+        Raises:
+            UnknownNameError: Not a moving joint of this robot.
+            InvalidInputError: A position that is not finite.
+        """
+        root = urdf_xml.parse(self._urdf, self._source)
+        links = urdf_xml.read(root, self._source)
+        for joint, position in positions.items():
+            if joint not in self.joint_names:
+                raise UnknownNameError("moving joint", joint, self._name, self.joint_names)
+            value = as_number(f"position of {joint}", position, unit="rad or m")
+            axis = links.joint_map[joint].axis / np.linalg.norm(links.joint_map[joint].axis)
+            if links.joint_map[joint].type == "prismatic":
+                motion = urdf_xml.transform(value * axis)
+            else:
+                motion = urdf_xml.transform(np.zeros(3), pin.exp3(value * axis))
+            urdf_xml.fix_joint(root, links, joint, motion)
+        return self._changed(root)
+
+    def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
+        """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
+        return Robot(
+            self._urdf,
+            gravity=gravity,
+            tip=self._tip,
+            urdf_dir=self._urdf_dir,
+            source=self._source,
+        )
+
+    def save_urdf(self, path: str | Path) -> Path:
+        """Write a URDF that Pinocchio, MuJoCo, MeshCat and yourdfpy open alike.
+
+        Mesh files are named by their full path, so the file is meant for this machine. Gravity
+        is not part of URDF and is not written.
+
+        Returns:
+            The path.
+        """
+        root = urdf_xml.parse(self._urdf, self._source)
+        urdf_xml.for_other_tools(root, self._urdf_dir)
+        path = Path(path)
+        path.write_text(urdf_xml.to_text(root), encoding="utf-8")
+        return path
+
+    # -- Python -------------------------------------------------------------------------
+
+    def _changed(self, root: Any, tip: str | None = None) -> Robot:
+        return Robot(
+            urdf_xml.to_text(root),
+            gravity=self._gravity,
+            tip=tip or self._tip,
+            urdf_dir=self._urdf_dir,
+            source=self._source,
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"Robot({self._name!r}: {self.nv} joints {', '.join(self.joint_names)}; "
+            f"tip {self._tip!r}; {self.mass:.4g} kg)"
+        )
+
+    @property
+    def mass(self) -> float:
+        """Mass of everything that moves [kg]."""
+        return float(sum(inertia.mass for inertia in list(self._model.inertias)[1:]))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Robot):
+            return NotImplemented
+        return self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[Any, ...]:
+        return (self._urdf, tuple(self._gravity), self._tip, self._urdf_dir)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        make = functools.partial(
+            Robot,
+            gravity=tuple(self._gravity),
+            tip=self._tip,
+            urdf_dir=self._urdf_dir,
+            source=self._source,
+        )
+        return make, (self._urdf,)
+
+
+def load_robot(
+    source: str | Path,
+    *,
+    gravity: Sequence[float] | Array = STANDARD_GRAVITY,
+    tip: str | None = None,
+) -> Robot:
+    """Load an arm by name, from a path to a .urdf file, or from URDF text.
+
+    Args:
+        source: A name ("panda", "two_link", …), a path, or text that starts with "<".
+        gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
+        tip: End-effector frame; by default the named robot's own, or the last link.
+
+    Raises:
+        UnknownNameError: Neither a known name nor a file.
+        UrdfError: The file is missing, or its URDF is not usable.
+
+    Example:
+        >>> load_robot("two_link").joint_names
+        ('joint1', 'joint2')
+    """
+    text = str(source)
+    if isinstance(source, str) and text.lstrip().startswith("<"):
+        return Robot(text, gravity=gravity, tip=tip)
+    if isinstance(source, str) and text in NAMED:
+        entry = NAMED[text]
+        path = urdf_path(entry)
+        if not path.is_file():
+            raise UrdfError(
+                f"robot {text!r} needs the package example-robot-data "
+                "(pip install example-robot-data)",
+                given=source,
+            )
+        robot = _load_file(path, gravity, None if entry.locked else tip or entry.tip)
+        if entry.locked:
+            robot = robot.with_locked_joints(entry.locked)
+            robot = Robot(
+                robot.urdf,
+                gravity=gravity,
+                tip=tip or entry.tip,
+                urdf_dir=robot.urdf_dir,
+                source=str(path),
+            )
+        return robot
+    path = Path(source)
+    if path.is_file():
+        return _load_file(path, gravity, tip)
+    if path.suffix == ".urdf" or isinstance(source, Path):
+        raise UrdfError(f"URDF file {text} does not exist", given=source)
+    raise UnknownNameError("robot", text, "the robots known by name", NAMED)
+
+
+def _load_file(path: Path, gravity: Sequence[float] | Array, tip: str | None) -> Robot:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UrdfError(f"URDF file {path} cannot be read: {error}", given=path) from error
+    return Robot(
+        text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=path.name
+    )
+
+
+def _build_model(text: str, source: str) -> pin.Model:
+    try:
+        model = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        raise UrdfError(f"{source} is not a valid URDF: {error}", given=source) from error
+    if model.nv == 0:
+        raise UrdfError(f"{source} has no moving joint", given=source)
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if joint.nv != 1:
+            raise UrdfError(
+                f"{source}: joint {name!r} has {joint.nv} degrees of freedom; every joint of an "
+                "arm must be revolute, continuous, prismatic or fixed",
+                given=source,
+            )
+    return model
+
+
+def _require_inertia(model: pin.Model, source: str) -> None:
+    """Refuse a robot whose inertia matrix is singular: no torque control is possible."""
+    data = model.createData()
+    M = pin.crba(model, data, pin.neutral(model), pin.Convention.WORLD)
+    eigenvalues = np.linalg.eigvalsh(np.triu(M) + np.triu(M, 1).T)
+    if eigenvalues[0] > 1e-12 * max(eigenvalues[-1], 0.0) and eigenvalues[0] > 0.0:
+        return
+    massless = [
+        name
+        for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
+        if not inertia.mass > 0.0
+    ]
+    what = (
+        f"the links moved by {', '.join(massless)} have no mass"
+        if massless
+        else "the inertia matrix is singular"
+    )
+    raise UrdfError(
+        f"{source}: {what}; torque control needs <inertial> with mass and inertia on every "
+        "moving link",
+        given=source,
+    )
+
+
+def _direction(axis: str | Sequence[float]) -> Array:
+    """Return a unit vector from "x", "-z", … or a vector."""
+    if isinstance(axis, str):
+        letter = axis.removeprefix("-").removeprefix("+")
+        if letter not in _AXES:
+            raise UnknownNameError("axis", axis, "the axes", ["x", "y", "z", "-x", "-y", "-z"])
+        return np.array(_AXES[letter]) * (-1.0 if axis.startswith("-") else 1.0)
+    vector = as_array("axis", axis, (3,))
+    norm = float(np.linalg.norm(vector))
+    if norm < 1e-12:
+        raise InvalidInputError(f"axis must not be zero, got {vector.tolist()}", given=axis)
+    return vector / norm

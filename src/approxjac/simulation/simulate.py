@@ -1,0 +1,217 @@
+"""`simulate`: a plant and a controller run together, continuously or sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array, as_array, as_number
+from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
+from approxjac.interface import Controller, Evaluation
+from approxjac.simulation.integrators import INTEGRATORS
+from approxjac.simulation.plant import Plant
+from approxjac.simulation.trajectory import Trajectory
+
+Progress = Callable[[float], None]
+
+
+def simulate(
+    plant: Plant,
+    controller: Controller,
+    target: Sequence[float] | Array,
+    q0: Sequence[float] | Array,
+    duration: float,
+    *,
+    dt: float | None = None,
+    v0: Sequence[float] | Array | None = None,
+    record_every: float | None = None,
+    integrator: str = "rk4",
+    rtol: float = 1e-9,
+    atol: float = 1e-11,
+    progress: Progress | None = None,
+) -> Trajectory:
+    """Run a controller against a plant.
+
+    Args:
+        plant: The true robot.
+        controller: Anything with the interface of `Controller`.
+        target: x_d, shape (m,) [unit of the task].
+        q0: Start configuration, shape (nq,).
+        duration: > 0 [s].
+        dt: Sampling time [s]: torques are held over it, as a robot does. None integrates
+            (q, v, controller state) as one differential equation with LSODA, as the paper does.
+        v0: Start velocity, shape (n_v,); at rest by default.
+        record_every: Time between recorded instants [s]: dt, or duration/1000 where dt is None.
+        integrator: Of the plant between samples: "rk4" or "semi_implicit_euler".
+        rtol: Relative tolerance of the continuous integration.
+        atol: Absolute tolerance of the continuous integration.
+        progress: Called now and then with the time reached [s].
+
+    Returns:
+        The record of the run; its first instant is the start, its last the end.
+
+    Raises:
+        InvalidInputError: Wrong shapes, numbers that are not finite or out of range.
+        UnknownNameError: No such integrator.
+        SimulationError: The integration could not reach the end.
+        MeasurementError: The closed loop left the numbers that a controller can work with.
+    """
+    robot = plant.robot
+    x_d = as_array("target", target, (plant.sensor.m,), plant.sensor.unit)
+    q = _configuration(plant, q0)
+    v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
+    duration = as_number("duration", duration, unit="s", above=0.0)
+    if integrator not in INTEGRATORS:
+        raise UnknownNameError("integrator", integrator, "the integrators", INTEGRATORS)
+    if dt is None:
+        every = duration / 1000 if record_every is None else record_every
+        every = as_number("record_every", every, unit="s", above=0.0)
+        rtol = as_number("rtol", rtol, above=0.0)
+        atol = as_number("atol", atol, above=0.0)
+        times, qs, vs, states = _continuous(
+            plant, controller, x_d, q, v, duration, every, rtol, atol, progress
+        )
+        evaluations = [
+            controller.evaluate(states[k], plant.measure(times[k], qs[k], vs[k]), x_d)
+            for k in range(len(times))
+        ]
+    else:
+        dt = as_number("dt", dt, unit="s", above=0.0)
+        steps = round(duration / dt)
+        if steps < 1 or abs(steps * dt - duration) > 1e-9 * max(duration, dt):
+            raise InvalidInputError(
+                f"duration must be a whole number of sampling times dt = {dt:g} [s], "
+                f"got {duration:g}",
+                given=duration,
+            )
+        stride = 1 if record_every is None else round(record_every / dt)
+        if stride < 1 or (
+            record_every is not None and abs(stride * dt - record_every) > 1e-9 * record_every
+        ):
+            raise InvalidInputError(
+                f"record_every must be a whole number of sampling times dt = {dt:g} [s], "
+                f"got {record_every!r}",
+                given=record_every,
+            )
+        times, qs, vs, states, evaluations = _sampled(
+            plant, controller, x_d, q, v, dt, steps, stride, integrator, progress
+        )
+    return Trajectory(
+        t=times,
+        q=qs,
+        v=vs,
+        x=np.array([x_d + e.e for e in evaluations]),
+        error=np.array([e.e for e in evaluations]),
+        tau=np.array([e.torque for e in evaluations]),
+        state=states,
+        status=np.array([int(e.status) for e in evaluations], dtype=np.int64),
+        sigma_min=np.array([e.sigma_min for e in evaluations]),
+        target=x_d,
+        robot_name=robot.name,
+        joint_names=robot.joint_names,
+        task_labels=plant.sensor.labels,
+        task_unit=plant.sensor.unit,
+    )
+
+
+def _configuration(plant: Plant, q0: Sequence[float] | Array) -> Array:
+    """Check a configuration: finite, and (cos, sin) pairs of continuous joints on the circle."""
+    robot = plant.robot
+    q = as_array("q0", q0, (robot.nq,), "rad")
+    if not pin.isNormalized(robot.model, q, 1e-6):
+        raise InvalidInputError(
+            f"q0 must have cos^2 + sin^2 = 1 in the pairs of continuous joints of {robot.name}, "
+            f"got {q.tolist()}; robot.neutral() is a valid start",
+            given=q0,
+        )
+    return q
+
+
+def _continuous(
+    plant: Plant,
+    controller: Controller,
+    x_d: Array,
+    q0: Array,
+    v0: Array,
+    duration: float,
+    every: float,
+    rtol: float,
+    atol: float,
+    progress: Progress | None,
+) -> tuple[Array, Array, Array, Array]:
+    """Integrate (q, v, controller state) together; returns t, q, v and state on a grid.
+
+    Every joint has one degree of freedom, so the motion since the start, ξ with ξ̇ = q̇, is a
+    coordinate of the whole configuration space, continuous joints included.
+    """
+    from scipy.integrate import LSODA
+
+    model, n = plant.robot.model, plant.robot.nv
+
+    def flow(t: float, z: Array) -> Array:
+        v = z[n : 2 * n]
+        measurement = plant.measure(t, pin.integrate(model, q0, z[:n]), v)
+        answer = controller.evaluate(z[2 * n :], measurement, x_d)
+        return np.concatenate(
+            [v, plant.acceleration(measurement.q, v, answer.torque), answer.state_rate]
+        )
+
+    count = max(1, round(duration / every))
+    times = np.linspace(0.0, duration, count + 1)
+    records = np.empty((count + 1, 2 * n + controller.n_state))
+    records[0] = np.concatenate(
+        [np.zeros(n), v0, controller.initial_state(plant.measure(0.0, q0, v0))]
+    )
+    solver = LSODA(flow, 0.0, records[0], duration, rtol=rtol, atol=atol)
+    done = 1
+    while solver.status == "running":
+        message = solver.step()
+        if solver.status == "failed":
+            raise SimulationError(
+                f"the integration stopped at t = {solver.t:g} of {duration:g} s: {message}",
+                given=solver.y.copy(),
+            )
+        reached = int(np.searchsorted(times, solver.t, side="right"))
+        if reached > done:
+            records[done:reached] = solver.dense_output()(times[done:reached]).T
+            done = reached
+            if progress is not None:
+                progress(solver.t)
+    records[-1] = solver.y
+    qs = np.array([pin.integrate(model, q0, record[:n]) for record in records])
+    return times, qs, records[:, n : 2 * n].copy(), records[:, 2 * n :].copy()
+
+
+def _sampled(
+    plant: Plant,
+    controller: Controller,
+    x_d: Array,
+    q: Array,
+    v: Array,
+    dt: float,
+    steps: int,
+    stride: int,
+    integrator: str,
+    progress: Progress | None,
+) -> tuple[Array, Array, Array, Array, list[Evaluation]]:
+    """Hold each torque over dt; the controller's state takes an Euler step."""
+    step = INTEGRATORS[integrator]
+    state = controller.initial_state(plant.measure(0.0, q, v))
+    times, qs, vs, states, evaluations = [], [], [], [], []
+    for k in range(steps + 1):
+        t = k * dt
+        answer = controller.evaluate(state, plant.measure(t, q, v), x_d)
+        if k % stride == 0 or k == steps:
+            times.append(t)
+            qs.append(q)
+            vs.append(v)
+            states.append(state)
+            evaluations.append(answer)
+            if progress is not None:
+                progress(t)
+        if k < steps:
+            q, v = step(plant, q, v, answer.torque, dt)
+            state = state + dt * answer.state_rate
+    return np.array(times), np.array(qs), np.array(vs), np.array(states), evaluations

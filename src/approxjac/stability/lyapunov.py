@@ -1,0 +1,76 @@
+"""V and W of a closed loop at one state, eqs. (12), (13) and (31)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from approxjac import law
+from approxjac.checks import Array
+from approxjac.controllers import AdaptiveGravity, SetpointController
+from approxjac.simulation import Plant
+
+
+class LyapunovValue(NamedTuple):
+    """V [J] and W = −dV/dt [W]."""
+
+    V: float
+    W: float
+
+
+def lyapunov(
+    plant: Plant,
+    controller: SetpointController,
+    q: Array,
+    v: Array,
+    target: Array,
+    alpha: float,
+    *,
+    state: Array | None = None,
+    theta: Array | None = None,
+) -> LyapunovValue:
+    """Evaluate the Lyapunov function of law (6), or (28), and its decrease.
+
+    Along the closed loop dV/dt = −W holds exactly, provided that the controller's gravity is
+    exact, or learnt with the same α and in the span of its regressor.
+
+    Args:
+        plant: The true robot, sensor and friction.
+        controller: The controller with its believed robot; Ĵ must be of full rank at q.
+        q: Configuration, shape (nq,).
+        v: Velocity, shape (n_v,).
+        target: x_d, shape (m,).
+        alpha: α of (10) [1/s].
+        state: Controller state, needed where gravity is learnt, shape (n_state,).
+        theta: True gravity parameters in the regressor of the controller, needed where gravity
+            is learnt, shape (p,); `GravityRegressor.fit` finds them.
+    """
+    task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
+    kp, kv, damping = controller.diagonals
+    e = sensor.value(q) - target
+    s = controller.saturation.s(e)
+    J, J_hat = sensor.jacobian(q), task.jacobian(q)
+    J_hat_pinv = law.right_pinv(J_hat)
+    M = dynamics.M(q)
+    V = law.V(v, s, controller.saturation.S(e), J_hat_pinv, M, kp, kv, alpha)
+    if isinstance(controller.gravity, AdaptiveGravity) and state is not None and theta is not None:
+        V += law.parameter_potential(
+            theta - controller.theta_hat(state),
+            controller.gravity.L,  # type: ignore[arg-type]
+        )
+    W = law.W(
+        v,
+        s,
+        controller.saturation.ds(e) * (J @ v),
+        J,
+        J_hat,
+        J_hat_pinv,
+        law.right_pinv_dot(J_hat, task.jacobian_dot(q, v)),
+        M,
+        dynamics.M_dot(q, v),
+        dynamics.coriolis(q, v),
+        plant.friction + damping,
+        kp,
+        kv,
+        alpha,
+    )
+    return LyapunovValue(V, W)

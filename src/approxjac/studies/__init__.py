@@ -1,0 +1,1 @@
+"""Studies: thin compositions of the library that answer one question each."""

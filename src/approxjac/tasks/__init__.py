@@ -1,0 +1,9 @@
+"""Tasks: what is measured and brought to a target, with its Jacobian."""
+
+from approxjac.tasks.camera import Camera, PlanarCamera
+from approxjac.tasks.frame import FrameKinematics
+from approxjac.tasks.image import ImageTask
+from approxjac.tasks.position import PositionTask
+from approxjac.tasks.task import Task
+
+__all__ = ["Camera", "FrameKinematics", "ImageTask", "PlanarCamera", "PositionTask", "Task"]

@@ -1,0 +1,110 @@
+"""Cameras: how a point in the world becomes image coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from approxjac.checks import Array, as_array, as_number
+from approxjac.errors import InvalidInputError
+from approxjac.tasks.position import axis_rows
+
+
+class Camera(Protocol):
+    """A camera that sees one point.
+
+    Attributes:
+        labels: Names of the image coordinates.
+        unit: Their unit.
+    """
+
+    @property
+    def labels(self) -> tuple[str, ...]: ...
+
+    @property
+    def unit(self) -> str: ...
+
+    def project(self, r: Array) -> Array:
+        """Image of a point at world position r (3,), shape (m,)."""
+        ...
+
+    def interaction(self, r: Array) -> Array:
+        """Image Jacobian J_I = ∂X/∂r, shape (m, 3)."""
+        ...
+
+    def interaction_dot(self, r: Array, r_dot: Array) -> Array:
+        """d/dt of `interaction` for a point that moves with ṙ, shape (m, 3)."""
+        ...
+
+
+@dataclass(frozen=True)
+class PlanarCamera:
+    """The paper's camera (section 5.1), parallel to the plane that the arm moves in.
+
+    (x_s, y_s) = f/(z − f) [[cos δ, sin δ], [−sin δ, cos δ]] (x, y) + d, on the sensor, in
+    metres.
+
+    Attributes:
+        focal_length: f > 0 [m].
+        distance: z > f, from the arm's plane to the image [m].
+        roll: δ, turn of the image about the optical axis [rad].
+        offset: d, where the world's origin appears, shape (2,) [m].
+        plane: The world axes that are the paper's x and y.
+
+    Raises:
+        InvalidInputError: A focal length that is not positive, or a distance not beyond it.
+    """
+
+    focal_length: float
+    distance: float
+    roll: float = 0.0
+    offset: Sequence[float] = (0.0, 0.0)
+    plane: str = "xz"
+
+    def __post_init__(self) -> None:
+        f = as_number("focal_length", self.focal_length, unit="m", above=0.0)
+        as_number("distance", self.distance, unit="m", above=f)
+        as_number("roll", self.roll, unit="rad")
+        as_array("offset", self.offset, (2,), "m")
+        rows = axis_rows(self.plane)
+        if len(self.plane) != 2:
+            raise InvalidInputError(
+                f"plane must name two world axes, such as 'xz', got {self.plane!r}",
+                given=self.plane,
+            )
+        c, s = np.cos(self.roll), np.sin(self.roll)
+        J = np.zeros((2, 3))
+        J[:, rows] = self.magnification * np.array([[c, s], [-s, c]])
+        object.__setattr__(self, "_J", J)
+        object.__setattr__(self, "_d", np.array(self.offset, dtype=float))
+
+    @property
+    def magnification(self) -> float:
+        """f / (z − f), image size over object size."""
+        return self.focal_length / (self.distance - self.focal_length)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the image coordinates."""
+        return ("x_s", "y_s")
+
+    @property
+    def unit(self) -> str:
+        """Metres on the sensor."""
+        return "m"
+
+    def project(self, r: Array) -> Array:
+        """Image of a point at world position r (3,), shape (2,) [m]."""
+        image: Array = self._J @ r + self._d  # type: ignore[attr-defined]
+        return image
+
+    def interaction(self, r: Array) -> Array:
+        """Image Jacobian, the same for every r, shape (2, 3) [m/m]."""
+        return self._J.copy()  # type: ignore[attr-defined,no-any-return]
+
+    def interaction_dot(self, r: Array, r_dot: Array) -> Array:
+        """Zero: the image Jacobian does not depend on r, shape (2, 3)."""
+        return np.zeros((2, 3))

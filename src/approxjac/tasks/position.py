@@ -1,0 +1,80 @@
+"""The position of a frame along some of the world's axes."""
+
+from __future__ import annotations
+
+from approxjac.checks import Array
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.robots import Robot
+from approxjac.tasks.frame import FrameKinematics
+from approxjac.tasks.task import Task
+
+
+class PositionTask(Task):
+    """X = position of a frame's origin along world axes [m].
+
+    Args:
+        robot: The robot, true or believed.
+        frame: Frame name; the robot's `tip` by default.
+        axes: World axes in the order wanted, such as "xyz" or "xz".
+
+    Raises:
+        UnknownNameError: No such frame, or an axis that is not x, y or z.
+        InvalidInputError: No or doubled axes, or more of them than joints.
+    """
+
+    def __init__(self, robot: Robot, frame: str | None = None, axes: str = "xyz") -> None:
+        self._rows = axis_rows(axes)
+        self._labels = tuple(axes)
+        self._frame = FrameKinematics(robot, robot.tip_or(frame))
+        require_rows(len(axes), robot)
+
+    @property
+    def robot(self) -> Robot:
+        return self._frame.robot
+
+    @property
+    def frame(self) -> str:
+        """Name of the frame."""
+        return self._frame.frame
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return self._labels
+
+    @property
+    def unit(self) -> str:
+        return "m"
+
+    def value(self, q: Array) -> Array:
+        return self._frame.position(q)[self._rows]
+
+    def jacobian(self, q: Array) -> Array:
+        return self._frame.jacobian(q)[self._rows]
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return self._frame.jacobian_dot(q, v)[self._rows]
+
+    def __repr__(self) -> str:
+        return f"PositionTask({self.robot.name!r}, {self.frame!r}, {''.join(self.labels)!r})"
+
+
+def axis_rows(axes: str) -> slice | list[int]:
+    """Return the rows of world axes; a slice for "xyz", which NumPy takes without a copy."""
+    if not axes or len(set(axes)) != len(axes):
+        raise InvalidInputError(
+            f"axes must name each world axis once, such as 'xyz' or 'xz', got {axes!r}", given=axes
+        )
+    for letter in axes:
+        if letter not in "xyz":
+            raise UnknownNameError("axis", letter, "the world axes", "xyz")
+    return slice(0, 3) if axes == "xyz" else ["xyz".index(letter) for letter in axes]
+
+
+def require_rows(m: int, robot: Robot) -> None:
+    """Refuse a task of more coordinates than the robot has joints: Ĵ⁺ would not exist."""
+    if m > robot.nv:
+        raise InvalidInputError(
+            f"a task must have at most as many coordinates as the robot has joints "
+            f"(m <= n_v), got m = {m} for {robot.name} with n_v = {robot.nv}",
+            given=m,
+        )
