@@ -33,7 +33,9 @@ class UnknownNameError(ApproxJacError, LookupError):
     def __init__(self, kind: str, name: object, where: str, valid: Iterable[str]) -> None:
         self.valid = sorted(valid)
         message = f"{kind} {name!r} not in {where}"
-        near = difflib.get_close_matches(str(name), self.valid, n=3, cutoff=0.5)
+        wanted = str(name).lower()
+        near = sorted((n for n in self.valid if wanted and wanted in n.lower()), key=len)[:3]
+        near = near or difflib.get_close_matches(str(name), self.valid, n=3, cutoff=0.5)
         if near:
             message += f"; did you mean {' or '.join(repr(n) for n in near)}?"
         elif self.valid:

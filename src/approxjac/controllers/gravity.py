@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -76,32 +75,35 @@ class RegressorGravity:
         return self.regressor.Z(q) @ self.theta
 
 
-@dataclass(frozen=True, eq=False)
 class AdaptiveGravity:
     """Z(q) θ̂ with θ̂ learnt by eq. (29).
 
-    Attributes:
+    Args:
         regressor: Z(q) of the believed robot.
         L: Adaptation gain > 0: a number, a diagonal (p,), or a symmetric positive definite
             matrix (p, p).
         alpha: α > 0 of eq. (10) [1/s].
         theta0: θ̂(0), shape (p,); that of the believed robot by default.
 
+    Attributes:
+        L: As a diagonal (p,) or a matrix (p, p).
+
     Raises:
         InvalidInputError: Wrong shapes, not finite, L or alpha not positive.
     """
 
-    regressor: GravityRegressor
-    L: float | Sequence[float] | Array
-    alpha: float
-    theta0: Sequence[float] | Array | None = None
-
-    def __post_init__(self) -> None:
-        p = self.regressor.p
-        as_number("alpha", self.alpha, unit="1/s", above=0.0)
-        theta0 = self.regressor.theta if self.theta0 is None else self.theta0
-        object.__setattr__(self, "theta0", as_array("theta0", theta0, (p,)))
-        object.__setattr__(self, "L", _adaptation_gain(self.L, p))
+    def __init__(
+        self,
+        regressor: GravityRegressor,
+        L: float | Sequence[float] | Array,
+        alpha: float,
+        theta0: Sequence[float] | Array | None = None,
+    ) -> None:
+        p = regressor.p
+        self.regressor = regressor
+        self.L = _adaptation_gain(L, p)
+        self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
+        self.theta0 = as_array("theta0", regressor.theta if theta0 is None else theta0, (p,))
 
     @property
     def robot(self) -> Robot:

@@ -7,21 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from approxjac import law
 from approxjac.checks import Array, as_number
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import AdaptiveGravity, Gravity, ModelGravity
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Status
-from approxjac.law import (
-    Linear,
-    Saturation,
-    damped_right_pinv,
-    estimated_velocity_torque,
-    gravity as gravity_torque,
-    measured_velocity_torque,
-    passive_output,
-    theta_hat_rate,
-)
+from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
 
 
@@ -93,8 +85,7 @@ class SetpointController:
                 f"({', '.join(robot.joint_names)}), got {self.gravity.robot!r}",
                 given=gravity,
             )
-        self._adaptive = self.gravity if isinstance(self.gravity, AdaptiveGravity) else None
-        self._p = 0 if self._adaptive is None else self._adaptive.regressor.p
+        self._p = self.gravity.regressor.p if isinstance(self.gravity, AdaptiveGravity) else 0
         self._n_state = self._p + (0 if velocity is None else task.m)
         self._shapes = ((robot.nq,), (robot.nv,), (task.m,), (task.m,), (self._n_state,))
         self._no_rate = np.zeros(self._n_state)
@@ -108,10 +99,9 @@ class SetpointController:
     def initial_state(self, measurement: Measurement) -> Array:
         """State before the first evaluation: θ̂(0), and the first measured x for law (5)."""
         self._require_shapes(self._no_rate, measurement, measurement.x)
-        parts = [] if self._adaptive is None else [np.asarray(self._adaptive.theta0)]
-        if self.velocity is not None:
-            parts.append(measurement.x)
-        return np.concatenate(parts) if parts else np.zeros(0)
+        theta0 = self.gravity.theta0 if isinstance(self.gravity, AdaptiveGravity) else np.zeros(0)
+        followed = np.zeros(0) if self.velocity is None else measurement.x
+        return np.concatenate([theta0, followed])
 
     def theta_hat(self, state: Array) -> Array:
         """θ̂ from one state (n_state,) or a series of them (…, n_state); shape (…, p)."""
@@ -146,25 +136,25 @@ class SetpointController:
         status = Status.MEASUREMENT_LOST if lost else Status.OK
         sigma_min = math.nan
 
-        if self._adaptive is None:
-            g = self.gravity.torque(q)  # type: ignore[union-attr]
+        if not isinstance(self.gravity, AdaptiveGravity):
+            g = self.gravity.torque(q)
         else:
-            Z = self._adaptive.regressor.Z(q)
-            g = gravity_torque(Z, state[: self._p])
-            J_hat_pinv, sigma_min, damped = damped_right_pinv(J_hat)
+            Z = self.gravity.regressor.Z(q)
+            g = law.gravity(Z, state[: self._p])
+            J_hat_pinv, sigma_min, damped = law.damped_right_pinv(J_hat)
             if not lost:
-                y = passive_output(v, J_hat_pinv, s, self._adaptive.alpha)
-                rate = theta_hat_rate(self._adaptive.L, Z, y)  # type: ignore[arg-type]
+                y = law.passive_output(v, J_hat_pinv, s, self.gravity.alpha)
+                rate = law.theta_hat_rate(self.gravity.L, Z, y)
                 if damped > 0.0:
                     status = Status.NEAR_SINGULAR
 
         if self.velocity is None:
-            torque = estimated_velocity_torque(J_hat, kp, kv, s, v, damping, g)
+            torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, g)
         else:
             x_dot = np.zeros(self.task.m)
             if not lost:
                 x_dot = (x - state[self._p :]) / self.velocity.time_constant
-            torque = measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, g)
+            torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, g)
             # the differentiator's state follows x with time constant T: its rate is Ẋ itself
             rate = np.concatenate([rate[: self._p], x_dot])
         if not math.isfinite(torque.dot(torque)) and not np.isfinite(torque).all():
@@ -183,9 +173,7 @@ class SetpointController:
         except AttributeError:
             pass
         names = ("q", "v", "x", "target", "state")
-        for name, value, shape in zip(
-            names, (q, v, x, target, state), self._shapes, strict=True
-        ):
+        for name, value, shape in zip(names, (q, v, x, target, state), self._shapes, strict=True):
             if not isinstance(value, np.ndarray) or value.shape != shape:
                 given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
                 raise InvalidInputError(
@@ -208,5 +196,5 @@ class SetpointController:
         return not bool(np.isfinite(measurement.x).all())
 
     def __repr__(self) -> str:
-        law = "(28), (29)" if self._adaptive else "(6)" if self.velocity is None else "(5)"
+        law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         return f"SetpointController(law {law}, {self.task!r}, {self.gains!r})"

@@ -7,9 +7,7 @@ import numpy as np
 from approxjac.checks import Array
 
 
-def closed_loop_matrix(
-    M: Array, J: Array, J_hat: Array, kp: Array, kv: Array, B: Array
-) -> Array:
+def closed_loop_matrix(M: Array, J: Array, J_hat: Array, kp: Array, kv: Array, B: Array) -> Array:
     """A = [[0, I], [−M⁻¹ĴᵀK_p J, −M⁻¹(ĴᵀK_v Ĵ + B)]], the linearisation of eq. (9).
 
     Implements Eq. (9) to first order in (δq, q̇) about q̇ = 0, e = 0, where s'(0) = 1.

@@ -21,10 +21,12 @@ def right_pinv(J: Array) -> Array:
     Returns:
         J⁺, shape (n_v, m).
     """
-    return np.linalg.solve(J @ J.T, J).T
+    return np.asarray(np.linalg.solve(J @ J.T, J).T, dtype=np.float64)
 
 
-def damped_right_pinv(J: Array, singular_ratio: float = SINGULAR_RATIO) -> tuple[Array, float, float]:
+def damped_right_pinv(
+    J: Array, singular_ratio: float = SINGULAR_RATIO
+) -> tuple[Array, float, float]:
     """J⁺ = Jᵀ(J Jᵀ + λ²I)⁻¹ with λ = 0 away from singular poses.
 
     λ² = ε²(1 − (σ_min/ε)²) where σ_min < ε = `singular_ratio` · σ_max, so that J⁺ is continuous

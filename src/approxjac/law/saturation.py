@@ -21,16 +21,18 @@ from approxjac.errors import InvalidInputError
 class Saturation(Protocol):
     """A function s with the properties (1)–(3) that the paper asks for.
 
-    Attributes:
-        d: Constant with θ s(θ) ≥ d s(θ)², eq. (8).
-        c_bar: Constant with S(θ) ≥ c̄ s(θ)², eq. (8).
+    With d and c̄ it obeys (8): θ s(θ) ≥ d s(θ)² and S(θ) ≥ c̄ s(θ)².
     """
 
     @property
-    def d(self) -> float: ...
+    def d(self) -> float:
+        """Constant d of (8)."""
+        ...
 
     @property
-    def c_bar(self) -> float: ...
+    def c_bar(self) -> float:
+        """Constant c̄ of (8)."""
+        ...
 
     def s(self, e: Array) -> Array:
         """Saturated error s(e), same shape and unit as e."""

@@ -41,7 +41,17 @@ def estimated_velocity_torque(
     Implements Eq. (6), the paper's law: Ĵ q̇ takes the place of the measured task velocity.
     Departure: the added joint damping −B_c q̇ is written out; where n_v > m it is required.
 
-    Args and returns are those of `measured_velocity_torque`, without Ẋ.
+    Args:
+        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        s: Saturated error s(e), shape (m,).
+        v: Joint velocity q̇, shape (n_v,).
+        damping: Diagonal of B_c, shape (n_v,).
+        g: Gravity torque, shape (n_v,).
+
+    Returns:
+        Joint torque τ, shape (n_v,).
     """
     return g - damping * v - (kp * s + kv * (J_hat @ v)) @ J_hat
 
@@ -61,10 +71,17 @@ def learnt_gravity_torque(
     Implements Eq. (28): eq. (6) with the gravity that has been learnt so far.
 
     Args:
+        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        s: Saturated error s(e), shape (m,).
+        v: Joint velocity q̇, shape (n_v,).
+        damping: Diagonal of B_c, shape (n_v,).
         Z: Gravity regressor, shape (n_v, p).
         theta_hat: Estimated gravity parameters θ̂, shape (p,).
 
-    The others are those of `estimated_velocity_torque`.
+    Returns:
+        Joint torque τ, shape (n_v,).
     """
     return estimated_velocity_torque(J_hat, kp, kv, s, v, damping, gravity(Z, theta_hat))
 

@@ -26,7 +26,7 @@ class Dynamics:
 
     def M(self, q: Array) -> Array:
         """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
-        M = pin.crba(self._model, self._data, q, pin.Convention.WORLD)
+        M: Array = pin.crba(self._model, self._data, q, pin.Convention.WORLD)
         return np.triu(M) + np.triu(M, 1).T  # CRBA fills the upper triangle only
 
     def C(self, q: Array, v: Array) -> Array:

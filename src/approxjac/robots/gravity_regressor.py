@@ -57,7 +57,9 @@ class GravityRegressor:
         self._zero = np.zeros(robot.nv)
         offsets = [0, *sorted(_MOMENTS[letter] for letter in moments)]
         candidates = np.array([10 * i + k for i in range(robot.nv) for k in offsets])
-        stacked = self._stacked(lambda q: self._full(q)[:, candidates])
+        rng = np.random.default_rng(0)
+        postures = [robot.random_configuration(rng) for _ in range(_POSTURES)]
+        stacked = np.vstack([self._full(q)[:, candidates] for q in postures])
         kept, grouping = _independent_columns(stacked)
         if not kept:
             raise InvalidInputError(
@@ -67,9 +69,7 @@ class GravityRegressor:
             )
         self._columns = candidates[kept]
         labels = ["m", "mx", "my", "mz"]
-        self.names = tuple(
-            f"{robot.joint_names[c // 10]}.{labels[c % 10]}" for c in self._columns
-        )
+        self.names = tuple(f"{robot.joint_names[c // 10]}.{labels[c % 10]}" for c in self._columns)
         parameters = np.concatenate(
             [inertia.toDynamicParameters() for inertia in list(self._model.inertias)[1:]]
         )
@@ -115,7 +115,7 @@ class GravityRegressor:
             return Z, np.concatenate([np.array(g) for g in torques])
 
         Z, g = samples()
-        theta = np.linalg.lstsq(Z, g, rcond=None)[0]
+        theta: Array = np.linalg.lstsq(Z, g, rcond=None)[0].astype(np.float64)
         Z, g = samples()
         residual = float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
         return theta, residual
@@ -126,12 +126,6 @@ class GravityRegressor:
             self._model, self._data, q, self._zero, self._zero
         )
         return regressor
-
-    def _stacked(self, columns: object) -> Array:
-        rng = np.random.default_rng(0)
-        return np.vstack(
-            [columns(self.robot.random_configuration(rng)).copy() for _ in range(_POSTURES)]
-        )
 
     def __repr__(self) -> str:
         return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
@@ -159,6 +153,6 @@ def _independent_columns(A: Array) -> tuple[list[int], Array]:
             kept.append(j)
     if not kept:
         return kept, np.zeros((0, A.shape[1]))
-    grouping = np.linalg.lstsq(A[:, kept], A, rcond=None)[0]
+    grouping: Array = np.linalg.lstsq(A[:, kept], A, rcond=None)[0].astype(np.float64)
     grouping[np.abs(grouping) < 1e-12] = 0.0
     return kept, grouping

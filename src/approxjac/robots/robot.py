@@ -64,8 +64,9 @@ class Robot:
             for index, frame in enumerate(self._model.frames)
         )
         self._frames = {name: index for _, index, name in frames if name != "universe"}
+        self._links = tuple(link.name for link in links.robot.links)
         parents = {joint.parent for joint in links.robot.joints}
-        leaves = [link.name for link in links.robot.links if link.name not in parents]
+        leaves = [link for link in self._links if link not in parents]
         self._tip = tip if tip is not None else (leaves[0] if len(leaves) == 1 else None)
         if self._tip is not None:
             self.frame_id(self._tip)
@@ -129,6 +130,21 @@ class Robot:
         limits[limits <= 0.0] = np.inf  # 0 in a URDF means that nobody filled it in
         return limits
 
+    @property
+    def position_limits(self) -> tuple[Array, Array]:
+        """Lower and upper joint limits, each of shape (n_v,) [rad or m].
+
+        Infinite where none is known: continuous joints, and limits of zero width (which in a
+        URDF means that nobody filled them in).
+        """
+        lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
+        for joint in list(self._model.joints)[1:]:
+            low = float(self._model.lowerPositionLimit[joint.idx_q])
+            high = float(self._model.upperPositionLimit[joint.idx_q])
+            if joint.nq == 1 and low < high:
+                lower[joint.idx_v], upper[joint.idx_v] = low, high
+        return lower, upper
+
     def neutral(self) -> Array:
         """Configuration with every joint at zero, shape (nq,)."""
         return np.array(pin.neutral(self._model))
@@ -136,22 +152,15 @@ class Robot:
     def random_configuration(self, rng: np.random.Generator) -> Array:
         """Uniform configuration within the joint limits, shape (nq,) [rad or m].
 
-        Joints without limits, or that may turn more than once, are drawn from ±π.
+        Joints that may go further than half a turn or a metre either way, or have no limit,
+        are drawn from ±π rad or ±1 m.
         """
-        q = self.neutral()
-        for joint in list(self._model.joints)[1:]:
-            i = joint.idx_q
-            if joint.nq == 2:  # continuous: (cos, sin)
-                angle = rng.uniform(-np.pi, np.pi)
-                q[i : i + 2] = np.cos(angle), np.sin(angle)
-                continue
-            low, high = self._model.lowerPositionLimit[i], self._model.upperPositionLimit[i]
-            if "P" in joint.shortname():  # prismatic joints may well be unlimited in a URDF
-                low, high = max(low, -1.0), min(high, 1.0)
-            else:
-                low, high = max(low, -np.pi), min(high, np.pi)
-            q[i] = rng.uniform(low, high)
-        return q
+        lower, upper = self.position_limits
+        joints = list(self._model.joints)[1:]
+        prismatic = [joint.shortname().startswith("JointModelP") for joint in joints]
+        reach = np.where(prismatic, 1.0, np.pi)
+        motion = rng.uniform(np.clip(-reach, lower, upper), np.clip(reach, lower, upper))
+        return np.array(pin.integrate(self._model, self.neutral(), motion))
 
     def frame_id(self, frame: str) -> int:
         """Return Pinocchio's index of a frame.
@@ -162,7 +171,7 @@ class Robot:
         try:
             return self._frames[frame]
         except (KeyError, TypeError):
-            raise UnknownNameError("frame", frame, self._name, self._frames) from None
+            raise UnknownNameError("frame", frame, self._name, self._links) from None
 
     def tip_or(self, frame: str | None) -> str:
         """Return `frame` if it exists, or the robot's own tip where it is None.
@@ -175,7 +184,7 @@ class Robot:
             if self._tip is None:
                 raise InvalidInputError(
                     f"frame must be named: {self._name} has more than one end; "
-                    f"frames are {', '.join(self._frames)}",
+                    f"links are {', '.join(self._links)}",
                     given=None,
                 )
             return self._tip
@@ -419,9 +428,7 @@ def _load_file(path: Path, gravity: Sequence[float] | Array, tip: str | None) ->
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise UrdfError(f"URDF file {path} cannot be read: {error}", given=path) from error
-    return Robot(
-        text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=path.name
-    )
+    return Robot(text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=path.name)
 
 
 def _build_model(text: str, source: str) -> pin.Model:

@@ -21,8 +21,8 @@ from approxjac.errors import UrdfError
 if TYPE_CHECKING:
     import yourdfpy
 
-THIN_ROD_DRAWN = 0.005
-"""Radius that a rod of radius 0 is drawn with [m]."""
+THIN_ROD = 0.01
+"""Radius that a thin rod (radius 0) is drawn with, relative to its length."""
 
 
 def parse(text: str, source: str) -> Any:
@@ -116,26 +116,26 @@ def append_object(
 
     Both new links keep the orientation of `parent`, so that a length of 0 puts the tip frame
     exactly onto it. A massless object has no <inertial>, one without length no geometry
-    (other tools refuse cylinders of length 0).
+    (other tools refuse cylinders of length 0). A thin rod (radius 0) has m l²/12 across it;
+    along it, where MuJoCo refuses 0, it has the inertia of the cylinder it is drawn as.
     """
     from yourdfpy import Color, Cylinder, Geometry, Inertial, Joint, Link, Material, Visual
 
     middle = transform(0.5 * length * axis, rotation_onto(axis))
     link = Link(name=name)
+    drawn_radius = radius if radius > 0.0 else THIN_ROD * length
     if mass > 0.0:
         across = mass * (3.0 * radius**2 + length**2) / 12.0
         link.inertial = Inertial(
             origin=middle,
             mass=mass,
-            inertia=np.diag([across, across, 0.5 * mass * radius**2]),
+            inertia=np.diag([across, across, 0.5 * mass * drawn_radius**2]),
         )
     if length > 0.0:
         link.visuals = [
             Visual(
                 origin=middle,
-                geometry=Geometry(
-                    cylinder=Cylinder(radius=max(radius, THIN_ROD_DRAWN), length=length)
-                ),
+                geometry=Geometry(cylinder=Cylinder(radius=drawn_radius, length=length)),
                 material=Material(
                     name=f"{name}_color", color=Color(rgba=np.array([0.9, 0.6, 0.0, 1.0]))
                 ),
@@ -213,7 +213,7 @@ def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
 
     if filename.startswith("package://"):
         relative = filename.removeprefix("package://")
-        roots = list(urdf_dir.parents) if urdf_dir is not None else []
+        roots = [urdf_dir, *urdf_dir.parents] if urdf_dir is not None else []
         roots += [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
         share = share_dir()
         if share is not None:

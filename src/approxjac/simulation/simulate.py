@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from approxjac.checks import Array, as_array, as_number
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
-from approxjac.interface import Controller, Evaluation
+from approxjac.interface import Controller, Evaluation, Measurement
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.trajectory import Trajectory
@@ -73,9 +73,10 @@ def simulate(
         times, qs, vs, states = _continuous(
             plant, controller, x_d, q, v, duration, every, rtol, atol, progress
         )
+        measurements = [plant.measure(*instant) for instant in zip(times, qs, vs, strict=True)]
         evaluations = [
-            controller.evaluate(states[k], plant.measure(times[k], qs[k], vs[k]), x_d)
-            for k in range(len(times))
+            controller.evaluate(state, measurement, x_d)
+            for state, measurement in zip(states, measurements, strict=True)
         ]
     else:
         dt = as_number("dt", dt, unit="s", above=0.0)
@@ -95,14 +96,14 @@ def simulate(
                 f"got {record_every!r}",
                 given=record_every,
             )
-        times, qs, vs, states, evaluations = _sampled(
+        measurements, states, evaluations = _sampled(
             plant, controller, x_d, q, v, dt, steps, stride, integrator, progress
         )
     return Trajectory(
-        t=times,
-        q=qs,
-        v=vs,
-        x=np.array([x_d + e.e for e in evaluations]),
+        t=np.array([measurement.t for measurement in measurements]),
+        q=np.array([measurement.q for measurement in measurements]),
+        v=np.array([measurement.v for measurement in measurements]),
+        x=np.array([measurement.x for measurement in measurements]),
         error=np.array([e.e for e in evaluations]),
         tau=np.array([e.torque for e in evaluations]),
         state=states,
@@ -195,23 +196,23 @@ def _sampled(
     stride: int,
     integrator: str,
     progress: Progress | None,
-) -> tuple[Array, Array, Array, Array, list[Evaluation]]:
+) -> tuple[list[Measurement], Array, list[Evaluation]]:
     """Hold each torque over dt; the controller's state takes an Euler step."""
     step = INTEGRATORS[integrator]
     state = controller.initial_state(plant.measure(0.0, q, v))
-    times, qs, vs, states, evaluations = [], [], [], [], []
+    measurements: list[Measurement] = []
+    states: list[Array] = []
+    evaluations: list[Evaluation] = []
     for k in range(steps + 1):
-        t = k * dt
-        answer = controller.evaluate(state, plant.measure(t, q, v), x_d)
+        measurement = plant.measure(k * dt, q, v)
+        answer = controller.evaluate(state, measurement, x_d)
         if k % stride == 0 or k == steps:
-            times.append(t)
-            qs.append(q)
-            vs.append(v)
+            measurements.append(measurement)
             states.append(state)
             evaluations.append(answer)
             if progress is not None:
-                progress(t)
+                progress(measurement.t)
         if k < steps:
             q, v = step(plant, q, v, answer.torque, dt)
             state = state + dt * answer.state_rate
-    return np.array(times), np.array(qs), np.array(vs), np.array(states), evaluations
+    return measurements, np.array(states), evaluations

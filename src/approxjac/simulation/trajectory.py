@@ -111,7 +111,9 @@ class Trajectory:
             texts["task_labels"] = tuple(texts["task_labels"])
             return cls(**arrays, **texts)
         except FileNotFoundError as error:
-            raise TrajectoryFileError(f"trajectory file {path} does not exist", given=path) from error
+            raise TrajectoryFileError(
+                f"trajectory file {path} does not exist", given=path
+            ) from error
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise TrajectoryFileError(
                 f"{path} is not a trajectory written by Trajectory.save: {error}", given=path

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from approxjac.checks import Array
 from approxjac.controllers import SetpointController
@@ -22,7 +23,7 @@ class LocalStability:
         max_real: Their largest real part [1/s]; −1/max_real is the slowest time constant.
     """
 
-    eigenvalues: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    eigenvalues: NDArray[np.complex128]
     max_real: float
 
     @property
@@ -50,8 +51,7 @@ def local_stability(
     """
     if controller.velocity is not None:
         raise InvalidInputError(
-            "local_stability is for law (6) with the estimated task velocity, "
-            f"got {controller!r}",
+            f"local_stability is for law (6) with the estimated task velocity, got {controller!r}",
             given=controller,
         )
     kp, kv, damping = controller.diagonals
@@ -63,7 +63,7 @@ def local_stability(
         kv,
         plant.friction + damping,
     )
-    eigenvalues = np.linalg.eigvals(A)
+    eigenvalues = np.linalg.eigvals(A).astype(np.complex128)
     self_motion = plant.robot.nv - plant.sensor.m
     eigenvalues = eigenvalues[np.argsort(np.abs(eigenvalues))][self_motion:]
     return LocalStability(eigenvalues, float(eigenvalues.real.max()))

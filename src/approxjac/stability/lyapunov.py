@@ -53,10 +53,7 @@ def lyapunov(
     M = dynamics.M(q)
     V = law.V(v, s, controller.saturation.S(e), J_hat_pinv, M, kp, kv, alpha)
     if isinstance(controller.gravity, AdaptiveGravity) and state is not None and theta is not None:
-        V += law.parameter_potential(
-            theta - controller.theta_hat(state),
-            controller.gravity.L,  # type: ignore[arg-type]
-        )
+        V += law.parameter_potential(theta - controller.theta_hat(state), controller.gravity.L)
     W = law.W(
         v,
         s,

@@ -163,8 +163,10 @@ class Result:
 
     @property
     def envelope_falls(self) -> bool:
-        """Whether the run settles: the largest error of its last quarter is well below that of
-        its second quarter and below the start, or all but gone.
+        """Whether the run settles.
+
+        It does when the largest error of its last quarter is below the start and well below that
+        of its second quarter, or all but gone.
         """
         norm = self.run.error_norm / self.run.error_norm[0]
         quarter = self.run.t[-1] / 4.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -63,6 +63,8 @@ class PlanarCamera:
     roll: float = 0.0
     offset: Sequence[float] = (0.0, 0.0)
     plane: str = "xz"
+    _J: Array = field(init=False, repr=False, compare=False)
+    _d: Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         f = as_number("focal_length", self.focal_length, unit="m", above=0.0)
@@ -83,7 +85,7 @@ class PlanarCamera:
 
     @property
     def magnification(self) -> float:
-        """f / (z − f), image size over object size."""
+        """Magnification f / (z − f), image size over object size."""
         return self.focal_length / (self.distance - self.focal_length)
 
     @property
@@ -98,12 +100,11 @@ class PlanarCamera:
 
     def project(self, r: Array) -> Array:
         """Image of a point at world position r (3,), shape (2,) [m]."""
-        image: Array = self._J @ r + self._d  # type: ignore[attr-defined]
-        return image
+        return self._J @ r + self._d
 
     def interaction(self, r: Array) -> Array:
         """Image Jacobian, the same for every r, shape (2, 3) [m/m]."""
-        return self._J.copy()  # type: ignore[attr-defined,no-any-return]
+        return self._J.copy()
 
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
         """Zero: the image Jacobian does not depend on r, shape (2, 3)."""

@@ -1,0 +1,114 @@
+"""The command `approxjac`: arguments → a study → files and a summary.
+
+Exit codes: 0 all is well, 1 a verdict fell short, 2 bad input.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tqdm import tqdm
+
+import approxjac
+from approxjac.errors import ApproxJacError, InvalidInputError
+
+app = tyro.extras.SubcommandApp()
+
+
+@app.command(name="paper")
+def paper(
+    out: Path = Path("results/paper"),
+    figures: tuple[int, ...] = (1, 3, 4, 5, 6, 7, 8),
+    start: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (60.0, 90.0),
+    target: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (90.0, 90.0),
+    friction: float = 0.0,
+    gamma: float | None = None,
+    inertia: Literal["rod", "point-mass"] = "rod",
+    duration: float = 120.0,
+) -> int:
+    """Reproduce the paper's two-link study, Figures 1 and 3-8, with a verdict for each.
+
+    Args:
+        out: Folder for figN.png, figN.svg, figN.npz and summary.json.
+        figures: Figures to make.
+        start: Posture q(0) at the start, in degrees.
+        target: Posture whose image is the target, in degrees.
+        friction: Viscous friction B at both joints, N m s/rad.
+        gamma: Saturation of the error on the sensor, in m; "None" is s(e) = e.
+        inertia: Uniform rods, or point masses at their middles.
+        duration: Length of each run, in s.
+    """
+    from approxjac.studies import paper as study
+    from approxjac.studies import paper_report as report
+    from approxjac.view import save_figure
+
+    known = [1, *study.EXPERIMENTS]
+    for figure in figures:
+        if figure not in known:
+            raise InvalidInputError(
+                f"figures must be among {', '.join(map(str, known))}, got {figure}", given=figure
+            )
+    setup = study.Setup(
+        start=(math.radians(start[0]), math.radians(start[1])),
+        target=(math.radians(target[0]), math.radians(target[1])),
+        friction=friction,
+        gamma=gamma,
+        inertia=inertia,
+        duration=duration,
+    )
+    _make_folder(out)
+    truth = study.true_robot(inertia)
+    bound = None
+    results = []
+    experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]
+    # tqdm shows nothing where the output is not a terminal (disable=None)
+    with tqdm(total=max(1, len(experiments)) * duration, unit="s", disable=None) as bar:
+        if 1 in figures:
+            bar.set_description("figure 1")
+            bound = study.jacobian_bound(setup)
+            save_figure(report.draw_bound(bound), out / "fig1")
+        for i, experiment in enumerate(experiments):
+            bar.set_description(f"figure {experiment.figure}")
+
+            def advance(t: float, done: float = i * duration) -> None:
+                bar.update(done + t - bar.n)
+
+            result = study.run_experiment(experiment, setup, progress=advance)
+            report.write_result(result, setup, truth, out)
+            results.append(result)
+    print(report.table(results, bound))
+    summary = report.summary(results, bound, setup)
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    print(f"\nPictures, runs and summary.json are in {out}")
+    return 0 if all(result.agrees_with_paper for result in results) else 1
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments == ["--version"]:
+        print(f"approxjac {approxjac.__version__}")
+        return 0
+    try:
+        return int(app.cli(args=arguments, prog="approxjac"))
+    except ApproxJacError as error:
+        print(f"approxjac: {error}", file=sys.stderr)
+        return 2
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError(
+            f"--out must be a folder that can be made, got {out}: {error}", given=out
+        ) from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

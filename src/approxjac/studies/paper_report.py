@@ -1,0 +1,143 @@
+"""What the paper's study shows: figures, a table of verdicts and a summary."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from approxjac.robots import Robot
+from approxjac.studies.paper import JacobianBound, Result, Setup
+from approxjac.view import plot_error, plot_path, plot_torque
+from approxjac.view.style import COLORS, TARGET, style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
+    """Return one of Figures 3–8: task error, the arm's path in its plane, joint torques."""
+    from matplotlib.figure import Figure
+
+    with style():
+        figure = Figure(figsize=(13.0, 4.2), layout="constrained")
+        left, middle, right = figure.subplots(1, 3)
+        experiment = result.experiment
+        figure.suptitle(
+            f"Figure {experiment.figure}: {experiment.title} "
+            f"(K_p = {experiment.kp:g} I, K_v = {experiment.kv:g} I) — {result.verdict}",
+            fontweight="bold",
+        )
+    plot_error(result.run, left)
+    plot_path(result.run, truth, target=setup.target, ax=middle)
+    plot_torque(result.run, right)
+    return figure
+
+
+def draw_bound(bound: JacobianBound) -> Figure:
+    """Return Figure 1: the allowed p against a, its two curves and their crossing."""
+    from matplotlib.figure import Figure
+
+    with style():
+        figure = Figure(figsize=(6.5, 4.2), layout="constrained")
+        ax = figure.subplots()
+        allowed = np.minimum(bound.velocity, bound.position)
+        ax.fill_between(bound.a, allowed, color=COLORS[2], alpha=0.15, label="p allowed by (23)")
+        ax.plot(bound.a, bound.velocity, color=COLORS[0], label="2λ₂/(a + α)")
+        ax.plot(bound.a, bound.position, color=COLORS[1], label="2aα/(a + α)")
+        if bound.alpha > 0.0:
+            crossing = bound.lambda2 / bound.alpha
+            label = f"crossing: a = λ₂/α = {crossing:.4f}, p = √λ₂ = {bound.largest:.4f}"
+            ax.plot([crossing], [bound.largest], "o", color=COLORS[6], ms=5, label=label)
+        ax.axhline(bound.p, color=TARGET, linestyle="--")
+        ax.annotate(
+            f"‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target: {bound.p:.4f}",
+            (bound.a[-1], bound.p),
+            xytext=(-6, 5),
+            textcoords="offset points",
+            ha="right",
+        )
+        ax.set(
+            xlabel="a = k_p / k_v [1/s]",
+            ylabel="allowed p [m/rad on the sensor]",
+            title=f"Figure 1: allowed Jacobian error (α = √λ₂ = {bound.alpha:.4f} 1/s)",
+            ylim=(0.0, 1.25 * max(bound.p, float(bound.velocity.max()))),
+            xlim=(0.0, float(bound.a[-1])),
+        )
+        ax.legend(loc="upper right", bbox_to_anchor=(1.0, 0.75))
+    return figure
+
+
+def summary(results: Sequence[Result], bound: JacobianBound | None, setup: Setup) -> dict[str, Any]:
+    """Return what `summary.json` holds."""
+    figures: dict[str, Any] = {}
+    if bound is not None:
+        figures["fig1"] = {
+            "lambda_2": bound.lambda2,
+            "alpha": bound.alpha,
+            "largest_allowed_p": bound.largest,
+            "p_of_figure_4": bound.p,
+            "certifies_figure_4": bound.p < bound.largest,
+        }
+    for result in results:
+        entry: dict[str, Any] = {
+            "title": result.experiment.title,
+            "max_real_eigenvalue": None if result.local is None else result.local.max_real,
+            "error_ratio": {f"{t:g}": ratio for t, ratio in result.error_ratios.items()},
+            "verdict": result.verdict,
+            "reason": result.reason,
+            "paper": result.experiment.paper_says,
+            "agrees_with_paper": result.agrees_with_paper,
+        }
+        if result.theta_hat is not None:
+            entry["theta_hat"] = result.theta_hat.tolist()
+        figures[f"fig{result.experiment.figure}"] = entry
+    return {"study": "paper", "setup": dataclasses.asdict(setup), "figures": figures}
+
+
+def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
+    """Return the verdicts beside the paper's words, as text."""
+    lines: list[str] = []
+    if bound is not None:
+        covered = "covers" if bound.p < bound.largest else "does not cover"
+        sign = "<" if bound.p < bound.largest else ">="
+        lines += [
+            f"Figure 1: at the target, (25) allows p < {bound.largest:.4f}; Figure 4 has "
+            f"p = {bound.p:.4f} {sign} {bound.largest:.4f}: Theorem 1 {covered} it.",
+            "",
+        ]
+    if results:
+        times = sorted({t for result in results for t in result.error_ratios})
+        ratios = "".join(f"{f'{t:g} s':>8}" for t in times)
+        lines += [
+            f"{'':46}{'max Re λ':>9}   |e|/|e(0)| at",
+            f"{'figure':<46}{'[1/s]':>9} {ratios}  {'verdict':<10}the paper",
+        ]
+    for result in results:
+        experiment = result.experiment
+        eigenvalue = "–" if result.local is None else f"{result.local.max_real:+.4f}"
+        ratios = "".join(f"{r:8.4f}" for r in result.error_ratios.values())
+        agrees = "" if result.agrees_with_paper else "  << differs"
+        name = f"{experiment.figure}  {experiment.title}"
+        lines.append(
+            f"{name:<46}{eigenvalue:>9} {ratios}  {result.verdict:<10}"
+            f"“{experiment.paper_words}”{agrees}"
+        )
+        if not result.agrees_with_paper:
+            lines.append(f"{'':3}{result.reason}")
+        if result.theta_hat is not None:
+            learnt = ", ".join(f"{value:.4f}" for value in result.theta_hat)
+            lines.append(f"{'':3}learnt θ̂ = ({learnt}) kg m")
+    return "\n".join(lines)
+
+
+def write_result(result: Result, setup: Setup, truth: Robot, out: Path) -> None:
+    """Write figN.png, figN.svg and the trajectory figN.npz."""
+    from approxjac.view import save_figure
+
+    stem = out / f"fig{result.experiment.figure}"
+    save_figure(draw_result(result, setup, truth), stem)
+    result.run.save(stem.with_suffix(".npz"))

@@ -1,0 +1,6 @@
+"""Plots of runs."""
+
+from approxjac.view.plots import plot_error, plot_path, plot_run, plot_torque
+from approxjac.view.style import save_figure
+
+__all__ = ["plot_error", "plot_path", "plot_run", "plot_torque", "save_figure"]

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+
+
+def held(robot):
+    """The robot with a heavy, long, thick tool, well off the axes."""
+    return robot.with_object(0.2, 1.3, radius=0.03, axis=(1.0, 2.0, 3.0))
+
+
+def shifted(robot, rng, size=0.1):
+    return robot.with_kinematic_error(
+        {joint: rng.uniform(-size, size, 3) for joint in robot.joint_names}
+    )
+
+
+def test_regressor_times_parameters_is_gravity_on_every_arm(arm, rng):
+    robot = held(arm)
+    regressor, dynamics = aj.GravityRegressor(robot), aj.Dynamics(robot)
+    for _ in range(50):
+        q = robot.random_configuration(rng)
+        g = dynamics.g(q)
+        scale = max(1.0, np.abs(g).max())
+        assert_allclose(regressor.Z(q) @ regressor.theta, g, rtol=0, atol=1e-12 * scale)
+
+
+def test_the_parameters_are_independent_on_every_arm(arm, rng):
+    regressor = aj.GravityRegressor(held(arm))
+    Z = np.vstack([regressor.Z(regressor.robot.random_configuration(rng)) for _ in range(100)])
+    values = np.linalg.svd(Z / np.linalg.norm(Z, axis=0), compute_uv=False)
+    assert values[-1] > 1e-4 * values[0]
+    assert len(regressor.names) == regressor.p == Z.shape[1]
+
+
+def test_gravity_is_in_the_span_with_wrong_lengths_on_every_arm(arm, rng):
+    truth = held(arm)
+    belief = shifted(arm, rng)
+    theta, residual = aj.GravityRegressor(belief).fit(truth)
+    assert residual < 1e-10
+    g = aj.Dynamics(truth).g(q := truth.random_configuration(rng))
+    assert_allclose(aj.GravityRegressor(belief).Z(q) @ theta, g, atol=1e-9)
+
+
+def test_wrong_axis_directions_break_the_span(panda):
+    belief = panda.with_kinematic_error(rotations={"panda_joint2": (np.radians(3.0), 0.0, 0.0)})
+    _, residual = aj.GravityRegressor(belief).fit(panda)
+    assert residual > 1e-3
+
+
+def test_panda_has_twelve_base_parameters(panda):
+    assert aj.GravityRegressor(panda).p == 12
+
+
+def test_the_general_two_link_arm_has_two_more_parameters_that_are_zero(two_link):
+    regressor = aj.GravityRegressor(two_link)
+    assert regressor.names == ("joint1.mx", "joint1.mz", "joint2.mx", "joint2.mz")
+    assert_allclose(regressor.theta, [3.5, 0.0, 1.625, 0.0], atol=1e-14)
+
+
+def test_bad_moments_are_refused(two_link):
+    with pytest.raises(aj.InvalidInputError, match="moments must name each axis once, such as"):
+        aj.GravityRegressor(two_link, moments="xx")
+    with pytest.raises(aj.UnknownNameError, match="axis 'w' not in moments; valid are x, y, z"):
+        aj.GravityRegressor(two_link, moments="xw")
+
+
+def test_nothing_to_learn_without_gravity(two_link):
+    with pytest.raises(aj.InvalidInputError, match="gravity exerts no torque on two_link"):
+        aj.GravityRegressor(two_link.with_gravity((0.0, 0.0, 0.0)))
+
+
+def test_fit_refuses_another_arm(two_link, panda):
+    with pytest.raises(aj.InvalidInputError, match="robot must have 2 joints like two_link, got 7"):
+        aj.GravityRegressor(two_link).fit(panda)

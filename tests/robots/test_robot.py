@@ -1,0 +1,320 @@
+import pickle
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+
+MINIMAL = """
+<robot name="minimal">
+  <link name="base"/>
+  <link name="arm">
+    <inertial><origin xyz="0 0 0.5"/><mass value="1"/>
+      <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
+    {visual}
+  </link>
+  <joint name="hinge" type="{kind}">
+    <parent link="base"/><child link="{child}"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="{effort}" velocity="1"/>
+  </joint>
+</robot>
+"""
+
+
+def minimal(kind="revolute", child="arm", visual="", effort="5"):
+    return MINIMAL.format(kind=kind, child=child, visual=visual, effort=effort)
+
+
+# -- loading --------------------------------------------------------------------------------
+
+
+def test_loads_by_name_path_and_text(tmp_path):
+    by_name = aj.load_robot("two_link")
+    path = tmp_path / "arm.urdf"
+    path.write_text(by_name.urdf)
+    assert aj.load_robot(path).joint_names == by_name.joint_names
+    assert aj.load_robot(str(path)).joint_names == by_name.joint_names
+    assert aj.load_robot(by_name.urdf) == aj.Robot(by_name.urdf)
+    assert aj.load_robot("panda").tip == "panda_hand_tcp"
+    assert aj.load_robot("panda").nq == aj.load_robot("panda").nv == 7
+    kinova = aj.load_robot("kinova")
+    assert (kinova.nq, kinova.nv) == (9, 6)
+
+
+def test_every_arm_starts_at_a_valid_neutral_and_random_configuration(arm, rng):
+    assert pin.isNormalized(arm.model, arm.neutral())
+    lower, upper = arm.position_limits
+    assert (lower < upper).all()
+    for _ in range(20):
+        q = arm.random_configuration(rng)
+        assert q.shape == (arm.nq,)
+        assert pin.isNormalized(arm.model, q)
+        motion = pin.difference(arm.model, arm.neutral(), q)
+        assert (motion >= lower - 1e-12).all()
+        assert (motion <= upper + 1e-12).all()
+
+
+def test_a_zero_or_missing_effort_means_no_limit_known():
+    assert np.isinf(aj.load_robot("double_pendulum").effort_limits).all()
+    assert_allclose(aj.load_robot(minimal(effort="0")).effort_limits, [np.inf])
+    assert_allclose(aj.load_robot(minimal(effort="5")).effort_limits, [5.0])
+
+
+def test_limits_of_zero_width_mean_no_limit_known():
+    lower, upper = aj.load_robot("double_pendulum").position_limits
+    assert np.isneginf(lower).all()
+    assert np.isposinf(upper).all()
+
+
+def test_a_mesh_that_cannot_be_found_does_not_matter():
+    mesh = '<visual><geometry><mesh filename="package://nowhere/arm.dae"/></geometry></visual>'
+    robot = aj.load_robot(minimal(visual=mesh))
+    assert robot.nv == 1
+    assert robot.with_object(0.1, 0.2).mass == pytest.approx(1.2)
+
+
+def test_gravity_is_settable():
+    robot = aj.load_robot("two_link", gravity=(0.0, 0.0, -1.62))
+    assert_allclose(robot.gravity, [0.0, 0.0, -1.62])
+    assert_allclose(robot.with_object(0.1).gravity, robot.gravity)
+    assert_allclose(robot.with_gravity((1.0, 0.0, 0.0)).gravity, [1.0, 0.0, 0.0])
+    assert_allclose(robot.gravity, [0.0, 0.0, -1.62])
+
+
+def test_robots_are_values():
+    a, b = aj.load_robot("two_link"), aj.load_robot("two_link")
+    assert a == b
+    assert hash(a) == hash(b)
+    assert a.with_object(0.1) != a
+    assert a.with_gravity((0.0, 0.0, 0.0)) != a
+    assert a != "two_link"
+    copy = pickle.loads(pickle.dumps(a.with_object(0.1, axis="x")))
+    assert copy == a.with_object(0.1, axis="x")
+    with pytest.raises(ValueError, match="read-only"):
+        a.gravity[0] = 1.0
+
+
+def test_repr_says_what_it_is():
+    text = repr(aj.load_robot("two_link"))
+    assert text == "Robot('two_link': 2 joints joint1, joint2; tip 'tool0'; 4 kg)"
+
+
+@pytest.mark.parametrize(
+    ("source", "error", "text"),
+    [
+        ("pnada", aj.UnknownNameError, "robot 'pnada' not in the robots known by name; did you me"),
+        ("missing.urdf", aj.UrdfError, "URDF file missing.urdf does not exist"),
+        ("<robot name='r'><link", aj.UrdfError, "URDF text is not well-formed XML"),
+        ("<sdf/>", aj.UrdfError, "must have <robot> as its root element, got <sdf>"),
+        (minimal(kind="hinge"), aj.UrdfError, "The <joint> tag misses a 'type' attribute or value is not part"),
+        (minimal(child="leg"), aj.UrdfError, "joint 'hinge' refers to link 'leg', which does not"),
+        (minimal(kind="fixed"), aj.UrdfError, "URDF text has no moving joint"),
+        (minimal(kind="planar"), aj.UrdfError, "joint 'hinge' has 3 degrees of freedom"),
+        (
+            minimal().replace('<mass value="1"/>', '<mass value="one"/>'),
+            aj.UrdfError,
+            "URDF text is not a valid URDF: ValueError: could not convert string to float: 'one'",
+        ),
+        (
+            minimal().replace("<inertial>", "<!--").replace("</inertial>", "-->"),
+            aj.UrdfError,
+            "the links moved by hinge have no mass; torque control needs <inertial> with mass and",
+        ),
+    ],
+)
+def test_bad_urdfs_are_refused(source, error, text):
+    with pytest.raises(error) as caught:
+        aj.load_robot(source)
+    assert text in str(caught.value)
+    assert caught.value.given is not None
+
+
+def test_a_file_that_is_not_text_is_refused(tmp_path):
+    path = tmp_path / "binary.urdf"
+    path.write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(aj.UrdfError, match="cannot be read"):
+        aj.load_robot(path)
+
+
+def test_a_branched_robot_needs_a_frame(panda):
+    branched = aj.Robot(panda.urdf)
+    assert branched.tip is None
+    with pytest.raises(aj.InvalidInputError, match="frame must be named: panda has more than one"):
+        aj.PositionTask(branched)
+
+
+# -- objects --------------------------------------------------------------------------------
+
+
+def test_an_object_has_the_inertia_of_a_uniform_cylinder(two_link):
+    length, mass, radius = 0.4, 0.7, 0.05
+    arm = aj.load_robot("two_link")
+    held = arm.with_object(length, mass, radius=radius, axis="x")
+    q = np.zeros(2)
+    before, after = aj.Dynamics(arm), aj.Dynamics(held)
+    about_joint2 = mass * (3 * radius**2 + length**2) / 12 + mass * (1.0 + length / 2) ** 2
+    assert_allclose((after.M(q) - before.M(q))[1, 1], about_joint2, rtol=1e-12)
+    assert held.mass == pytest.approx(arm.mass + mass)
+    inertia = held.model.inertias[2] - arm.model.inertias[2]
+    assert inertia.mass == pytest.approx(mass)
+    assert_allclose(inertia.lever, [1.0 + length / 2, 0.0, 0.0])
+    assert_allclose(inertia.inertia[0, 0], 0.5 * mass * radius**2, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("axis", "direction"),
+    [("x", (1, 0, 0)), ("-y", (0, -1, 0)), ("z", (0, 0, 1)), ("-z", (0, 0, -1)), ((3, 0, 4), None)],
+)
+def test_the_tip_lies_along_the_axis_and_keeps_the_orientation(panda, axis, direction, rng):
+    direction = np.array((0.6, 0.0, 0.8) if direction is None else direction, dtype=float)
+    held = panda.with_object(0.3, 0.5, axis=axis)
+    model, data = held.model, held.model.createData()
+    q = held.random_configuration(rng)
+    pin.framesForwardKinematics(model, data, q)
+    hand = data.oMf[held.frame_id("panda_hand_tcp")]
+    tip = data.oMf[held.frame_id("object_tip")]
+    offset = hand.rotation.T @ (tip.translation - hand.translation)
+    assert_allclose(offset, 0.3 * direction, atol=1e-15)
+    assert_allclose(tip.rotation, hand.rotation, atol=1e-14)
+    # the centre of mass sits half-way, whatever the direction
+    payload = model.inertias[7] - panda.model.inertias[7]
+    in_joint = model.frames[held.frame_id("panda_hand_tcp")].placement.act(0.15 * direction)
+    assert_allclose(payload.lever, in_joint, atol=1e-12)
+
+
+def test_zero_length_and_zero_mass_are_legal(panda, rng):
+    nothing = panda.with_object(0.0)
+    q, v = panda.random_configuration(rng), rng.uniform(-1, 1, 7)
+    for call in ("M", "g"):
+        assert_allclose(
+            getattr(aj.Dynamics(nothing), call)(q), getattr(aj.Dynamics(panda), call)(q), atol=1e-13
+        )
+    assert_allclose(aj.Dynamics(nothing).coriolis(q, v), aj.Dynamics(panda).coriolis(q, v))
+    tip, hand = aj.PositionTask(nothing), aj.PositionTask(panda)
+    assert tip.frame == "object_tip"
+    assert_allclose(tip.value(q), hand.value(q), atol=1e-15)
+    point = panda.with_object(0.0, 0.5, radius=0.0)
+    assert point.mass == pytest.approx(panda.mass + 0.5)
+    assert panda.with_object(0.2, 0.0).mass == pytest.approx(panda.mass)
+
+
+def test_objects_can_be_stacked(panda):
+    both = panda.with_object(0.1, 0.2).with_object(0.2, 0.1, axis="x", name="pen")
+    assert both.tip == "pen_tip"
+    assert both.mass == pytest.approx(panda.mass + 0.3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        ({"length": -0.1}, aj.InvalidInputError, "length must be a finite number >= 0 [m], got -0"),
+        ({"mass": -1}, aj.InvalidInputError, "mass must be a finite number >= 0 [kg], got -1"),
+        ({"radius": -1}, aj.InvalidInputError, "radius must be a finite number >= 0 [m], got -1"),
+        ({"length": np.nan}, aj.InvalidInputError, "length must be a finite number >= 0 [m], got"),
+        ({"length": "long"}, aj.InvalidInputError, "got 'long'"),
+        ({"axis": "w"}, aj.UnknownNameError, "axis 'w' not in the axes; valid are -x, -y, -z, x,"),
+        ({"axis": (0, 0, 0)}, aj.InvalidInputError, "axis must not be zero"),
+        ({"axis": (1, 0)}, aj.InvalidInputError, "axis must have shape (3,), got shape (2,)"),
+        (
+            {"parent": "panda_hnad"},
+            aj.UnknownNameError,
+            "frame 'panda_hnad' not in panda; did you mean 'panda_hand'",
+        ),
+        ({"parent": "panda_joint4"}, aj.UnknownNameError, "link 'panda_joint4' not in panda; did"),
+        ({"name": "panda_hand"}, aj.InvalidInputError, "panda already has a frame 'panda_hand'"),
+        ({"name": ""}, aj.InvalidInputError, "name must be new to the robot, got ''"),
+    ],
+)
+def test_bad_objects_are_refused(panda, arguments, error, text):
+    with pytest.raises(error) as caught:
+        panda.with_object(**{"length": 0.1, **arguments})
+    assert text in str(caught.value)
+
+
+# -- errors applied -------------------------------------------------------------------------
+
+
+def test_kinematic_errors_move_joint_origins_and_nothing_else(panda):
+    shift, turn = (0.01, -0.02, 0.03), (0.1, 0.2, -0.3)
+    wrong = panda.with_kinematic_error({"panda_joint4": shift}, {"panda_joint4": turn})
+    before, after = panda.model.jointPlacements, wrong.model.jointPlacements
+    for i in range(8):
+        if panda.model.names[i] == "panda_joint4":
+            assert_allclose(after[i].translation, before[i].translation + shift, atol=1e-15)
+            assert_allclose(after[i].rotation, before[i].rotation @ pin.exp3(np.array(turn)))
+        else:
+            assert_allclose(after[i].homogeneous, before[i].homogeneous, atol=1e-15)
+    for a, b in zip(panda.model.inertias, wrong.model.inertias, strict=True):
+        assert_allclose(a.toDynamicParameters(), b.toDynamicParameters(), atol=1e-14)
+
+
+def test_kinematic_errors_reach_fixed_joints(two_link, rng):
+    wrong = two_link.with_kinematic_error({"tool0_joint": (0.25, 0.0, 0.0)})
+    q = np.zeros(2)
+    moved = aj.PositionTask(wrong, axes="xz").value(q) - aj.PositionTask(two_link, axes="xz").value(q)
+    assert_allclose(moved, [0.25, 0.0], atol=1e-14)
+
+
+def test_no_error_is_the_same_robot_to_the_last_bit(panda):
+    same = panda.with_kinematic_error({})
+    for a, b in zip(panda.model.jointPlacements, same.model.jointPlacements, strict=True):
+        assert np.array_equal(a.homogeneous, b.homogeneous)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "text"),
+    [
+        (
+            ({"panda_jiont4": (0, 0, 0)},),
+            aj.UnknownNameError,
+            "joint 'panda_jiont4' not in panda; did you mean 'panda_joint4'",
+        ),
+        (
+            ({"panda_joint4": (0, 0)},),
+            aj.InvalidInputError,
+            "shift of panda_joint4 must have shape (3,) [m], got shape (2,)",
+        ),
+        (
+            ({}, {"panda_joint4": (0, 0, np.inf)}),
+            aj.InvalidInputError,
+            "rotation of panda_joint4 must be finite [rad], got [0.0, 0.0, inf]",
+        ),
+    ],
+)
+def test_bad_kinematic_errors_are_refused(panda, arguments, error, text):
+    with pytest.raises(error) as caught:
+        panda.with_kinematic_error(*arguments)
+    assert text in str(caught.value)
+
+
+def test_locked_joints_stay_where_they_are_put(panda, rng):
+    angle = 0.7
+    locked = panda.with_locked_joints({"panda_joint3": angle})
+    assert locked.nv == 6
+    assert "panda_joint3" not in locked.joint_names
+    q = panda.random_configuration(rng)
+    q[2] = angle
+    without = np.delete(q, 2)
+    assert_allclose(aj.PositionTask(locked).value(without), aj.PositionTask(panda).value(q))
+    M = np.delete(np.delete(aj.Dynamics(panda).M(q), 2, 0), 2, 1)
+    assert_allclose(aj.Dynamics(locked).M(without), M, atol=1e-12)
+
+
+def test_prismatic_joints_lock_along_their_axis():
+    text = minimal(kind="prismatic").replace("</robot>", "") + (
+        '<link name="tool"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" '
+        'iyz="0" izz="1"/></inertial></link><joint name="wrist" type="continuous">'
+        '<parent link="arm"/><child link="tool"/></joint></robot>'
+    )
+    locked = aj.load_robot(text).with_locked_joints({"hinge": 0.4})
+    assert locked.joint_names == ("wrist",)
+    assert_allclose(locked.model.jointPlacements[1].translation, [0.0, 0.4, 0.0])
+
+
+def test_bad_locks_are_refused(panda):
+    with pytest.raises(aj.UnknownNameError, match="moving joint 'panda_joint8' not in panda; did"):
+        panda.with_locked_joints({"panda_joint8": 0.0})
+    with pytest.raises(aj.InvalidInputError, match="position of panda_joint3 must be a finite"):
+        panda.with_locked_joints({"panda_joint3": np.nan})

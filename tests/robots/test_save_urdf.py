@@ -1,0 +1,179 @@
+"""What `save_urdf` writes opens in Pinocchio, yourdfpy, MuJoCo and MeshCat alike."""
+
+import base64
+import re
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+import umsgpack
+import yourdfpy
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+
+OBJECTS = {
+    "rod": {"length": 0.5, "mass": 0.5, "radius": 0.0, "axis": "x"},
+    "cylinder": {"length": 0.2, "mass": 0.5, "radius": 0.03},
+    "slanted": {"length": 0.2, "mass": 0.5, "axis": (1.0, -2.0, 0.5)},
+    "nothing": {"length": 0.0, "mass": 0.0},
+    "point": {"length": 0.0, "mass": 0.3, "radius": 0.0},
+    "massless": {"length": 0.3, "mass": 0.0},
+}
+
+
+@pytest.fixture(params=["two_link", "panda", "ur5", "xarm7"])
+def base(request):
+    return aj.load_robot(request.param)
+
+
+@pytest.fixture(params=sorted(OBJECTS))
+def saved(request, base, tmp_path):
+    robot = base.with_object(**OBJECTS[request.param])
+    return robot, robot.save_urdf(tmp_path / "held.urdf")
+
+
+def tip(robot, q):
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    return data.oMf[robot.frame_id("object_tip")].homogeneous
+
+
+def test_pinocchio(saved, rng):
+    robot, path = saved
+    model = pin.buildModelFromUrdf(str(path))
+    assert list(model.names) == list(robot.model.names)
+    for a, b in zip(robot.model.inertias, model.inertias, strict=True):
+        assert_allclose(a.toDynamicParameters(), b.toDynamicParameters(), rtol=1e-14, atol=1e-15)
+    q = robot.random_configuration(rng)
+    assert_allclose(tip(aj.load_robot(path), q), tip(robot, q), atol=1e-14)
+
+
+def test_mujoco(saved, rng):
+    robot, path = saved
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.random_configuration(rng)
+    mujoco.mj_forward(model, data)
+    body = data.body("object_tip")
+    assert_allclose(body.xpos, tip(robot, data.qpos)[:3, 3], atol=1e-12)
+    assert_allclose(body.xmat.reshape(3, 3), tip(robot, data.qpos)[:3, :3], atol=1e-12)
+    held = [model.body(i).mass[0] for i in range(model.nbody)]
+    first = model.jnt_bodyid[0]
+    assert_allclose(sum(held[first:]), robot.mass, rtol=1e-12)
+    M = np.zeros((robot.nv, robot.nv))
+    mujoco.mj_fullM(model, data, M)
+    assert_allclose(M, aj.Dynamics(robot).M(np.array(data.qpos)), atol=1e-9 + 1e-9 * np.abs(M).max())
+
+
+def test_yourdfpy(saved, rng):
+    robot, path = saved
+    urdf = yourdfpy.URDF.load(str(path), load_meshes=False)
+    q = robot.random_configuration(rng)
+    urdf.update_cfg(dict(zip(robot.joint_names, q, strict=True)))
+    base = urdf.base_link
+    assert_allclose(urdf.get_transform("object_tip", base), tip(robot, q), atol=1e-12)
+    masses = [link.inertial.mass for link in urdf.robot.links if link.inertial is not None]
+    fixed = robot.model.inertias[0].mass
+    assert_allclose(sum(masses), robot.mass + fixed, rtol=1e-12)
+
+
+def test_meshcat(tmp_path, rng):
+    from pinocchio.visualize import MeshcatVisualizer
+
+    robot = aj.load_robot("panda").with_object(0.2, 0.5)
+    path = robot.save_urdf(tmp_path / "held.urdf")
+    viewer = MeshcatVisualizer(*pin.buildModelsFromUrdf(str(path)))
+    viewer.initViewer(open=False)
+    try:
+        viewer.loadViewerModel()
+        q = robot.random_configuration(rng)
+        viewer.display(q)
+        page = viewer.viewer.static_html()
+    finally:
+        viewer.viewer.window.server_proc.kill()
+        viewer.viewer.window.server_proc.wait(timeout=10)
+    blobs = [base64.b64decode(data) for data in re.findall(r"base64,([^\"]+)", page)]
+    commands = [umsgpack.unpackb(blob) for blob in blobs if b"set_transform" in blob[:40]]
+    placed = {command["path"]: np.reshape(command["matrix"], (4, 4)).T for command in commands}
+    object_path = next(path for path in placed if path.endswith("visuals/object_0"))
+    middle = tip(robot, q) @ [0.0, 0.0, -0.1, 1.0]
+    assert_allclose(placed[object_path] @ [0.0, 0.0, 0.0, 1.0], middle, atol=1e-9)
+
+
+def test_nothing_of_the_original_is_lost(tmp_path):
+    text = """
+    <robot name="gripper">
+      <!-- kept -->
+      <link name="base"/>
+      <link name="a"><inertial><mass value="1"/>
+        <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+      <link name="b"><inertial><mass value="1"/>
+        <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+      <joint name="ja" type="revolute"><parent link="base"/><child link="a"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/>
+        <safety_controller k_velocity="3"/></joint>
+      <joint name="jb" type="revolute"><parent link="a"/><child link="b"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/>
+        <mimic joint="ja" multiplier="2"/></joint>
+      <transmission name="t"><type>simple</type></transmission>
+      <gazebo reference="a"><kp>7</kp></gazebo>
+    </robot>"""
+    robot = aj.load_robot(text).with_kinematic_error({"jb": (0.1, 0.0, 0.0)}).with_object(0.1)
+    written = robot.save_urdf(tmp_path / "gripper.urdf").read_text()
+    for kept in (
+        "<!-- kept -->",
+        '<mimic joint="ja" multiplier="2"/>',
+        '<safety_controller k_velocity="3"/>',
+        '<transmission name="t">',
+        "<kp>7</kp>",
+    ):
+        assert kept in written
+    assert '<origin xyz="0.1 0.0 0.0" rpy="0.0 0.0 0.0"/>' in written.replace("-0.0", "0.0")
+
+
+def test_a_urdf_that_already_speaks_to_mujoco_is_left_alone(tmp_path):
+    text = aj.load_robot("two_link").urdf.replace(
+        "<material", '<mujoco><compiler fusestatic="true"/></mujoco><material', 1
+    )
+    written = aj.load_robot(text).save_urdf(tmp_path / "own.urdf").read_text()
+    assert written.count("<mujoco>") == 1
+    assert 'fusestatic="true"' in written
+
+
+def with_mesh(name):
+    """The two-link arm with a mesh on its base."""
+    visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+    return aj.load_robot("two_link").urdf.replace(
+        '<link name="base_link"/>', f'<link name="base_link">{visual}</link>'
+    )
+
+
+@pytest.fixture
+def mesh(tmp_path):
+    path = tmp_path / "robots" / "thing_description" / "meshes" / "a.stl"
+    path.parent.mkdir(parents=True)
+    path.write_text("solid a\nendsolid a\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("package://thing_description/meshes/a.stl", True),
+        ("thing_description/meshes/a.stl", True),
+        ("package://thing_description/meshes/b.stl", False),
+    ],
+)
+def test_meshes_are_found_near_the_urdf(tmp_path, mesh, name, found):
+    path = tmp_path / "robots" / "arm.urdf"
+    path.write_text(with_mesh(name))
+    written = aj.load_robot(path).save_urdf(tmp_path / "out.urdf").read_text()
+    assert (str(mesh) if found else name) in written
+
+
+def test_meshes_are_found_on_the_ros_package_path(tmp_path, mesh, monkeypatch):
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "robots"))
+    robot = aj.load_robot(with_mesh("package://thing_description/meshes/a.stl"))
+    assert str(mesh) in robot.save_urdf(tmp_path / "out.urdf").read_text()
