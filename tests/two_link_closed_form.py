@@ -28,9 +28,7 @@ class TwoLink:
         co = self.l2 + self.lo / 2.0
         mass = self.m2 + self.mo
         first = self.m2 * self.link_centre + self.mo * co
-        second = (
-            self.m2 * (third + self.link_centre**2) + self.mo * (third * self.lo**2 + co**2)
-        )
+        second = self.m2 * (third + self.link_centre**2) + self.mo * (third * self.lo**2 + co**2)
         return mass, first, second
 
     def M(self, q):

@@ -108,7 +108,3 @@ def _make_folder(out: Path) -> None:
         raise InvalidInputError(
             f"--out must be a folder that can be made, got {out}: {error}", given=out
         ) from error
-
-
-if __name__ == "__main__":
-    sys.exit(main())

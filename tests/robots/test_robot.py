@@ -108,7 +108,11 @@ def test_repr_says_what_it_is():
         ("missing.urdf", aj.UrdfError, "URDF file missing.urdf does not exist"),
         ("<robot name='r'><link", aj.UrdfError, "URDF text is not well-formed XML"),
         ("<sdf/>", aj.UrdfError, "must have <robot> as its root element, got <sdf>"),
-        (minimal(kind="hinge"), aj.UrdfError, "The <joint> tag misses a 'type' attribute or value is not part"),
+        (
+            minimal(kind="hinge"),
+            aj.UrdfError,
+            "The <joint> tag misses a 'type' attribute or value is not part",
+        ),
         (minimal(child="leg"), aj.UrdfError, "joint 'hinge' refers to link 'leg', which does not"),
         (minimal(kind="fixed"), aj.UrdfError, "URDF text has no moving joint"),
         (minimal(kind="planar"), aj.UrdfError, "joint 'hinge' has 3 degrees of freedom"),
@@ -253,7 +257,9 @@ def test_kinematic_errors_move_joint_origins_and_nothing_else(panda):
 def test_kinematic_errors_reach_fixed_joints(two_link, rng):
     wrong = two_link.with_kinematic_error({"tool0_joint": (0.25, 0.0, 0.0)})
     q = np.zeros(2)
-    moved = aj.PositionTask(wrong, axes="xz").value(q) - aj.PositionTask(two_link, axes="xz").value(q)
+    moved = aj.PositionTask(wrong, axes="xz").value(q) - aj.PositionTask(two_link, axes="xz").value(
+        q
+    )
     assert_allclose(moved, [0.25, 0.0], atol=1e-14)
 
 

@@ -64,7 +64,9 @@ def test_mujoco(saved, rng):
     assert_allclose(sum(held[first:]), robot.mass, rtol=1e-12)
     M = np.zeros((robot.nv, robot.nv))
     mujoco.mj_fullM(model, data, M)
-    assert_allclose(M, aj.Dynamics(robot).M(np.array(data.qpos)), atol=1e-9 + 1e-9 * np.abs(M).max())
+    assert_allclose(
+        M, aj.Dynamics(robot).M(np.array(data.qpos)), atol=1e-9 + 1e-9 * np.abs(M).max()
+    )
 
 
 def test_yourdfpy(saved, rng):

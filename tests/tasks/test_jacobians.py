@@ -38,9 +38,7 @@ def test_jacobian_rates_by_finite_differences_on_every_arm(arm, rng):
     h = 1e-5
     for task in tasks(arm.with_object(0.2, 0.5)):
         q, v = arm.random_configuration(rng), rng.uniform(-1, 1, arm.nv)
-        ahead, behind = (
-            task.jacobian(pin.integrate(arm.model, q, step * v)) for step in (h, -h)
-        )
+        ahead, behind = (task.jacobian(pin.integrate(arm.model, q, step * v)) for step in (h, -h))
         assert_allclose(task.jacobian_dot(q, v), (ahead - behind) / (2 * h), atol=1e-8)
 
 

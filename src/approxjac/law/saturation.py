@@ -102,7 +102,8 @@ class Sine:
         """S(e) ≥ 0."""
         u = self._angle(e)
         beyond = np.abs(e) - self.gamma * np.abs(u)
-        return self.gamma**2 * (1.0 - np.cos(u)) + self.gamma * beyond
+        # 1 − cos u = 2 sin²(u/2), which keeps its digits near zero
+        return 2.0 * self.gamma**2 * np.sin(0.5 * u) ** 2 + self.gamma * beyond
 
     def ds(self, e: Array) -> Array:
         """s'(e), between 0 and 1."""

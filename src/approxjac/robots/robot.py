@@ -11,9 +11,9 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.checks import Array, as_array, as_number
-from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError
+from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import urdf as urdf_xml
-from approxjac.robots.named import NAMED, urdf_path
+from approxjac.robots.model import build_model
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -55,9 +55,8 @@ class Robot:
         root = urdf_xml.parse(urdf, source)
         links = urdf_xml.read(root, source)
         self._name = str(root.get("name"))
-        self._model = _build_model(urdf, source)
+        self._model = build_model(urdf, source)
         self._model.gravity.linear = self._gravity
-        _require_inertia(self._model, source)
         # A body and a joint may share a name; the body's frame is the one people mean.
         frames = sorted(
             (frame.type == pin.FrameType.BODY, index, frame.name)
@@ -369,107 +368,6 @@ class Robot:
             source=self._source,
         )
         return make, (self._urdf,)
-
-
-def load_robot(
-    source: str | Path,
-    *,
-    gravity: Sequence[float] | Array = STANDARD_GRAVITY,
-    tip: str | None = None,
-) -> Robot:
-    """Load an arm by name, from a path to a .urdf file, or from URDF text.
-
-    Args:
-        source: A name ("panda", "two_link", …), a path, or text that starts with "<".
-        gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
-        tip: End-effector frame; by default the named robot's own, or the last link.
-
-    Raises:
-        UnknownNameError: Neither a known name nor a file.
-        UrdfError: The file is missing, or its URDF is not usable.
-
-    Example:
-        >>> load_robot("two_link").joint_names
-        ('joint1', 'joint2')
-    """
-    text = str(source)
-    if isinstance(source, str) and text.lstrip().startswith("<"):
-        return Robot(text, gravity=gravity, tip=tip)
-    if isinstance(source, str) and text in NAMED:
-        entry = NAMED[text]
-        path = urdf_path(entry)
-        if not path.is_file():
-            raise UrdfError(
-                f"robot {text!r} needs the package example-robot-data "
-                "(pip install example-robot-data)",
-                given=source,
-            )
-        robot = _load_file(path, gravity, None if entry.locked else tip or entry.tip)
-        if entry.locked:
-            robot = robot.with_locked_joints(entry.locked)
-            robot = Robot(
-                robot.urdf,
-                gravity=gravity,
-                tip=tip or entry.tip,
-                urdf_dir=robot.urdf_dir,
-                source=str(path),
-            )
-        return robot
-    path = Path(source)
-    if path.is_file():
-        return _load_file(path, gravity, tip)
-    if path.suffix == ".urdf" or isinstance(source, Path):
-        raise UrdfError(f"URDF file {text} does not exist", given=source)
-    raise UnknownNameError("robot", text, "the robots known by name", NAMED)
-
-
-def _load_file(path: Path, gravity: Sequence[float] | Array, tip: str | None) -> Robot:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UrdfError(f"URDF file {path} cannot be read: {error}", given=path) from error
-    return Robot(text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=path.name)
-
-
-def _build_model(text: str, source: str) -> pin.Model:
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        raise UrdfError(f"{source} is not a valid URDF: {error}", given=source) from error
-    if model.nv == 0:
-        raise UrdfError(f"{source} has no moving joint", given=source)
-    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
-        if joint.nv != 1:
-            raise UrdfError(
-                f"{source}: joint {name!r} has {joint.nv} degrees of freedom; every joint of an "
-                "arm must be revolute, continuous, prismatic or fixed",
-                given=source,
-            )
-    return model
-
-
-def _require_inertia(model: pin.Model, source: str) -> None:
-    """Refuse a robot whose inertia matrix is singular: no torque control is possible."""
-    data = model.createData()
-    M = pin.crba(model, data, pin.neutral(model), pin.Convention.WORLD)
-    eigenvalues = np.linalg.eigvalsh(np.triu(M) + np.triu(M, 1).T)
-    if eigenvalues[0] > 1e-12 * max(eigenvalues[-1], 0.0) and eigenvalues[0] > 0.0:
-        return
-    massless = [
-        name
-        for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
-        if not inertia.mass > 0.0
-    ]
-    what = (
-        f"the links moved by {', '.join(massless)} have no mass"
-        if massless
-        else "the inertia matrix is singular"
-    )
-    raise UrdfError(
-        f"{source}: {what}; torque control needs <inertial> with mass and inertia on every "
-        "moving link",
-        given=source,
-    )
 
 
 def _direction(axis: str | Sequence[float]) -> Array:

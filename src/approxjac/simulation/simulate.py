@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ from approxjac.simulation.plant import Plant
 from approxjac.simulation.trajectory import Trajectory
 
 Progress = Callable[[float], None]
+_STALL_STEPS = 1000
 
 
 def simulate(
@@ -166,10 +168,17 @@ def _continuous(
         [np.zeros(n), v0, controller.initial_state(plant.measure(0.0, q0, v0))]
     )
     solver = LSODA(flow, 0.0, records[0], duration, rtol=rtol, atol=atol)
-    done = 1
+    done, steps, checked = 1, 0, 0.0
     while solver.status == "running":
         message = solver.step()
-        if solver.status == "failed":
+        steps += 1
+        if steps % _STALL_STEPS == 0:  # LSODA creeps towards a pole for ever and calls it running
+            if solver.t - checked < 1e-9 * duration:
+                message = "the steps have become vanishingly small"
+            checked = solver.t
+        if not np.isfinite(solver.y).all():
+            message = "the state is no longer finite"
+        if message is not None:
             raise SimulationError(
                 f"the integration stopped at t = {solver.t:g} of {duration:g} s: {message}",
                 given=solver.y.copy(),
@@ -215,4 +224,10 @@ def _sampled(
         if k < steps:
             q, v = step(plant, q, v, answer.torque, dt)
             state = state + dt * answer.state_rate
+            if not math.isfinite(v.dot(v)):
+                raise SimulationError(
+                    f"the simulation stopped at t = {(k + 1) * dt:g} of {steps * dt:g} s: the "
+                    "state is no longer finite; a smaller dt may help",
+                    given=(q, v),
+                )
     return measurements, np.array(states), evaluations

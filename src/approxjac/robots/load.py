@@ -1,0 +1,62 @@
+"""`load_robot`: an arm by name, from a file or from text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from approxjac.checks import Array
+from approxjac.errors import UnknownNameError, UrdfError
+from approxjac.robots.named import NAMED, urdf_path
+from approxjac.robots.robot import STANDARD_GRAVITY, Robot
+
+
+def load_robot(
+    source: str | Path,
+    *,
+    gravity: Sequence[float] | Array = STANDARD_GRAVITY,
+    tip: str | None = None,
+) -> Robot:
+    """Load an arm by name, from a path to a .urdf file, or from URDF text.
+
+    Args:
+        source: A name ("panda", "two_link", …), a path, or text that starts with "<".
+        gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
+        tip: End-effector frame; by default the named robot's own, or the last link.
+
+    Raises:
+        UnknownNameError: Neither a known name nor a file.
+        UrdfError: The file is missing, or its URDF is not usable.
+
+    Example:
+        >>> load_robot("two_link").joint_names
+        ('joint1', 'joint2')
+    """
+    text = str(source)
+    if isinstance(source, str) and text.lstrip().startswith("<"):
+        return Robot(text, gravity=gravity, tip=tip)
+    if isinstance(source, str) and text in NAMED:
+        entry = NAMED[text]
+        path = urdf_path(entry)
+        if not path.is_file():
+            raise UrdfError(
+                f"robot {text!r} needs the package example-robot-data "
+                "(pip install example-robot-data)",
+                given=source,
+            )
+        robot = _load_file(path, gravity, tip or entry.tip)
+        return robot.with_locked_joints(entry.locked) if entry.locked else robot
+    path = Path(source)
+    if path.is_file():
+        return _load_file(path, gravity, tip)
+    if path.suffix == ".urdf" or isinstance(source, Path):
+        raise UrdfError(f"URDF file {text} does not exist", given=source)
+    raise UnknownNameError("robot", text, "the robots known by name", NAMED)
+
+
+def _load_file(path: Path, gravity: Sequence[float] | Array, tip: str | None) -> Robot:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UrdfError(f"URDF file {path} cannot be read: {error}", given=path) from error
+    return Robot(text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=path.name)

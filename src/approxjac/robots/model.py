@@ -1,0 +1,60 @@
+"""From URDF text to a Pinocchio model that torque control can work with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.errors import UrdfError
+
+
+def build_model(text: str, source: str) -> pin.Model:
+    """Return the Pinocchio model of a URDF.
+
+    Args:
+        text: The URDF.
+        source: What to call it in errors.
+
+    Raises:
+        UrdfError: Not a URDF, no moving joint, joints of more than one degree of freedom, or
+            moving links without inertia.
+    """
+    try:
+        model = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        raise UrdfError(f"{source} is not a valid URDF: {error}", given=source) from error
+    if model.nv == 0:
+        raise UrdfError(f"{source} has no moving joint", given=source)
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if joint.nv != 1:
+            raise UrdfError(
+                f"{source}: joint {name!r} has {joint.nv} degrees of freedom; every joint of an "
+                "arm must be revolute, continuous, prismatic or fixed",
+                given=source,
+            )
+    _require_inertia(model, source)
+    return model
+
+
+def _require_inertia(model: pin.Model, source: str) -> None:
+    """Refuse a robot whose inertia matrix is singular: no torque control is possible."""
+    data = model.createData()
+    M = pin.crba(model, data, pin.neutral(model), pin.Convention.WORLD)
+    eigenvalues = np.linalg.eigvalsh(np.triu(M) + np.triu(M, 1).T)
+    if eigenvalues[0] > 1e-12 * max(eigenvalues[-1], 0.0) and eigenvalues[0] > 0.0:
+        return
+    massless = [
+        name
+        for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
+        if not inertia.mass > 0.0
+    ]
+    what = (
+        f"the links moved by {', '.join(massless)} have no mass"
+        if massless
+        else "the inertia matrix is singular"
+    )
+    raise UrdfError(
+        f"{source}: {what}; torque control needs <inertial> with mass and inertia on every "
+        "moving link",
+        given=source,
+    )

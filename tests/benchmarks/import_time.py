@@ -1,0 +1,35 @@
+"""What `import approxjac` costs beside `import pinocchio`: python tests/benchmarks/import_time.py.
+
+Each import runs in a fresh interpreter; the two alternate, so that a busy machine slows both.
+"""
+
+import statistics
+import subprocess
+import sys
+import time
+
+ROUNDS = 15
+
+
+def seconds(module: str) -> float:
+    """Wall time of a fresh interpreter that imports one module [s]."""
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-c", f"import {module}"], check=True)
+    return time.perf_counter() - start
+
+
+def main() -> None:
+    """Print the median of the ratios and of both times."""
+    for module in ("pinocchio", "approxjac"):
+        seconds(module)  # warm the disk cache and the byte code
+    pairs = [(seconds("pinocchio"), seconds("approxjac")) for _ in range(ROUNDS)]
+    ratio = statistics.median(ours / theirs for theirs, ours in pairs)
+    theirs, ours = (statistics.median(column) for column in zip(*pairs, strict=True))
+    print(
+        f"import approxjac / import pinocchio = {ratio:.2f} "
+        f"({1e3 * ours:.0f} ms / {1e3 * theirs:.0f} ms, medians of {ROUNDS})"
+    )
+
+
+if __name__ == "__main__":
+    main()

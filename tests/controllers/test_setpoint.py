@@ -1,0 +1,322 @@
+import gc
+from types import FunctionType, ModuleType
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.studies import paper
+
+TARGET = np.array([0.4, 0.1, 0.5])
+
+
+def state_of(arm, rng, m=3):
+    return aj.Measurement(
+        0.0, arm.random_configuration(rng), rng.uniform(-1, 1, arm.nv), rng.uniform(-1, 1, m)
+    )
+
+
+def controllers(robot):
+    """One controller of each law on a redundant arm."""
+    task = aj.PositionTask(robot)
+    gains = aj.Gains(kp=400.0, kv=(80.0, 70.0, 60.0), damping=1.0)
+    regressor = aj.GravityRegressor(robot)
+    return {
+        "(6)": aj.SetpointController(task, gains),
+        "(6), saturated": aj.SetpointController(task, gains, saturation=aj.Sine(0.05)),
+        "(6), no gravity": aj.SetpointController(task, gains, gravity=aj.NoGravity(robot)),
+        "(6), theta": aj.SetpointController(
+            task, gains, gravity=aj.RegressorGravity(regressor, regressor.theta)
+        ),
+        "(28)": aj.SetpointController(
+            task, gains, gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0)
+        ),
+        "(5)": aj.SetpointController(task, gains, velocity=aj.DifferentiatedVelocity(0.01)),
+        "(5), learnt": aj.SetpointController(
+            task,
+            gains,
+            gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0),
+            velocity=aj.DifferentiatedVelocity(0.01),
+        ),
+    }
+
+
+@pytest.fixture(scope="module", params=list(controllers(aj.load_robot("panda"))))
+def controller(request):
+    return controllers(aj.load_robot("panda"))[request.param]
+
+
+def expected_torque(controller, measurement, x_dot_hat, g):
+    """The law written out with dense matrices."""
+    kp, kv, damping = controller.diagonals
+    J_hat = controller.task.jacobian(measurement.q)
+    s = controller.saturation.s(measurement.x - TARGET)
+    force = np.diag(kp) @ s + np.diag(kv) @ x_dot_hat
+    return -J_hat.T @ force - np.diag(damping) @ measurement.v + g
+
+
+@pytest.mark.parametrize("law", ["(6)", "(6), saturated", "(6), no gravity", "(6), theta", "(28)"])
+def test_torque_is_the_law(panda, law, rng):
+    controller = controllers(panda)[law]
+    measurement = state_of(panda, rng)
+    answer = controller.evaluate(controller.initial_state(measurement), measurement, TARGET)
+    x_dot_hat = controller.task.jacobian(measurement.q) @ measurement.v
+    g = np.zeros(7) if law == "(6), no gravity" else aj.Dynamics(panda).g(measurement.q)
+    assert_allclose(answer.torque, expected_torque(controller, measurement, x_dot_hat, g))
+    assert_allclose(answer.e, measurement.x - TARGET)
+    assert answer.status is aj.Status.OK
+
+
+def test_law_5_differentiates_the_measured_value(panda, rng):
+    controller = controllers(panda)["(5)"]
+    measurement = state_of(panda, rng)
+    state = controller.initial_state(measurement)
+    assert_allclose(state, measurement.x)
+    behind = state - 0.002
+    answer = controller.evaluate(behind, measurement, TARGET)
+    x_dot = np.full(3, 0.2)  # 0.002 / time constant
+    assert_allclose(answer.state_rate, x_dot)
+    g = aj.Dynamics(panda).g(measurement.q)
+    assert_allclose(answer.torque, expected_torque(controller, measurement, x_dot, g))
+
+
+def test_the_differentiator_converges_to_the_velocity_of_a_ramp(panda, rng):
+    controller = controllers(panda)["(5)"]
+    measurement = state_of(panda, rng)
+    state, dt, slope = controller.initial_state(measurement), 1e-4, np.array([0.1, -0.2, 0.3])
+    for k in range(1000):
+        x = measurement.x + slope * k * dt
+        rate = controller.evaluate(state, measurement._replace(x=x), TARGET).state_rate
+        state = state + dt * rate
+    assert_allclose(rate, slope, rtol=1e-3)
+
+
+def test_adaptation_is_eq_29(panda, rng):
+    regressor = aj.GravityRegressor(panda)
+    root = rng.normal(size=(12, 12))
+    for L in (0.1, rng.uniform(0.1, 1, 12), root @ root.T + np.eye(12)):
+        gravity = aj.AdaptiveGravity(regressor, L=L, alpha=0.7, theta0=np.zeros(12))
+        controller = aj.SetpointController(
+            aj.PositionTask(panda), aj.Gains(400, 80, 1.0), gravity=gravity
+        )
+        measurement = state_of(panda, rng)
+        state = controller.initial_state(measurement)
+        assert np.array_equal(state, np.zeros(12))
+        answer = controller.evaluate(state, measurement, TARGET)
+        J_hat = controller.task.jacobian(measurement.q)
+        y = measurement.v + 0.7 * np.linalg.pinv(J_hat) @ (measurement.x - TARGET)
+        dense = np.diag(np.full(12, L)) if np.ndim(L) == 0 else np.diag(L) if np.ndim(L) == 1 else L
+        assert_allclose(answer.state_rate, -dense @ regressor.Z(measurement.q).T @ y)
+        assert_allclose(answer.sigma_min, np.linalg.svd(J_hat, compute_uv=False)[-1])
+        assert_allclose(controller.theta_hat(np.arange(12.0)), np.arange(12.0))
+
+
+def test_a_singular_pose_is_reported_and_the_rate_stays_bounded(two_link):
+    regressor = aj.GravityRegressor(two_link, moments="x")
+    controller = aj.SetpointController(
+        aj.PositionTask(two_link, axes="xz"),
+        aj.Gains(100.0, 50.0),
+        gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0),
+    )
+    rates = []
+    for bend in (0.1, 0.03, 0.01, 1e-4, 0.0, -1e-4, -0.01):
+        measurement = aj.Measurement(0.0, np.array([0.3, bend]), np.zeros(2), np.array([1.0, 1.0]))
+        answer = controller.evaluate(np.zeros(2), measurement, np.zeros(2))
+        near = answer.sigma_min < 0.02 * 3.0
+        assert (answer.status is aj.Status.NEAR_SINGULAR) == near
+        rates.append(answer.state_rate)
+    assert np.abs(rates).max() < 1e3
+    assert "pseudo-inverse was damped" in aj.Status.NEAR_SINGULAR.message
+
+
+def test_the_same_inputs_give_the_same_outputs(controller, rng):
+    robot = controller.task.robot
+    measurements = [state_of(robot, rng) for _ in range(5)]
+    states = [controller.initial_state(m) for m in measurements]
+    first = [controller.evaluate(s, m, TARGET) for s, m in zip(states, measurements, strict=True)]
+    kept = [(a.torque.copy(), a.state_rate.copy()) for a in first]
+    again = [
+        controller.evaluate(s, m, TARGET)
+        for s, m in reversed(list(zip(states, measurements, strict=True)))
+    ]
+    for (torque, rate), a, b in zip(kept, first, reversed(again), strict=True):
+        assert np.array_equal(torque, a.torque)  # nothing returned is scratch memory
+        assert np.array_equal(torque, b.torque)
+        assert np.array_equal(rate, b.state_rate)
+
+
+def test_the_torque_never_depends_on_the_true_robot(controller, rng):
+    """Bit-identical torque when the truth changes and the measurement does not."""
+    panda = controller.task.robot
+    q, v = panda.random_configuration(rng), rng.uniform(-1, 1, 7)
+    x = aj.PositionTask(panda).value(q)
+    state = controller.initial_state(aj.Measurement(0.0, q, v, x))
+    answers = []
+    for length in (0.0, 0.1, 0.2):
+        truth = panda.with_object(length, 0.5 * length).with_kinematic_error(
+            {"panda_joint4": (0.0, 0.1 * length, 0.0)}
+        )
+        plant = aj.Plant(truth, aj.PositionTask(truth), friction=length)
+        measured = plant.measure(0.0, q, v)
+        plant.acceleration(q, v, rng.normal(size=7))
+        answers.append(controller.evaluate(state, measured._replace(x=x), TARGET))
+    for answer in answers[1:]:
+        assert np.array_equal(answer.torque, answers[0].torque)
+        assert np.array_equal(answer.state_rate, answers[0].state_rate)
+
+
+@pytest.mark.parametrize("figure", paper.EXPERIMENTS)
+def test_the_true_robot_cannot_be_reached_from_a_controller(figure):
+    plant, controller = paper.build(paper.EXPERIMENTS[figure], paper.Setup())
+    seen: dict[int, object] = {}
+    frontier: list[object] = [controller]
+    while frontier:
+        found = frontier.pop()
+        if id(found) not in seen and not isinstance(found, type | ModuleType | FunctionType):
+            seen[id(found)] = found
+            frontier += gc.get_referents(found)
+    robots = [found for found in seen.values() if isinstance(found, aj.Robot)]
+    assert controller.task.robot in robots  # the walk does find robots
+    assert not any(robot is plant.robot for robot in robots)
+
+
+# -- lost and bad measurements --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_lost_measurement_leaves_damping_and_gravity(controller, value, rng):
+    robot = controller.task.robot
+    measurement = state_of(robot, rng)
+    state = controller.initial_state(measurement)
+    lost = measurement._replace(x=np.array([0.1, value, 0.2]))
+    answer = controller.evaluate(state, lost, TARGET)
+    assert answer.status is aj.Status.MEASUREMENT_LOST
+    assert "adaptation frozen" in answer.status.message
+    assert np.array_equal(answer.state_rate, np.zeros(controller.n_state))
+    # the same as at the target with no measured velocity
+    _, kv, damping = controller.diagonals
+    J_hat = controller.task.jacobian(measurement.q)
+    x_dot = J_hat @ measurement.v if controller.velocity is None else np.zeros(3)
+    g = aj.Dynamics(robot).g(measurement.q)
+    if isinstance(controller.gravity, aj.NoGravity):
+        g = 0.0 * g
+    assert_allclose(answer.torque, g - J_hat.T @ (kv * x_dot) - damping * measurement.v)
+
+
+@pytest.mark.parametrize("name", ["q", "v"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_joint_state_that_is_not_finite_is_a_named_error(controller, name, value, rng):
+    measurement = state_of(controller.task.robot, rng)
+    bad = getattr(measurement, name).copy()
+    bad[2] = value
+    with pytest.raises(aj.MeasurementError, match=rf"{name} must be finite, got \[.*{value}.*stop"):
+        controller.evaluate(
+            controller.initial_state(measurement), measurement._replace(**{name: bad}), TARGET
+        )
+
+
+@pytest.mark.parametrize("size", [1e100, 1e200, 1e308])
+def test_absurd_but_finite_numbers_give_a_finite_torque_or_a_named_error(controller, size, rng):
+    measurement = state_of(controller.task.robot, rng)
+    state = controller.initial_state(measurement)
+    for name in ("v", "x"):
+        absurd = measurement._replace(**{name: np.full_like(getattr(measurement, name), size)})
+        try:
+            with np.errstate(all="ignore"):
+                answer = controller.evaluate(state, absurd, TARGET)
+        except aj.MeasurementError as error:
+            assert "the torque overflows" in str(error)  # noqa: PT017
+        else:
+            assert np.isfinite(answer.torque).all()
+
+
+def test_wrong_shapes_are_named(panda, rng):
+    controller = controllers(panda)["(28)"]
+    good = state_of(panda, rng)
+    state = controller.initial_state(good)
+    cases = [
+        ((state, good._replace(q=np.zeros(6)), TARGET), r"q must be an array of shape \(7,\) for"),
+        ((state, good._replace(v=np.zeros(8)), TARGET), r"v must be an array of shape \(7,\) for"),
+        ((state, good._replace(x=np.zeros(2)), TARGET), r"x must be .* \(3,\) .*got \(2,\)"),
+        ((state, good._replace(x=[0, 0, 0]), TARGET), r"x must be an array .* got list"),
+        ((state, good, np.zeros(2)), r"target must be an array of shape \(3,\)"),
+        ((np.zeros(3), good, TARGET), r"state must be an array of shape \(12,\)"),
+    ]
+    for arguments, text in cases:
+        with pytest.raises(aj.InvalidInputError, match=text):
+            controller.evaluate(*arguments)
+    with pytest.raises(aj.InvalidInputError, match=r"target must be finite, got \[nan"):
+        controller.evaluate(state, good, np.full(3, np.nan))
+    with pytest.raises(aj.InvalidInputError, match=r"state must be finite, got \[inf"):
+        controller.evaluate(np.full(12, np.inf), good, TARGET)
+
+
+# -- building -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"kp": -1.0, "kv": 1.0}, r"kp must be > 0 in every entry, got \[-1.0\]"),
+        ({"kp": 1.0, "kv": 0.0}, r"kv must be > 0 in every entry, got \[0.0\]"),
+        ({"kp": (1.0, np.nan), "kv": 1.0}, r"kp must be finite, got \[1.0, nan\]"),
+        ({"kp": 1.0, "kv": 1.0, "damping": -0.1}, r"damping must be >= 0 in every entry, got \[-0"),
+        ({"kp": "high", "kv": 1.0}, r"kp must be numbers of shape \(1,\), got \['high'\]"),
+    ],
+)
+def test_bad_gains_are_refused(arguments, text):
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.Gains(**arguments)
+
+
+def test_gains_of_the_wrong_length_are_refused(panda):
+    with pytest.raises(aj.InvalidInputError, match=r"kp must have shape \(3,\), got shape \(2,\)"):
+        aj.SetpointController(aj.PositionTask(panda), aj.Gains((1.0, 1.0), 1.0, damping=1.0))
+    with pytest.raises(aj.InvalidInputError, match=r"damping must have shape \(7,\), got shape"):
+        aj.SetpointController(aj.PositionTask(panda), aj.Gains(1.0, 1.0, damping=(1.0, 1.0)))
+
+
+def test_a_redundant_arm_needs_added_damping(panda):
+    with pytest.raises(aj.InvalidInputError, match="it has 7 joints for 3 task coordinates"):
+        aj.SetpointController(aj.PositionTask(panda), aj.Gains(400.0, 80.0))
+
+
+def test_gravity_of_another_arm_is_refused(panda, two_link):
+    with pytest.raises(aj.InvalidInputError, match="gravity must be that of a robot with the joi"):
+        aj.SetpointController(
+            aj.PositionTask(panda),
+            aj.Gains(400.0, 80.0, 1.0),
+            gravity=aj.ModelGravity(two_link),
+        )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"L": -0.1, "alpha": 1.0}, r"L must be > 0 in every entry"),
+        ({"L": np.ones(3), "alpha": 1.0}, r"L must have shape \(2,\), got shape \(3,\)"),
+        ({"L": np.array([[1.0, 2.0], [2.0, 1.0]]), "alpha": 1.0}, "L must be symmetric positive d"),
+        ({"L": np.array([[1.0, 2.0], [0.0, 1.0]]), "alpha": 1.0}, "L must be symmetric positive d"),
+        ({"L": 1.0, "alpha": 0.0}, r"alpha must be a finite number > 0 \[1/s\], got 0.0"),
+        ({"L": 1.0, "alpha": 1.0, "theta0": (1.0,)}, r"theta0 must have shape \(2,\), got"),
+    ],
+)
+def test_bad_adaptation_is_refused(two_link, arguments, text):
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.AdaptiveGravity(aj.GravityRegressor(two_link, "x"), **arguments)
+
+
+def test_bad_known_parameters_are_refused(two_link):
+    with pytest.raises(aj.InvalidInputError, match=r"theta must have shape \(2,\), got shape"):
+        aj.RegressorGravity(aj.GravityRegressor(two_link, "x"), (1.0, 2.0, 3.0))
+
+
+def test_a_bad_time_constant_is_refused():
+    with pytest.raises(aj.InvalidInputError, match=r"time_constant must be a finite number > 0"):
+        aj.DifferentiatedVelocity(0.0)
+
+
+def test_repr_names_the_law(controller):
+    assert "law (" in repr(controller)
+    assert "PositionTask('panda', 'panda_hand_tcp', 'xyz')" in repr(controller)

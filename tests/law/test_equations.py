@@ -1,0 +1,124 @@
+"""Each equation against its text, written out entry by entry."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from approxjac import law
+
+M, NV, P = 3, 5, 4
+
+
+@pytest.fixture
+def numbers(rng):
+    return {
+        "J_hat": rng.normal(size=(M, NV)),
+        "kp": rng.uniform(1, 2, M),
+        "kv": rng.uniform(1, 2, M),
+        "s": rng.normal(size=M),
+        "v": rng.normal(size=NV),
+        "damping": rng.uniform(0, 1, NV),
+    }
+
+
+def force(n, x_dot):
+    return n["J_hat"].T @ (np.diag(n["kp"]) @ n["s"] + np.diag(n["kv"]) @ x_dot)
+
+
+def test_eq_5(numbers, rng):
+    x_dot, g = rng.normal(size=M), rng.normal(size=NV)
+    tau = law.measured_velocity_torque(**numbers, x_dot=x_dot, g=g)
+    assert_allclose(tau, -force(numbers, x_dot) - numbers["damping"] * numbers["v"] + g)
+
+
+def test_eq_6(numbers, rng):
+    g = rng.normal(size=NV)
+    tau = law.estimated_velocity_torque(**numbers, g=g)
+    x_dot = numbers["J_hat"] @ numbers["v"]
+    assert_allclose(tau, -force(numbers, x_dot) - numbers["damping"] * numbers["v"] + g)
+
+
+def test_eq_27_and_28(numbers, rng):
+    Z, theta = rng.normal(size=(NV, P)), rng.normal(size=P)
+    assert_allclose(law.gravity(Z, theta), [sum(row * theta) for row in Z])
+    tau = law.learnt_gravity_torque(**numbers, Z=Z, theta_hat=theta)
+    assert_allclose(tau, law.estimated_velocity_torque(**numbers, g=Z @ theta))
+
+
+def test_eq_10(numbers):
+    pinv = law.right_pinv(numbers["J_hat"])
+    y = law.passive_output(numbers["v"], pinv, numbers["s"], 0.3)
+    assert_allclose(y, numbers["v"] + 0.3 * np.linalg.pinv(numbers["J_hat"]) @ numbers["s"])
+
+
+def test_eq_29(rng):
+    Z, y = rng.normal(size=(NV, P)), rng.normal(size=NV)
+    diagonal = rng.uniform(1, 2, P)
+    assert_allclose(law.theta_hat_rate(diagonal, Z, y), -np.diag(diagonal) @ Z.T @ y)
+    root = rng.normal(size=(P, P))
+    matrix = root @ root.T + np.eye(P)
+    assert_allclose(law.theta_hat_rate(matrix, Z, y), -matrix @ Z.T @ y)
+
+
+def test_eq_31(rng):
+    theta, diagonal = rng.normal(size=P), rng.uniform(1, 2, P)
+    assert_allclose(law.parameter_potential(theta, diagonal), sum(theta**2 / diagonal) / 2)
+    root = rng.normal(size=(P, P))
+    matrix = root @ root.T + np.eye(P)
+    expected = theta @ np.linalg.inv(matrix) @ theta / 2
+    assert_allclose(law.parameter_potential(theta, matrix), expected)
+
+
+def test_eq_7(rng):
+    J, J_hat = rng.normal(size=(2, M, NV))
+    assert_allclose(law.jacobian_error(J, J_hat), np.linalg.svd((J - J_hat).T, compute_uv=False)[0])
+
+
+def test_eq_23_to_25():
+    J_hat = np.array([[2.0, 0.0], [0.0, 3.0]])
+    lambda2 = law.lambda_2(J_hat, np.array([0.5, 0.1]))
+    assert_allclose(lambda2, 4.5)
+    assert_allclose(law.lambda_2(np.array([[2.0, 0.0]]), np.zeros(2)), 0.0, atol=1e-15)
+    for alpha in (0.1, 1.0, 2.1, 7.0):
+        crossing = np.array([lambda2 / alpha])
+        expected = law.allowed_p_at_crossing(alpha, lambda2)
+        assert_allclose(law.allowed_p_velocity(crossing, alpha, lambda2), [expected])
+        assert_allclose(law.allowed_p_position(crossing, alpha), [expected])
+        assert expected <= law.largest_allowed_p(lambda2) + 1e-15
+    best = law.largest_allowed_p(lambda2)
+    assert_allclose(law.allowed_p_at_crossing(best, lambda2), best)
+    assert_allclose(best, np.sqrt(lambda2))
+    a = np.linspace(0.1, 5, 50)
+    assert (np.diff(law.allowed_p_velocity(a, 1.0, lambda2)) < 0).all()
+    assert (np.diff(law.allowed_p_position(a, 1.0)) > 0).all()
+
+
+def test_v_of_eq_12(rng):
+    pinv, inertia = rng.normal(size=(NV, M)), np.diag(rng.uniform(1, 2, NV))
+    v, s, potential = rng.normal(size=NV), rng.normal(size=M), rng.uniform(0, 1, M)
+    kp, kv, alpha = rng.uniform(1, 2, M), rng.uniform(1, 2, M), 0.3
+    kinetic = 0.5 * v @ inertia @ v
+    cross = alpha * v @ inertia @ pinv @ s
+    stored = sum((kp[i] + alpha * kv[i]) * potential[i] for i in range(M))
+    assert_allclose(law.V(v, s, potential, pinv, inertia, kp, kv, alpha), kinetic + cross + stored)
+
+
+def test_w_of_eq_13_without_alpha_is_damping_less_the_mismatch(rng):
+    J, J_hat = rng.normal(size=(2, M, NV))
+    v, s = rng.normal(size=NV), rng.normal(size=M)
+    kp, kv, B = rng.uniform(1, 2, M), rng.uniform(1, 2, M), rng.uniform(0, 1, NV)
+    zeros = np.zeros((NV, M))
+    W = law.W(
+        v, s, np.zeros(M), J, J_hat, zeros, zeros, np.eye(NV), np.zeros((NV, NV)), np.zeros(NV),
+        B, kp, kv, 0.0,
+    )  # fmt: skip
+    expected = v @ (J_hat.T @ np.diag(kv) @ J_hat + np.diag(B)) @ v - v @ (J - J_hat).T @ (kp * s)
+    assert_allclose(W, expected)
+
+
+def test_linearization_of_eq_9_for_a_point_mass():
+    # m ẍ = −k_p x − (k_v + b) ẋ: the roots of a damped oscillator
+    A = law.closed_loop_matrix(
+        np.array([[2.0]]), np.eye(1), np.eye(1), np.array([8.0]), np.array([1.5]), np.array([0.5])
+    )
+    assert_allclose(np.sort_complex(np.linalg.eigvals(A)), np.roots([2.0, 2.0, 8.0])[::-1])

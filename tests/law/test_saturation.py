@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+
+gammas = st.floats(1e-3, 1e3)
+ratios = st.floats(-20.0, 20.0).filter(lambda u: abs(u) > 1e-3)
+
+
+def saturations(gamma):
+    return [aj.Linear(), aj.Sine(gamma), aj.Tanh(gamma)]
+
+
+@given(gammas, ratios)
+def test_constants_of_eq_8_hold(gamma, ratio):
+    e = np.array([gamma * ratio])
+    for f in saturations(gamma):
+        s, S = f.s(e), f.S(e)
+        slack = 1.0 + 1e-12
+        assert (e * s * slack >= f.d * s**2).all()
+        assert (S * slack >= f.c_bar * s**2).all()
+        assert (f.d_bar(abs(e[0])) * s**2 * slack >= e * s).all()
+        assert (S > 0).all()
+
+
+@given(gammas, ratios)
+def test_the_bound_d_bar_is_attained(gamma, ratio):
+    e = np.array([abs(gamma * ratio)])
+    for f in saturations(gamma):
+        assert_allclose(f.d_bar(e[0]) * f.s(e) ** 2, e * f.s(e), rtol=1e-9)
+
+
+@given(gammas, ratios)
+def test_s_is_odd_and_its_potential_even(gamma, ratio):
+    e = np.array([gamma * ratio])
+    for f in saturations(gamma):
+        assert_allclose(f.s(-e), -f.s(e))
+        assert_allclose(f.S(-e), f.S(e))
+        assert_allclose(f.ds(-e), f.ds(e))
+
+
+@pytest.mark.parametrize("u", [-3.0, -1.6, -1.0, -1e-4, 0.3, 1.0, 1.5, 1.7, 40.0])
+def test_derivatives_by_finite_differences(u):
+    gamma, h = 0.7, 1e-6
+    e = np.array([gamma * u])
+    for f in saturations(gamma):
+        assert_allclose((f.S(e + h) - f.S(e - h)) / (2 * h), f.s(e), atol=1e-8)
+        assert_allclose((f.s(e + h) - f.s(e - h)) / (2 * h), f.ds(e), atol=1e-8)
+
+
+def test_the_sine_is_the_papers_example():
+    gamma = 0.01
+    f = aj.Sine(gamma)
+    inside, outside = 0.004, 0.5 * np.pi * gamma + 0.003
+    assert_allclose(f.s(np.array([inside, outside, -outside])), [
+        gamma * np.sin(inside / gamma), gamma, -gamma])  # fmt: skip
+    assert_allclose(f.S(np.array([outside])), gamma**2 + gamma * 0.003)
+    assert_allclose(f.ds(np.array([0.0, outside])), [1.0, 0.0])
+
+
+def test_a_large_gamma_is_no_saturation():
+    e = np.array([-0.3, 0.0, 2.0])
+    for f in (aj.Sine(1e6), aj.Tanh(1e6)):
+        assert_allclose(f.s(e), aj.Linear().s(e), rtol=1e-9)
+        assert_allclose(f.S(e), aj.Linear().S(e), rtol=1e-6)
+
+
+def test_gamma_may_differ_from_coordinate_to_coordinate():
+    gamma = np.array([0.1, 10.0])
+    e = np.array([1.0, 1.0])
+    for kind in (aj.Sine, aj.Tanh):
+        both = kind(gamma)
+        each = [kind(g).s(np.array([1.0]))[0] for g in gamma]
+        assert_allclose(both.s(e), each)
+
+
+@given(st.floats(1e-12, 1e-3))
+def test_the_potential_of_tanh_keeps_its_digits_near_zero(u):
+    assert_allclose(aj.Tanh(1.0).S(np.array([u])), [u * u / 2], rtol=1e-6)
+
+
+@pytest.mark.parametrize("gamma", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("kind", [aj.Sine, aj.Tanh])
+def test_bad_gamma_is_refused(kind, gamma):
+    with pytest.raises(
+        aj.InvalidInputError, match=r"gamma must be finite and > 0 \[unit of the ta"
+    ):
+        kind(gamma)
+
+
+def test_d_bar_at_zero_is_one():
+    assert aj.Sine(0.1).d_bar(0.0) == aj.Tanh(0.1).d_bar(0.0) == aj.Linear().d_bar(0.0) == 1.0

@@ -1,0 +1,279 @@
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import cumulative_simpson
+
+import approxjac as aj
+
+
+class ConstantTorque:
+    """The simplest thing with the interface of a controller."""
+
+    n_state = 0
+
+    def __init__(self, torque):
+        self.torque = np.asarray(torque, dtype=float)
+
+    def initial_state(self, measurement):
+        return np.zeros(0)
+
+    def evaluate(self, state, measurement, target):
+        e = measurement.x - target
+        return aj.Evaluation(self.torque, state, aj.Status.OK, e, np.nan)
+
+
+def plant_of(robot, friction=0.0):
+    axes = "xz" if robot.nv == 2 else "xyz"
+    return aj.Plant(robot, aj.PositionTask(robot, axes=axes), friction=friction)
+
+
+def released(robot, tau, duration, friction=0.0, **options):
+    """A run under a constant torque from a fixed start."""
+    plant = plant_of(robot, friction)
+    rng = np.random.default_rng(1)
+    q0 = robot.random_configuration(rng)
+    v0 = rng.uniform(-1, 1, robot.nv)
+    target = np.zeros(plant.sensor.m)
+    run = aj.simulate(plant, ConstantTorque(tau), target, q0, duration, v0=v0, **options)
+    return plant, run
+
+
+@pytest.fixture(params=["two_link", "panda", "kinova"])
+def robot(request):
+    return aj.load_robot(request.param)
+
+
+# -- integrators ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("integrator", "order"), [("rk4", 4), ("semi_implicit_euler", 1)])
+def test_convergence_order_under_a_held_torque(robot, integrator, order):
+    tau = 0.5 * np.ones(robot.nv)
+    duration = 0.064 if robot.nv == 6 else 0.256
+    _, reference = released(robot, tau, duration, rtol=1e-12, atol=1e-13)
+    errors = []
+    for dt in (duration / 32, duration / 64):
+        _, run = released(robot, tau, duration, dt=dt, integrator=integrator)
+        q_error = pin.difference(robot.model, reference.q[-1], run.q[-1])
+        errors.append(np.linalg.norm(np.concatenate([q_error, run.v[-1] - reference.v[-1]])))
+    measured = np.log2(errors[0] / errors[1])
+    assert measured == pytest.approx(order, abs=0.3)
+
+
+def test_the_continuous_error_follows_the_tolerance(robot):
+    tau = np.zeros(robot.nv)
+    _, reference = released(robot, tau, 0.3, rtol=1e-12, atol=1e-13)
+    errors = []
+    for rtol in (1e-4, 1e-6, 1e-8):
+        _, run = released(robot, tau, 0.3, rtol=rtol, atol=rtol / 100)
+        errors.append(np.abs(run.v[-1] - reference.v[-1]).max())
+    assert errors[0] > 10 * errors[1] > 100 * errors[2]
+    assert errors[2] < 1e-5 * np.abs(reference.v).max()
+
+
+def test_a_sampled_run_converges_to_the_continuous_one():
+    robot = aj.load_robot("two_link")
+    controller = aj.SetpointController(
+        aj.PositionTask(robot, axes="xz"),
+        aj.Gains(60.0, 20.0),
+        gravity=aj.AdaptiveGravity(aj.GravityRegressor(robot, "x"), 0.1, 1.0, theta0=(0.0, 0.0)),
+    )
+    arguments = (plant_of(robot), controller, (0.5, 1.2), (0.3, 0.8), 1.0)
+    exact = aj.simulate(*arguments, record_every=0.1)
+    errors = []
+    for dt in (2e-3, 1e-3, 5e-4):
+        run = aj.simulate(*arguments, dt=dt, record_every=0.1)
+        assert_allclose(run.t, exact.t, atol=1e-12)
+        errors.append(max(np.abs(run.q - exact.q).max(), np.abs(run.state - exact.state).max()))
+    assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 1.0, atol=0.15)
+    assert errors[-1] < 5e-3
+
+
+# -- physics --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [{}, {"dt": 1e-4}])
+def test_energy_is_conserved_without_torque_and_friction(robot, options):
+    plant, run = released(robot, np.zeros(robot.nv), 0.2, **options)
+    energy = [plant.dynamics.energy(q, v) for q, v in zip(run.q, run.v, strict=True)]
+    rest = np.zeros(robot.nv)
+    kinetic = np.array(energy) - [plant.dynamics.energy(q, rest) for q in run.q]
+    assert_allclose(energy, energy[0], rtol=0, atol=1e-8 * kinetic.max())
+
+
+def test_friction_dissipates_exactly_its_power():
+    robot = aj.load_robot("two_link")
+    B = np.array([0.3, 0.7])
+    plant, run = released(robot, np.zeros(2), 2.0, friction=B, record_every=1e-3)
+    energy = np.array([plant.dynamics.energy(q, v) for q, v in zip(run.q, run.v, strict=True)])
+    lost = cumulative_simpson((run.v**2) @ B, x=run.t, initial=0.0)
+    assert_allclose(energy[0] - energy, lost, atol=1e-6)
+
+
+def test_gravity_direction_is_the_plants():
+    robot = aj.load_robot("two_link")
+    q0 = np.array([0.3, 0.4])
+    still = plant_of(robot.with_gravity((0.0, 0.0, 0.0)))
+    run = aj.simulate(still, ConstantTorque((0.0, 0.0)), (0.0, 0.0), q0, 0.5)
+    assert_allclose(run.q, np.tile(q0, (len(run.t), 1)), atol=1e-12)
+    sideways = plant_of(robot.with_gravity((0.0, -9.81, 0.0)))  # across the arm's plane
+    run = aj.simulate(sideways, ConstantTorque((0.0, 0.0)), (0.0, 0.0), q0, 0.5)
+    assert_allclose(run.q[-1], q0, atol=1e-12)
+
+
+def test_continuous_joints_stay_on_the_circle():
+    robot = aj.load_robot("kinova")
+    _, run = released(robot, 2.0 * np.ones(6), 0.5)
+    assert run.q.shape[1] == 9
+    assert all(pin.isNormalized(robot.model, q, 1e-9) for q in run.q)
+
+
+def test_the_paper_law_reaches_the_target_on_a_panda_with_an_unknown_tool(panda):
+    """THEORY.md, section 6: 24 cm of error with a 20 cm tool believed absent."""
+    truth, belief = panda.with_object(0.20, 0.0), panda.with_object(0.0, 0.0)
+    plant = aj.Plant(truth, aj.PositionTask(truth))
+    controller = aj.SetpointController(aj.PositionTask(belief), aj.Gains(400.0, 80.0, 1.0))
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    target = plant.sensor.value(q0) + [0.1, -0.15, 0.16]
+    run = aj.simulate(plant, controller, target, q0, 5.0, dt=1e-3)
+    assert run.error_norm[0] == pytest.approx(0.24, abs=0.01)
+    assert run.error_norm[-1] < 1e-6
+
+
+# -- records --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def short_run():
+    robot = aj.load_robot("two_link")
+    controller = aj.SetpointController(aj.PositionTask(robot, axes="xz"), aj.Gains(60.0, 20.0))
+    return aj.simulate(plant_of(robot), controller, (0.5, 1.2), (0.3, 0.8), 0.1, dt=0.01)
+
+
+def test_the_record_holds_the_run(short_run):
+    run = short_run
+    assert_allclose(run.t, np.linspace(0, 0.1, 11))
+    assert run.q.shape == run.v.shape == run.tau.shape == run.x.shape == run.error.shape == (11, 2)
+    assert_allclose(run.error, run.x - run.target)
+    assert run.state.shape == (11, 0)
+    assert np.isnan(run.sigma_min).all()
+    assert run.status_counts() == {aj.Status.OK: 11}
+    assert run.units["tau"] == "N m"
+    assert run.units["x"] == run.task_unit == "m"
+    assert_allclose(run.error_norm, np.hypot(*run.error.T))
+    assert run.error_ratio(0.0) == 1.0
+    assert repr(run) == ("Trajectory('two_link', 0.1 s, 11 samples; |e| 0.909 -> 0.731 m; OK 11)")
+
+
+def test_a_run_saves_and_loads(short_run, tmp_path):
+    path = short_run.save(tmp_path / "run")
+    assert path.name == "run.npz"
+    loaded = aj.Trajectory.load(path)
+    for name in ("t", "q", "v", "x", "error", "tau", "state", "status", "sigma_min", "target"):
+        assert np.array_equal(getattr(loaded, name), getattr(short_run, name), equal_nan=True)
+    assert loaded.joint_names == short_run.joint_names
+    assert loaded.task_labels == short_run.task_labels
+    assert repr(loaded) == repr(short_run)
+    with np.load(path) as file:
+        assert_allclose(file["q"], short_run.q)
+
+
+def test_files_that_are_no_runs_are_refused(tmp_path):
+    with pytest.raises(aj.TrajectoryFileError, match=r"run\.npz does not exist"):
+        aj.Trajectory.load(tmp_path / "run.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(aj.TrajectoryFileError, match=r"text.npz is not a trajectory written by"):
+        aj.Trajectory.load(tmp_path / "text.npz")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(aj.TrajectoryFileError, match=r"other.npz is not a trajectory written by"):
+        aj.Trajectory.load(tmp_path / "other.npz")
+
+
+def test_records_can_be_thinned(short_run):
+    robot = aj.load_robot("two_link")
+    controller = aj.SetpointController(aj.PositionTask(robot, axes="xz"), aj.Gains(60.0, 20.0))
+    arguments = (plant_of(robot), controller, (0.5, 1.2), (0.3, 0.8), 0.1)
+    thin = aj.simulate(*arguments, dt=0.01, record_every=0.03)
+    assert_allclose(thin.t, [0.0, 0.03, 0.06, 0.09, 0.1])
+    assert_allclose(thin.q, short_run.q[[0, 3, 6, 9, 10]])
+    seen = []
+    run = aj.simulate(*arguments, record_every=0.025, progress=seen.append)
+    assert_allclose(run.t, [0.0, 0.025, 0.05, 0.075, 0.1])
+    assert seen == sorted(seen)
+    assert seen[-1] == pytest.approx(0.1)
+
+
+# -- bad input ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "text"),
+    [
+        ({"target": (1.0,)}, aj.InvalidInputError, r"target must have shape \(2,\) \[m\], got sha"),
+        ({"target": (np.nan, 1.0)}, aj.InvalidInputError, r"target must be finite \[m\], got"),
+        ({"q0": (1.0,)}, aj.InvalidInputError, r"q0 must have shape \(2,\) \[rad\], got shape"),
+        ({"q0": (np.nan, 0.0)}, aj.InvalidInputError, r"q0 must be finite \[rad\], got \[nan"),
+        ({"v0": (1.0, np.inf)}, aj.InvalidInputError, r"v0 must be finite \[rad/s\], got"),
+        ({"duration": 0.0}, aj.InvalidInputError, r"duration must be a finite number > 0 \[s\]"),
+        ({"dt": -1.0}, aj.InvalidInputError, r"dt must be a finite number > 0 \[s\], got -1.0"),
+        (
+            {"dt": 0.3},
+            aj.InvalidInputError,
+            r"whole number of sampling times dt = 0.3 \[s\], got 1",
+        ),
+        (
+            {"dt": 0.1, "record_every": 0.25},
+            aj.InvalidInputError,
+            r"record_every must be a whole number of sampling times dt = 0.1 \[s\], got 0.25",
+        ),
+        ({"record_every": 0.0}, aj.InvalidInputError, r"record_every must be a finite number > 0"),
+        ({"rtol": 0.0}, aj.InvalidInputError, r"rtol must be a finite number > 0, got 0.0"),
+        (
+            {"dt": 0.1, "integrator": "rk5"},
+            aj.UnknownNameError,
+            "integrator 'rk5' not in the integrators; did you mean 'rk4'",
+        ),
+    ],
+)
+def test_bad_arguments_are_refused(changes, error, text):
+    robot = aj.load_robot("two_link")
+    arguments = {"target": (0.5, 1.2), "q0": (0.3, 0.8), "duration": 1.0, **changes}
+    with pytest.raises(error, match=text):
+        aj.simulate(plant_of(robot), ConstantTorque((0.0, 0.0)), **arguments)
+
+
+def test_a_configuration_off_the_circle_is_refused():
+    robot = aj.load_robot("kinova")
+    with pytest.raises(aj.InvalidInputError, match=r"q0 must have cos\^2 \+ sin\^2 = 1"):
+        aj.simulate(plant_of(robot), ConstantTorque(np.zeros(6)), np.zeros(3), np.zeros(9), 1.0)
+
+
+def test_a_sensor_of_another_robot_is_refused(two_link, panda):
+    with pytest.raises(aj.InvalidInputError, match="sensor must be a task of the plant's own rob"):
+        aj.Plant(two_link, aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match=r"friction must be >= 0 in every entry \[N m s"):
+        aj.Plant(panda, aj.PositionTask(panda), friction=-1.0)
+
+
+class Explosive(ConstantTorque):
+    """Torque that grows with the square of the velocity: the motion has a pole in time."""
+
+    def evaluate(self, state, measurement, target):
+        answer = super().evaluate(state, measurement, target)
+        return answer._replace(torque=1e3 * np.sign(measurement.v) * measurement.v**2)
+
+
+@pytest.mark.parametrize(
+    ("dt", "text"),
+    [
+        (None, r"the integration stopped at t = .* of 100 s: the steps have become vanishingly"),
+        (1e-3, r"the simulation stopped at t = .* of 100 s: the state is no longer finite; a sma"),
+    ],
+)
+def test_a_run_that_explodes_is_a_named_error(dt, text):
+    plant = plant_of(aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0)))
+    with pytest.raises(aj.SimulationError, match=text), np.errstate(all="ignore"):
+        aj.simulate(
+            plant, Explosive((0.0, 0.0)), (0.0, 0.0), (0.3, 0.8), 100.0, v0=(1.0, 1.0), dt=dt
+        )

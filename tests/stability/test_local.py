@@ -1,0 +1,65 @@
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+
+
+def linearized_by_differences(plant, controller, q_target):
+    """The closed loop's flow in tangent coordinates, differentiated numerically."""
+    n, model = plant.robot.nv, plant.robot.model
+    target = plant.sensor.value(q_target)
+
+    def flow(z):
+        q, v = pin.integrate(model, q_target, z[:n]), z[n:]
+        answer = controller.evaluate(np.zeros(0), plant.measure(0.0, q, v), target)
+        return np.concatenate([v, plant.acceleration(q, v, answer.torque)])
+
+    h = 1e-5
+    return np.array([(flow(h * u) - flow(-h * u)) / (2 * h) for u in np.eye(2 * n)]).T
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur5", "panda", "kinova"])
+def test_eigenvalues_are_those_of_the_flow(name, rng):
+    arm = aj.load_robot(name)
+    truth, belief = arm.with_object(0.2), arm.with_object(0.05, axis="x")
+    axes = "xz" if arm.nv == 2 else "xyz"
+    plant = aj.Plant(truth, aj.PositionTask(truth, axes=axes), friction=0.3)
+    controller = aj.SetpointController(
+        aj.PositionTask(belief, axes=axes), aj.Gains(60.0, 30.0, damping=1.0),
+        saturation=aj.Sine(0.1),
+    )  # fmt: skip
+    q = truth.random_configuration(rng)
+    local = aj.local_stability(plant, controller, q)
+    redundancy = arm.nv - len(axes)
+    assert local.eigenvalues.shape == (2 * arm.nv - redundancy,)
+    expected = np.linalg.eigvals(linearized_by_differences(plant, controller, q))
+    expected = expected[np.argsort(np.abs(expected))][redundancy:]
+    scale = np.abs(expected).max()
+    for eigenvalue in local.eigenvalues:
+        assert np.abs(expected - eigenvalue).min() < 1e-4 * scale
+    assert_allclose(local.max_real, expected.real.max(), atol=1e-4 * scale)
+    assert local.stable == (local.max_real < 0)
+
+
+def test_an_exact_model_is_stable_and_a_reversed_camera_is_not(two_link):
+    camera = aj.PlanarCamera(0.05, 3.0)
+    plant = aj.Plant(two_link, aj.ImageTask(two_link, camera))
+    for roll, stable in ((0.0, True), (np.pi, False)):
+        believed = aj.PlanarCamera(0.05, 3.0, roll=roll)
+        controller = aj.SetpointController(
+            aj.ImageTask(two_link, believed), aj.Gains(5000.0, 5000.0)
+        )
+        assert aj.local_stability(plant, controller, np.array([1.5, 1.5])).stable is stable
+
+
+def test_law_5_is_refused(two_link):
+    task = aj.PositionTask(two_link, axes="xz")
+    controller = aj.SetpointController(
+        task, aj.Gains(1.0, 1.0), velocity=aj.DifferentiatedVelocity()
+    )
+    with pytest.raises(
+        aj.InvalidInputError, match=r"local_stability is for law \(6\) with the est"
+    ):
+        aj.local_stability(aj.Plant(two_link, task), controller, np.zeros(2))

@@ -1,0 +1,133 @@
+"""dV/dt = −W along the closed loop: the sharpest test of the law, the models and the misprints."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import approxjac as aj
+
+
+def flow_V(plant, controller, target, alpha, theta):
+    """V as a function of (q, v, state), and one Runge–Kutta step of the closed loop."""
+
+    def rate(q, v, state):
+        answer = controller.evaluate(state, plant.measure(0.0, q, v), target)
+        return v, plant.acceleration(q, v, answer.torque), answer.state_rate
+
+    def step(q, v, state, h):
+        model = plant.robot.model
+        v1, a1, r1 = rate(q, v, state)
+        v2, a2, r2 = rate(pin.integrate(model, q, h / 2 * v1), v + h / 2 * a1, state + h / 2 * r1)
+        v3, a3, r3 = rate(pin.integrate(model, q, h / 2 * v2), v + h / 2 * a2, state + h / 2 * r2)
+        v4, a4, r4 = rate(pin.integrate(model, q, h * v3), v + h * a3, state + h * r3)
+        q_new = pin.integrate(model, q, h / 6 * (v1 + 2 * v2 + 2 * v3 + v4))
+        v_new = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        return q_new, v_new, state + h / 6 * (r1 + 2 * r2 + 2 * r3 + r4)
+
+    def value(q, v, state):
+        return aj.lyapunov(plant, controller, q, v, target, alpha, state=state, theta=theta)
+
+    return value, step
+
+
+def v_dot(value, step, q, v, state, h):
+    """dV/dt by central differences along the flow, extrapolated to fourth order."""
+
+    def central(h):
+        ahead, behind = step(q, v, state, h), step(q, v, state, -h)
+        return (value(*ahead).V - value(*behind).V) / (2 * h)
+
+    return (4 * central(h / 2) - central(h)) / 3
+
+
+def check(plant, controller, target, alpha, samples, h, theta=None):
+    """Compare dV/dt with −W, relative to the size of the terms that W is made of."""
+    robot = plant.robot
+    value, step = flow_V(plant, controller, target, alpha, theta)
+    checked = 0
+    rng = np.random.default_rng(5)
+    while checked < samples:
+        q, v = robot.random_configuration(rng), rng.uniform(-1, 1, robot.nv)
+        singular = np.linalg.svd(controller.task.jacobian(q), compute_uv=False)
+        if singular[-1] < 0.15 * singular[0]:
+            continue  # Ĵ⁺ is damped near singular poses, and the identity is for the exact one
+        state = controller.initial_state(plant.measure(0.0, q, v))
+        state = state + rng.normal(size=state.shape)
+        W = value(q, v, state).W
+        assert v_dot(value, step, q, v, state, h) == pytest.approx(-W, rel=1e-6)
+        checked += 1
+
+
+@pytest.mark.parametrize("saturation", [aj.Sine(0.01), aj.Linear(), aj.Tanh(0.01)])
+def test_two_link_with_the_wrong_camera(two_link, saturation):
+    """THEORY.md's case: K_p = 5000, K_v = 10000, γ = 0.01, B = 0.3, δ̂ = 60°."""
+    camera = aj.PlanarCamera(0.05, 3.0)
+    rolled = aj.PlanarCamera(0.05, 3.0, roll=np.radians(60.0))
+    plant = aj.Plant(two_link, aj.ImageTask(two_link, camera), friction=0.3)
+    controller = aj.SetpointController(
+        aj.ImageTask(two_link, rolled), aj.Gains(5000.0, 10000.0), saturation=saturation
+    )
+    target = plant.sensor.value(np.radians([90.0, 90.0]))
+    check(plant, controller, target, alpha=0.3, samples=30, h=1e-4)
+
+
+def wrong_panda():
+    """A true arm with a tool, and a believed one without it and with wrong joint origins."""
+    arm = aj.load_robot("panda")
+    truth = arm.with_object(0.2, 0.5, axis=(0.3, 0.0, 1.0))
+    belief = arm.with_object(0.0).with_kinematic_error({"panda_joint4": (0.0, 0.02, -0.01)})
+    return truth, belief
+
+
+@pytest.mark.parametrize("name", ["panda", "xarm7"])
+def test_seven_joints_with_an_unknown_tool(name):
+    arm = aj.load_robot(name)
+    truth = arm.with_object(0.2, 0.5, axis=(0.3, 0.0, 1.0))
+    shift = {arm.joint_names[3]: (0.0, 0.02, -0.01)}
+    belief = arm.with_object(0.0).with_kinematic_error(shift)
+    plant = aj.Plant(truth, aj.PositionTask(truth), friction=np.linspace(0.1, 0.7, 7))
+    regressor = aj.GravityRegressor(belief)
+    theta, residual = regressor.fit(truth)
+    assert residual < 1e-10
+    controller = aj.SetpointController(
+        aj.PositionTask(belief),
+        aj.Gains((400.0, 300.0, 500.0), (80.0, 60.0, 90.0), damping=1.0),
+        gravity=aj.RegressorGravity(regressor, theta),
+        saturation=aj.Sine(0.1),
+    )
+    target = plant.sensor.value(truth.neutral()) + [0.1, 0.2, -0.1]
+    check(plant, controller, target, alpha=0.5, samples=20, h=2e-5)
+
+
+def test_seven_joints_with_learnt_gravity():
+    """Eq. (31): the potential of the parameter error makes up for the gravity not yet learnt."""
+    truth, belief = wrong_panda()
+    plant = aj.Plant(truth, aj.PositionTask(truth), friction=0.2)
+    regressor = aj.GravityRegressor(belief)
+    theta, _ = regressor.fit(truth)
+    controller = aj.SetpointController(
+        aj.PositionTask(belief),
+        aj.Gains(400.0, 80.0, damping=1.0),
+        gravity=aj.AdaptiveGravity(regressor, L=np.linspace(0.1, 2.0, 12), alpha=0.5),
+        saturation=aj.Sine(0.1),
+    )
+    target = plant.sensor.value(truth.neutral()) + [0.1, 0.2, -0.1]
+    check(plant, controller, target, alpha=0.5, samples=10, h=2e-5, theta=theta)
+
+
+def test_the_printed_forms_do_not_hold(two_link):
+    """Each misprint of (13), if taken literally, breaks the identity: the test can fail."""
+    from approxjac import law
+
+    plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"), friction=0.3)
+    controller = aj.SetpointController(aj.PositionTask(two_link, axes="xz"), aj.Gains(50.0, 20.0))
+    target, alpha = np.array([0.5, 1.0]), 0.5
+    value, step = flow_V(plant, controller, target, alpha, None)
+    q, v, state = np.array([0.4, 1.1]), np.array([0.7, -0.9]), np.zeros(0)
+    slope = v_dot(value, step, q, v, state, 1e-4)
+    assert slope == pytest.approx(-value(q, v, state).W, rel=1e-6)
+    M, task = plant.dynamics.M(q), plant.sensor
+    s, pinv = task.value(q) - target, law.right_pinv(task.jacobian(q))
+    pinv_dot = law.right_pinv_dot(task.jacobian(q), task.jacobian_dot(q, v))
+    missing_dot = alpha * (pinv_dot @ s - pinv @ s) @ (M @ v)
+    assert abs(missing_dot) > 1e-2 * abs(slope)

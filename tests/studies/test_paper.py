@@ -1,0 +1,144 @@
+"""The reproduction contract: THEORY.md, section 4."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.studies import paper
+
+# figure: max Re λ, ‖e‖/‖e(0)‖ at 5, 20, 60, 120 s, verdict, as THEORY.md prints them
+TABLE = {
+    3: ("+0.0588", ("0.508", "1.259", "1.685", "1.570"), "unstable"),
+    4: ("-0.0920", ("0.552", "0.125", "0.0034", "0.000"), "stable"),
+    5: ("-0.0130", ("0.737", "0.737", "0.530", "0.294"), "stable"),
+    6: ("-0.1276", ("0.272", "0.008", "0.0002", "0.000"), "stable"),
+    7: ("-0.0680", ("0.737", "0.246", "0.017", "0.0003"), "stable"),
+}
+
+
+def to_digits(value, printed):
+    """The value within half a unit of the last printed digit."""
+    digits = len(printed.split(".")[1])
+    return value == pytest.approx(float(printed), abs=0.5 * 10.0**-digits + 1e-5)
+
+
+@pytest.fixture(scope="module")
+def results():
+    setup = paper.Setup()
+    return {f: paper.run_experiment(e, setup) for f, e in paper.EXPERIMENTS.items()}
+
+
+@pytest.mark.parametrize("figure", TABLE)
+def test_the_table_to_its_printed_digits(results, figure):
+    eigenvalue, ratios, verdict = TABLE[figure]
+    result = results[figure]
+    assert to_digits(result.local.max_real, eigenvalue)
+    for t, printed in zip(paper.REPORT_TIMES, ratios, strict=True):
+        assert to_digits(result.error_ratios[t], printed)
+    assert result.verdict == verdict
+    assert result.agrees_with_paper
+
+
+def test_figure_8(results):
+    result = results[8]
+    assert result.verdict == "stable"
+    assert result.agrees_with_paper
+    assert result.local is None
+    assert_allclose(result.theta_hat, [3.5, 1.625], rtol=0.01)
+    assert_allclose(result.run.state[0], [0.0, 0.0])
+    ratio = result.run.error_norm / result.run.error_norm[0]
+    assert ratio.max() > 2.0
+    assert to_digits(result.error_ratios[60.0], "0.03")
+    assert to_digits(result.error_ratios[120.0], "0.0001")
+
+
+def test_every_run_starts_where_the_contract_says(results):
+    for result in results.values():
+        run = result.run
+        assert_allclose(run.q[0], np.radians([60.0, 90.0]))
+        assert_allclose(run.v[0], 0.0)
+        # X_d = camera(h(90°, 90°)) = f/(z − f) (−1.5, 1)
+        assert_allclose(run.target, 0.05 / 2.95 * np.array([-1.5, 1.0]), atol=1e-15)
+
+
+def test_a_verdict_needs_linearization_and_run(results):
+    stable, unstable = results[4], results[3]
+    mixed = paper.Result(stable.experiment, unstable.run, stable.local, None)
+    assert mixed.verdict == "unstable"
+    assert "they differ" in mixed.reason
+    assert not mixed.agrees_with_paper
+    mixed = paper.Result(stable.experiment, stable.run, unstable.local, None)
+    assert mixed.verdict == "unstable"
+    assert paper.Result(stable.experiment, stable.run, stable.local, None).verdict == "stable"
+
+
+def test_figure_1_bounds_figure_4():
+    bound = paper.jacobian_bound(paper.Setup())
+    assert bound.largest == pytest.approx(0.0113, abs=5e-5)
+    assert bound.p == pytest.approx(0.0381, abs=5e-5)
+    assert bound.alpha == pytest.approx(math.sqrt(bound.lambda2))
+    crossing = np.argmin(np.abs(bound.velocity - bound.position))
+    assert bound.velocity[crossing] == pytest.approx(bound.largest, rel=0.01)
+    allowed = np.minimum(bound.velocity, bound.position)
+    assert allowed.max() <= bound.largest + 1e-12
+
+
+CHANGES = {
+    "start": {"start": (0.5, 1.0)},
+    "target": {"target": (1.2, 1.4)},
+    "friction": {"friction": 0.5},
+    "gamma": {"gamma": 0.005},
+    "inertia": {"inertia": "point-mass"},
+    "duration": {"duration": 4.0},
+}
+
+
+@pytest.mark.parametrize("option", CHANGES)
+def test_each_option_changes_what_is_simulated(option):
+    experiment = paper.EXPERIMENTS[4]
+    usual = paper.run_experiment(experiment, paper.Setup(duration=2.0))
+    changed = paper.run_experiment(experiment, paper.Setup(**{"duration": 2.0, **CHANGES[option]}))
+    if option == "duration":
+        assert changed.run.t[-1] == 4.0
+        assert usual.run.t[-1] == 2.0
+    else:
+        difference = np.abs(changed.run.q - usual.run.q).max()
+        assert difference > 1e-3
+
+
+def test_friction_helps_as_the_paper_says():
+    little = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(duration=1.0))
+    much = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(friction=5.0, duration=1.0))
+    assert not little.local.stable
+    assert much.local.max_real < little.local.max_real
+
+
+def test_point_masses_have_the_same_gravity_and_another_inertia(rng):
+    rod, point = paper.true_robot("rod"), paper.true_robot("point-mass")
+    q = rng.uniform(-3, 3, 2)
+    assert_allclose(aj.Dynamics(point).g(q), aj.Dynamics(rod).g(q), atol=1e-13)
+    assert aj.Dynamics(point).M(q)[1, 1] < aj.Dynamics(rod).M(q)[1, 1] - 0.1
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "text"),
+    [
+        ({"start": (1.0,)}, aj.InvalidInputError, r"start must have shape \(2,\) \[rad\], got sha"),
+        ({"start": (np.nan, 1.0)}, aj.InvalidInputError, r"start must be finite \[rad\], got"),
+        ({"friction": -1.0}, aj.InvalidInputError, r"friction must be a finite number >= 0"),
+        ({"gamma": 0.0}, aj.InvalidInputError, r"gamma must be a finite number > 0 \[m\], got 0.0"),
+        ({"duration": 0.0}, aj.InvalidInputError, r"duration must be a finite number > 0 \[s\]"),
+        ({"inertia": "ring"}, aj.UnknownNameError, "inertia 'ring' not in the study; valid are p"),
+        (
+            {"start": (math.pi / 2, math.pi / 2)},
+            aj.InvalidInputError,
+            "start must not have the image of the target already",
+        ),
+    ],
+)
+def test_bad_setups_are_refused(changes, error, text):
+    with pytest.raises(error, match=text):
+        paper.Setup(**changes)

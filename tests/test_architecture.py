@@ -1,0 +1,99 @@
+"""The shape of the package: which folder may import which, and what an import costs."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import approxjac
+
+SOURCE = Path(approxjac.__file__).parent
+
+# Each may import itself and what stands in its set; nothing else of ours.
+ALLOWED = {
+    "errors": set(),
+    "checks": {"errors"},
+    "interface": {"checks"},
+    "robots": {"checks", "errors"},
+    "law": {"checks", "errors"},
+    "tasks": {"robots", "checks", "errors"},
+    "controllers": {"law", "tasks", "robots", "interface", "checks", "errors"},
+    "simulation": {"law", "tasks", "robots", "interface", "checks", "errors"},
+    "stability": {
+        "controllers", "simulation", "law", "tasks", "robots", "interface", "checks", "errors",
+    },
+    "view": {"simulation", "law", "tasks", "robots", "interface", "checks", "errors"},
+    "studies": {
+        "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "interface",
+        "checks", "errors",
+    },
+    "cli": {"studies", "view", "stability", "simulation", "errors", "__init__"},
+    "__main__": {"cli"},
+}  # fmt: skip
+
+
+def imports_of(path):
+    """Absolute names of everything that a file imports, wherever in the file."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            if node.module == "approxjac":
+                yield from (f"approxjac.{alias.name}" for alias in node.names)
+            else:
+                yield str(node.module)
+
+
+FILES = sorted(SOURCE.rglob("*.py"))
+
+
+def part_of(path):
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_imports_point_one_way(path):
+    part = part_of(path)
+    if part == "__init__":
+        return
+    for name in imports_of(path):
+        if name == "approxjac" or name.startswith("approxjac."):
+            other = f"{name}.__init__".split(".")[1]
+            assert other == part or other in ALLOWED[part], f"{part} must not import {name}"
+
+
+def test_every_part_is_listed():
+    assert {part_of(path) for path in FILES} == {*ALLOWED, "__init__"}
+
+
+def test_the_law_knows_only_numpy():
+    for path in (SOURCE / "law").glob("*.py"):
+        for name in imports_of(path):
+            top = name.split(".")[0]
+            assert top in {"numpy", "approxjac"} or top in sys.stdlib_module_names
+
+
+def test_modules_are_small():
+    sizes = {str(path): len(path.read_text(encoding="utf-8").splitlines()) for path in FILES}
+    assert {path: n for path, n in sizes.items() if n > 420} == {}
+
+
+def loaded_by(statement):
+    code = f"import sys\n{statement}\nprint(*sys.modules)"
+    output = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    return {name.split(".")[0] for name in output.split()}
+
+
+def test_an_import_loads_nothing_heavy():
+    extra = loaded_by("import approxjac") - loaded_by("import pinocchio")
+    third_party = {
+        name
+        for name in extra
+        if name not in sys.stdlib_module_names and not name.startswith(("_", "approxjac"))
+    }
+    assert third_party == set()

@@ -1,0 +1,66 @@
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac import view
+
+
+@pytest.fixture(scope="module")
+def run():
+    robot = aj.load_robot("two_link")
+    task = aj.PositionTask(robot, axes="xz")
+    controller = aj.SetpointController(task, aj.Gains(60.0, 20.0))
+    return aj.simulate(aj.Plant(robot, task), controller, (0.5, 1.2), (0.3, 0.8), 1.0)
+
+
+def test_the_error_is_drawn_in_millimetres(run):
+    ax = view.plot_error(run)
+    lines = {line.get_label(): line for line in ax.get_lines()}
+    assert_allclose(lines["x"].get_ydata(), 1e3 * run.error[:, 0])
+    assert_allclose(lines["z"].get_xdata(), run.t)
+    assert ax.get_ylabel() == "x − x_d [mm]"
+    assert ax.get_xlabel() == "time [s]"
+
+
+def test_the_torque_of_each_joint_is_drawn(run):
+    ax = view.plot_torque(run)
+    assert [line.get_label() for line in ax.get_lines()] == ["joint1", "joint2"]
+    assert_allclose(ax.get_lines()[1].get_ydata(), run.tau[:, 1])
+    assert ax.get_ylabel() == "τ [N m]"
+
+
+def test_the_path_is_that_of_the_true_tip(run):
+    robot = aj.load_robot("two_link")
+    ax = view.plot_path(run, robot, target=(0.4, 1.0))
+    lines = {line.get_label(): line for line in ax.get_lines()}
+    assert_allclose(np.array(lines["path of tool0"].get_data()).T, run.x, atol=1e-12)
+    start = np.array(lines["start"].get_data()).T
+    elbow = [np.cos(0.3), np.sin(0.3)]
+    assert_allclose(start[-1], run.x[0], atol=1e-12)
+    assert any(np.allclose(point, elbow) for point in start)
+    assert ax.get_aspect() == 1.0
+
+
+def test_axes_go_in_and_come_out(run):
+    figure = Figure()
+    ax = figure.subplots()
+    assert view.plot_error(run, ax) is ax
+    assert view.plot_torque(run, figure.subplots()) in figure.axes
+    assert len(view.plot_run(run).axes) == 2
+
+
+def test_pictures_are_written_and_repeat_to_the_byte(run, tmp_path):
+    paths = view.save_figure(view.plot_run(run), tmp_path / "run")
+    assert [path.name for path in paths] == ["run.png", "run.svg"]
+    again = view.save_figure(view.plot_run(run), tmp_path / "again")
+    for a, b in zip(paths, again, strict=True):
+        assert a.read_bytes() == b.read_bytes()
+
+
+def test_the_users_own_settings_are_left_alone(run):
+    before = dict(matplotlib.rcParams)
+    view.plot_run(run)
+    assert dict(matplotlib.rcParams) == before
