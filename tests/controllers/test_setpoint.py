@@ -1,3 +1,5 @@
+"""`SetpointController`: Eq. (5), Eq. (6), Eq. (10), Eq. (28), Eq. (29); truth and belief."""
+
 import gc
 from types import FunctionType, ModuleType
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pinocchio as pin
+import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
@@ -61,3 +62,38 @@ def test_what_is_returned_is_not_scratch_memory(panda, rng):
     _ = [call(other) for call in calls] + [dynamics.C(other, -v)]
     for array, copy in zip(first, copies, strict=True):
         assert np.array_equal(array, copy)
+
+
+def test_bad_states_are_refused_everywhere(panda):
+    dynamics, task = aj.Dynamics(panda), aj.PositionTask(panda)
+    regressor, good = aj.GravityRegressor(panda), np.zeros(7)
+    bad = {
+        r"q must have shape \(7,\), got shape \(6,\)": np.zeros(6),
+        r"q must be finite, got \[nan": np.full(7, np.nan),
+        r"q must be numbers of shape \(7,\), got 'zero'": "zero",
+    }
+    for text, q in bad.items():
+        for call in (dynamics.M, dynamics.g, task.value, task.jacobian, regressor.Z):
+            with pytest.raises(aj.InvalidInputError, match=text):
+                call(q)
+        for call in (dynamics.C, dynamics.M_dot, dynamics.coriolis, dynamics.energy):
+            with pytest.raises(aj.InvalidInputError, match=text):
+                call(q, good)
+        for call in (dynamics.forward, dynamics.inverse):
+            with pytest.raises(aj.InvalidInputError, match=text):
+                call(q, good, good)
+        with pytest.raises(aj.InvalidInputError, match=text):
+            task.jacobian_dot(q, good)
+    for call in (dynamics.C, task.jacobian_dot, dynamics.energy):
+        with pytest.raises(aj.InvalidInputError, match=r"v must be finite, got \[inf"):
+            call(good, np.full(7, np.inf))
+    with pytest.raises(aj.InvalidInputError, match=r"tau must have shape \(7,\), got shape \(3,\)"):
+        dynamics.forward(good, good, np.zeros(3))
+    with pytest.raises(aj.InvalidInputError, match=r"a must be finite, got \[nan"):
+        dynamics.inverse(good, good, np.full(7, np.nan))
+
+
+def test_lists_of_numbers_are_taken(panda):
+    q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
+    assert_allclose(aj.PositionTask(panda).value(q), aj.PositionTask(panda).value(np.array(q)))
+    assert_allclose(aj.Dynamics(panda).g(q), aj.Dynamics(panda).g(np.array(q)))

@@ -1,3 +1,5 @@
+"""The linearisation of Eq. (9)."""
+
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,4 +1,7 @@
-"""dV/dt = −W along the closed loop: the sharpest test of the law, the models and the misprints."""
+"""dV/dt = −W along the closed loop: the sharpest test of the law, the models and the misprints.
+
+Tests Eq. (6), Eq. (12), Eq. (13), Eq. (28), Eq. (29) and Eq. (31) together.
+"""
 
 import numpy as np
 import pinocchio as pin

@@ -1,4 +1,4 @@
-"""The reproduction contract: THEORY.md, section 4."""
+"""The reproduction contract: THEORY.md, section 4. Figure 1 is Eq. (23), Eq. (24), Eq. (25)."""
 
 import math
 

@@ -3,8 +3,8 @@
 All act entry by entry. γ may be a number or an array with one entry for each task
 coordinate.
 
-No bounded s has a global d̄ in (8): θ s(θ) grows with |θ| while s² stays put. So d̄ is
-given for |e| ≤ e_max; d and c̄ hold everywhere.
+No bounded s has a global d̄ in (8): θ s(θ) grows with θ while s² stays put. So d̄ is
+given up to an error e_max; d and c̄ hold everywhere.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Saturation(Protocol):
         ...
 
     def d_bar(self, e_max: float) -> float:
-        """Constant with d̄ s(θ)² ≥ θ s(θ) for |θ| ≤ e_max, eq. (8)."""
+        """Constant with d̄ s(θ)² ≥ θ s(θ) for θ up to e_max, eq. (8)."""
         ...
 
 
@@ -77,10 +77,10 @@ class Linear:
 
 @dataclass(frozen=True)
 class Sine:
-    """The paper's example: γ sin(e/γ) up to |e| = γπ/2, ±γ beyond.
+    """The paper's example: γ sin(e/γ) up to an error of γπ/2, ±γ beyond.
 
     Implements Eq. (8) with d = 1 and c̄ = ½, for S(e) = γ²(1 − cos(e/γ)) inside and
-    γ² + γ(|e| − γπ/2) outside. (The paper calls γ the error at which s saturates; here, as
+    γ² + γ(abs(e) − γπ/2) outside. (The paper calls γ the error at which s saturates; here, as
     in its simulations, γ is the value it saturates at.)
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
+from approxjac.checks import Array, as_vector
 from approxjac.robots.robot import Robot
 
 
@@ -16,6 +16,10 @@ class Dynamics:
 
     Args:
         robot: The robot, true or believed.
+
+    Raises:
+        InvalidInputError: From every method, for a q, v, a or τ of the wrong length or not
+            finite.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -26,12 +30,12 @@ class Dynamics:
 
     def M(self, q: Array) -> Array:
         """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
-        M: Array = pin.crba(self._model, self._data, q, pin.Convention.WORLD)
+        M: Array = pin.crba(self._model, self._data, self._q(q), pin.Convention.WORLD)
         return np.triu(M) + np.triu(M, 1).T  # CRBA fills the upper triangle only
 
     def C(self, q: Array, v: Array) -> Array:
         """Coriolis matrix C(q, q̇) with Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""
-        return np.array(pin.computeCoriolisMatrix(self._model, self._data, q, v))
+        return np.array(pin.computeCoriolisMatrix(self._model, self._data, self._q(q), self._v(v)))
 
     def M_dot(self, q: Array, v: Array) -> Array:
         """dM/dt = C + Cᵀ along q̇, shape (n_v, n_v)."""
@@ -44,19 +48,35 @@ class Dynamics:
 
     def g(self, q: Array) -> Array:
         """Gravity torque g(q), shape (n_v,) [N m or N]."""
-        return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
+        return np.array(pin.computeGeneralizedGravity(self._model, self._data, self._q(q)))
 
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
         """M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
-        return np.array(pin.rnea(self._model, self._data, q, v, a))
+        return np.array(pin.rnea(self._model, self._data, self._q(q), self._v(v), self._v(a, "a")))
 
     def forward(self, q: Array, v: Array, tau: Array) -> Array:
         """q̈ from τ by the articulated-body algorithm, shape (n_v,) [rad/s² or m/s²]."""
-        return np.array(pin.aba(self._model, self._data, q, v, tau, pin.Convention.WORLD))
+        return np.array(
+            pin.aba(
+                self._model,
+                self._data,
+                self._q(q),
+                self._v(v),
+                self._v(tau, "tau"),
+                pin.Convention.WORLD,
+            )
+        )
 
     def energy(self, q: Array, v: Array) -> float:
         """Kinetic plus potential energy [J]."""
+        q, v = self._q(q), self._v(v)
         return float(
             pin.computeKineticEnergy(self._model, self._data, q, v)
             + pin.computePotentialEnergy(self._model, self._data, q)
         )
+
+    def _q(self, q: Array) -> Array:
+        return as_vector("q", q, self.robot.nq)
+
+    def _v(self, v: Array, name: str = "v") -> Array:
+        return as_vector(name, v, self.robot.nv)

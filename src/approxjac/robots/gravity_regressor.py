@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
+from approxjac.checks import Array, as_vector
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots.robot import Robot
 
@@ -123,7 +123,7 @@ class GravityRegressor:
     def _full(self, q: Array) -> Array:
         """All columns at rest, shape (n_v, 10 n_v); an alias of scratch memory."""
         regressor: Array = pin.computeJointTorqueRegressor(
-            self._model, self._data, q, self._zero, self._zero
+            self._model, self._data, as_vector("q", q, self.robot.nq), self._zero, self._zero
         )
         return regressor
 

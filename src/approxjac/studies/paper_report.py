@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac.robots import Robot
 from approxjac.studies.paper import JacobianBound, Result, Setup
-from approxjac.view import plot_error, plot_path, plot_torque
+from approxjac.view import new_figure, plot_error, plot_path, plot_torque, save_figure
 from approxjac.view.style import COLORS, TARGET, style
 
 if TYPE_CHECKING:
@@ -20,17 +20,12 @@ if TYPE_CHECKING:
 
 def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
     """Return one of Figures 3–8: task error, the arm's path in its plane, joint torques."""
-    from matplotlib.figure import Figure
-
-    with style():
-        figure = Figure(figsize=(13.0, 4.2), layout="constrained")
-        left, middle, right = figure.subplots(1, 3)
-        experiment = result.experiment
-        figure.suptitle(
-            f"Figure {experiment.figure}: {experiment.title} "
-            f"(K_p = {experiment.kp:g} I, K_v = {experiment.kv:g} I) — {result.verdict}",
-            fontweight="bold",
-        )
+    experiment = result.experiment
+    figure, (left, middle, right) = new_figure(
+        3,
+        title=f"Figure {experiment.figure}: {experiment.title} "
+        f"(K_p = {experiment.kp:g} I, K_v = {experiment.kv:g} I) — {result.verdict}",
+    )
     plot_error(result.run, left)
     plot_path(result.run, truth, target=setup.target, ax=middle)
     plot_torque(result.run, right)
@@ -39,11 +34,8 @@ def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
 
 def draw_bound(bound: JacobianBound) -> Figure:
     """Return Figure 1: the allowed p against a, its two curves and their crossing."""
-    from matplotlib.figure import Figure
-
+    figure, (ax,) = new_figure(size=(6.5, 4.2))
     with style():
-        figure = Figure(figsize=(6.5, 4.2), layout="constrained")
-        ax = figure.subplots()
         allowed = np.minimum(bound.velocity, bound.position)
         ax.fill_between(bound.a, allowed, color=COLORS[2], alpha=0.15, label="p allowed by (23)")
         ax.plot(bound.a, bound.velocity, color=COLORS[0], label="2λ₂/(a + α)")
@@ -136,8 +128,6 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
 
 def write_result(result: Result, setup: Setup, truth: Robot, out: Path) -> None:
     """Write figN.png, figN.svg and the trajectory figN.npz."""
-    from approxjac.view import save_figure
-
     stem = out / f"fig{result.experiment.figure}"
     save_figure(draw_result(result, setup, truth), stem)
     result.run.save(stem.with_suffix(".npz"))

@@ -12,7 +12,7 @@ from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
-from approxjac.view.style import COLORS, TARGET, style
+from approxjac.view.style import COLORS, TARGET, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,22 +92,14 @@ def plot_path(
 
 def plot_run(run: Trajectory) -> Figure:
     """Return a new figure with the task error and the torques of a run."""
-    from matplotlib.figure import Figure
-
-    with style():
-        figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-        left, right = figure.subplots(1, 2)
+    figure, (left, right) = new_figure(2)
     plot_error(run, left)
     plot_torque(run, right)
     return figure
 
 
 def _axes(ax: Axes | None) -> Axes:
-    if ax is not None:
-        return ax
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(5.0, 3.6), layout="constrained").subplots()
+    return new_figure()[1][0] if ax is None else ax
 
 
 def _skeleton(robot: Robot, frame: str, q: Array) -> Array:

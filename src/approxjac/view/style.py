@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -40,12 +41,34 @@ def style() -> Iterator[None]:
         yield
 
 
-def save_figure(figure: Figure, stem: Path) -> list[Path]:
+def new_figure(
+    columns: int = 1, rows: int = 1, *, size: tuple[float, float] | None = None, title: str = ""
+) -> tuple[Figure, list[Axes]]:
+    """Return an empty figure in the library's look, and its axes row by row.
+
+    Args:
+        columns: Plots side by side.
+        rows: Plots one above the other.
+        size: Width and height [inch]; 4.3 × 3.6 for each plot by default.
+        title: Of the whole figure.
+    """
+    from matplotlib.figure import Figure
+
+    with style():
+        figure = Figure(size or (4.3 * columns, 3.6 * rows), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False)
+        if title:
+            figure.suptitle(title, fontweight="bold")
+    return figure, list(axes.flat)
+
+
+def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     """Write a figure as `stem`.png and `stem`.svg, without dates inside.
 
     Returns:
         The two paths.
     """
+    stem = Path(stem)
     paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
     with style():
         figure.savefig(paths[0], dpi=130)

@@ -1,0 +1,38 @@
+"""Runs every code block of the README and the docs as a test."""
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from sybil import Sybil
+from sybil.example import Example
+from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
+
+ROOT = Path(__file__).parent
+
+
+def run_console(example: Example) -> None:
+    """Run the `$ ` lines of a console block: our command, or Python, from the repository root."""
+    for line in example.parsed.splitlines():
+        if not line.startswith("$ "):
+            continue
+        words = shlex.split(line.removeprefix("$ "))
+        known = {"approxjac": [sys.executable, "-m", "approxjac"], "python": [sys.executable]}
+        assert words[0] in known, f"not a command that the tests know how to run: {line}"
+        paths = [str(ROOT / word) if (ROOT / word).exists() else word for word in words[1:]]
+        subprocess.run([*known[words[0]], *paths], check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.fixture
+def scratch(tmp_path, monkeypatch):
+    """Blocks write their files into a folder that goes away."""
+    monkeypatch.chdir(tmp_path)
+
+
+pytest_collect_file = Sybil(
+    parsers=[PythonCodeBlockParser(), CodeBlockParser("console", run_console)],
+    patterns=["README.md", "docs/*.md"],
+    fixtures=["scratch"],
+).pytest()

@@ -1,0 +1,65 @@
+"""The table equation → function → tests, made from the docstrings of `approxjac.law`."""
+
+import importlib
+import inspect
+import pkgutil
+import re
+from pathlib import Path
+
+import approxjac.law
+
+ROOT = Path(__file__).parents[2]
+MARK = re.compile(r"Implements Eq\. \((\d+)\)")
+
+
+def members():
+    """Every function and class of `approxjac.law`, with the module it is defined in."""
+    for info in pkgutil.iter_modules(approxjac.law.__path__):
+        module = importlib.import_module(f"approxjac.law.{info.name}")
+        for name, member in vars(module).items():
+            if getattr(member, "__module__", None) == module.__name__ and not name.startswith("_"):
+                yield name, member
+
+
+def tests_of(number, name):
+    """Test files that use a name of the law, or say that they test its equation."""
+    pattern = re.compile(rf"\b(law|aj)\.{name}\b|Eq\. \({number}\)")
+    return sorted(
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "tests").rglob("test_*.py")
+        if pattern.search(path.read_text(encoding="utf-8"))
+    )
+
+
+def rows():
+    """Equation number, function, its docstring's departure, and its tests."""
+    found = []
+    for name, member in members():
+        text = inspect.getdoc(member) or ""
+        for number in MARK.findall(text):
+            departure = re.search(r"Departures?:(.*?)(?:\n\n|\Z)", text, re.DOTALL)
+            note = " ".join(departure.group(1).split()) if departure else ""
+            found.append((int(number), name, note, tests_of(number, name)))
+    return sorted(found)
+
+
+def table():
+    """The table as Markdown."""
+    lines = ["| Eq. | `approxjac.law.` | departure from the print | tests |", "|---|---|---|---|"]
+    for number, name, departure, tests in rows():
+        lines.append(
+            f"| ({number}) | `{name}` | {departure or '–'} | "
+            f"{', '.join(f'`{test}`' for test in tests)} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def write(app):
+    folder = Path(app.srcdir) / "_generated"
+    folder.mkdir(exist_ok=True)
+    (folder / "equations.md").write_text("---\norphan: true\n---\n\n" + table(), encoding="utf-8")
+
+
+def setup(app):
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,38 @@
+"""Sphinx configuration. Build with `sphinx-build -W docs docs/_build`."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "_ext"))
+
+import approxjac  # noqa: E402
+
+project = "approxjac"
+author = "the approxjac authors"
+copyright = "2026, the approxjac authors"
+version = release = approxjac.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "equations",
+    "mathml",
+    "study_figures",
+]
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+html_math_renderer = "mathml"
+html_theme = "furo"
+html_title = "approxjac"
+html_theme_options = {"footer_icons": []}
+exclude_patterns = ["_build", "_ext"]
+nitpicky = False
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autoclass_content = "class"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True

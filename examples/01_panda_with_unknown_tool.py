@@ -1,0 +1,53 @@
+"""A Panda holds a 20 cm tool that its controller knows nothing about.
+
+You will see: the tool's tip reaches its target although the controller works with the Jacobian of
+the bare hand. It never learns the tool's length; measuring the tip is enough.
+
+    python examples/01_panda_with_unknown_tool.py --out results/examples
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import approxjac as aj
+from approxjac import view
+
+arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+arguments.add_argument("--out", type=Path, default=Path("results/examples"))
+out = arguments.parse_args().out
+out.mkdir(parents=True, exist_ok=True)
+
+# The truth, which only the simulated plant owns: a 20 cm tool in the hand.
+arm = aj.load_robot("panda")
+truth = arm.with_object(length=0.20, mass=0.5, axis="x")
+plant = aj.Plant(truth, sensor=aj.PositionTask(truth, frame="object_tip"), friction=0.1)
+
+# The belief, which only the controller owns: no tool at all. Its weight is known, as in law (6):
+# gravity is Z(q) theta with the right theta, and Z does not need the tool's length.
+belief = arm.with_object(length=0.0, mass=0.0)
+regressor = aj.GravityRegressor(belief)
+theta, _ = regressor.fit(truth)
+controller = aj.SetpointController(
+    aj.PositionTask(belief, frame="object_tip"),
+    aj.Gains(kp=400.0, kv=80.0, damping=1.0),
+    gravity=aj.RegressorGravity(regressor, theta),
+)
+
+# Sampled at 1 kHz, as on the robot.
+q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+target = plant.sensor.value(q0) + [0.10, -0.15, 0.16]
+run = aj.simulate(plant, controller, target, q0, duration=3.0, dt=1e-3)
+print(run)
+
+figure, (left, middle, right) = view.new_figure(3, title="A 20 cm tool it believes absent")
+view.plot_error(run, left)
+view.plot_path(run, truth, plane="xz", ax=middle)
+tips = np.array([aj.PositionTask(belief).value(q) for q in run.q])
+middle.plot(tips[:, 0], tips[:, 2], ":", color="#CC79A7", label="where it believes the tip")
+middle.plot(target[0], target[2], "x", color="#555555", ms=8, label="target")
+middle.legend(fontsize=7, loc="lower right")
+view.plot_torque(run, right)
+for path in view.save_figure(figure, out / "panda_unknown_tool"):
+    print(path)

@@ -1,0 +1,47 @@
+"""A Panda picks up a payload of unknown mass, and learns its weight while it moves.
+
+You will see: without learning, the arm hangs centimetres below its target, because the force that
+holds the unknown payload has to come from an error. With the adaptive law (28), (29) the error
+goes away. The controller believes in no payload and no tool.
+
+    python examples/03_gravity_is_learnt.py --out results/examples
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import approxjac as aj
+from approxjac import view
+
+arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+arguments.add_argument("--out", type=Path, default=Path("results/examples"))
+out = arguments.parse_args().out
+out.mkdir(parents=True, exist_ok=True)
+
+arm = aj.load_robot("panda")
+truth = arm.with_object(length=0.15, mass=1.5)
+belief = arm.with_object(length=0.0, mass=0.0)
+plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
+task = aj.PositionTask(belief)
+gains = aj.Gains(kp=400.0, kv=120.0, damping=2.0)
+
+regressor = aj.GravityRegressor(belief)
+gravities = {
+    "believed": aj.ModelGravity(belief),
+    "learnt": aj.AdaptiveGravity(regressor, L=0.5, alpha=2.0),  # starts from the belief
+}
+q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+target = plant.sensor.value(q0) + [0.10, -0.10, 0.10]
+
+figure, axes = view.new_figure(2, title="A Panda with 1.5 kg that it believes absent")
+for ax, (name, gravity) in zip(axes, gravities.items(), strict=True):
+    controller = aj.SetpointController(task, gains, gravity=gravity)
+    run = aj.simulate(plant, controller, target, q0, duration=10.0, dt=2e-3)
+    print(f"gravity {name}: {run}")
+    view.plot_error(run, ax)
+    ax.set_title(f"Gravity {name}: {1e3 * run.error_norm[-1]:.2f} mm after 10 s")
+
+for path in view.save_figure(figure, out / "learnt_gravity"):
+    print(path)
