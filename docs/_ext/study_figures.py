@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -11,16 +12,38 @@ from approxjac.cli import main
 ROOT = Path(__file__).parents[2]
 
 
+def table(figures):
+    """The verdicts of summary.json as Markdown."""
+    times = ("5", "20", "60", "120")
+    lines = [
+        f"| figure | max Re λ [1/s] | {' | '.join(f'{t} s' for t in times)} | verdict | paper |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, entry in figures.items():
+        if "verdict" not in entry:
+            continue
+        eigenvalue = entry["max_real_eigenvalue"]
+        cells = [
+            f"{name.removeprefix('fig')}: {entry['title']}",
+            "–" if eigenvalue is None else f"{eigenvalue:+.4f}",
+            *(f"{entry['error_ratio'][t]:.4f}" for t in times),
+            entry["verdict"],
+            entry["paper"],
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
 def make(app):
     folder = Path(app.srcdir) / "_generated"
     folder.mkdir(exist_ok=True)
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
+    with contextlib.redirect_stdout(io.StringIO()):
         code = main(["paper", "--out", str(folder / "paper")])
     if code != 0:
         raise RuntimeError(f"approxjac paper ended with exit code {code}")
-    text = printed.getvalue().split("\nPictures")[0]
-    (folder / "paper_table.txt").write_text(text, encoding="utf-8")
+    summary = json.loads((folder / "paper" / "summary.json").read_text(encoding="utf-8"))
+    text = "---\norphan: true\n---\n\n" + table(summary["figures"])
+    (folder / "paper_table.md").write_text(text, encoding="utf-8")
     for example in sorted((ROOT / "examples").glob("*.py")):
         subprocess.run(
             [sys.executable, str(example), "--out", str(folder / "examples")],

@@ -87,7 +87,7 @@ EXPERIMENTS: Mapping[int, Experiment] = {
         ),
         Experiment(
             6, "lengths of links and object wrong", CAMERA, _WRONG_LENGTHS, 5000.0, 5000.0,
-            "stable", "a response with uncertain kinematics",
+            "stable", "Effect of Uncertain Kinematics",
         ),
         Experiment(
             7, "camera and lengths wrong", _ALL_WRONG, _WRONG_LENGTHS, 5000.0, 30000.0,
