@@ -29,7 +29,7 @@ html_title = "approxjac"
 html_static_path = ["_static"]
 html_css_files = ["formulas.css"]
 html_theme_options = {"footer_icons": []}
-exclude_patterns = ["_build", "_ext"]
+exclude_patterns = ["_build", "_ext", "_generated/*.md"]  # included by other pages
 nitpicky = False
 
 autodoc_member_order = "bysource"

@@ -59,7 +59,8 @@ def test_the_summary_has_the_agreed_form(paper):
         assert (entry["max_real_eigenvalue"] is None) == (n == 8)
     assert figures["fig5"]["max_real_eigenvalue"] == pytest.approx(-0.0130, abs=5e-5)
     assert figures["fig8"]["theta_hat"] == pytest.approx([3.5, 1.625], rel=0.01)
-    assert figures["fig1"]["certifies_figure_4"] is False
+    assert figures["fig1"]["condition_23_met_by_figure_4"] is False
+    assert figures["fig1"]["allowed_p_at_a_of_figure_4"] < figures["fig1"]["largest_allowed_p"]
 
 
 def test_the_table_stands_beside_the_papers_words(paper):
@@ -85,6 +86,37 @@ def test_single_figures_and_options(tmp_path, capsys):
     assert "Figure 1" not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        (["--gamma", "0.005"], {"gamma": 0.005}),
+        (["--inertia", "point-mass"], {"inertia": "point-mass"}),
+        (["--friction", "0.5"], {"friction": 0.5}),
+    ],
+)
+def test_each_option_reaches_the_run(tmp_path, option, expected):
+    usual, changed = tmp_path / "usual", tmp_path / "changed"
+    short = ["--figures", "4", "--duration", "2"]
+    main(["paper", "--out", str(usual), *short])
+    main(["paper", "--out", str(changed), *short, *option])
+    setup = json.loads((changed / "summary.json").read_text())["setup"]
+    assert expected.items() <= setup.items()
+    runs = [aj.Trajectory.load(folder / "fig4.npz") for folder in (usual, changed)]
+    assert np.abs(runs[0].q - runs[1].q).max() > 1e-3
+
+
+def test_a_singular_target_is_no_crash(tmp_path, capsys):
+    arguments = ["--figures", "1", "4", "--target", "0", "0", "--duration", "5"]
+    assert main(["paper", "--out", str(tmp_path), *arguments]) == 1
+    assert "singular posture" in capsys.readouterr().out
+
+
+def test_a_file_in_the_way_gives_exit_code_2(tmp_path, capsys):
+    (tmp_path / "fig1.png").mkdir()
+    assert main(["paper", "--out", str(tmp_path), "--figures", "1"]) == 2
+    assert "fig1.png" in capsys.readouterr().err
+
+
 def test_degrees_become_radians(tmp_path):
     arguments = ["--start", "30", "60", "--target", "80", "70", "--duration", "1"]
     main(["paper", "--out", str(tmp_path), "--figures", "4", *arguments])
@@ -105,6 +137,7 @@ def test_a_verdict_that_differs_gives_exit_code_1(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
+        (["--figures"], "approxjac: figures must name at least one figure, got none"),
         (["--figures", "2"], "approxjac: figures must be among 1, 3, 4, 5, 6, 7, 8, got 2"),
         (["--friction", "-1"], "approxjac: friction must be a finite number >= 0"),
         (["--start", "90", "90"], "approxjac: start must not have the image of the target already"),

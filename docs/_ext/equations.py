@@ -57,7 +57,7 @@ def table():
 def write(app):
     folder = Path(app.srcdir) / "_generated"
     folder.mkdir(exist_ok=True)
-    (folder / "equations.md").write_text("---\norphan: true\n---\n\n" + table(), encoding="utf-8")
+    (folder / "equations.md").write_text(table(), encoding="utf-8")
 
 
 def setup(app):

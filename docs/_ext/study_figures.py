@@ -42,8 +42,7 @@ def make(app):
     if code != 0:
         raise RuntimeError(f"approxjac paper ended with exit code {code}")
     summary = json.loads((folder / "paper" / "summary.json").read_text(encoding="utf-8"))
-    text = "---\norphan: true\n---\n\n" + table(summary["figures"])
-    (folder / "paper_table.md").write_text(text, encoding="utf-8")
+    (folder / "paper_table.md").write_text(table(summary["figures"]), encoding="utf-8")
     for example in sorted((ROOT / "examples").glob("*.py")):
         subprocess.run(
             [sys.executable, str(example), "--out", str(folder / "examples")],

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, UnknownNameError
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,8 @@ def as_array(name: str, value: Any, shape: tuple[int, ...], unit: str = "") -> A
     """
     suffix = f" [{unit}]" if unit else ""
     try:
+        if np.asarray(value).dtype.kind not in "iuf":  # text and booleans are no numbers
+            raise TypeError
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(
@@ -77,7 +79,7 @@ def as_number(
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
-    if isinstance(value, bool) or not (
+    if isinstance(value, bool | str | bytes) or not (
         math.isfinite(number) and number >= minimum and number > above
     ):
         raise InvalidInputError(
@@ -94,10 +96,7 @@ def as_diagonal(
     Raises:
         InvalidInputError: Wrong shape, not finite, negative, or zero where `positive`.
     """
-    try:
-        scalar = np.ndim(value) == 0
-    except ValueError:
-        scalar = False
+    scalar = is_scalar(value)
     array = as_array(name, [value] * size if scalar else value, (size,), unit)
     if (array <= 0).any() if positive else (array < 0).any():
         wanted = "> 0" if positive else ">= 0"
@@ -106,3 +105,28 @@ def as_diagonal(
             f"{name} must be {wanted} in every entry{suffix}, got {array.tolist()}", given=value
         )
     return array
+
+
+def is_scalar(value: Any) -> bool:
+    """Return whether a value is a single item; a ragged list is not."""
+    try:
+        return np.ndim(value) == 0
+    except ValueError:
+        return False
+
+
+def axis_rows(name: str, axes: str) -> list[int]:
+    """Return the rows of the world axes that a text such as "xz" names.
+
+    Raises:
+        InvalidInputError: Not a text, no axis, or one named twice.
+        UnknownNameError: An axis that is not x, y or z.
+    """
+    if not isinstance(axes, str) or not axes or len(set(axes)) != len(axes):
+        raise InvalidInputError(
+            f"{name} must name each axis once, such as 'xyz' or 'xz', got {axes!r}", given=axes
+        )
+    for letter in axes:
+        if letter not in "xyz":
+            raise UnknownNameError("axis", letter, name, "xyz")
+    return ["xyz".index(letter) for letter in axes]

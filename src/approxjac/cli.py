@@ -48,6 +48,8 @@ def paper(
     from approxjac.view import save_figure
 
     known = [1, *study.EXPERIMENTS]
+    if not figures:
+        raise InvalidInputError("figures must name at least one figure, got none", given=figures)
     for figure in figures:
         if figure not in known:
             raise InvalidInputError(
@@ -62,7 +64,7 @@ def paper(
         duration=duration,
     )
     _make_folder(out)
-    truth = study.true_robot(inertia)
+    truth = study.build_arm(inertia=inertia)
     bound = None
     results = []
     experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]
@@ -96,7 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     try:
         return int(app.cli(args=arguments, prog="approxjac"))
-    except ApproxJacError as error:
+    except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
         print(f"approxjac: {error}", file=sys.stderr)
         return 2
 

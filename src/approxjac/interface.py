@@ -29,7 +29,8 @@ class Status(enum.IntEnum):
 _MESSAGES: Mapping[Status, str] = {
     Status.OK: "the law was evaluated as written",
     Status.NEAR_SINGULAR: (
-        "the estimated Jacobian is near a singular pose: its pseudo-inverse was damped"
+        "the estimated Jacobian is near a singular pose: in one direction hardly any force acts, "
+        "and its pseudo-inverse is damped"
     ),
     Status.MEASUREMENT_LOST: (
         "the task measurement is not finite: no task force, damping and gravity compensation "
@@ -62,8 +63,8 @@ class Evaluation(NamedTuple):
         state_rate: Time derivative of the controller's state, shape (n_state,).
         status: What happened.
         e: Task error x − x_d, shape (m,) [unit of the task].
-        sigma_min: Smallest singular value of the estimated Jacobian where the law needs
-            its pseudo-inverse, NaN otherwise.
+        sigma_min: Smallest singular value of the estimated Jacobian [unit of the task/rad];
+            NaN from controllers that do not report it.
     """
 
     torque: Array

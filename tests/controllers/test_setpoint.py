@@ -129,7 +129,39 @@ def test_a_singular_pose_is_reported_and_the_rate_stays_bounded(two_link):
         assert (answer.status is aj.Status.NEAR_SINGULAR) == near
         rates.append(answer.state_rate)
     assert np.abs(rates).max() < 1e3
-    assert "pseudo-inverse was damped" in aj.Status.NEAR_SINGULAR.message
+    assert "pseudo-inverse is damped" in aj.Status.NEAR_SINGULAR.message
+
+
+@pytest.mark.parametrize("bend", [0.5, 0.05, 0.02, 0.0])
+def test_the_smallest_singular_value_is_always_reported(two_link, bend):
+    task = aj.PositionTask(two_link, axes="xz")
+    controller = aj.SetpointController(task, aj.Gains(100.0, 50.0))
+    q = np.array([0.3, bend])
+    answer = controller.evaluate(
+        np.zeros(0), aj.Measurement(0.0, q, np.zeros(2), np.zeros(2)), np.ones(2)
+    )
+    values = np.linalg.svd(task.jacobian(q), compute_uv=False)
+    assert_allclose(answer.sigma_min, values[-1], atol=1e-7)
+    assert (answer.status is aj.Status.NEAR_SINGULAR) == (values[-1] < 0.02 * values[0])
+
+
+def test_the_differentiator_goes_on_while_the_measurement_is_lost(panda, rng):
+    controller = controllers(panda)["(5)"]
+    measurement = state_of(panda, rng)
+    state = controller.initial_state(measurement)
+    lost = measurement._replace(x=np.full(3, np.nan))
+    rate = controller.evaluate(state, lost, TARGET).state_rate
+    assert_allclose(rate, controller.task.jacobian(measurement.q) @ measurement.v)
+    with pytest.raises(aj.MeasurementError, match=r"the first x must be finite for law \(5\)"):
+        controller.initial_state(lost)
+
+
+def test_a_saturation_of_the_wrong_length_is_refused(panda):
+    task, gains = aj.PositionTask(panda), aj.Gains(1.0, 1.0, 1.0)
+    for saturation in (aj.Sine((0.1, 0.2)), aj.Tanh(np.ones(4))):
+        with pytest.raises(aj.InvalidInputError, match="saturation must have one gamma, or 3 for"):
+            aj.SetpointController(task, gains, saturation=saturation)
+    aj.SetpointController(task, gains, saturation=aj.Sine((0.1, 0.2, 0.3)))
 
 
 def test_the_same_inputs_give_the_same_outputs(controller, rng):
@@ -168,19 +200,58 @@ def test_the_torque_never_depends_on_the_true_robot(controller, rng):
         assert np.array_equal(answer.state_rate, answers[0].state_rate)
 
 
-@pytest.mark.parametrize("figure", paper.EXPERIMENTS)
-def test_the_true_robot_cannot_be_reached_from_a_controller(figure):
-    plant, controller = paper.build(paper.EXPERIMENTS[figure], paper.Setup())
+def robots_reachable_from(controller):
+    """Every robot that an object can get at, through attributes, closures and defaults."""
     seen: dict[int, object] = {}
     frontier: list[object] = [controller]
     while frontier:
         found = frontier.pop()
-        if id(found) not in seen and not isinstance(found, type | ModuleType | FunctionType):
-            seen[id(found)] = found
+        if id(found) in seen or isinstance(found, type | ModuleType):
+            continue
+        seen[id(found)] = found
+        if isinstance(found, FunctionType):  # but not its globals, which reach everything
+            frontier += [found.__closure__, found.__defaults__, found.__kwdefaults__]
+        else:
             frontier += gc.get_referents(found)
-    robots = [found for found in seen.values() if isinstance(found, aj.Robot)]
-    assert controller.task.robot in robots  # the walk does find robots
+    return [found for found in seen.values() if isinstance(found, aj.Robot)]
+
+
+@pytest.mark.parametrize("figure", paper.EXPERIMENTS)
+def test_the_true_robot_cannot_be_reached_from_a_controller(figure):
+    experiment = paper.EXPERIMENTS[figure]
+    plant, controller = paper.build(experiment, paper.Setup())
+    robots = robots_reachable_from(controller)
+    assert controller.task.robot in robots
     assert not any(robot is plant.robot for robot in robots)
+    if experiment.lengths != paper.LENGTHS:  # then no robot like the true one either
+        assert plant.robot not in robots
+
+
+def test_the_walk_finds_what_is_hidden():
+    _, controller = paper.build(paper.EXPERIMENTS[7], paper.Setup())
+    truth = paper.build_arm()
+    assert truth not in robots_reachable_from(controller)
+    controller.hidden = lambda: truth
+    assert truth in robots_reachable_from(controller)
+
+
+@pytest.mark.parametrize("figure", paper.EXPERIMENTS)
+def test_the_studys_torques_are_bit_identical_when_the_truth_changes(figure, rng):
+    """Whatever truth stands beside it, the same belief and measurement give the same bits."""
+    plant, controller = paper.build(paper.EXPERIMENTS[figure], paper.Setup())
+    measurement = plant.measure(0.0, rng.uniform(-1, 1, 2), rng.uniform(-1, 1, 2))
+    state = controller.initial_state(measurement)
+    target = np.array([-0.02, 0.02])
+    before = controller.evaluate(state, measurement, target)
+    for lengths in ((1.1, 0.9, 0.3), (0.8, 1.2, 0.7)):
+        other = paper.build_arm(lengths)
+        changed = aj.Plant(other, aj.ImageTask(other, paper.CAMERA))
+        own = changed.measure(0.0, measurement.q, measurement.v)
+        assert not np.array_equal(own.x, measurement.x)
+        changed.acceleration(own.q, own.v, before.torque)
+        after = controller.evaluate(state, own._replace(x=measurement.x), target)
+        assert np.array_equal(after.torque, before.torque)
+        assert np.array_equal(after.state_rate, before.state_rate)
 
 
 # -- lost and bad measurements --------------------------------------------------------------
@@ -195,11 +266,11 @@ def test_a_lost_measurement_leaves_damping_and_gravity(controller, value, rng):
     answer = controller.evaluate(state, lost, TARGET)
     assert answer.status is aj.Status.MEASUREMENT_LOST
     assert "adaptation frozen" in answer.status.message
-    assert np.array_equal(answer.state_rate, np.zeros(controller.n_state))
+    assert np.array_equal(controller.theta_hat(answer.state_rate), controller.theta_hat(0 * state))
     # the same as at the target with no measured velocity
     _, kv, damping = controller.diagonals
     J_hat = controller.task.jacobian(measurement.q)
-    x_dot = J_hat @ measurement.v if controller.velocity is None else np.zeros(3)
+    x_dot = J_hat @ measurement.v
     g = aj.Dynamics(robot).g(measurement.q)
     if isinstance(controller.gravity, aj.NoGravity):
         g = 0.0 * g
@@ -228,9 +299,17 @@ def test_absurd_but_finite_numbers_give_a_finite_torque_or_a_named_error(control
             with np.errstate(all="ignore"):
                 answer = controller.evaluate(state, absurd, TARGET)
         except aj.MeasurementError as error:
-            assert "the torque overflows" in str(error)  # noqa: PT017
+            assert "overflows" in str(error)  # noqa: PT017
         else:
             assert np.isfinite(answer.torque).all()
+            assert np.isfinite(answer.state_rate).all()
+
+
+def test_an_error_that_overflows_is_named(panda, rng):
+    controller = controllers(panda)["(6), saturated"]
+    measurement = state_of(panda, rng)._replace(x=np.full(3, 1.7e308))
+    with pytest.raises(aj.MeasurementError, match="the error overflows: x ="):
+        controller.evaluate(np.zeros(0), measurement, np.full(3, -1.7e308))
 
 
 def test_wrong_shapes_are_named(panda, rng):
@@ -265,6 +344,7 @@ def test_wrong_shapes_are_named(panda, rng):
         ({"kp": (1.0, np.nan), "kv": 1.0}, r"kp must be finite, got \[1.0, nan\]"),
         ({"kp": 1.0, "kv": 1.0, "damping": -0.1}, r"damping must be >= 0 in every entry, got \[-0"),
         ({"kp": "high", "kv": 1.0}, r"kp must be numbers of shape \(1,\), got \['high'\]"),
+        ({"kp": "400", "kv": 1.0}, r"kp must be numbers of shape \(1,\), got \['400'\]"),
     ],
 )
 def test_bad_gains_are_refused(arguments, text):
@@ -300,6 +380,7 @@ def test_gravity_of_another_arm_is_refused(panda, two_link):
         ({"L": np.ones(3), "alpha": 1.0}, r"L must have shape \(2,\), got shape \(3,\)"),
         ({"L": np.array([[1.0, 2.0], [2.0, 1.0]]), "alpha": 1.0}, "L must be symmetric positive d"),
         ({"L": np.array([[1.0, 2.0], [0.0, 1.0]]), "alpha": 1.0}, "L must be symmetric positive d"),
+        ({"L": [[1.0], [2.0, 1.0]], "alpha": 1.0}, r"L must be numbers of shape \(2, 2\), got"),
         ({"L": 1.0, "alpha": 0.0}, r"alpha must be a finite number > 0 \[1/s\], got 0.0"),
         ({"L": 1.0, "alpha": 1.0, "theta0": (1.0,)}, r"theta0 must have shape \(2,\), got"),
     ],

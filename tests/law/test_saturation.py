@@ -86,9 +86,22 @@ def test_the_potential_of_tanh_keeps_its_digits_near_zero(u):
 @pytest.mark.parametrize("kind", [aj.Sine, aj.Tanh])
 def test_bad_gamma_is_refused(kind, gamma):
     with pytest.raises(
-        aj.InvalidInputError, match=r"gamma must be finite and > 0 \[unit of the ta"
+        aj.InvalidInputError, match=r"gamma must be (finite|> 0) \[unit of the task\], got"
     ):
         kind(gamma)
+
+
+def test_gamma_is_a_copy_and_may_be_a_list():
+    gamma = np.array([0.1, 0.2])
+    f = aj.Sine(gamma)
+    gamma[:] = 9.0
+    assert_allclose(f.s(np.array([1.0, 1.0])), [0.1, 0.2])
+    for kind in (aj.Sine, aj.Tanh):
+        both = kind([0.1, 0.2])
+        for call in (both.s, both.S, both.ds):
+            assert call(np.array([0.3, 0.4])).shape == (2,)
+    with pytest.raises(aj.InvalidInputError, match="gamma must be numbers of shape"):
+        aj.Sine("small")
 
 
 def test_d_bar_at_zero_is_one():

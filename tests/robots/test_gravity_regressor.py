@@ -1,4 +1,5 @@
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
@@ -66,11 +67,66 @@ def test_bad_moments_are_refused(two_link):
         aj.GravityRegressor(two_link, moments="xw")
 
 
+def test_moments_that_do_not_cover_the_robot_are_refused(panda):
+    with pytest.raises(aj.InvalidInputError, match="moments must cover the centres of mass of pan"):
+        aj.GravityRegressor(panda, moments="x")
+
+
+ROD = """<link name="{name}"><inertial><origin xyz="0.1 0.2 0.3"/><mass value="1"/>
+  <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <joint name="j_{name}" type="{kind}"><parent link="{parent}"/><child link="{name}"/>
+  <origin xyz="0.3 0 0.1"/><axis xyz="{axis}"/>
+  <limit lower="{low}" upper="{high}" effort="0" velocity="0"/></joint>"""
+
+
+def chain(*joints):
+    """A chain of equal links, for joints (type, axis, lower, upper)."""
+    parts = [
+        ROD.format(
+            name=f"l{i}", parent=f"l{i - 1}" if i else "base", kind=k, axis=a, low=lo, high=hi
+        )
+        for i, (k, a, lo, hi) in enumerate(joints)
+    ]
+    return aj.load_robot(f'<robot name="chain"><link name="base"/>{"".join(parts)}</robot>')
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        [("revolute", "0 1 0", 3.3, 6.0), ("revolute", "1 0 0", 3.3, 6.0)],
+        [("prismatic", "0 0 1", 1.5, 2.0), ("revolute", "0 1 0", -1, 1)],
+        [("prismatic", "0 0 1", 0, 0.3), ("prismatic", "1 0 0", 0, 0.3)],
+        [("revolute", "0 1 0", -1e-4, 1e-4), ("prismatic", "1 0 0", 0, 1),
+         ("revolute", "1 1 0", -1, 1)],
+        [("continuous", "0 1 0", 0, 0), ("revolute", "1 0 0", -9, -7)],
+    ],
+)  # fmt: skip
+def test_limits_and_prismatic_joints_do_not_hide_a_parameter(joints, rng):
+    robot = chain(*joints)
+    regressor, dynamics = aj.GravityRegressor(robot), aj.Dynamics(robot)
+    lower, upper = robot.position_limits
+    for _ in range(50):
+        q = robot.random_configuration(rng)
+        assert_allclose(regressor.Z(q) @ regressor.theta, dynamics.g(q), atol=1e-11)
+        motion = pin.difference(robot.model, robot.neutral(), q)
+        if robot.nq == robot.nv:
+            assert (motion >= lower).all()
+            assert (motion <= upper).all()
+    spread = np.ptp([robot.random_configuration(rng) for _ in range(50)], axis=0)
+    assert (spread > 0.0).all()
+
+
 def test_nothing_to_learn_without_gravity(two_link):
     with pytest.raises(aj.InvalidInputError, match="gravity exerts no torque on two_link"):
         aj.GravityRegressor(two_link.with_gravity((0.0, 0.0, 0.0)))
 
 
 def test_fit_refuses_another_arm(two_link, panda):
-    with pytest.raises(aj.InvalidInputError, match="robot must have 2 joints like two_link, got 7"):
+    with pytest.raises(
+        aj.InvalidInputError, match=r"robot must have the joints of two_link \(joint1, jo"
+    ):
         aj.GravityRegressor(two_link).fit(panda)
+    with pytest.raises(
+        aj.InvalidInputError, match=r"robot must be under the gravity \[0.0, 0.0, -9"
+    ):
+        aj.GravityRegressor(panda).fit(panda.with_gravity((0.0, 0.0, 9.81)))

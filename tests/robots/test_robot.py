@@ -90,6 +90,7 @@ def test_robots_are_values():
     assert a.with_object(0.1) != a
     assert a.with_gravity((0.0, 0.0, 0.0)) != a
     assert a != "two_link"
+    assert aj.load_robot("two_link", tip="link2") == a  # the tip is only a default
     copy = pickle.loads(pickle.dumps(a.with_object(0.1, axis="x")))
     assert copy == a.with_object(0.1, axis="x")
     with pytest.raises(ValueError, match="read-only"):
@@ -133,6 +134,79 @@ def test_bad_urdfs_are_refused(source, error, text):
         aj.load_robot(source)
     assert text in str(caught.value)
     assert caught.value.given is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (('<link name="base"/>', '<link name="arm"/>'), "two links are called 'arm'"),
+        (('<link name="base"/>', '<link name="base"/><link name="lost"/>'), "one link without a"),
+        (('xyz="0 1 0"', 'xyz="0 0 0"'), "the axis of joint 'hinge' is zero"),
+        (('effort="5"', ""), "the <limit> of joint 'hinge' needs effort and velocity; 0 means"),
+        (('<limit lower="-1" upper="1" effort="5" velocity="1"/>', ""), "has no <limit>; with"),
+        (('ixx="0.1"', 'ixx="-0.1"'), "link 'arm' has a negative mass or inertia"),
+        (('value="1"', 'value="-1"'), "link 'arm' has a negative mass or inertia"),
+        (("</joint>", '<mimic joint="other"/></joint>'), "joint 'hinge' mimics 'other', which"),
+        (
+            ("</robot>", '<joint name="again" type="fixed"><parent link="base"/><child link="arm"/>'
+             "</joint></robot>"),
+            "link 'arm' is the child of 2 joints",
+        ),
+        (
+            ("</robot>", '<link name="a"/><link name="b"/>'
+             '<joint name="ab" type="fixed"><parent link="a"/><child link="b"/></joint>'
+             '<joint name="ba" type="fixed"><parent link="b"/><child link="a"/></joint></robot>'),
+            "these links are not connected to 'base': a, b",
+        ),
+        (
+            ("</robot>", '<xacro:arm xmlns:xacro="http://www.ros.org/wiki/xacro"/></robot>'),
+            "holds <arm> of xacro: expand it first with the command xacro",
+        ),
+    ],
+)  # fmt: skip
+def test_faults_are_named(change, text):
+    urdf = minimal()
+    assert change[0] in urdf
+    with pytest.raises(aj.UrdfError) as caught:
+        aj.load_robot(urdf.replace(*change))
+    assert text in str(caught.value)
+
+
+@pytest.mark.parametrize("source", [None, 5, b"<robot/>"])
+def test_what_is_no_source_is_refused(source):
+    with pytest.raises(
+        aj.InvalidInputError, match="source must be a name, a path or URDF text, got"
+    ):
+        aj.load_robot(source)
+
+
+def test_comments_encodings_and_instructions_are_taken(tmp_path):
+    body = "<!-- first --><?note inside?>" + minimal().strip().replace("hinge", "gelänk")
+    assert "<!-- first -->" in aj.load_robot(body).with_object(0.1).urdf
+    path = tmp_path / "arm.urdf"
+    for encoding, declaration in (
+        ("utf-8", ""),
+        ("utf-8-sig", ""),
+        ("iso-8859-1", '<?xml version="1.0" encoding="ISO-8859-1"?>'),
+    ):
+        path.write_bytes((declaration + body).encode(encoding))
+        assert aj.load_robot(path).joint_names == ("gelänk",)
+
+
+def test_mimic_joints_are_locked_with_the_joint_they_follow():
+    finger = """<link name="f{i}"><inertial><mass value="0.1"/><inertia ixx="1e-3" ixy="0" ixz="0"
+      iyy="1e-3" iyz="0" izz="1e-3"/></inertial></link><joint name="jf{i}" type="prismatic">
+      <parent link="arm"/><child link="f{i}"/><axis xyz="1 0 0"/>
+      <limit lower="0" upper="1" effort="1" velocity="1"/>{mimic}</joint>"""
+    mimic = '<mimic joint="jf1" multiplier="-2" offset="0.1"/>'
+    fingers = finger.format(i=1, mimic="") + finger.format(i=2, mimic=mimic)
+    robot = aj.load_robot(minimal().replace("</robot>", fingers + "</robot>"))
+    assert robot.joint_names == ("hinge", "jf1", "jf2")
+    locked = robot.with_locked_joints({"jf1": 0.3})
+    assert locked.joint_names == ("hinge",)
+    place = locked.model.frames[locked.frame_id("f2")].placement
+    assert_allclose(place.translation, [-0.5, 0.0, 0.0], atol=1e-15)
+    assert "mimic" not in locked.urdf
 
 
 def test_a_file_that_is_not_text_is_refused(tmp_path):
@@ -188,6 +262,15 @@ def test_the_tip_lies_along_the_axis_and_keeps_the_orientation(panda, axis, dire
     assert_allclose(payload.lever, in_joint, atol=1e-12)
 
 
+def test_only_the_direction_of_an_axis_counts(panda):
+    for size in (1e-200, 1.0, 1e200):
+        tip = panda.with_object(0.3, axis=(0.0, size, 0.0))
+        assert_allclose(
+            aj.PositionTask(tip).value(np.zeros(7)),
+            aj.PositionTask(panda.with_object(0.3, axis="y")).value(np.zeros(7)),
+        )
+
+
 def test_zero_length_and_zero_mass_are_legal(panda, rng):
     nothing = panda.with_object(0.0)
     q, v = panda.random_configuration(rng), rng.uniform(-1, 1, 7)
@@ -219,6 +302,7 @@ def test_objects_can_be_stacked(panda):
         ({"length": np.nan}, aj.InvalidInputError, "length must be a finite number >= 0 [m], got"),
         ({"length": "long"}, aj.InvalidInputError, "got 'long'"),
         ({"axis": "w"}, aj.UnknownNameError, "axis 'w' not in the axes; valid are -x, -y, -z, x,"),
+        ({"axis": "xy"}, aj.UnknownNameError, "axis 'xy' not in the axes; did you mean 'y' or"),
         ({"axis": (0, 0, 0)}, aj.InvalidInputError, "axis must not be zero"),
         ({"axis": (1, 0)}, aj.InvalidInputError, "axis must have shape (3,), got shape (2,)"),
         (
@@ -228,7 +312,18 @@ def test_objects_can_be_stacked(panda):
         ),
         ({"parent": "panda_joint4"}, aj.UnknownNameError, "link 'panda_joint4' not in panda; did"),
         ({"name": "panda_hand"}, aj.InvalidInputError, "panda already has a frame 'panda_hand'"),
-        ({"name": ""}, aj.InvalidInputError, "name must be new to the robot, got ''"),
+        (
+            {"name": ""},
+            aj.InvalidInputError,
+            "name must be a text without spaces, such as 'object'",
+        ),
+        ({"name": 5}, aj.InvalidInputError, "name must be a text without spaces, such as 'object'"),
+        ({"name": "a\0"}, aj.InvalidInputError, "name must be a text without spaces, such as"),
+        (
+            {"length": "0.5"},
+            aj.InvalidInputError,
+            "length must be a finite number >= 0 [m], got '0",
+        ),
     ],
 )
 def test_bad_objects_are_refused(panda, arguments, error, text):
@@ -263,10 +358,11 @@ def test_kinematic_errors_reach_fixed_joints(two_link, rng):
     assert_allclose(moved, [0.25, 0.0], atol=1e-14)
 
 
-def test_no_error_is_the_same_robot_to_the_last_bit(panda):
-    same = panda.with_kinematic_error({})
+def test_no_error_is_the_same_robot_but_for_round_off(panda):
+    nothing = dict.fromkeys(panda.joint_names, (0.0, 0.0, 0.0))
+    same = panda.with_kinematic_error(nothing, nothing)
     for a, b in zip(panda.model.jointPlacements, same.model.jointPlacements, strict=True):
-        assert np.array_equal(a.homogeneous, b.homogeneous)
+        assert_allclose(a.homogeneous, b.homogeneous, rtol=0, atol=4e-16)
 
 
 @pytest.mark.parametrize(

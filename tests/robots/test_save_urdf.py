@@ -12,6 +12,7 @@ import yourdfpy
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.robots.named import NAMED
 
 OBJECTS = {
     "rod": {"length": 0.5, "mass": 0.5, "radius": 0.0, "axis": "x"},
@@ -23,14 +24,15 @@ OBJECTS = {
 }
 
 
-@pytest.fixture(params=["two_link", "panda", "ur5", "xarm7"])
-def base(request):
-    return aj.load_robot(request.param)
-
-
-@pytest.fixture(params=sorted(OBJECTS))
-def saved(request, base, tmp_path):
-    robot = base.with_object(**OBJECTS[request.param])
+@pytest.fixture(
+    params=[("panda", kind) for kind in sorted(OBJECTS)]
+    + [(name, "cylinder") for name in sorted(NAMED)]
+    + [("two_link", "rod")],
+    ids="-".join,
+)
+def saved(request, tmp_path):
+    name, kind = request.param
+    robot = aj.load_robot(name).with_object(**OBJECTS[kind])
     return robot, robot.save_urdf(tmp_path / "held.urdf")
 
 
@@ -38,6 +40,11 @@ def tip(robot, q):
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, q)
     return data.oMf[robot.frame_id("object_tip")].homogeneous
+
+
+def angles(robot, q):
+    """One number a joint, as MuJoCo and yourdfpy have it, continuous joints included."""
+    return pin.difference(robot.model, robot.neutral(), q)
 
 
 def test_pinocchio(saved, rng):
@@ -54,26 +61,25 @@ def test_mujoco(saved, rng):
     robot, path = saved
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
-    data.qpos[:] = robot.random_configuration(rng)
+    q = robot.random_configuration(rng)
+    data.qpos[:] = angles(robot, q)
     mujoco.mj_forward(model, data)
     body = data.body("object_tip")
-    assert_allclose(body.xpos, tip(robot, data.qpos)[:3, 3], atol=1e-12)
-    assert_allclose(body.xmat.reshape(3, 3), tip(robot, data.qpos)[:3, :3], atol=1e-12)
+    assert_allclose(body.xpos, tip(robot, q)[:3, 3], atol=1e-12)
+    assert_allclose(body.xmat.reshape(3, 3), tip(robot, q)[:3, :3], atol=1e-12)
     held = [model.body(i).mass[0] for i in range(model.nbody)]
     first = model.jnt_bodyid[0]
     assert_allclose(sum(held[first:]), robot.mass, rtol=1e-12)
     M = np.zeros((robot.nv, robot.nv))
     mujoco.mj_fullM(model, data, M)
-    assert_allclose(
-        M, aj.Dynamics(robot).M(np.array(data.qpos)), atol=1e-9 + 1e-9 * np.abs(M).max()
-    )
+    assert_allclose(M, aj.Dynamics(robot).M(q), atol=1e-9 + 1e-9 * np.abs(M).max())
 
 
 def test_yourdfpy(saved, rng):
     robot, path = saved
     urdf = yourdfpy.URDF.load(str(path), load_meshes=False)
     q = robot.random_configuration(rng)
-    urdf.update_cfg(dict(zip(robot.joint_names, q, strict=True)))
+    urdf.update_cfg(dict(zip(robot.joint_names, angles(robot, q), strict=True)))
     base = urdf.base_link
     assert_allclose(urdf.get_transform("object_tip", base), tip(robot, q), atol=1e-12)
     masses = [link.inertial.mass for link in urdf.robot.links if link.inertial is not None]
@@ -81,10 +87,11 @@ def test_yourdfpy(saved, rng):
     assert_allclose(sum(masses), robot.mass + fixed, rtol=1e-12)
 
 
-def test_meshcat(tmp_path, rng):
+@pytest.mark.parametrize("name", ["two_link", "panda", "ur5", "kinova"])
+def test_meshcat(name, tmp_path, rng):
     from pinocchio.visualize import MeshcatVisualizer
 
-    robot = aj.load_robot("panda").with_object(0.2, 0.5)
+    robot = aj.load_robot(name).with_object(0.2, 0.5)
     path = robot.save_urdf(tmp_path / "held.urdf")
     viewer = MeshcatVisualizer(*pin.buildModelsFromUrdf(str(path)))
     viewer.initViewer(open=False)
@@ -179,3 +186,8 @@ def test_meshes_are_found_on_the_ros_package_path(tmp_path, mesh, monkeypatch):
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "robots"))
     robot = aj.load_robot(with_mesh("package://thing_description/meshes/a.stl"))
     assert str(mesh) in robot.save_urdf(tmp_path / "out.urdf").read_text()
+
+
+def test_a_folder_that_does_not_exist(two_link, tmp_path):
+    with pytest.raises(aj.InvalidInputError, match="path must be a file that can be written, got"):
+        two_link.save_urdf(tmp_path / "nowhere" / "arm.urdf")

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -157,7 +159,12 @@ def test_the_record_holds_the_run(short_run):
     assert run.q.shape == run.v.shape == run.tau.shape == run.x.shape == run.error.shape == (11, 2)
     assert_allclose(run.error, run.x - run.target)
     assert run.state.shape == (11, 0)
-    assert np.isnan(run.sigma_min).all()
+    assert_allclose(
+        run.sigma_min[0],
+        np.linalg.svd(
+            plant_of(aj.load_robot("two_link")).sensor.jacobian(run.q[0]), compute_uv=False
+        )[-1],
+    )
     assert run.status_counts() == {aj.Status.OK: 11}
     assert run.units["tau"] == "N m"
     assert run.units["x"] == run.task_unit == "m"
@@ -173,6 +180,7 @@ def test_a_run_saves_and_loads(short_run, tmp_path):
     for name in ("t", "q", "v", "x", "error", "tau", "state", "status", "sigma_min", "target"):
         assert np.array_equal(getattr(loaded, name), getattr(short_run, name), equal_nan=True)
     assert loaded.joint_names == short_run.joint_names
+    assert loaded.joint_units == ("rad", "rad")
     assert loaded.task_labels == short_run.task_labels
     assert repr(loaded) == repr(short_run)
     with np.load(path) as file:
@@ -185,9 +193,34 @@ def test_files_that_are_no_runs_are_refused(tmp_path):
     (tmp_path / "text.npz").write_text("hello")
     with pytest.raises(aj.TrajectoryFileError, match=r"text.npz is not a trajectory written by"):
         aj.Trajectory.load(tmp_path / "text.npz")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    with pytest.raises(aj.TrajectoryFileError, match=r"empty.npz is not a trajectory written by"):
+        aj.Trajectory.load(tmp_path / "empty.npz")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(aj.TrajectoryFileError, match=r"other.npz is not a trajectory written by"):
         aj.Trajectory.load(tmp_path / "other.npz")
+
+
+def test_ratios_are_read_between_records_and_only_within_the_run(short_run):
+    norm = short_run.error_norm
+    assert short_run.error_ratio(0.035) == pytest.approx(0.5 * (norm[3] + norm[4]) / norm[0])
+    for t in (-0.1, 0.2, np.nan):
+        with pytest.raises(aj.InvalidInputError, match=r"t must be within the run, 0 to 0.1 \[s\]"):
+            short_run.error_ratio(t)
+    still = dataclasses.replace(short_run, error=0.0 * short_run.error)
+    with pytest.raises(aj.InvalidInputError, match="there is no ratio to an initial error of 0"):
+        still.error_ratio(0.0)
+
+
+def test_a_run_that_cannot_be_written_is_a_named_error(short_run, tmp_path):
+    with pytest.raises(aj.TrajectoryFileError, match="path must be a file that can be written"):
+        short_run.save(tmp_path / "nowhere" / "run.npz")
+
+
+def test_prismatic_joints_have_their_own_units(short_run):
+    mixed = dataclasses.replace(short_run, joint_units=("m", "rad"))
+    assert mixed.units["tau"] == "N m or N"
+    assert mixed.units["v"] == "rad/s or m/s"
 
 
 def test_records_can_be_thinned(short_run):
@@ -220,12 +253,17 @@ def test_records_can_be_thinned(short_run):
         (
             {"dt": 0.3},
             aj.InvalidInputError,
-            r"whole number of sampling times dt = 0.3 \[s\], got 1",
+            r"duration must be a whole number of dt = 0.3 \[s\], got",
         ),
         (
             {"dt": 0.1, "record_every": 0.25},
             aj.InvalidInputError,
-            r"record_every must be a whole number of sampling times dt = 0.1 \[s\], got 0.25",
+            r"record_every must be a whole number of dt = 0.1 \[s\], got 0.25",
+        ),
+        (
+            {"record_every": 0.3},
+            aj.InvalidInputError,
+            r"duration must be a whole number of record_every = 0.3 \[s\], got 1",
         ),
         ({"record_every": 0.0}, aj.InvalidInputError, r"record_every must be a finite number > 0"),
         ({"rtol": 0.0}, aj.InvalidInputError, r"rtol must be a finite number > 0, got 0.0"),

@@ -25,7 +25,7 @@ def linearized_by_differences(plant, controller, q_target):
 @pytest.mark.parametrize("name", ["two_link", "ur5", "panda", "kinova"])
 def test_eigenvalues_are_those_of_the_flow(name, rng):
     arm = aj.load_robot(name)
-    truth, belief = arm.with_object(0.2), arm.with_object(0.05, axis="x")
+    truth, belief = arm.with_object(0.2), arm.with_object(0.05, axis="x")  # massless: g is exact
     axes = "xz" if arm.nv == 2 else "xyz"
     plant = aj.Plant(truth, aj.PositionTask(truth, axes=axes), friction=0.3)
     controller = aj.SetpointController(
@@ -41,8 +41,8 @@ def test_eigenvalues_are_those_of_the_flow(name, rng):
     scale = np.abs(expected).max()
     for eigenvalue in local.eigenvalues:
         assert np.abs(expected - eigenvalue).min() < 1e-4 * scale
-    assert_allclose(local.max_real, expected.real.max(), atol=1e-4 * scale)
-    assert local.stable == (local.max_real < 0)
+    assert_allclose(local.max_real_eigenvalue, expected.real.max(), atol=1e-4 * scale)
+    assert local.stable == (local.max_real_eigenvalue < 0)
 
 
 def test_an_exact_model_is_stable_and_a_reversed_camera_is_not(two_link):
@@ -56,12 +56,45 @@ def test_an_exact_model_is_stable_and_a_reversed_camera_is_not(two_link):
         assert aj.local_stability(plant, controller, np.array([1.5, 1.5])).stable is stable
 
 
-def test_law_5_is_refused(two_link):
+@pytest.mark.parametrize("q", [(0.3, 0.0), (0.3, np.pi), (-1.0, 0.0), (0.0, 0.0)])
+def test_a_singular_target_is_never_stable(two_link, q):
     task = aj.PositionTask(two_link, axes="xz")
-    controller = aj.SetpointController(
-        task, aj.Gains(1.0, 1.0), velocity=aj.DifferentiatedVelocity()
+    local = aj.local_stability(
+        aj.Plant(two_link, task), aj.SetpointController(task, aj.Gains(50.0, 20.0)), q
     )
-    with pytest.raises(
-        aj.InvalidInputError, match=r"local_stability is for law \(6\) with the est"
-    ):
-        aj.local_stability(aj.Plant(two_link, task), controller, np.zeros(2))
+    assert local.singular
+    assert not local.stable
+
+
+def controllers_without_a_linearization(robot):
+    task, gains = aj.PositionTask(robot, axes="xz"), aj.Gains(50.0, 20.0)
+    adaptive = aj.AdaptiveGravity(aj.GravityRegressor(robot, "x"), 0.1, 1.0)
+    heavier = robot.with_object(0.1, 0.5, name="more")
+    image = aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0))
+    return {
+        r"local_stability is for law \(6\), .*got SetpointController\(law \(5\)": (
+            aj.SetpointController(task, gains, velocity=aj.DifferentiatedVelocity())
+        ),
+        r"local_stability is for law \(6\), .*got SetpointController\(law \(28\)": (
+            aj.SetpointController(task, gains, gravity=adaptive)
+        ),
+        r"gravity must be exact near the target .* with NoGravity": (
+            aj.SetpointController(task, gains, gravity=aj.NoGravity(robot))
+        ),
+        r"gravity must be exact near the target .* with ModelGravity": (
+            aj.SetpointController(task, gains, gravity=aj.ModelGravity(heavier))
+        ),
+        r"the controller's task must have the coordinates of the plant's sensor": (
+            aj.SetpointController(image, gains)
+        ),
+    }
+
+
+def test_what_has_another_linearization_is_refused(two_link):
+    plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"))
+    for text, controller in controllers_without_a_linearization(two_link).items():
+        with pytest.raises(aj.InvalidInputError, match=text):
+            aj.local_stability(plant, controller, np.array([0.5, 1.0]))
+    good = aj.SetpointController(aj.PositionTask(two_link, axes="xz"), aj.Gains(50.0, 20.0))
+    with pytest.raises(aj.InvalidInputError, match=r"q_target must have shape \(2,\)"):
+        aj.local_stability(plant, good, np.zeros(3))

@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 
 import approxjac as aj
+from approxjac import law
 
 
 def flow_V(plant, controller, target, alpha, theta):
@@ -44,7 +45,7 @@ def v_dot(value, step, q, v, state, h):
 
 
 def check(plant, controller, target, alpha, samples, h, theta=None):
-    """Compare dV/dt with −W, relative to the size of the terms that W is made of."""
+    """Compare dV/dt with −W, to 1e-6 of W, at random states."""
     robot = plant.robot
     value, step = flow_V(plant, controller, target, alpha, theta)
     checked = 0
@@ -74,20 +75,17 @@ def test_two_link_with_the_wrong_camera(two_link, saturation):
     check(plant, controller, target, alpha=0.3, samples=30, h=1e-4)
 
 
-def wrong_panda():
-    """A true arm with a tool, and a believed one without it and with wrong joint origins."""
-    arm = aj.load_robot("panda")
+def true_and_believed(name):
+    """A true arm with a tool, and a believed one without it and with a wrong joint origin."""
+    arm = aj.load_robot(name)
     truth = arm.with_object(0.2, 0.5, axis=(0.3, 0.0, 1.0))
-    belief = arm.with_object(0.0).with_kinematic_error({"panda_joint4": (0.0, 0.02, -0.01)})
-    return truth, belief
+    shift = {arm.joint_names[3]: (0.0, 0.02, -0.01)}
+    return truth, arm.with_object(0.0).with_kinematic_error(shift)
 
 
 @pytest.mark.parametrize("name", ["panda", "xarm7"])
 def test_seven_joints_with_an_unknown_tool(name):
-    arm = aj.load_robot(name)
-    truth = arm.with_object(0.2, 0.5, axis=(0.3, 0.0, 1.0))
-    shift = {arm.joint_names[3]: (0.0, 0.02, -0.01)}
-    belief = arm.with_object(0.0).with_kinematic_error(shift)
+    truth, belief = true_and_believed(name)
     plant = aj.Plant(truth, aj.PositionTask(truth), friction=np.linspace(0.1, 0.7, 7))
     regressor = aj.GravityRegressor(belief)
     theta, residual = regressor.fit(truth)
@@ -104,7 +102,7 @@ def test_seven_joints_with_an_unknown_tool(name):
 
 def test_seven_joints_with_learnt_gravity():
     """Eq. (31): the potential of the parameter error makes up for the gravity not yet learnt."""
-    truth, belief = wrong_panda()
+    truth, belief = true_and_believed("panda")
     plant = aj.Plant(truth, aj.PositionTask(truth), friction=0.2)
     regressor = aj.GravityRegressor(belief)
     theta, _ = regressor.fit(truth)
@@ -118,19 +116,60 @@ def test_seven_joints_with_learnt_gravity():
     check(plant, controller, target, alpha=0.5, samples=10, h=2e-5, theta=theta)
 
 
-def test_the_printed_forms_do_not_hold(two_link):
-    """Each misprint of (13), if taken literally, breaks the identity: the test can fail."""
-    from approxjac import law
-
+@pytest.fixture
+def adaptive_two_link(two_link):
+    """A closed loop of (28), (29), its V along the flow, and one state of it."""
     plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"), friction=0.3)
-    controller = aj.SetpointController(aj.PositionTask(two_link, axes="xz"), aj.Gains(50.0, 20.0))
-    target, alpha = np.array([0.5, 1.0]), 0.5
-    value, step = flow_V(plant, controller, target, alpha, None)
-    q, v, state = np.array([0.4, 1.1]), np.array([0.7, -0.9]), np.zeros(0)
-    slope = v_dot(value, step, q, v, state, 1e-4)
+    regressor = aj.GravityRegressor(two_link, "x")
+    gravity = aj.AdaptiveGravity(regressor, L=(0.1, 0.4), alpha=0.5)
+    controller = aj.SetpointController(
+        aj.PositionTask(two_link, axes="xz"), aj.Gains(50.0, 20.0), gravity=gravity
+    )
+    target = np.array([0.5, 1.0])
+    value, step = flow_V(plant, controller, target, 0.5, regressor.theta)
+    q, v, state = np.array([0.4, 1.1]), np.array([0.7, -0.9]), np.array([2.0, 1.0])
+    return plant, controller, target, value, (q, v, state), v_dot(value, step, q, v, state, 1e-4)
+
+
+def test_the_printed_13_does_not_hold(adaptive_two_link):
+    """Without the dot on d/dt Ĵ⁺, and with ½Ṁ + S read as Pinocchio's C less Ṁ/2."""
+    plant, _, target, value, (q, v, state), slope = adaptive_two_link
+    alpha, task = 0.5, plant.sensor
     assert slope == pytest.approx(-value(q, v, state).W, rel=1e-6)
-    M, task = plant.dynamics.M(q), plant.sensor
+    M, M_dot = plant.dynamics.M(q), plant.dynamics.M_dot(q, v)
     s, pinv = task.value(q) - target, law.right_pinv(task.jacobian(q))
     pinv_dot = law.right_pinv_dot(task.jacobian(q), task.jacobian_dot(q, v))
-    missing_dot = alpha * (pinv_dot @ s - pinv @ s) @ (M @ v)
-    assert abs(missing_dot) > 1e-2 * abs(slope)
+    W = value(q, v, state).W
+    without_the_dot = W + alpha * (pinv_dot @ s - pinv @ s) @ (M @ v)
+    with_half_of_M_dot = W + alpha * (pinv @ s) @ (0.5 * M_dot @ v)
+    for wrong in (without_the_dot, with_half_of_M_dot):
+        assert slope != pytest.approx(-wrong, rel=1e-3)
+
+
+def test_the_printed_31_does_not_hold(adaptive_two_link):
+    """With L for L⁻¹, dV/dt along the flow is another."""
+    plant, controller, target, value, (q, v, state), slope = adaptive_two_link
+    error = controller.gravity.regressor.theta - state
+    L = controller.gravity.L
+    rate = controller.evaluate(state, plant.measure(0.0, q, v), target).state_rate
+    printed = slope + error @ (rate / L) - error @ (rate * L)
+    assert slope == pytest.approx(-value(q, v, state).W, rel=1e-6)
+    assert printed != pytest.approx(-value(q, v, state).W, rel=1e-3)
+
+
+def test_what_v_and_w_are_not_for_is_refused(adaptive_two_link, two_link):
+    plant, controller, target, *_ = adaptive_two_link
+    arguments = (np.array([0.4, 1.1]), np.zeros(2), target)
+    with pytest.raises(aj.InvalidInputError, match="state and theta must be given and alpha must"):
+        aj.lyapunov(plant, controller, *arguments, 0.5)
+    with pytest.raises(aj.InvalidInputError, match=r"alpha must be the controller's 0\.5, got"):
+        aj.lyapunov(plant, controller, *arguments, 0.4, state=np.zeros(2), theta=np.zeros(2))
+    task = aj.PositionTask(two_link, axes="xz")
+    law_5 = aj.SetpointController(task, aj.Gains(1.0, 1.0), velocity=aj.DifferentiatedVelocity())
+    with pytest.raises(aj.InvalidInputError, match=r"V and W are those of the laws \(6\) and \(28"):
+        aj.lyapunov(plant, law_5, *arguments, 0.5)
+    swapped = aj.SetpointController(aj.PositionTask(two_link, axes="zx"), aj.Gains(1.0, 1.0))
+    with pytest.raises(aj.InvalidInputError, match="must have the coordinates of the plant's sens"):
+        aj.lyapunov(plant, swapped, *arguments, 0.5)
+    with pytest.raises(aj.InvalidInputError, match=r"alpha must be a finite number > 0 \[1/s\]"):
+        aj.lyapunov(plant, law_5, *arguments, np.nan)

@@ -20,9 +20,9 @@ TABLE = {
 
 
 def to_digits(value, printed):
-    """The value within half a unit of the last printed digit."""
-    digits = len(printed.split(".")[1])
-    return value == pytest.approx(float(printed), abs=0.5 * 10.0**-digits + 1e-5)
+    """Whether the value prints like that."""
+    sign = "+" if printed[0] in "+-" else ""
+    return f"{value:{sign}.{len(printed.split('.')[1])}f}" == printed
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def results():
 def test_the_table_to_its_printed_digits(results, figure):
     eigenvalue, ratios, verdict = TABLE[figure]
     result = results[figure]
-    assert to_digits(result.local.max_real, eigenvalue)
+    assert to_digits(result.local.max_real_eigenvalue, eigenvalue)
     for t, printed in zip(paper.REPORT_TIMES, ratios, strict=True):
         assert to_digits(result.error_ratios[t], printed)
     assert result.verdict == verdict
@@ -84,6 +84,34 @@ def test_figure_1_bounds_figure_4():
     assert bound.velocity[crossing] == pytest.approx(bound.largest, rel=0.01)
     allowed = np.minimum(bound.velocity, bound.position)
     assert allowed.max() <= bound.largest + 1e-12
+    # at a = 0.5, the best over all α is found by trying them
+    alphas = np.geomspace(1e-6, 1.0, 20001)
+    tried = np.minimum(2 * bound.lambda2 / (0.5 + alphas), 2 * 0.5 * alphas / (0.5 + alphas))
+    assert bound.at_own_a == pytest.approx(tried.max(), rel=1e-3)
+    assert bound.at_own_a < bound.largest < bound.p
+    assert not bound.condition_23_met
+
+
+def test_friction_can_meet_condition_23():
+    assert not paper.jacobian_bound(paper.Setup(friction=50.0)).condition_23_met
+    assert paper.jacobian_bound(paper.Setup(friction=150.0)).condition_23_met
+
+
+@pytest.mark.parametrize("elbow", [0.0, math.pi])
+def test_a_singular_target_is_never_called_stable_by_the_linearization(elbow):
+    setup = paper.Setup(target=(0.3, elbow), duration=2.0)
+    result = paper.run_experiment(paper.EXPERIMENTS[6], setup)
+    assert result.local.singular
+    assert not result.local.stable
+    assert "singular posture" in result.reason
+    assert paper.jacobian_bound(setup).lambda2 == pytest.approx(0.0, abs=1e-12)
+
+
+def test_error_ratios_do_not_depend_on_the_duration():
+    usual = paper.run_experiment(paper.EXPERIMENTS[4], paper.Setup(duration=20.0))
+    odd = paper.run_experiment(paper.EXPERIMENTS[4], paper.Setup(duration=77.7))
+    for t in (5.0, 20.0):
+        assert odd.error_ratios[t] == pytest.approx(usual.error_ratios[t], rel=1e-3)
 
 
 CHANGES = {
@@ -113,11 +141,11 @@ def test_friction_helps_as_the_paper_says():
     little = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(duration=1.0))
     much = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(friction=5.0, duration=1.0))
     assert not little.local.stable
-    assert much.local.max_real < little.local.max_real
+    assert much.local.max_real_eigenvalue < little.local.max_real_eigenvalue
 
 
 def test_point_masses_have_the_same_gravity_and_another_inertia(rng):
-    rod, point = paper.true_robot("rod"), paper.true_robot("point-mass")
+    rod, point = paper.build_arm(inertia="rod"), paper.build_arm(inertia="point-mass")
     q = rng.uniform(-3, 3, 2)
     assert_allclose(aj.Dynamics(point).g(q), aj.Dynamics(rod).g(q), atol=1e-13)
     assert aj.Dynamics(point).M(q)[1, 1] < aj.Dynamics(rod).M(q)[1, 1] - 0.1

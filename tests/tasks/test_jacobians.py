@@ -77,9 +77,9 @@ def test_bad_cameras_are_refused(arguments, text):
 
 
 def test_bad_tasks_are_refused(two_link, panda):
-    with pytest.raises(aj.UnknownNameError, match="axis 'w' not in the world axes; valid are x, y"):
+    with pytest.raises(aj.UnknownNameError, match="axis 'w' not in axes; valid are x, y, z"):
         aj.PositionTask(panda, axes="xw")
-    with pytest.raises(aj.InvalidInputError, match="axes must name each world axis once"):
+    with pytest.raises(aj.InvalidInputError, match="axes must name each axis once"):
         aj.PositionTask(panda, axes="xx")
     with pytest.raises(
         aj.UnknownNameError, match="frame 'tcp' not in panda; did you mean 'panda_hand_tcp'"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, as_diagonal, as_number
+from approxjac.checks import Array, as_array, as_diagonal, as_number, is_scalar
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 
@@ -115,7 +115,7 @@ Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
 
 
 def _adaptation_gain(L: Any, p: int) -> Array:
-    if np.ndim(L) < 2:
+    if is_scalar(L) or is_scalar(L[0]):
         return as_diagonal("L", L, p)
     matrix = as_array("L", L, (p, p))
     if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] <= 0.0:

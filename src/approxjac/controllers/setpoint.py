@@ -19,7 +19,7 @@ from approxjac.tasks import Task
 
 @dataclass(frozen=True)
 class DifferentiatedVelocity:
-    """Ẋ of the earlier law (5): the measured x through a filtered differentiator, p/(1 + T p).
+    """Ẋ of the earlier law (5): the measured x, filtered with a time constant T and differentiated.
 
     Attributes:
         time_constant: T > 0 [s]. Sampled control needs dt well below it.
@@ -52,8 +52,8 @@ class SetpointController:
             `DifferentiatedVelocity`, law (5).
 
     Raises:
-        InvalidInputError: Gains of the wrong shape, no added damping on an arm with more joints
-            than task coordinates, or gravity of a robot with other joints.
+        InvalidInputError: Gains or saturation of the wrong shape, no added damping on an arm with
+            more joints than task coordinates, or gravity of a robot with other joints.
     """
 
     def __init__(
@@ -71,6 +71,7 @@ class SetpointController:
         self.saturation: Saturation = Linear() if saturation is None else saturation
         self.velocity = velocity
         self.diagonals = gains.diagonals(task.m, task.robot.nv)
+        self._require_saturation()
         robot = task.robot
         if robot.nv > task.m and not (self.diagonals.damping > 0.0).all():
             raise InvalidInputError(
@@ -97,8 +98,18 @@ class SetpointController:
         return self._n_state
 
     def initial_state(self, measurement: Measurement) -> Array:
-        """State before the first evaluation: θ̂(0), and the first measured x for law (5)."""
+        """State before the first evaluation: θ̂(0), and the first measured x for law (5).
+
+        Raises:
+            MeasurementError: Law (5), and the first x is lost.
+        """
         self._require_shapes(self._no_rate, measurement, measurement.x)
+        if self.velocity is not None and not np.isfinite(measurement.x).all():
+            raise MeasurementError(
+                f"the first x must be finite for law (5), which differentiates it, "
+                f"got {measurement.x.tolist()}",
+                given=measurement,
+            )
         theta0 = self.gravity.theta0 if isinstance(self.gravity, AdaptiveGravity) else np.zeros(0)
         followed = np.zeros(0) if self.velocity is None else measurement.x
         return np.concatenate([theta0, followed])
@@ -110,8 +121,8 @@ class SetpointController:
     def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
         """Torque for one measurement.
 
-        A measurement x that is not finite counts as lost: then there is no task force, only
-        damping and gravity compensation, and the state stands still.
+        A measurement x that is not finite counts as lost: then there is no position force, only
+        damping (by K_v and B_c) and gravity compensation, and θ̂ stands still.
 
         Args:
             state: Controller state, shape (n_state,).
@@ -132,38 +143,59 @@ class SetpointController:
         s = np.zeros(self.task.m) if lost else self.saturation.s(e)
         J_hat = self.task.jacobian(q)
         kp, kv, damping = self.diagonals
-        rate = self._no_rate
-        status = Status.MEASUREMENT_LOST if lost else Status.OK
-        sigma_min = math.nan
+        theta_rate = self._no_rate[: self._p]
 
-        if not isinstance(self.gravity, AdaptiveGravity):
-            g = self.gravity.torque(q)
-        else:
+        if isinstance(self.gravity, AdaptiveGravity):
             Z = self.gravity.regressor.Z(q)
-            g = law.gravity(Z, state[: self._p])
             J_hat_pinv, sigma_min, damped = law.damped_right_pinv(J_hat)
+            singular = damped > 0.0
             if not lost:
                 y = law.passive_output(v, J_hat_pinv, s, self.gravity.alpha)
-                rate = law.theta_hat_rate(self.gravity.L, Z, y)
-                if damped > 0.0:
-                    status = Status.NEAR_SINGULAR
+                theta_rate = law.theta_hat_rate(self.gravity.L, Z, y)
+            g = law.gravity(Z, state[: self._p])  # with it, (6) below is (28)
+        else:
+            g = self.gravity.torque(q)
+            sigma_min, sigma_max = law.extreme_singular_values(J_hat)
+            singular = sigma_min < law.SINGULAR_RATIO * sigma_max
 
         if self.velocity is None:
             torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, g)
+            rate = theta_rate
         else:
-            x_dot = np.zeros(self.task.m)
-            if not lost:
-                x_dot = (x - state[self._p :]) / self.velocity.time_constant
+            # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
+            # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
+            lag = self.velocity.time_constant
+            x_dot = J_hat @ v if lost else (x - state[self._p :]) / lag
             torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, g)
-            # the differentiator's state follows x with time constant T: its rate is Ẋ itself
-            rate = np.concatenate([rate[: self._p], x_dot])
-        if not math.isfinite(torque.dot(torque)) and not np.isfinite(torque).all():
+            rate = np.concatenate([theta_rate, x_dot])
+        status = Status.OK
+        if lost:
+            status = Status.MEASUREMENT_LOST
+        elif singular:
+            status = Status.NEAR_SINGULAR
+        if not math.isfinite(torque.dot(torque) + rate.dot(rate)) and not (
+            np.isfinite(torque).all() and np.isfinite(rate).all()
+        ):
             raise MeasurementError(
                 f"the torque overflows: q = {q.tolist()}, v = {v.tolist()}, x = {x.tolist()} are "
                 "beyond what the law can be evaluated at",
                 given=measurement,
             )
         return Evaluation(torque, rate, status, e, sigma_min)
+
+    def _require_saturation(self) -> None:
+        """Refuse a saturation whose γ has another length than the task."""
+        m = self.task.m
+        try:
+            fits = np.shape(self.saturation.s(np.zeros(m))) == (m,)
+        except ValueError:
+            fits = False
+        if not fits:
+            raise InvalidInputError(
+                f"saturation must have one gamma, or {m} for {self.task!r}, "
+                f"got {self.saturation!r}",
+                given=self.saturation,
+            )
 
     def _require_shapes(self, state: Array, measurement: Measurement, target: Array) -> None:
         _, q, v, x = measurement
@@ -193,7 +225,16 @@ class SetpointController:
         for name, value in (("target", target), ("state", state)):
             if not np.isfinite(value).all():
                 raise InvalidInputError(f"{name} must be finite, got {value.tolist()}", given=value)
-        return not bool(np.isfinite(measurement.x).all())
+        if not np.isfinite(measurement.x).all():
+            return True
+        with np.errstate(over="ignore"):
+            if not np.isfinite(measurement.x - target).all():
+                raise MeasurementError(
+                    f"the error overflows: x = {measurement.x.tolist()} is beyond what the law can "
+                    "be evaluated at",
+                    given=measurement,
+                )
+        return False
 
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"

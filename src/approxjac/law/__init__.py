@@ -14,7 +14,13 @@ from approxjac.law.conditions import (
 )
 from approxjac.law.linearization import closed_loop_matrix
 from approxjac.law.lyapunov import V, W, parameter_potential
-from approxjac.law.pseudoinverse import damped_right_pinv, right_pinv, right_pinv_dot
+from approxjac.law.pseudoinverse import (
+    SINGULAR_RATIO,
+    damped_right_pinv,
+    extreme_singular_values,
+    right_pinv,
+    right_pinv_dot,
+)
 from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
 from approxjac.law.torque import (
     estimated_velocity_torque,
@@ -24,6 +30,7 @@ from approxjac.law.torque import (
 )
 
 __all__ = [
+    "SINGULAR_RATIO",
     "Linear",
     "Saturation",
     "Sine",
@@ -36,6 +43,7 @@ __all__ = [
     "closed_loop_matrix",
     "damped_right_pinv",
     "estimated_velocity_torque",
+    "extreme_singular_values",
     "gravity",
     "jacobian_error",
     "lambda_2",

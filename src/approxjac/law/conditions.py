@@ -22,7 +22,8 @@ def lambda_2(J_hat: Array, B_over_kv: Array) -> float:
         J_hat: Estimated task Jacobian, shape (m, n_v).
         B_over_kv: Diagonal of B / k_v, shape (n_v,).
     """
-    return float(np.linalg.eigvalsh(J_hat.T @ J_hat + np.diag(B_over_kv))[0])
+    smallest = np.linalg.eigvalsh(J_hat.T @ J_hat + np.diag(B_over_kv))[0]
+    return max(float(smallest), 0.0)  # it is never negative but for round-off
 
 
 def allowed_p_velocity(a: Array, alpha: float, lambda2: float) -> Array:
@@ -40,7 +41,7 @@ def allowed_p_at_crossing(alpha: float, lambda2: float) -> float:
 
     Implements Eq. (24). Departure: the paper prints a = λ₁/α for the crossing.
     """
-    return 2.0 * alpha * lambda2 / (alpha**2 + lambda2)
+    return 2.0 * alpha * lambda2 / (alpha**2 + lambda2) if lambda2 > 0.0 else 0.0
 
 
 def largest_allowed_p(lambda2: float) -> float:

@@ -54,6 +54,12 @@ def damped_right_pinv(
     return J.T @ inverse, math.sqrt(smallest), math.sqrt(damping)
 
 
+def extreme_singular_values(J: Array) -> tuple[float, float]:
+    """Smallest and largest singular value of J, shape (m, n_v) with m ≤ n_v."""
+    squares = np.linalg.eigvalsh(J @ J.T)
+    return math.sqrt(max(float(squares[0]), 0.0)), math.sqrt(float(squares[-1]))
+
+
 def right_pinv_dot(J: Array, J_dot: Array) -> Array:
     """d/dt of `right_pinv`: (I − J⁺J) J̇ᵀ (J Jᵀ)⁻¹ − J⁺ J̇ J⁺.
 

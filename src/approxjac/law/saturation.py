@@ -9,12 +9,13 @@ given up to an error e_max; d and c̄ hold everywhere.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
-from approxjac.checks import Array
+from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError
 
 
@@ -51,7 +52,7 @@ class Saturation(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Linear:
     """s(e) = e: no saturation, the limit γ → ∞. Implements Eq. (8) with d = d̄ = 1, c̄ = ½."""
 
@@ -75,7 +76,7 @@ class Linear:
         return 1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sine:
     """The paper's example: γ sin(e/γ) up to an error of γπ/2, ±γ beyond.
 
@@ -87,41 +88,42 @@ class Sine:
         gamma: Saturation value γ > 0, a number or shape (m,) [unit of the task].
     """
 
-    gamma: float | Array
+    gamma: float | Sequence[float] | Array
     d: float = 1.0
     c_bar: float = 0.5
+    _gamma: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check_gamma(self.gamma)
+        object.__setattr__(self, "_gamma", _checked_gamma(self.gamma))
 
     def s(self, e: Array) -> Array:
         """s(e), between −γ and γ."""
-        return self.gamma * np.sin(self._angle(e))
+        return self._gamma * np.sin(self._angle(e))
 
     def S(self, e: Array) -> Array:
         """S(e) ≥ 0."""
         u = self._angle(e)
-        beyond = np.abs(e) - self.gamma * np.abs(u)
+        beyond = np.abs(e) - self._gamma * np.abs(u)
         # 1 − cos u = 2 sin²(u/2), which keeps its digits near zero
-        return 2.0 * self.gamma**2 * np.sin(0.5 * u) ** 2 + self.gamma * beyond
+        return np.asarray(2.0 * self._gamma**2 * np.sin(0.5 * u) ** 2 + self._gamma * beyond)
 
     def ds(self, e: Array) -> Array:
         """s'(e), between 0 and 1."""
-        inside = np.abs(e) < 0.5 * np.pi * self.gamma
+        inside = np.abs(e) < 0.5 * np.pi * self._gamma
         return np.where(inside, np.cos(self._angle(e)), 0.0)
 
     def d_bar(self, e_max: float) -> float:
         """d̄ = u / sin u up to saturation, u beyond, with u = e_max / γ."""
-        u = e_max / float(np.min(self.gamma))
+        u = e_max / float(np.min(self._gamma))
         if u <= 0:
             return 1.0
         return float(u / np.sin(min(u, 0.5 * np.pi)))
 
     def _angle(self, e: Array) -> Array:
-        return np.asarray(np.clip(e / self.gamma, -0.5 * np.pi, 0.5 * np.pi))
+        return np.asarray(np.clip(e / self._gamma, -0.5 * np.pi, 0.5 * np.pi))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tanh:
     """s(e) = γ tanh(e/γ): smooth everywhere, strictly increasing, bounded by γ.
 
@@ -132,38 +134,41 @@ class Tanh:
         gamma: Saturation value γ > 0, a number or shape (m,) [unit of the task].
     """
 
-    gamma: float | Array
+    gamma: float | Sequence[float] | Array
     d: float = 1.0
     c_bar: float = 0.5
+    _gamma: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check_gamma(self.gamma)
+        object.__setattr__(self, "_gamma", _checked_gamma(self.gamma))
 
     def s(self, e: Array) -> Array:
         """s(e), between −γ and γ."""
-        return np.asarray(self.gamma * np.tanh(e / self.gamma))
+        return np.asarray(self._gamma * np.tanh(e / self._gamma))
 
     def S(self, e: Array) -> Array:
         """S(e) ≥ 0."""
-        u = np.abs(e / self.gamma)
+        u = np.abs(e / self._gamma)
         # log cosh u: the first form cancels for large u, the second for small u
         near = 0.5 * np.log1p(np.sinh(np.minimum(u, 1.0)) ** 2)
         far = u - np.log(2.0) + np.log1p(np.exp(-2.0 * u))
-        return np.asarray(self.gamma**2 * np.where(u < 1.0, near, far))
+        return np.asarray(self._gamma**2 * np.where(u < 1.0, near, far))
 
     def ds(self, e: Array) -> Array:
         """s'(e), between 0 and 1."""
-        return np.asarray(1.0 - np.tanh(e / self.gamma) ** 2)
+        return np.asarray(1.0 - np.tanh(e / self._gamma) ** 2)
 
     def d_bar(self, e_max: float) -> float:
         """d̄ = u / tanh u with u = e_max / γ."""
-        u = e_max / float(np.min(self.gamma))
+        u = e_max / float(np.min(self._gamma))
         return float(u / np.tanh(u)) if u > 0 else 1.0
 
 
-def _check_gamma(gamma: float | Array) -> None:
-    values = np.asarray(gamma, dtype=float)
-    if not (np.isfinite(values).all() and (values > 0).all()):
+def _checked_gamma(gamma: float | Sequence[float] | Array) -> Array:
+    """Return γ as a read-only array of its own, a scalar or one entry a coordinate."""
+    values = as_array("gamma", gamma, np.shape(gamma), "unit of the task")
+    if not (values > 0.0).all():
         raise InvalidInputError(
-            f"gamma must be finite and > 0 [unit of the task], got {gamma!r}", given=gamma
+            f"gamma must be > 0 [unit of the task], got {values.tolist()}", given=gamma
         )
+    return values

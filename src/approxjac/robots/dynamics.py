@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.checks import Array, as_vector
+from approxjac.robots.model import mass_matrix
 from approxjac.robots.robot import Robot
 
 
@@ -30,8 +31,7 @@ class Dynamics:
 
     def M(self, q: Array) -> Array:
         """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
-        M: Array = pin.crba(self._model, self._data, self._q(q), pin.Convention.WORLD)
-        return np.triu(M) + np.triu(M, 1).T  # CRBA fills the upper triangle only
+        return mass_matrix(self._model, self._data, self._q(q))
 
     def C(self, q: Array, v: Array) -> Array:
         """Coriolis matrix C(q, q̇) with Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""

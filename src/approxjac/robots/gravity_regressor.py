@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_vector
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.checks import Array, as_vector, axis_rows
+from approxjac.errors import InvalidInputError
+from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.robot import Robot
 
-_MOMENTS = {"x": 1, "y": 2, "z": 3}  # position in Inertia.toDynamicParameters()
 _POSTURES = 60  # random postures that rank and grouping are found from
 _RANK_TOLERANCE = 1e-9
+_EXACT = 1e-9  # relative error of Z θ that counts as none
 
 
 class GravityRegressor:
@@ -38,28 +39,24 @@ class GravityRegressor:
         theta: Their values for `robot` itself, shape (p,).
 
     Raises:
-        InvalidInputError: No or doubled axes, or gravity exerts no torque on this robot.
+        InvalidInputError: No or doubled axes, centres of mass of `robot` that `moments` does not
+            cover, or gravity exerts no torque on this robot.
         UnknownNameError: An axis that is not x, y or z.
     """
 
     def __init__(self, robot: Robot, moments: str = "xyz") -> None:
-        if not moments or len(set(moments)) != len(moments):
-            raise InvalidInputError(
-                f"moments must name each axis once, such as 'xyz' or 'x', got {moments!r}",
-                given=moments,
-            )
-        for letter in moments:
-            if letter not in _MOMENTS:
-                raise UnknownNameError("axis", letter, "moments", _MOMENTS)
+        axes = axis_rows("moments", moments)
         self.robot = robot
         self._model = robot.model
         self._data = self._model.createData()
         self._zero = np.zeros(robot.nv)
-        offsets = [0, *sorted(_MOMENTS[letter] for letter in moments)]
+        # of each link's ten dynamic parameters, the first four are m, m c_x, m c_y, m c_z
+        offsets = [0, *(1 + axis for axis in sorted(axes))]
         candidates = np.array([10 * i + k for i in range(robot.nv) for k in offsets])
         rng = np.random.default_rng(0)
-        postures = [robot.random_configuration(rng) for _ in range(_POSTURES)]
-        stacked = np.vstack([self._full(q)[:, candidates] for q in postures])
+        stacked = np.vstack(
+            [self._full(q)[:, candidates] for q in _anywhere(robot, rng, _POSTURES)]
+        )
         kept, grouping = _independent_columns(stacked)
         if not kept:
             raise InvalidInputError(
@@ -75,6 +72,13 @@ class GravityRegressor:
         )
         self.theta = grouping @ parameters[candidates]
         self.theta.flags.writeable = False
+        error = self._error(robot, self.theta, rng)
+        if error > _EXACT:
+            raise InvalidInputError(
+                f"moments must cover the centres of mass of {robot.name}, got {moments!r}: gravity "
+                f"would be wrong by {100 * error:.2g} %; 'xyz' covers every robot",
+                given=moments,
+            )
 
     @property
     def p(self) -> int:
@@ -88,6 +92,8 @@ class GravityRegressor:
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
         """Return the θ with which this Z(q) reproduces the gravity of another robot.
 
+        Of all θ that do so equally well, the one nearest to this robot's own.
+
         Args:
             robot: Robot with the same joints, such as the true one.
             seed: Of the random postures.
@@ -97,28 +103,38 @@ class GravityRegressor:
             gravity torque, over random postures that the fit did not use.
 
         Raises:
-            InvalidInputError: Another number of joints.
+            InvalidInputError: Other joints, or another gravity.
         """
-        if robot.nv != self.robot.nv or robot.nq != self.robot.nq:
+        if robot.joint_names != self.robot.joint_names:
             raise InvalidInputError(
-                f"robot must have {self.robot.nv} joints like {self.robot.name}, "
-                f"got {robot.nv} ({robot.name})",
+                f"robot must have the joints of {self.robot.name} "
+                f"({', '.join(self.robot.joint_names)}), got {robot!r}",
                 given=robot,
             )
-        data = robot.model.createData()
+        if not np.array_equal(robot.gravity, self.robot.gravity):
+            raise InvalidInputError(
+                f"robot must be under the gravity {self.robot.gravity.tolist()} of the regressor "
+                f"[m/s^2], got {robot.gravity.tolist()}",
+                given=robot,
+            )
         rng = np.random.default_rng(seed)
+        Z, g = self._samples(robot, rng)
+        change = np.linalg.lstsq(Z, g - Z @ self.theta, rcond=1e-12)[0]
+        theta: Array = self.theta + change
+        return theta, self._error(robot, theta, rng)
 
-        def samples() -> tuple[Array, Array]:
-            postures = [self.robot.random_configuration(rng) for _ in range(_POSTURES)]
-            Z = np.vstack([self.Z(q) for q in postures])
-            torques = [pin.computeGeneralizedGravity(robot.model, data, q) for q in postures]
-            return Z, np.concatenate([np.array(g) for g in torques])
+    def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Z of this robot and g of another, stacked over random postures."""
+        dynamics = Dynamics(robot)
+        postures = _anywhere(robot, rng, _POSTURES)
+        return np.vstack([self.Z(q) for q in postures]), np.concatenate(
+            [dynamics.g(q) for q in postures]
+        )
 
-        Z, g = samples()
-        theta: Array = np.linalg.lstsq(Z, g, rcond=None)[0].astype(np.float64)
-        Z, g = samples()
-        residual = float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
-        return theta, residual
+    def _error(self, robot: Robot, theta: Array, rng: np.random.Generator) -> float:
+        """Largest error of Z θ over new postures, relative to the largest gravity torque."""
+        Z, g = self._samples(robot, rng)
+        return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
 
     def _full(self, q: Array) -> Array:
         """All columns at rest, shape (n_v, 10 n_v); an alias of scratch memory."""
@@ -129,6 +145,13 @@ class GravityRegressor:
 
     def __repr__(self) -> str:
         return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
+
+
+def _anywhere(robot: Robot, rng: np.random.Generator, count: int) -> list[Array]:
+    """Postures over full turns (and ±1 m), whatever the limits: they must not hide a column."""
+    reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
+    motions = rng.uniform(-reach, reach, (count, robot.nv))
+    return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]
 
 
 def _independent_columns(A: Array) -> tuple[list[int], Array]:

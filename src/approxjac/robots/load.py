@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from approxjac.checks import Array
-from approxjac.errors import UnknownNameError, UrdfError
+from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError
 from approxjac.robots.named import NAMED, urdf_path
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
 
@@ -27,12 +28,17 @@ def load_robot(
     Raises:
         UnknownNameError: Neither a known name nor a file.
         UrdfError: The file is missing, or its URDF is not usable.
+        InvalidInputError: Not a text or a path.
 
     Example:
         >>> load_robot("two_link").joint_names
         ('joint1', 'joint2')
     """
-    text = str(source)
+    if not isinstance(source, str | Path):
+        raise InvalidInputError(
+            f"source must be a name, a path or URDF text, got {source!r}", given=source
+        )
+    text = str(source).removeprefix("\ufeff")
     if isinstance(source, str) and text.lstrip().startswith("<"):
         return Robot(text, gravity=gravity, tip=tip)
     if isinstance(source, str) and text in NAMED:
@@ -47,7 +53,7 @@ def load_robot(
         robot = _load_file(path, gravity, tip or entry.tip)
         return robot.with_locked_joints(entry.locked) if entry.locked else robot
     path = Path(source)
-    if path.is_file():
+    if len(text) < 4096 and path.is_file():
         return _load_file(path, gravity, tip)
     if path.suffix == ".urdf" or isinstance(source, Path):
         raise UrdfError(f"URDF file {text} does not exist", given=source)
@@ -56,7 +62,9 @@ def load_robot(
 
 def _load_file(path: Path, gravity: Sequence[float] | Array, tip: str | None) -> Robot:
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        data = path.read_bytes()
+        declared = re.match(rb"<\?xml[^>]*encoding=[\"']([\w.-]+)", data)
+        text = data.decode(declared.group(1).decode() if declared else "utf-8-sig")
+    except (OSError, UnicodeDecodeError, LookupError) as error:
         raise UrdfError(f"URDF file {path} cannot be read: {error}", given=path) from error
     return Robot(text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=path.name)

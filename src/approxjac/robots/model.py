@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from approxjac.checks import Array
 from approxjac.errors import UrdfError
 
 
@@ -36,11 +37,15 @@ def build_model(text: str, source: str) -> pin.Model:
     return model
 
 
+def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
+    """M(q) by CRBA, which fills the upper triangle only, made symmetric; shape (n_v, n_v)."""
+    M: Array = pin.crba(model, data, q, pin.Convention.WORLD)
+    return np.triu(M) + np.triu(M, 1).T
+
+
 def _require_inertia(model: pin.Model, source: str) -> None:
     """Refuse a robot whose inertia matrix is singular: no torque control is possible."""
-    data = model.createData()
-    M = pin.crba(model, data, pin.neutral(model), pin.Convention.WORLD)
-    eigenvalues = np.linalg.eigvalsh(np.triu(M) + np.triu(M, 1).T)
+    eigenvalues = np.linalg.eigvalsh(mass_matrix(model, model.createData(), pin.neutral(model)))
     if eigenvalues[0] > 1e-12 * max(eigenvalues[-1], 0.0) and eigenvalues[0] > 0.0:
         return
     massless = [

@@ -12,18 +12,19 @@ import pinocchio as pin
 
 from approxjac.checks import Array, as_array, as_number
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.robots import meshes, urdf_edit
 from approxjac.robots import urdf as urdf_xml
 from approxjac.robots.model import build_model
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class Robot:
     """A fixed-base arm: its URDF text and the Pinocchio model built from it.
 
-    Immutable: every change returns a new robot. Two robots are equal when their URDF and
-    gravity are. Meshes are never needed.
+    Immutable: every change returns a new robot. Two robots are equal when their URDF text and
+    gravity are. Meshes are never needed. A mimic joint moves on its own, unless it is locked;
+    locking the joint that it follows locks it too.
 
     Args:
         urdf: URDF text.
@@ -55,7 +56,7 @@ class Robot:
         root = urdf_xml.parse(urdf, source)
         links = urdf_xml.read(root, source)
         self._name = str(root.get("name"))
-        self._model = build_model(urdf, source)
+        self._model = build_model(urdf_xml.bare_text(root), source)
         self._model.gravity.linear = self._gravity
         # A body and a joint may share a name; the body's frame is the one people mean.
         frames = sorted(
@@ -118,6 +119,12 @@ class Robot:
         return tuple(self._model.names)[1:]
 
     @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each joint's position: "rad", or "m" for prismatic joints."""
+        joints = list(self._model.joints)[1:]
+        return tuple("m" if j.shortname().startswith("JointModelP") else "rad" for j in joints)
+
+    @property
     def frame_names(self) -> tuple[str, ...]:
         """Names of all frames: links and joints."""
         return tuple(self._frames)
@@ -151,14 +158,18 @@ class Robot:
     def random_configuration(self, rng: np.random.Generator) -> Array:
         """Uniform configuration within the joint limits, shape (nq,) [rad or m].
 
-        Joints that may go further than half a turn or a metre either way, or have no limit,
-        are drawn from ±π rad or ±1 m.
+        Of a range wider than a turn or than 2 m, or without limits, the turn or the 2 m
+        nearest to zero are used.
         """
         lower, upper = self.position_limits
-        joints = list(self._model.joints)[1:]
-        prismatic = [joint.shortname().startswith("JointModelP") for joint in joints]
-        reach = np.where(prismatic, 1.0, np.pi)
-        motion = rng.uniform(np.clip(-reach, lower, upper), np.clip(reach, lower, upper))
+        reach = np.where(np.array(self.joint_units) == "m", 1.0, np.pi)
+        wide = upper - lower > 2.0 * reach
+        # the part of a wide range that lies nearest to zero
+        middle = np.clip(
+            0.0, np.where(wide, lower, 0.0) + reach, np.where(wide, upper, 0.0) - reach
+        )
+        low, high = np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
+        motion = rng.uniform(low, high)
         return np.array(pin.integrate(self._model, self.neutral(), motion))
 
     def frame_id(self, frame: str) -> int:
@@ -225,21 +236,25 @@ class Robot:
         length = as_number("length", length, unit="m", minimum=0.0)
         mass = as_number("mass", mass, unit="kg", minimum=0.0)
         radius = as_number("radius", radius, unit="m", minimum=0.0)
-        direction = _direction(axis)
+        direction = urdf_edit.direction(axis)
         parent = self.tip_or(parent)
         root = urdf_xml.parse(self._urdf, self._source)
         links = urdf_xml.read(root, self._source).link_map
         if parent not in links:
             raise UnknownNameError("link", parent, self._name, links)
         taken = set(self._frames) | {"universe"}
+        if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
+            raise InvalidInputError(
+                f"name must be a text without spaces, such as 'object', got {name!r}", given=name
+            )
         for new in (name, f"{name}_tip", f"{name}_joint", f"{name}_tip_joint"):
-            if new in taken or not name:
+            if new in taken:
                 raise InvalidInputError(
                     f"name must be new to the robot, got {name!r}: {self._name} already has a "
                     f"frame {new!r}; give another name",
                     given=name,
                 )
-        urdf_xml.append_object(
+        urdf_edit.append_object(
             root,
             name=name,
             parent=parent,
@@ -248,7 +263,7 @@ class Robot:
             radius=radius,
             mass=mass,
         )
-        return self._changed(root, tip=f"{name}_tip")
+        return self._changed(urdf_xml.to_text(root), tip=f"{name}_tip")
 
     def with_kinematic_error(
         self,
@@ -274,14 +289,15 @@ class Robot:
                 raise UnknownNameError("joint", joint, self._name, links.joint_map)
             shift = as_array(f"shift of {joint}", shifts.get(joint, np.zeros(3)), (3,), "m")
             turn = as_array(f"rotation of {joint}", rotations.get(joint, np.zeros(3)), (3,), "rad")
-            urdf_xml.move_joint_origin(root, links, joint, shift, pin.exp3(turn))
-        return self._changed(root)
+            urdf_edit.move_joint_origin(root, links, joint, shift, pin.exp3(turn))
+        return self._changed(urdf_xml.to_text(root))
 
     def with_locked_joints(self, positions: Mapping[str, float]) -> Robot:
         """Return this robot with joints fixed for good, such as those of fingers.
 
         Args:
-            positions: Joint name → position at which it is fixed [rad or m].
+            positions: Joint name → position at which it is fixed [rad or m]. Mimic joints follow
+                the joint that they mimic, and are fixed with it.
 
         Raises:
             UnknownNameError: Not a moving joint of this robot.
@@ -289,49 +305,66 @@ class Robot:
         """
         root = urdf_xml.parse(self._urdf, self._source)
         links = urdf_xml.read(root, self._source)
+        locked: dict[str, float] = {}
         for joint, position in positions.items():
             if joint not in self.joint_names:
                 raise UnknownNameError("moving joint", joint, self._name, self.joint_names)
-            value = as_number(f"position of {joint}", position, unit="rad or m")
+            locked[joint] = as_number(f"position of {joint}", position, unit="rad or m")
+        for joint, (leader, multiplier, offset) in urdf_edit.followers(root).items():
+            if leader in locked:
+                locked[joint] = multiplier * locked[leader] + offset
+        for joint, value in locked.items():
             axis = links.joint_map[joint].axis / np.linalg.norm(links.joint_map[joint].axis)
             if links.joint_map[joint].type == "prismatic":
-                motion = urdf_xml.transform(value * axis)
+                motion = urdf_edit.transform(value * axis)
             else:
-                motion = urdf_xml.transform(np.zeros(3), pin.exp3(value * axis))
-            urdf_xml.fix_joint(root, links, joint, motion)
-        return self._changed(root)
+                motion = urdf_edit.transform(np.zeros(3), pin.exp3(value * axis))
+            urdf_edit.fix_joint(root, links, joint, motion)
+        return self._changed(urdf_xml.to_text(root))
 
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
-        return Robot(
-            self._urdf,
-            gravity=gravity,
-            tip=self._tip,
-            urdf_dir=self._urdf_dir,
-            source=self._source,
-        )
+        return self._changed(self._urdf, gravity=gravity)
 
     def save_urdf(self, path: str | Path) -> Path:
         """Write a URDF that Pinocchio, MuJoCo, MeshCat and yourdfpy open alike.
 
-        Mesh files are named by their full path, so the file is meant for this machine. Gravity
-        is not part of URDF and is not written.
+        Mesh files are named by their full path, so the file is meant for this machine. Collision
+        meshes in formats that MuJoCo does not read are converted to STL, into a folder beside the
+        file. Gravity is not part of URDF and is not written.
+
+        Args:
+            path: File to write; its folder must exist.
 
         Returns:
             The path.
+
+        Raises:
+            InvalidInputError: The file cannot be written.
         """
         root = urdf_xml.parse(self._urdf, self._source)
-        urdf_xml.for_other_tools(root, self._urdf_dir)
         path = Path(path)
-        path.write_text(urdf_xml.to_text(root), encoding="utf-8")
+        meshes.for_other_tools(root, self._urdf_dir, path)
+        try:
+            path.write_text(urdf_xml.to_text(root), encoding="utf-8")
+        except OSError as error:
+            raise InvalidInputError(
+                f"path must be a file that can be written, got {path}: {error}", given=path
+            ) from error
         return path
 
     # -- Python -------------------------------------------------------------------------
 
-    def _changed(self, root: Any, tip: str | None = None) -> Robot:
+    def _changed(
+        self,
+        urdf: str,
+        *,
+        gravity: Sequence[float] | Array | None = None,
+        tip: str | None = None,
+    ) -> Robot:
         return Robot(
-            urdf_xml.to_text(root),
-            gravity=self._gravity,
+            urdf,
+            gravity=self._gravity if gravity is None else gravity,
             tip=tip or self._tip,
             urdf_dir=self._urdf_dir,
             source=self._source,
@@ -357,7 +390,7 @@ class Robot:
         return hash(self._key())
 
     def _key(self) -> tuple[Any, ...]:
-        return (self._urdf, tuple(self._gravity), self._tip, self._urdf_dir)
+        return (self._urdf, tuple(self._gravity))
 
     def __reduce__(self) -> tuple[Any, ...]:
         make = functools.partial(
@@ -368,17 +401,3 @@ class Robot:
             source=self._source,
         )
         return make, (self._urdf,)
-
-
-def _direction(axis: str | Sequence[float]) -> Array:
-    """Return a unit vector from "x", "-z", … or a vector."""
-    if isinstance(axis, str):
-        letter = axis.removeprefix("-").removeprefix("+")
-        if letter not in _AXES:
-            raise UnknownNameError("axis", axis, "the axes", ["x", "y", "z", "-x", "-y", "-z"])
-        return np.array(_AXES[letter]) * (-1.0 if axis.startswith("-") else 1.0)
-    vector = as_array("axis", axis, (3,))
-    norm = float(np.linalg.norm(vector))
-    if norm < 1e-12:
-        raise InvalidInputError(f"axis must not be zero, got {vector.tolist()}", given=axis)
-    return vector / norm

@@ -46,13 +46,16 @@ def simulate(
             (q, v, controller state) as one differential equation with LSODA, as the paper does.
         v0: Start velocity, shape (n_v,); at rest by default.
         record_every: Time between recorded instants [s]: dt, or duration/1000 where dt is None.
+            A whole number of them fits into duration where dt is None; it is a whole number of dt
+            otherwise, and the last instant is recorded too.
         integrator: Of the plant between samples: "rk4" or "semi_implicit_euler".
         rtol: Relative tolerance of the continuous integration.
         atol: Absolute tolerance of the continuous integration.
         progress: Called now and then with the time reached [s].
 
     Returns:
-        The record of the run; its first instant is the start, its last the end.
+        The record of the run; its first instant is the start, its last the end. Status is
+        recorded at these instants only.
 
     Raises:
         InvalidInputError: Wrong shapes, numbers that are not finite or out of range.
@@ -68,12 +71,11 @@ def simulate(
     if integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, "the integrators", INTEGRATORS)
     if dt is None:
-        every = duration / 1000 if record_every is None else record_every
-        every = as_number("record_every", every, unit="s", above=0.0)
+        count = 1000 if record_every is None else _whole("record_every", record_every, duration)
         rtol = as_number("rtol", rtol, above=0.0)
         atol = as_number("atol", atol, above=0.0)
         times, qs, vs, states = _continuous(
-            plant, controller, x_d, q, v, duration, every, rtol, atol, progress
+            plant, controller, x_d, q, v, duration, count, rtol, atol, progress
         )
         measurements = [plant.measure(*instant) for instant in zip(times, qs, vs, strict=True)]
         evaluations = [
@@ -82,22 +84,11 @@ def simulate(
         ]
     else:
         dt = as_number("dt", dt, unit="s", above=0.0)
-        steps = round(duration / dt)
-        if steps < 1 or abs(steps * dt - duration) > 1e-9 * max(duration, dt):
-            raise InvalidInputError(
-                f"duration must be a whole number of sampling times dt = {dt:g} [s], "
-                f"got {duration:g}",
-                given=duration,
-            )
-        stride = 1 if record_every is None else round(record_every / dt)
-        if stride < 1 or (
-            record_every is not None and abs(stride * dt - record_every) > 1e-9 * record_every
-        ):
-            raise InvalidInputError(
-                f"record_every must be a whole number of sampling times dt = {dt:g} [s], "
-                f"got {record_every!r}",
-                given=record_every,
-            )
+        steps = _whole("dt", dt, duration)
+        stride = 1
+        if record_every is not None:
+            record_every = as_number("record_every", record_every, unit="s", above=0.0)
+            stride = _whole("dt", dt, record_every, whole="record_every")
         measurements, states, evaluations = _sampled(
             plant, controller, x_d, q, v, dt, steps, stride, integrator, progress
         )
@@ -114,9 +105,21 @@ def simulate(
         target=x_d,
         robot_name=robot.name,
         joint_names=robot.joint_names,
+        joint_units=robot.joint_units,
         task_labels=plant.sensor.labels,
         task_unit=plant.sensor.unit,
     )
+
+
+def _whole(name: str, part: float, total: float, *, whole: str = "duration") -> int:
+    """Return how often a time fits into another; refuse one that does not fit evenly."""
+    part = as_number(name, part, unit="s", above=0.0)
+    count = round(total / part)
+    if count < 1 or abs(count * part - total) > 1e-9 * total:
+        raise InvalidInputError(
+            f"{whole} must be a whole number of {name} = {part:g} [s], got {total:g}", given=total
+        )
+    return count
 
 
 def _configuration(plant: Plant, q0: Sequence[float] | Array) -> Array:
@@ -139,7 +142,7 @@ def _continuous(
     q0: Array,
     v0: Array,
     duration: float,
-    every: float,
+    count: int,
     rtol: float,
     atol: float,
     progress: Progress | None,
@@ -161,7 +164,6 @@ def _continuous(
             [v, plant.acceleration(measurement.q, v, answer.torque), answer.state_rate]
         )
 
-    count = max(1, round(duration / every))
     times = np.linspace(0.0, duration, count + 1)
     records = np.empty((count + 1, 2 * n + controller.n_state))
     records[0] = np.concatenate(
@@ -222,12 +224,16 @@ def _sampled(
             if progress is not None:
                 progress(measurement.t)
         if k < steps:
-            q, v = step(plant, q, v, answer.torque, dt)
             state = state + dt * answer.state_rate
-            if not math.isfinite(v.dot(v)):
+            try:
+                q, v = step(plant, q, v, answer.torque, dt)
+                finite = math.isfinite(q.dot(q) + v.dot(v) + state.dot(state))
+            except InvalidInputError:  # within a step of several stages
+                finite = False
+            if not finite:
                 raise SimulationError(
                     f"the simulation stopped at t = {(k + 1) * dt:g} of {steps * dt:g} s: the "
                     "state is no longer finite; a smaller dt may help",
-                    given=(q, v),
+                    given=measurement,
                 )
     return measurements, np.array(states), evaluations

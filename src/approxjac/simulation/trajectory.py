@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.checks import Array
-from approxjac.errors import TrajectoryFileError
+from approxjac.errors import InvalidInputError, TrajectoryFileError
 from approxjac.interface import Status
 
 
@@ -28,11 +28,12 @@ class Trajectory:
         error: e = x − x_d, shape (N, m).
         tau: Torque, shape (N, n_v).
         state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
-        status: `Status` of each evaluation, shape (N,).
-        sigma_min: Smallest singular value of Ĵ where the law uses Ĵ⁺, else NaN, shape (N,).
+        status: `Status` at these instants, shape (N,).
+        sigma_min: Smallest singular value of Ĵ, shape (N,).
         target: x_d, shape (m,).
         robot_name: Name of the true robot.
         joint_names: In the order of v and τ.
+        joint_units: "rad", or "m" for prismatic joints, in the same order.
         task_labels: Names of the task coordinates.
         task_unit: Unit of x, error and target.
     """
@@ -49,21 +50,24 @@ class Trajectory:
     target: Array
     robot_name: str
     joint_names: tuple[str, ...]
+    joint_units: tuple[str, ...]
     task_labels: tuple[str, ...]
     task_unit: str
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Unit of each array; a prismatic joint has m, m/s and N for rad, rad/s and N m."""
+        """Unit of each array; those of different kinds of joints are joined by "or"."""
+        kinds = [unit for unit in ("rad", "m") if unit in self.joint_units]
+        torque = {"rad": "N m", "m": "N"}
         task = self.task_unit
         return {
             "t": "s",
-            "q": "rad",
-            "v": "rad/s",
+            "q": " or ".join(kinds),
+            "v": " or ".join(f"{kind}/s" for kind in kinds),
             "x": task,
             "error": task,
-            "tau": "N m",
-            "sigma_min": f"{task}/rad",
+            "tau": " or ".join(torque[kind] for kind in kinds),
+            "sigma_min": " or ".join(f"{task}/{kind}" for kind in kinds),
             "target": task,
         }
 
@@ -73,12 +77,22 @@ class Trajectory:
         return np.asarray(np.linalg.norm(self.error, axis=1))
 
     def error_ratio(self, t: float) -> float:
-        """‖e(t)‖ / ‖e(0)‖ at the recorded instant nearest to t [s]."""
+        """‖e(t)‖ / ‖e(0)‖ at t [s], linear between recorded instants.
+
+        Raises:
+            InvalidInputError: t outside the run, or a run that starts at its target.
+        """
         norm = self.error_norm
-        return float(norm[np.abs(self.t - t).argmin()] / norm[0])
+        if not self.t[0] <= t <= self.t[-1]:
+            raise InvalidInputError(
+                f"t must be within the run, {self.t[0]:g} to {self.t[-1]:g} [s], got {t!r}", given=t
+            )
+        if norm[0] == 0.0:
+            raise InvalidInputError("there is no ratio to an initial error of 0", given=t)
+        return float(np.interp(t, self.t, norm) / norm[0])
 
     def status_counts(self) -> dict[Status, int]:
-        """How often each status occurred."""
+        """At how many recorded instants each status held."""
         values, counts = np.unique(self.status, return_counts=True)
         return {Status(int(s)): int(n) for s, n in zip(values, counts, strict=True)}
 
@@ -87,13 +101,21 @@ class Trajectory:
 
         Returns:
             The path written, with the ending .npz.
+
+        Raises:
+            TrajectoryFileError: The file cannot be written.
         """
         path = Path(path)
         if path.suffix != ".npz":
             path = path.with_name(path.name + ".npz")
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
         texts = {name: getattr(self, name) for name in _TEXTS}
-        np.savez_compressed(path, allow_pickle=False, texts=np.array(json.dumps(texts)), **arrays)
+        try:
+            np.savez_compressed(path, texts=np.array(json.dumps(texts)), **arrays)
+        except OSError as error:
+            raise TrajectoryFileError(
+                f"path must be a file that can be written, got {path}: {error}", given=path
+            ) from error
         return path
 
     @classmethod
@@ -106,15 +128,15 @@ class Trajectory:
         try:
             with np.load(path, allow_pickle=False) as file:
                 texts = json.loads(str(file["texts"]))
-                arrays = {name: file[name] for name in file.files if name != "texts"}
-            texts["joint_names"] = tuple(texts["joint_names"])
-            texts["task_labels"] = tuple(texts["task_labels"])
+                arrays = {f.name: file[f.name] for f in fields(cls) if f.name not in _TEXTS}
+            for name in ("joint_names", "joint_units", "task_labels"):
+                texts[name] = tuple(texts[name])
             return cls(**arrays, **texts)
         except FileNotFoundError as error:
             raise TrajectoryFileError(
                 f"trajectory file {path} does not exist", given=path
             ) from error
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise TrajectoryFileError(
                 f"{path} is not a trajectory written by Trajectory.save: {error}", given=path
             ) from error
@@ -128,4 +150,4 @@ class Trajectory:
         )
 
 
-_TEXTS = ("robot_name", "joint_names", "task_labels", "task_unit")
+_TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_unit")

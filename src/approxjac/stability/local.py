@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.checks import Array
-from approxjac.controllers import SetpointController
+from approxjac.checks import Array, as_vector
+from approxjac.controllers import AdaptiveGravity, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.law import closed_loop_matrix
 from approxjac.simulation import Plant
+from approxjac.stability.pairing import require_same_task
+
+_SINGULAR = 1e-10  # relative smallest singular value that counts as zero
+_EXACT = 1e-6  # relative error of a gravity compensation that counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,16 +25,20 @@ class LocalStability:
 
     Attributes:
         eigenvalues: Shape (2 n_v − (n_v − m),), complex [1/s].
-        max_real: Their largest real part [1/s]; −1/max_real is the slowest time constant.
+        max_real_eigenvalue: Their largest real part, the spectral abscissa [1/s];
+            −1/max_real_eigenvalue is the slowest time constant.
+        singular: Whether J or Ĵ loses rank at the target. Then there are further eigenvalues of
+            zero, and the linearisation decides nothing.
     """
 
     eigenvalues: NDArray[np.complex128]
-    max_real: float
+    max_real_eigenvalue: float
+    singular: bool
 
     @property
     def stable(self) -> bool:
         """Whether every error near the target dies out."""
-        return self.max_real < 0.0
+        return not self.singular and self.max_real_eigenvalue < 0.0
 
 
 def local_stability(
@@ -37,9 +46,8 @@ def local_stability(
 ) -> LocalStability:
     """Linearise the closed loop of law (6) at rest in a posture that attains the target.
 
-    Gravity is taken as compensated exactly, and s'(0) = 1. For n_v > m the n_v − m eigenvalues
-    nearest to zero belong to the self-motion, along which every posture attains the target; they
-    are left out.
+    With s'(0) = 1. For n_v > m the n_v − m eigenvalues nearest to zero belong to the self-motion,
+    along which every posture attains the target; they are left out.
 
     Args:
         plant: The true robot, sensor and friction.
@@ -47,23 +55,35 @@ def local_stability(
         q_target: Posture that attains the target, shape (nq,).
 
     Raises:
-        InvalidInputError: A controller of law (5), whose linearisation is another.
+        InvalidInputError: A controller of law (5) or (28), whose linearisation is another; one
+            whose gravity is not exact near the posture, which is then no equilibrium; another
+            task than the sensor's; or a posture of the wrong shape.
     """
-    if controller.velocity is not None:
+    q = as_vector("q_target", q_target, plant.robot.nq)
+    require_same_task(plant, controller)
+    if controller.velocity is not None or isinstance(controller.gravity, AdaptiveGravity):
         raise InvalidInputError(
-            f"local_stability is for law (6) with the estimated task velocity, got {controller!r}",
+            "local_stability is for law (6), with the estimated task velocity and known gravity, "
+            f"got {controller!r}",
             given=controller,
         )
+    model = plant.robot.model
+    nearby = [q, *(pin.integrate(model, q, 1e-3 * unit) for unit in np.eye(plant.robot.nv))]
+    wanted = np.array([plant.dynamics.g(posture) for posture in nearby])
+    given = np.array([controller.gravity.torque(posture) for posture in nearby])
+    error = float(np.abs(given - wanted).max())
+    if error > _EXACT * max(1.0, float(np.abs(wanted).max())):
+        raise InvalidInputError(
+            "the controller's gravity must be exact near the target for it to be an equilibrium, "
+            f"got an error of {error:.3g} N m with {type(controller.gravity).__name__}",
+            given=controller,
+        )
+    M, J, J_hat = plant.dynamics.M(q), plant.sensor.jacobian(q), controller.task.jacobian(q)
     kp, kv, damping = controller.diagonals
-    A = closed_loop_matrix(
-        plant.dynamics.M(q_target),
-        plant.sensor.jacobian(q_target),
-        controller.task.jacobian(q_target),
-        kp,
-        kv,
-        plant.friction + damping,
-    )
+    A = closed_loop_matrix(M, J, J_hat, kp, kv, plant.friction + damping)
     eigenvalues = np.linalg.eigvals(A).astype(np.complex128)
     self_motion = plant.robot.nv - plant.sensor.m
     eigenvalues = eigenvalues[np.argsort(np.abs(eigenvalues))][self_motion:]
-    return LocalStability(eigenvalues, float(eigenvalues.real.max()))
+    values = np.linalg.svd(J @ np.linalg.solve(M, J_hat.T), compute_uv=False)
+    singular = bool(values[-1] <= _SINGULAR * values[0])
+    return LocalStability(eigenvalues, float(eigenvalues.real.max()), singular)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from approxjac import law
-from approxjac.checks import Array
+from approxjac.checks import Array, as_number
 from approxjac.controllers import AdaptiveGravity, SetpointController
+from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
+from approxjac.stability.pairing import require_same_task
 
 
 class LyapunovValue(NamedTuple):
@@ -43,7 +45,17 @@ def lyapunov(
         state: Controller state, needed where gravity is learnt, shape (n_state,).
         theta: True gravity parameters in the regressor of the controller, needed where gravity
             is learnt, shape (p,); `GravityRegressor.fit` finds them.
+
+    Raises:
+        InvalidInputError: A controller of law (5); one that learns gravity without `state` and
+            `theta`, or with another α; another task than the sensor's.
     """
+    require_same_task(plant, controller)
+    alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
+    if controller.velocity is not None:
+        raise InvalidInputError(
+            f"V and W are those of the laws (6) and (28), got {controller!r}", given=controller
+        )
     task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
     kp, kv, damping = controller.diagonals
     e = sensor.value(q) - target
@@ -52,7 +64,14 @@ def lyapunov(
     J_hat_pinv = law.right_pinv(J_hat)
     M = dynamics.M(q)
     V = law.V(v, s, controller.saturation.S(e), J_hat_pinv, M, kp, kv, alpha)
-    if isinstance(controller.gravity, AdaptiveGravity) and state is not None and theta is not None:
+    if isinstance(controller.gravity, AdaptiveGravity):
+        if state is None or theta is None or alpha != controller.gravity.alpha:
+            raise InvalidInputError(
+                "where gravity is learnt, state and theta must be given and alpha must be the "
+                f"controller's {controller.gravity.alpha:g}, got alpha = {alpha:g}, "
+                f"state = {state!r}, theta = {theta!r}",
+                given=(alpha, state, theta),
+            )
         V += law.parameter_potential(theta - controller.theta_hat(state), controller.gravity.L)
     W = law.W(
         v,

@@ -29,6 +29,7 @@ from approxjac.stability import LocalStability, local_stability
 from approxjac.tasks import ImageTask, PlanarCamera
 
 Verdict = Literal["stable", "unstable"]
+Inertia = Literal["rod", "point-mass"]
 
 LENGTHS = (1.0, 1.0, 0.5)
 """l₁, l₂ and l_o of the true arm [m]."""
@@ -122,7 +123,7 @@ class Setup:
     target: tuple[float, float] = (math.radians(90.0), math.radians(90.0))
     friction: float = 0.0
     gamma: float | None = None
-    inertia: Literal["rod", "point-mass"] = "rod"
+    inertia: Inertia = "rod"
     duration: float = 120.0
 
     def __post_init__(self) -> None:
@@ -134,7 +135,7 @@ class Setup:
             as_number("gamma", self.gamma, unit="m", above=0.0)
         if self.inertia not in ("rod", "point-mass"):
             raise UnknownNameError("inertia", self.inertia, "the study", ["rod", "point-mass"])
-        image = ImageTask(true_robot(self.inertia), CAMERA)
+        image = ImageTask(build_arm(inertia=self.inertia), CAMERA)
         if float(np.linalg.norm(image.value(start) - image.value(target))) < 1e-9:
             raise InvalidInputError(
                 "start must not have the image of the target already, got start = "
@@ -162,8 +163,8 @@ class Result:
     theta_hat: Array | None
 
     @property
-    def envelope_falls(self) -> bool:
-        """Whether the run settles.
+    def settles(self) -> bool:
+        """Whether the run's error dies down.
 
         It does when the largest error of its last quarter is below the start and well below that
         of its second quarter, or all but gone.
@@ -178,17 +179,23 @@ class Result:
     def verdict(self) -> Verdict:
         """Stable if the linearisation (where there is one) and the run both say so."""
         locally = self.local is None or self.local.stable
-        return "stable" if locally and self.envelope_falls else "unstable"
+        return "stable" if locally and self.settles else "unstable"
 
     @property
     def reason(self) -> str:
         """What the verdict rests on; says so where linearisation and run differ."""
-        run = "the run's error " + ("falls" if self.envelope_falls else "does not fall")
+        run = "the run's error " + ("falls" if self.settles else "does not fall")
         if self.local is None:
             return run
-        text = f"max Re λ = {self.local.max_real:+.4f}, {run}"
-        if self.local.stable != self.envelope_falls:
-            text += " (they differ; a longer run may decide)"
+        if self.local.singular:
+            return (
+                f"the target is a singular posture, where the linearisation decides nothing; {run}"
+            )
+        text = f"max Re λ = {self.local.max_real_eigenvalue:+.4f}, {run}"
+        if self.local.stable and not self.settles:
+            text += "; they differ: the run may be too short, or end elsewhere than at the target"
+        if not self.local.stable and self.settles:
+            text += "; they differ: the run may be too short to show the growth"
         return text
 
     @property
@@ -203,17 +210,13 @@ class Result:
         return {t: self.run.error_ratio(t) for t in reached}
 
 
-def true_robot(inertia: str = "rod") -> Robot:
-    """Return the true arm holding the object."""
-    return _arm(LENGTHS, inertia)
+def build_arm(lengths: tuple[float, float, float] = LENGTHS, inertia: Inertia = "rod") -> Robot:
+    """Return the arm holding the object; the true one, or one that is believed to be.
 
-
-def believed_robot(lengths: tuple[float, float, float], inertia: str = "rod") -> Robot:
-    """Return an arm that differs from the true one in its lengths [m] only."""
-    return _arm(lengths, inertia)
-
-
-def _arm(lengths: tuple[float, float, float], inertia: str) -> Robot:
+    Args:
+        lengths: l₁, l₂ and l_o [m].
+        inertia: "rod" or "point-mass".
+    """
     l1, l2, lo = lengths
     point_masses = inertia == "point-mass"
     arm = load_robot("two_link_point_mass" if point_masses else "two_link").with_kinematic_error(
@@ -233,8 +236,8 @@ def build(experiment: Experiment, setup: Setup) -> tuple[Plant, SetpointControll
     Gravity is known in Figures 3–7, as the paper assumes: as Z(q)θ, eq. (27), with the true
     θ but the believed robot's Z, so that the true lengths stay out of the controller.
     """
-    truth = true_robot(setup.inertia)
-    belief = believed_robot(experiment.lengths, setup.inertia)
+    truth = build_arm(inertia=setup.inertia)
+    belief = build_arm(experiment.lengths, setup.inertia)
     plant = Plant(truth, ImageTask(truth, CAMERA), friction=setup.friction)
     regressor = GravityRegressor(belief, moments="x")
     saturation: Saturation = Linear() if setup.gamma is None else Sine(setup.gamma)
@@ -271,7 +274,8 @@ def run_experiment(
         target=plant.sensor.value(q_target),
         q0=setup.start,
         duration=setup.duration,
-        record_every=setup.duration / 2400,
+        # at most 50 ms, whatever the duration: error ratios are read between the records
+        record_every=setup.duration / max(2400, math.ceil(setup.duration / 0.05)),
         progress=progress,
     )
     if experiment.learn_gravity:
@@ -289,7 +293,8 @@ class JacobianBound:
         a: Gain ratios k_p/k_v, shape (N,) [1/s].
         velocity: 2λ₂/(a + α), shape (N,).
         position: 2aα/(a + α), shape (N,).
-        largest: λ₂^½, the largest allowed p of (25).
+        largest: λ₂^½, the largest p that (23) allows for any a and α: (25).
+        at_own_a: The largest p that (23) allows for any α at that controller's a.
         p: ‖Jᵀ − Ĵᵀ‖ of that controller there.
     """
 
@@ -299,7 +304,13 @@ class JacobianBound:
     velocity: Array
     position: Array
     largest: float
+    at_own_a: float
     p: float
+
+    @property
+    def condition_23_met(self) -> bool:
+        """Whether (23) holds for some α; Theorem 1 asks for (14) and (22) besides."""
+        return self.p < self.at_own_a
 
 
 def jacobian_bound(setup: Setup) -> JacobianBound:
@@ -318,5 +329,7 @@ def jacobian_bound(setup: Setup) -> JacobianBound:
         law.allowed_p_velocity(a, alpha, lambda2),
         law.allowed_p_position(a, alpha),
         law.largest_allowed_p(lambda2),
+        # for a given a the curves cross at α = λ₂/a, and there their minimum is largest
+        law.allowed_p_at_crossing(lambda2 * experiment.kv / experiment.kp, lambda2),
         law.jacobian_error(plant.sensor.jacobian(q), J_hat),
     )

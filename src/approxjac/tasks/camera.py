@@ -8,9 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, as_number
+from approxjac.checks import Array, as_array, as_number, axis_rows
 from approxjac.errors import InvalidInputError
-from approxjac.tasks.position import axis_rows
 
 
 class Camera(Protocol):
@@ -71,8 +70,8 @@ class PlanarCamera:
         as_number("distance", self.distance, unit="m", above=f)
         as_number("roll", self.roll, unit="rad")
         as_array("offset", self.offset, (2,), "m")
-        rows = axis_rows(self.plane)
-        if len(self.plane) != 2:
+        rows = axis_rows("plane", self.plane)
+        if len(rows) != 2:
             raise InvalidInputError(
                 f"plane must name two world axes, such as 'xz', got {self.plane!r}",
                 given=self.plane,

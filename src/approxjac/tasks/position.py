@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from approxjac.checks import Array
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.checks import Array, axis_rows
+from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.tasks.frame import FrameKinematics
 from approxjac.tasks.task import Task
@@ -23,7 +23,9 @@ class PositionTask(Task):
     """
 
     def __init__(self, robot: Robot, frame: str | None = None, axes: str = "xyz") -> None:
-        self._rows = axis_rows(axes)
+        # a slice for "xyz", which NumPy takes without a copy
+        rows = axis_rows("axes", axes)
+        self._rows = slice(0, 3) if axes == "xyz" else rows
         self._labels = tuple(axes)
         self._frame = FrameKinematics(robot, robot.tip_or(frame))
         require_rows(len(axes), robot)
@@ -56,18 +58,6 @@ class PositionTask(Task):
 
     def __repr__(self) -> str:
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {''.join(self.labels)!r})"
-
-
-def axis_rows(axes: str) -> slice | list[int]:
-    """Return the rows of world axes; a slice for "xyz", which NumPy takes without a copy."""
-    if not axes or len(set(axes)) != len(axes):
-        raise InvalidInputError(
-            f"axes must name each world axis once, such as 'xyz' or 'xz', got {axes!r}", given=axes
-        )
-    for letter in axes:
-        if letter not in "xyz":
-            raise UnknownNameError("axis", letter, "the world axes", "xyz")
-    return slice(0, 3) if axes == "xyz" else ["xyz".index(letter) for letter in axes]
 
 
 def require_rows(m: int, robot: Robot) -> None:

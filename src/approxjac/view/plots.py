@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
+from approxjac.checks import Array, axis_rows
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
@@ -71,7 +71,7 @@ def plot_path(
         target: Posture that attains the target, shape (nq,), drawn dashed if given.
         ax: Axes to draw into; new ones by default.
     """
-    rows = ["xyz".index(letter) for letter in plane]
+    rows = axis_rows("plane", plane)
     frame = robot.tip_or(frame)
     kinematics = FrameKinematics(robot, frame)
     tips = np.array([kinematics.position(q) for q in run.q])[:, rows]

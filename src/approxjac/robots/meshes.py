@@ -1,0 +1,74 @@
+"""Mesh files of a URDF: where they are, and what other tools can read."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from approxjac.robots.named import share_dir
+
+_MUJOCO_READS = (".stl", ".obj", ".msh")
+
+
+def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
+    """Return the file that a URDF means by a mesh name, or None where there is none.
+
+    `package://` is looked up in the folders above the URDF, in ROS_PACKAGE_PATH and in the
+    share folder of example-robot-data; other names are relative to the URDF.
+    """
+    if filename.startswith("package://"):
+        relative = filename.removeprefix("package://")
+        roots = [urdf_dir, *urdf_dir.parents] if urdf_dir is not None else []
+        roots += [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
+        share = share_dir()
+        if share is not None:
+            roots.append(share)
+    else:
+        relative = filename.removeprefix("file://")
+        roots = [urdf_dir] if urdf_dir is not None else [Path("/")]
+    for root in roots:
+        candidate = root / relative
+        if candidate.is_file():
+            return candidate.resolve()
+    return None
+
+
+def for_other_tools(root: Any, urdf_dir: Path | None, path: Path) -> None:
+    """Make a URDF open alike in Pinocchio, MuJoCo, MeshCat and yourdfpy.
+
+    Mesh files that are found are named by their full path. Collision meshes that MuJoCo cannot
+    read are converted to STL, into the folder `{name}_meshes` beside the file. MuJoCo is asked to
+    keep links on fixed joints as bodies (it merges them otherwise, and the tip frame is lost),
+    unless the URDF already speaks to MuJoCo.
+
+    Args:
+        root: XML root to change.
+        urdf_dir: Folder that mesh names are relative to.
+        path: File that will be written.
+    """
+    from lxml import etree
+
+    for mesh in root.iter("mesh"):
+        found = find_mesh(mesh.get("filename", ""), urdf_dir)
+        if found is None:
+            continue
+        if mesh.getparent().getparent().tag == "collision":
+            found = _readable_by_mujoco(found, path.with_name(f"{path.stem}_meshes"))
+        mesh.set("filename", str(found))
+    if root.find("mujoco") is None:
+        mujoco = etree.Element("mujoco")
+        etree.SubElement(mujoco, "compiler", fusestatic="false", strippath="false")
+        root.insert(0, mujoco)
+
+
+def _readable_by_mujoco(mesh: Path, folder: Path) -> Path:
+    """Return the mesh itself, or its conversion to STL in a folder made for it."""
+    if mesh.suffix.lower() in _MUJOCO_READS:
+        return mesh
+    import trimesh
+
+    folder.mkdir(parents=True, exist_ok=True)
+    converted = (folder / f"{mesh.stem}.stl").resolve()
+    trimesh.load(mesh, force="mesh").export(converted)
+    return converted
