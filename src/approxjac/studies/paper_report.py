@@ -130,7 +130,7 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
         if result.theta_hat is not None:
             learnt = ", ".join(f"{value:.4f}" for value in result.theta_hat)
             lines.append(f"{'':3}learnt θ̂ = ({learnt}) kg m")
-    return "\n".join(lines)
+    return "\n".join(lines).rstrip()
 
 
 def write_result(result: Result, setup: Setup, truth: Robot, out: Path) -> None:
