@@ -38,3 +38,12 @@ autoclass_content = "class"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
+
+
+def hide_protocol_signature(app, what, name, member, options, signature, returns):
+    """A protocol is described, not called."""
+    return ("", returns) if getattr(member, "_is_protocol", False) else None
+
+
+def setup(app):
+    app.connect("autodoc-process-signature", hide_protocol_signature)

@@ -22,32 +22,32 @@ out.mkdir(parents=True, exist_ok=True)
 # The truth, which only the simulated plant owns: a 20 cm tool in the hand.
 arm = aj.load_robot("panda")
 truth = arm.with_object(length=0.20, mass=0.5, axis="x")
-plant = aj.Plant(truth, sensor=aj.PositionTask(truth, frame="object_tip"), friction=0.1)
+plant = aj.Plant(truth, sensor=aj.PositionTask(truth, frame="object_tip"))
 
-# The belief, which only the controller owns: no tool at all. Its weight is known, as in law (6):
-# gravity is Z(q) theta with the right theta, and Z does not need the tool's length.
+# The belief, which only the controller owns: no tool at all. The tool's weight is unknown to it
+# too, so gravity is learnt while the arm moves.
 belief = arm.with_object(length=0.0, mass=0.0)
-regressor = aj.GravityRegressor(belief)
-theta, _ = regressor.fit(truth)
 controller = aj.SetpointController(
     aj.PositionTask(belief, frame="object_tip"),
     aj.Gains(kp=400.0, kv=80.0, damping=1.0),
-    gravity=aj.RegressorGravity(regressor, theta),
+    gravity=aj.AdaptiveGravity(aj.GravityRegressor(belief), L=0.5, alpha=2.0),
 )
 
 # Sampled at 1 kHz, as on the robot.
 q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 target = plant.sensor.value(q0) + [0.10, -0.15, 0.16]
-run = aj.simulate(plant, controller, target, q0, duration=3.0, dt=1e-3)
+run = aj.simulate(plant, controller, target, q0, duration=6.0, dt=1e-3)
 print(run)
 
-figure, (left, middle, right) = view.new_figure(3, title="A 20 cm tool it believes absent")
+title = "A Panda with a 20 cm tool that its controller believes absent"
+figure, (left, middle, right) = view.new_figure(3, title=title)
 view.plot_error(run, left)
 view.plot_path(run, truth, plane="xz", ax=middle)
 tips = np.array([aj.PositionTask(belief).value(q) for q in run.q])
-middle.plot(tips[:, 0], tips[:, 2], ":", color="#CC79A7", label="where it believes the tip")
-middle.plot(target[0], target[2], "x", color="#555555", ms=8, label="target")
-middle.legend(fontsize=7, loc="lower right")
+middle.plot(tips[:, 0], tips[:, 2], color="#CC79A7", label="believed tip", zorder=5)
+middle.plot(tips[-1, 0], tips[-1, 2], "o", color="#CC79A7", ms=4, zorder=5)
+middle.plot(target[0], target[2], "x", color="#555555", ms=8, label="target", zorder=5)
+view.legend_below(middle)
 view.plot_torque(run, right)
 for path in view.save_figure(figure, out / "panda_unknown_tool"):
     print(path)

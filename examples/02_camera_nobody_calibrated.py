@@ -38,9 +38,9 @@ for left, right, kv in ((axes[0], axes[1], 5000.0), (axes[2], axes[3], 10000.0))
     run = aj.simulate(plant, controller, target, start, duration=60.0)
     said = "stable" if local.stable else "unstable"
     print(f"a = {5000.0 / kv:g}: max Re λ = {local.max_real_eigenvalue:+.4f} 1/s ({said}); {run}")
-    view.plot_error(run, left)
-    view.plot_path(run, arm, target=goal, ax=right)
-    left.set_title(f"a = {5000.0 / kv:g}: {said}, max Re λ = {local.max_real_eigenvalue:+.4f} 1/s")
+    title = f"a = {5000.0 / kv:g}: {said}, max Re λ = {local.max_real_eigenvalue:+.4f} 1/s"
+    view.plot_error(run, left, title=title)
+    view.plot_path(run, arm, q_target=goal, ax=right)
 
 for path in view.save_figure(figure, out / "uncalibrated_camera"):
     print(path)

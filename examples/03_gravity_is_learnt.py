@@ -40,8 +40,7 @@ for ax, (name, gravity) in zip(axes, gravities.items(), strict=True):
     controller = aj.SetpointController(task, gains, gravity=gravity)
     run = aj.simulate(plant, controller, target, q0, duration=10.0, dt=2e-3)
     print(f"gravity {name}: {run}")
-    view.plot_error(run, ax)
-    ax.set_title(f"Gravity {name}: {1e3 * run.error_norm[-1]:.2f} mm after 10 s")
+    view.plot_error(run, ax, title=f"Gravity {name}: {1e3 * run.error_norm[-1]:.2g} mm after 10 s")
 
 for path in view.save_figure(figure, out / "learnt_gravity"):
     print(path)

@@ -111,6 +111,24 @@ def test_a_singular_target_is_no_crash(tmp_path, capsys):
     assert "singular posture" in capsys.readouterr().out
 
 
+def test_a_verdict_whose_evidence_differs_gives_its_reason(tmp_path, capsys):
+    main(["paper", "--out", str(tmp_path), "--figures", "3", "--duration", "1"])
+    assert "they differ: the run may be too short" in capsys.readouterr().out
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["figures"]["fig3"]["evidence_agrees"] is False
+
+
+def test_an_output_that_knows_no_greek_is_no_crash(tmp_path):
+    process = subprocess.run(
+        [sys.executable, "-m", "approxjac", "paper", "--out", str(tmp_path), "--figures", "4"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert process.returncode == 0
+    assert "max Re ?" in process.stdout
+
+
 def test_a_file_in_the_way_gives_exit_code_2(tmp_path, capsys):
     (tmp_path / "fig1.png").mkdir()
     assert main(["paper", "--out", str(tmp_path), "--figures", "1"]) == 2

@@ -25,7 +25,7 @@ from approxjac.errors import (
 )
 from approxjac.interface import Controller, Evaluation, Measurement, Status
 from approxjac.law import Linear, Sine, Tanh
-from approxjac.robots import Dynamics, GravityRegressor, Robot, load_robot
+from approxjac.robots import Dynamics, GravityRegressor, Robot, load_robot, robot_names
 from approxjac.simulation import Plant, Trajectory, simulate
 from approxjac.stability import LocalStability, LyapunovValue, local_stability, lyapunov
 from approxjac.tasks import Camera, ImageTask, PlanarCamera, PositionTask, Task
@@ -70,5 +70,6 @@ __all__ = [
     "load_robot",
     "local_stability",
     "lyapunov",
+    "robot_names",
     "simulate",
 ]

@@ -97,7 +97,7 @@ def as_diagonal(
         InvalidInputError: Wrong shape, not finite, negative, or zero where `positive`.
     """
     scalar = is_scalar(value)
-    array = as_array(name, [value] * size if scalar else value, (size,), unit)
+    array = as_array(name, [value] * max(size, 1) if scalar else value, (max(size, 1),), unit)
     if (array <= 0).any() if positive else (array < 0).any():
         wanted = "> 0" if positive else ">= 0"
         suffix = f" [{unit}]" if unit else ""
@@ -105,6 +105,17 @@ def as_diagonal(
             f"{name} must be {wanted} in every entry{suffix}, got {array.tolist()}", given=value
         )
     return array
+
+
+def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -> None:
+    """Refuse an object of another kind than the one an argument is for.
+
+    Raises:
+        InvalidInputError: `value` is not an instance of `kind`.
+    """
+    if not isinstance(value, kind):
+        given = f"the class {value.__name__}" if isinstance(value, type) else repr(value)
+        raise InvalidInputError(f"{name} must be {wanted}, got {given}", given=value)
 
 
 def is_scalar(value: Any) -> bool:

@@ -5,6 +5,7 @@ Exit codes: 0 all is well, 1 a verdict fell short, 2 bad input.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import sys
@@ -18,6 +19,10 @@ import approxjac
 from approxjac.errors import ApproxJacError, InvalidInputError
 
 app = tyro.extras.SubcommandApp()
+_DESCRIPTION = (
+    "Torque control of any URDF arm whose kinematics are not exactly known. "
+    "--version prints the version."
+)
 
 
 @app.command(name="paper")
@@ -35,7 +40,7 @@ def paper(
 
     Args:
         out: Folder for figN.png, figN.svg, figN.npz and summary.json.
-        figures: Figures to make.
+        figures: Figures to make, such as "--figures 3 4".
         start: Posture q(0) at the start, in degrees.
         target: Posture whose image is the target, in degrees.
         friction: Viscous friction B at both joints, N m s/rad.
@@ -83,9 +88,9 @@ def paper(
             result = study.run_experiment(experiment, setup, progress=advance)
             report.write_result(result, setup, truth, out)
             results.append(result)
-    print(report.table(results, bound))
     summary = report.summary(results, bound, setup)
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    print(report.table(results, bound))
     print(f"\nPictures, runs and summary.json are in {out}")
     return 0 if all(result.agrees_with_paper for result in results) else 1
 
@@ -96,8 +101,13 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"approxjac {approxjac.__version__}")
         return 0
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
     try:
-        return int(app.cli(args=arguments, prog="approxjac"))
+        return int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
+    except KeyboardInterrupt:
+        print("\napproxjac: stopped", file=sys.stderr)
+        return 130
     except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
         print(f"approxjac: {error}", file=sys.stderr)
         return 2

@@ -20,6 +20,9 @@ class Status(enum.IntEnum):
     NEAR_SINGULAR = 1
     MEASUREMENT_LOST = 2
 
+    def __str__(self) -> str:
+        return self.name
+
     @property
     def message(self) -> str:
         """A sentence a person can act on."""

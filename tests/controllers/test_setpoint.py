@@ -159,7 +159,9 @@ def test_the_differentiator_goes_on_while_the_measurement_is_lost(panda, rng):
 def test_a_saturation_of_the_wrong_length_is_refused(panda):
     task, gains = aj.PositionTask(panda), aj.Gains(1.0, 1.0, 1.0)
     for saturation in (aj.Sine((0.1, 0.2)), aj.Tanh(np.ones(4))):
-        with pytest.raises(aj.InvalidInputError, match="saturation must have one gamma, or 3 for"):
+        with pytest.raises(
+            aj.InvalidInputError, match=r"saturation must be Linear\(\), .* one gamma or 3"
+        ):
             aj.SetpointController(task, gains, saturation=saturation)
     aj.SetpointController(task, gains, saturation=aj.Sine((0.1, 0.2, 0.3)))
 
@@ -362,6 +364,70 @@ def test_gains_of_the_wrong_length_are_refused(panda):
 def test_a_redundant_arm_needs_added_damping(panda):
     with pytest.raises(aj.InvalidInputError, match="it has 7 joints for 3 task coordinates"):
         aj.SetpointController(aj.PositionTask(panda), aj.Gains(400.0, 80.0))
+
+
+def test_objects_of_the_wrong_kind_are_refused(panda):
+    task, gains, regressor = aj.PositionTask(panda), aj.Gains(1, 1, 1), aj.GravityRegressor(panda)
+    cases = [
+        (lambda: aj.SetpointController(panda, gains), "task must be a task of the believed robot"),
+        (lambda: aj.SetpointController(task, (1, 1)), r"gains must be Gains\(kp=.*got \(1, 1\)"),
+        (
+            lambda: aj.SetpointController(task, gains, gravity=regressor),
+            "gravity must be one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity",
+        ),
+        (
+            lambda: aj.SetpointController(task, gains, gravity=aj.NoGravity),
+            "gravity must be one of .*, got the class NoGravity",
+        ),
+        (lambda: aj.SetpointController(task, gains, velocity=0.02), "velocity must be Different"),
+        (lambda: aj.SetpointController(task, gains, saturation=aj.Sine), "saturation must be Lin"),
+        (lambda: aj.SetpointController(task, gains, saturation=0.2), "saturation must be Linear"),
+        (lambda: aj.AdaptiveGravity(panda, 1.0, 1.0), "regressor must be a GravityRegressor of"),
+        (lambda: aj.RegressorGravity(panda, np.ones(12)), "regressor must be a GravityRegressor"),
+        (lambda: aj.GravityRegressor(task), "robot must be a Robot, got PositionTask"),
+        (lambda: aj.PositionTask("panda"), "robot must be a Robot, got 'panda'"),
+        (lambda: aj.ImageTask(panda, None), "camera must be a camera, such as PlanarCamera"),
+        (lambda: aj.Plant(panda, panda), "sensor must be a task of the true robot, such as"),
+        (lambda: aj.Plant(task, task), "robot must be the true Robot, got PositionTask"),
+        (
+            lambda: aj.simulate(aj.SetpointController(task, gains), None, 0, 0, 1),
+            "plant must be a Plant",
+        ),
+        (lambda: panda.with_locked_joints(["panda_joint1"]), "positions must be a mapping from"),
+        (lambda: aj.Gains([], 1), r"kp must have shape \(1,\), got shape \(0,\)"),
+        (lambda: aj.Gains(True, 1), "kp must be numbers"),
+    ]
+    for make, text in cases:
+        with pytest.raises(aj.InvalidInputError, match=text):
+            make()
+
+
+def test_a_measurement_of_another_kind_is_refused(panda):
+    controller = controllers(panda)["(6)"]
+    for measurement in (None, (0.0, np.zeros(7), np.zeros(7))):
+        with pytest.raises(
+            aj.InvalidInputError, match=r"measurement must be Measurement\(t, q, v, x"
+        ):
+            controller.evaluate(np.zeros(0), measurement, TARGET)
+
+
+def test_continuous_joints_off_the_circle_are_refused(rng):
+    kinova = aj.load_robot("kinova")
+    task = aj.PositionTask(kinova)
+    controller = aj.SetpointController(task, aj.Gains(1.0, 1.0, 1.0))
+    q = 2.0 * kinova.neutral()
+    with pytest.raises(
+        aj.InvalidInputError, match=r"q must have cos\^2 \+ sin\^2 = 1 in the pairs"
+    ):
+        task.value(q)
+    with pytest.raises(
+        aj.InvalidInputError, match=r"q must have cos\^2 \+ sin\^2 = 1 in the pairs"
+    ):
+        controller.evaluate(np.zeros(0), aj.Measurement(0.0, q, np.zeros(6), np.zeros(3)), TARGET)
+
+
+def test_a_status_prints_its_name():
+    assert str(aj.Status.OK) == f"{aj.Status.OK}" == "OK"
 
 
 def test_gravity_of_another_arm_is_refused(panda, two_link):

@@ -75,6 +75,13 @@ def test_a_mesh_that_cannot_be_found_does_not_matter():
     assert robot.with_object(0.1, 0.2).mass == pytest.approx(1.2)
 
 
+def test_every_name_loads():
+    assert {"two_link", "panda", "ur5", "kinova"} < set(aj.robot_names())
+    assert all(aj.load_robot(name).nv >= 2 for name in aj.robot_names())
+    with pytest.raises(aj.UnknownNameError, match="frame '' not in panda; valid are"):
+        aj.load_robot("panda", tip="")
+
+
 def test_gravity_is_settable():
     robot = aj.load_robot("two_link", gravity=(0.0, 0.0, -1.62))
     assert_allclose(robot.gravity, [0.0, 0.0, -1.62])
@@ -106,6 +113,8 @@ def test_repr_says_what_it_is():
     ("source", "error", "text"),
     [
         ("pnada", aj.UnknownNameError, "robot 'pnada' not in the robots known by name; did you me"),
+        ("/nope", aj.UrdfError, "URDF file /nope does not exist"),
+        ("arm.xacro", aj.UrdfError, "URDF file arm.xacro does not exist"),
         ("missing.urdf", aj.UrdfError, "URDF file missing.urdf does not exist"),
         ("<robot name='r'><link", aj.UrdfError, "URDF text is not well-formed XML"),
         ("<sdf/>", aj.UrdfError, "must have <robot> as its root element, got <sdf>"),
@@ -120,7 +129,7 @@ def test_repr_says_what_it_is():
         (
             minimal().replace('<mass value="1"/>', '<mass value="one"/>'),
             aj.UrdfError,
-            "URDF text is not a valid URDF: ValueError: could not convert string to float: 'one'",
+            "<mass value=...> of link 'arm' must be a finite number, got 'one'",
         ),
         (
             minimal().replace("<inertial>", "<!--").replace("</inertial>", "-->"),
@@ -146,6 +155,14 @@ def test_bad_urdfs_are_refused(source, error, text):
         (('<limit lower="-1" upper="1" effort="5" velocity="1"/>', ""), "has no <limit>; with"),
         (('ixx="0.1"', 'ixx="-0.1"'), "link 'arm' has a negative mass or inertia"),
         (('value="1"', 'value="-1"'), "link 'arm' has a negative mass or inertia"),
+        (('name="minimal"', ""), "<robot> has no name"),
+        (('<link name="base"/>', "<link/>"), "a <link> has no name"),
+        (('<joint name="hinge"', "<joint"), "a <joint> has no name"),
+        (('<parent link="base"/>', ""), "joint 'hinge' has no <parent link=...>"),
+        (('xyz="0 1 0"', 'xyz="0 1"'), "<axis xyz=...> of joint 'hinge' must be 3 finite"),
+        (('xyz="0 0 0.5"', 'xyz="0 0 nan"'), "<origin xyz=...> of link 'arm' must be 3 finite num"),
+        (('ixy="0"', ""), "<inertia ixy=...> of link 'arm' must be a finite number, got None"),
+        (('lower="-1"', 'lower="2"'), "the limits of joint 'hinge' are reversed"),
         (("</joint>", '<mimic joint="other"/></joint>'), "joint 'hinge' mimics 'other', which"),
         (
             ("</robot>", '<joint name="again" type="fixed"><parent link="base"/><child link="arm"/>'
@@ -299,6 +316,7 @@ def test_objects_can_be_stacked(panda):
         ({"length": -0.1}, aj.InvalidInputError, "length must be a finite number >= 0 [m], got -0"),
         ({"mass": -1}, aj.InvalidInputError, "mass must be a finite number >= 0 [kg], got -1"),
         ({"radius": -1}, aj.InvalidInputError, "radius must be a finite number >= 0 [m], got -1"),
+        ({"length": 1e308}, aj.InvalidInputError, "length and radius must be at most 1e6 [m], got"),
         ({"length": np.nan}, aj.InvalidInputError, "length must be a finite number >= 0 [m], got"),
         ({"length": "long"}, aj.InvalidInputError, "got 'long'"),
         ({"axis": "w"}, aj.UnknownNameError, "axis 'w' not in the axes; valid are -x, -y, -z, x,"),

@@ -201,6 +201,30 @@ def test_files_that_are_no_runs_are_refused(tmp_path):
         aj.Trajectory.load(tmp_path / "other.npz")
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("error", np.zeros((3, 2))),
+        ("q", np.zeros(11)),
+        ("status", np.full(11, 99)),
+        ("t", np.array(["a"] * 11)),
+    ],
+)
+def test_files_whose_arrays_do_not_fit_are_refused(short_run, tmp_path, name, value):
+    path = dataclasses.replace(short_run, **{name: value}).save(tmp_path / "bad.npz")
+    with pytest.raises(aj.TrajectoryFileError, match=r"bad.npz is not a trajectory written by"):
+        aj.Trajectory.load(path)
+
+
+def test_endings_are_added_where_they_are_missing(short_run, tmp_path):
+    assert short_run.save(tmp_path / "run.NPZ").name == "run.NPZ"
+    short_run.save(tmp_path / "other")
+    assert repr(aj.Trajectory.load(tmp_path / "other")) == repr(short_run)
+    assert repr(aj.Trajectory.load(tmp_path / "run.NPZ")) == repr(short_run)
+    with pytest.raises(aj.InvalidInputError, match="path must name a file, got"):
+        short_run.save("")
+
+
 def test_ratios_are_read_between_records_and_only_within_the_run(short_run):
     norm = short_run.error_norm
     assert short_run.error_ratio(0.035) == pytest.approx(0.5 * (norm[3] + norm[4]) / norm[0])
@@ -306,7 +330,10 @@ class Explosive(ConstantTorque):
     ("dt", "text"),
     [
         (None, r"the integration stopped at t = .* of 100 s: the steps have become vanishingly"),
-        (1e-3, r"the simulation stopped at t = .* of 100 s: the state is no longer finite; a sma"),
+        (
+            1e-3,
+            r"the simulation diverged at t = .* of 100 s: .* \(a smaller dt or smaller gains may",
+        ),
     ],
 )
 def test_a_run_that_explodes_is_a_named_error(dt, text):
@@ -315,3 +342,25 @@ def test_a_run_that_explodes_is_a_named_error(dt, text):
         aj.simulate(
             plant, Explosive((0.0, 0.0)), (0.0, 0.0), (0.3, 0.8), 100.0, v0=(1.0, 1.0), dt=dt
         )
+
+
+@pytest.mark.parametrize("dt", [None, 0.05])
+def test_a_loop_that_is_too_stiff_is_a_named_error_not_a_blame(dt):
+    """The user's input is fine; it is the sampled loop, or the law itself, that diverges."""
+    robot = aj.load_robot("ur5")
+    task = aj.PositionTask(robot)
+    gains = aj.Gains(400.0, 80.0, 1.0) if dt else aj.Gains(1e300, 1e-300, 1e-300)
+    controller = aj.SetpointController(task, gains)
+    plant = aj.Plant(robot, task)
+    q0 = np.array([0.0, -1.0, 1.5, -1.0, -1.5, 0.0])
+    target = task.value(q0) + [0.1, 0.1, 0.1]
+    with pytest.raises(aj.SimulationError, match=r"the (simulation|integration) .* at t = "):
+        aj.simulate(plant, controller, target, q0, 5.0, dt=dt)
+
+
+def test_wrong_shapes_between_plant_and_controller_are_no_divergence(panda):
+    plant = aj.Plant(panda, aj.PositionTask(panda, axes="xy"))
+    controller = aj.SetpointController(aj.PositionTask(panda), aj.Gains(1.0, 1.0, 1.0))
+    for dt in (None, 1e-3):
+        with pytest.raises(aj.InvalidInputError, match=r"x must be an array of shape \(3,\)"):
+            aj.simulate(plant, controller, (0.5, 0.0), np.zeros(7), 1.0, dt=dt)

@@ -75,6 +75,24 @@ def test_a_verdict_needs_linearization_and_run(results):
     assert paper.Result(stable.experiment, stable.run, stable.local, None).verdict == "stable"
 
 
+def test_a_limit_cycle_is_not_called_stable():
+    """A large start makes any early quarter look worse than a limit cycle that goes on."""
+    setup = paper.Setup(
+        start=(math.radians(200.0), math.radians(-170.0)),
+        target=(math.radians(-30.0), math.radians(45.0)),
+    )
+    result = paper.run_experiment(paper.EXPERIMENTS[8], setup)
+    assert result.error_ratios[120.0] > 0.01
+    assert result.verdict == "unstable"
+
+
+def test_a_run_that_is_too_short_says_so():
+    result = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(duration=1.0))
+    assert result.verdict == "unstable"
+    assert not result.evidence_agrees
+    assert "too short to show the growth" in result.reason
+
+
 def test_figure_1_bounds_figure_4():
     bound = paper.jacobian_bound(paper.Setup())
     assert bound.largest == pytest.approx(0.0113, abs=5e-5)

@@ -1,3 +1,5 @@
+import dataclasses
+
 import matplotlib
 import numpy as np
 import pytest
@@ -34,7 +36,7 @@ def test_the_torque_of_each_joint_is_drawn(run):
 
 def test_the_path_is_that_of_the_true_tip(run):
     robot = aj.load_robot("two_link")
-    ax = view.plot_path(run, robot, target=(0.4, 1.0))
+    ax = view.plot_path(run, robot, q_target=(0.4, 1.0))
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert_allclose(np.array(lines["path of tool0"].get_data()).T, run.x, atol=1e-12)
     start = np.array(lines["start"].get_data()).T
@@ -58,6 +60,47 @@ def test_pictures_are_written_and_repeat_to_the_byte(run, tmp_path):
     again = view.save_figure(view.plot_run(run), tmp_path / "again")
     for a, b in zip(paths, again, strict=True):
         assert a.read_bytes() == b.read_bytes()
+
+
+def test_endings_are_not_doubled_and_bad_places_are_named(run, tmp_path):
+    paths = view.save_figure(view.plot_run(run), tmp_path / "run.png")
+    assert [path.name for path in paths] == ["run.png", "run.svg"]
+    with pytest.raises(aj.InvalidInputError, match="stem must name files that can be written, got"):
+        view.save_figure(view.plot_run(run), tmp_path / "nowhere" / "run")
+
+
+def test_bad_paths_are_refused(run):
+    robot = aj.load_robot("two_link")
+    for plane in ("ab", "x", "xyz"):
+        with pytest.raises(aj.ApproxJacError, match=r"plane must name two world axes|not in plane"):
+            view.plot_path(run, robot, plane=plane)
+    with pytest.raises(aj.InvalidInputError, match=r"q_target must have shape \(2,\)"):
+        view.plot_path(run, robot, q_target=(1.0, 2.0, 3.0))
+
+
+def test_the_arm_is_drawn_with_its_fixed_parts():
+    arm = aj.load_robot("panda")
+    held = arm.with_object(0.2, axis="x")
+    task = aj.PositionTask(held)
+    controller = aj.SetpointController(task, aj.Gains(100.0, 20.0, 1.0))
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    run = aj.simulate(aj.Plant(held, task), controller, task.value(q0), q0, 0.01, dt=0.01)
+    lines = {line.get_label(): line for line in view.plot_path(run, held).get_lines()}
+    drawn = np.array(lines["start"].get_data()).T
+    hand = aj.PositionTask(held, frame="panda_hand_tcp").value(q0)[[0, 2]]
+    assert_allclose(drawn[-2], hand, atol=1e-12)
+    assert_allclose(drawn[-1], task.value(q0)[[0, 2]], atol=1e-12)
+
+
+def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
+    learnt = dataclasses.replace(run, state=np.outer(run.t, [1.0, 2.0]))
+    ax = view.plot_parameters(learnt, ("a", "b"), theta=(0.9, 1.9))
+    lines = {line.get_label(): line for line in ax.get_lines()}
+    assert_allclose(lines["b"].get_ydata(), 2.0 * run.t)
+    assert [line.get_ydata()[0] for line in ax.get_lines() if line.get_linestyle() == "--"] == [
+        0.9,
+        1.9,
+    ]
 
 
 def test_the_users_own_settings_are_left_alone(run):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, as_diagonal, as_number, is_scalar
+from approxjac.checks import Array, as_array, as_diagonal, as_number, is_scalar, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 
@@ -62,6 +62,9 @@ class RegressorGravity:
     """
 
     def __init__(self, regressor: GravityRegressor, theta: Sequence[float] | Array) -> None:
+        require(
+            "regressor", regressor, GravityRegressor, "a GravityRegressor of the believed robot"
+        )
         self.regressor = regressor
         self.theta = as_array("theta", theta, (regressor.p,))
 
@@ -99,6 +102,9 @@ class AdaptiveGravity:
         alpha: float,
         theta0: Sequence[float] | Array | None = None,
     ) -> None:
+        require(
+            "regressor", regressor, GravityRegressor, "a GravityRegressor of the believed robot"
+        )
         p = regressor.p
         self.regressor = regressor
         self.L = _adaptation_gain(L, p)

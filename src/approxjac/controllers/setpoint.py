@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array, as_number
+from approxjac.checks import Array, as_number, require
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import AdaptiveGravity, Gravity, ModelGravity
 from approxjac.errors import InvalidInputError, MeasurementError
@@ -65,6 +66,15 @@ class SetpointController:
         saturation: Saturation | None = None,
         velocity: DifferentiatedVelocity | None = None,
     ) -> None:
+        require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+        require("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...)")
+        if gravity is not None:
+            wanted = "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity"
+            require("gravity", gravity, get_args(Gravity), wanted)
+        if velocity is not None:
+            require(
+                "velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"
+            )
         self.task = task
         self.gains = gains
         self.gravity: Gravity = ModelGravity(task.robot) if gravity is None else gravity
@@ -94,7 +104,7 @@ class SetpointController:
 
     @property
     def n_state(self) -> int:
-        """Length of the state: p where gravity is learnt, plus m for law (5)."""
+        """Length of the state, p where gravity is learnt, plus m for law (5)."""
         return self._n_state
 
     def initial_state(self, measurement: Measurement) -> Array:
@@ -188,17 +198,23 @@ class SetpointController:
         m = self.task.m
         try:
             fits = np.shape(self.saturation.s(np.zeros(m))) == (m,)
-        except ValueError:
+        except (ValueError, TypeError, AttributeError):
             fits = False
         if not fits:
             raise InvalidInputError(
-                f"saturation must have one gamma, or {m} for {self.task!r}, "
-                f"got {self.saturation!r}",
+                f"saturation must be Linear(), Sine(gamma) or Tanh(gamma) with one gamma or {m} "
+                f"for {self.task!r}, got {self.saturation!r}",
                 given=self.saturation,
             )
 
     def _require_shapes(self, state: Array, measurement: Measurement, target: Array) -> None:
-        _, q, v, x = measurement
+        try:
+            _, q, v, x = measurement
+        except (TypeError, ValueError):
+            raise InvalidInputError(
+                f"measurement must be Measurement(t, q, v, x), got {measurement!r}",
+                given=measurement,
+            ) from None
         try:
             if (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes:
                 return

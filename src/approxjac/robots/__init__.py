@@ -2,7 +2,7 @@
 
 from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.gravity_regressor import GravityRegressor
-from approxjac.robots.load import load_robot
+from approxjac.robots.load import load_robot, robot_names
 from approxjac.robots.robot import Robot
 
-__all__ = ["Dynamics", "GravityRegressor", "Robot", "load_robot"]
+__all__ = ["Dynamics", "GravityRegressor", "Robot", "load_robot", "robot_names"]

@@ -76,7 +76,7 @@ class Dynamics:
         )
 
     def _q(self, q: Array) -> Array:
-        return as_vector("q", q, self.robot.nq)
+        return self.robot.configuration(q)
 
     def _v(self, v: Array, name: str = "v") -> Array:
         return as_vector(name, v, self.robot.nv)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_vector, axis_rows
+from approxjac.checks import Array, axis_rows, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.robot import Robot
@@ -45,6 +45,7 @@ class GravityRegressor:
     """
 
     def __init__(self, robot: Robot, moments: str = "xyz") -> None:
+        require("robot", robot, Robot, "a Robot")
         axes = axis_rows("moments", moments)
         self.robot = robot
         self._model = robot.model
@@ -139,7 +140,7 @@ class GravityRegressor:
     def _full(self, q: Array) -> Array:
         """All columns at rest, shape (n_v, 10 n_v); an alias of scratch memory."""
         regressor: Array = pin.computeJointTorqueRegressor(
-            self._model, self._data, as_vector("q", q, self.robot.nq), self._zero, self._zero
+            self._model, self._data, self.robot.configuration(q), self._zero, self._zero
         )
         return regressor
 

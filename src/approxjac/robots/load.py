@@ -23,7 +23,8 @@ def load_robot(
     Args:
         source: A name ("panda", "two_link", …), a path, or text that starts with "<".
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
-        tip: End-effector frame; by default the named robot's own, or the last link.
+        tip: End-effector frame; by default the named robot's own, or the last link of an arm
+            that does not branch.
 
     Raises:
         UnknownNameError: Neither a known name nor a file.
@@ -50,14 +51,19 @@ def load_robot(
                 "(pip install example-robot-data)",
                 given=source,
             )
-        robot = _load_file(path, gravity, tip or entry.tip)
+        robot = _load_file(path, gravity, entry.tip if tip is None else tip)
         return robot.with_locked_joints(entry.locked) if entry.locked else robot
     path = Path(source)
     if len(text) < 4096 and path.is_file():
         return _load_file(path, gravity, tip)
-    if path.suffix == ".urdf" or isinstance(source, Path):
+    if path.suffix or "/" in text or isinstance(source, Path):
         raise UrdfError(f"URDF file {text} does not exist", given=source)
     raise UnknownNameError("robot", text, "the robots known by name", NAMED)
+
+
+def robot_names() -> tuple[str, ...]:
+    """Return the names that `load_robot` knows."""
+    return tuple(NAMED)
 
 
 def _load_file(path: Path, gravity: Sequence[float] | Array, tip: str | None) -> Robot:
@@ -67,4 +73,4 @@ def _load_file(path: Path, gravity: Sequence[float] | Array, tip: str | None) ->
         text = data.decode(declared.group(1).decode() if declared else "utf-8-sig")
     except (OSError, UnicodeDecodeError, LookupError) as error:
         raise UrdfError(f"URDF file {path} cannot be read: {error}", given=path) from error
-    return Robot(text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=path.name)
+    return Robot(text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=str(path))

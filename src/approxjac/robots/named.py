@@ -35,7 +35,11 @@ NAMED: Mapping[str, NamedRobot] = {
     "ur10": NamedRobot("ur_description/urdf/ur10_robot.urdf", "tool0"),
     "kinova": NamedRobot("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
     "xarm7": NamedRobot("xarm_description/urdf/xarm7.urdf", "link_eef"),
-    "talos_arm": NamedRobot("talos_data/robots/talos_left_arm.urdf", "wrist_left_ft_tool_link"),
+    "talos_arm": NamedRobot(
+        "talos_data/robots/talos_left_arm.urdf",
+        "wrist_left_ft_tool_link",
+        {"gripper_left_joint": 0.0},
+    ),
     "z1": NamedRobot("z1_description/urdf/z1.urdf", "gripperStator", {"jointGripper": 0.0}),
     "so100": NamedRobot("so_arm_description/urdf/so100.urdf", "gripper", {"gripper": 0.0}),
     "double_pendulum": NamedRobot(

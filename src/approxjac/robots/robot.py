@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_number
+from approxjac.checks import Array, as_array, as_number, as_vector, require
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import meshes, urdf_edit
 from approxjac.robots import urdf as urdf_xml
@@ -120,13 +120,13 @@ class Robot:
 
     @property
     def joint_units(self) -> tuple[str, ...]:
-        """Unit of each joint's position: "rad", or "m" for prismatic joints."""
+        """Unit of each joint's position, "rad", or "m" for prismatic joints."""
         joints = list(self._model.joints)[1:]
         return tuple("m" if j.shortname().startswith("JointModelP") else "rad" for j in joints)
 
     @property
     def frame_names(self) -> tuple[str, ...]:
-        """Names of all frames: links and joints."""
+        """All frames, which are links and joints."""
         return tuple(self._frames)
 
     @property
@@ -171,6 +171,22 @@ class Robot:
         low, high = np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
         motion = rng.uniform(low, high)
         return np.array(pin.integrate(self._model, self.neutral(), motion))
+
+    def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:
+        """Return `q` as a float array of shape (nq,), itself if it is one already.
+
+        Raises:
+            InvalidInputError: Wrong shape, not finite, or (cos, sin) pairs of continuous joints
+                that are off the unit circle.
+        """
+        vector = as_vector(name, q, self.nq)
+        if self.nq != self.nv and not pin.isNormalized(self._model, vector, 1e-3):
+            raise InvalidInputError(
+                f"{name} must have cos^2 + sin^2 = 1 in the pairs of continuous joints of "
+                f"{self._name}, got {vector.tolist()}; neutral() is a valid configuration",
+                given=q,
+            )
+        return vector
 
     def frame_id(self, frame: str) -> int:
         """Return Pinocchio's index of a frame.
@@ -237,6 +253,11 @@ class Robot:
         mass = as_number("mass", mass, unit="kg", minimum=0.0)
         radius = as_number("radius", radius, unit="m", minimum=0.0)
         direction = urdf_edit.direction(axis)
+        if max(length, radius) > 1e6:
+            raise InvalidInputError(
+                f"length and radius must be at most 1e6 [m], got {length:g} and {radius:g}",
+                given=(length, radius),
+            )
         parent = self.tip_or(parent)
         root = urdf_xml.parse(self._urdf, self._source)
         links = urdf_xml.read(root, self._source).link_map
@@ -303,6 +324,7 @@ class Robot:
             UnknownNameError: Not a moving joint of this robot.
             InvalidInputError: A position that is not finite.
         """
+        require("positions", positions, Mapping, "a mapping from joint names to positions")
         root = urdf_xml.parse(self._urdf, self._source)
         links = urdf_xml.read(root, self._source)
         locked: dict[str, float] = {}

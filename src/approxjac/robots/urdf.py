@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import io
+import math
 import re
 from collections import Counter
 from typing import TYPE_CHECKING, Any
@@ -61,6 +62,8 @@ def read(root: Any, source: str) -> yourdfpy.URDF:
     """
     import yourdfpy
 
+    for fault in _attribute_faults(root):
+        raise UrdfError(f"{source} is not a valid URDF: {fault}", given=source)
     try:
         urdf = yourdfpy.URDF.load(
             io.BytesIO(bare_text(root).encode()), build_scene_graph=False, load_meshes=False
@@ -94,6 +97,55 @@ def to_text(root: Any) -> str:
     )
 
 
+def _attribute_faults(root: Any) -> list[str]:
+    """Attributes that URDF requires and that are missing or no numbers, with their owner."""
+    faults = [] if root.get("name") else ["<robot> has no name"]
+    for owner in root.iterfind("link"):
+        if not owner.get("name"):
+            faults.append("a <link> has no name")
+    for owner in root.iterfind("joint"):
+        if not owner.get("name"):
+            faults.append("a <joint> has no name")
+        for tag in ("parent", "child"):
+            if owner.find(tag) is None or not owner.find(tag).get("link"):
+                faults.append(f"joint {owner.get('name')!r} has no <{tag} link=...>")
+    for owner in [*root.iterfind("link"), *root.iterfind("joint")]:
+        for path, attribute, count in _NUMBERS:
+            for element in owner.iterfind(path):
+                given = element.get(attribute)
+                if given is None and attribute in _OPTIONAL:
+                    continue
+                if len(_floats(given)) != count:
+                    wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+                    faults.append(
+                        f"<{element.tag} {attribute}=...> of {owner.tag} {owner.get('name')!r} "
+                        f"must be {wanted}, got {given!r}"
+                    )
+    return faults
+
+
+_NUMBERS = (
+    ("origin", "xyz", 3),
+    ("origin", "rpy", 3),
+    ("axis", "xyz", 3),
+    ("inertial/origin", "xyz", 3),
+    ("inertial/origin", "rpy", 3),
+    ("inertial/mass", "value", 1),
+    *(("inertial/inertia", name, 1) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
+    *(("limit", name, 1) for name in ("lower", "upper", "effort", "velocity")),
+)
+_OPTIONAL = ("xyz", "rpy", "lower", "upper", "effort", "velocity")  # looked at elsewhere, or 0
+
+
+def _floats(text: str | None) -> list[float]:
+    """Return the numbers in a text, none if one of its words is no finite number."""
+    try:
+        numbers = [float(word) for word in (text or "").split()]
+    except ValueError:
+        return []
+    return numbers if all(math.isfinite(number) for number in numbers) else []
+
+
 def _faults(urdf: yourdfpy.URDF) -> list[str]:
     """What is wrong with a URDF, in words; Pinocchio's parser would only say that it is."""
     links, joints = urdf.robot.links, urdf.robot.joints
@@ -117,6 +169,8 @@ def _faults(urdf: yourdfpy.URDF) -> list[str]:
                 f"joint {joint.name!r} is {joint.type} and has no <limit>; with effort, velocity, "
                 "lower and upper all 0, no limit is known"
             )
+        if moves and limit is not None and (limit.lower or 0.0) > (limit.upper or 0.0):
+            faults.append(f"the limits of joint {joint.name!r} are reversed")
         if moves and limit is not None and (limit.effort is None or limit.velocity is None):
             faults.append(
                 f"the <limit> of joint {joint.name!r} needs effort and velocity; 0 means that none "

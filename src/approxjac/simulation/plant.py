@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from approxjac.checks import Array, as_diagonal
+from approxjac.checks import Array, as_diagonal, as_vector, require
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
@@ -32,6 +32,8 @@ class Plant:
     def __init__(
         self, robot: Robot, sensor: Task, friction: float | Sequence[float] | Array = 0.0
     ) -> None:
+        require("robot", robot, Robot, "the true Robot")
+        require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
         if sensor.robot != robot:
             raise InvalidInputError(
                 f"sensor must be a task of the plant's own robot {robot!r}, "
@@ -47,10 +49,13 @@ class Plant:
 
     def acceleration(self, q: Array, v: Array, tau: Array) -> Array:
         """q̈ under a torque, shape (n_v,) [rad/s² or m/s²]."""
+        v = as_vector("v", v, self.robot.nv)
+        tau = as_vector("tau", tau, self.robot.nv)
         return self.dynamics.forward(q, v, tau - self.friction * v)
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
         """What a controller gets to know at time t [s]."""
+        q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         return Measurement(t, q, v, self.sensor.value(q))
 
     def __repr__(self) -> str:

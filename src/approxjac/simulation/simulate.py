@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_number
-from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
+from approxjac.checks import Array, as_array, as_number, require
+from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
 from approxjac.interface import Controller, Evaluation, Measurement
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
@@ -60,12 +59,12 @@ def simulate(
     Raises:
         InvalidInputError: Wrong shapes, numbers that are not finite or out of range.
         UnknownNameError: No such integrator.
-        SimulationError: The integration could not reach the end.
-        MeasurementError: The closed loop left the numbers that a controller can work with.
+        SimulationError: The closed loop diverged, or the integration could not reach the end.
     """
+    require("plant", plant, Plant, "a Plant (the first argument; the controller is the second)")
     robot = plant.robot
     x_d = as_array("target", target, (plant.sensor.m,), plant.sensor.unit)
-    q = _configuration(plant, q0)
+    q = robot.configuration(as_array("q0", q0, (robot.nq,), "rad"), "q0")
     v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
     duration = as_number("duration", duration, unit="s", above=0.0)
     if integrator not in INTEGRATORS:
@@ -111,6 +110,14 @@ def simulate(
     )
 
 
+def _diverged(t: float, duration: float, error: Exception) -> SimulationError:
+    return SimulationError(
+        f"the simulation diverged at t = {t:g} of {duration:g} s: {error} (a smaller dt or smaller "
+        "gains may help)",
+        given=t,
+    )
+
+
 def _whole(name: str, part: float, total: float, *, whole: str = "duration") -> int:
     """Return how often a time fits into another; refuse one that does not fit evenly."""
     part = as_number(name, part, unit="s", above=0.0)
@@ -120,19 +127,6 @@ def _whole(name: str, part: float, total: float, *, whole: str = "duration") -> 
             f"{whole} must be a whole number of {name} = {part:g} [s], got {total:g}", given=total
         )
     return count
-
-
-def _configuration(plant: Plant, q0: Sequence[float] | Array) -> Array:
-    """Check a configuration: finite, and (cos, sin) pairs of continuous joints on the circle."""
-    robot = plant.robot
-    q = as_array("q0", q0, (robot.nq,), "rad")
-    if not pin.isNormalized(robot.model, q, 1e-6):
-        raise InvalidInputError(
-            f"q0 must have cos^2 + sin^2 = 1 in the pairs of continuous joints of {robot.name}, "
-            f"got {q.tolist()}; robot.neutral() is a valid start",
-            given=q0,
-        )
-    return q
 
 
 def _continuous(
@@ -169,10 +163,14 @@ def _continuous(
     records[0] = np.concatenate(
         [np.zeros(n), v0, controller.initial_state(plant.measure(0.0, q0, v0))]
     )
+    flow(0.0, records[0])  # what is wrong with the arguments shows here, not as a divergence
     solver = LSODA(flow, 0.0, records[0], duration, rtol=rtol, atol=atol)
     done, steps, checked = 1, 0, 0.0
     while solver.status == "running":
-        message = solver.step()
+        try:
+            message = solver.step()
+        except (InvalidInputError, MeasurementError) as error:
+            raise _diverged(solver.t, duration, error) from error
         steps += 1
         if steps % _STALL_STEPS == 0:  # LSODA creeps towards a pole for ever and calls it running
             if solver.t - checked < 1e-9 * duration:
@@ -215,8 +213,13 @@ def _sampled(
     states: list[Array] = []
     evaluations: list[Evaluation] = []
     for k in range(steps + 1):
-        measurement = plant.measure(k * dt, q, v)
-        answer = controller.evaluate(state, measurement, x_d)
+        try:
+            measurement = plant.measure(k * dt, q, v)
+            answer = controller.evaluate(state, measurement, x_d)
+        except (InvalidInputError, MeasurementError) as error:
+            if k == 0:  # then the arguments are wrong
+                raise
+            raise _diverged(k * dt, steps * dt, error) from error
         if k % stride == 0 or k == steps:
             measurements.append(measurement)
             states.append(state)
@@ -227,13 +230,7 @@ def _sampled(
             state = state + dt * answer.state_rate
             try:
                 q, v = step(plant, q, v, answer.torque, dt)
-                finite = math.isfinite(q.dot(q) + v.dot(v) + state.dot(state))
-            except InvalidInputError:  # within a step of several stages
-                finite = False
-            if not finite:
-                raise SimulationError(
-                    f"the simulation stopped at t = {(k + 1) * dt:g} of {steps * dt:g} s: the "
-                    "state is no longer finite; a smaller dt may help",
-                    given=measurement,
-                )
+                as_array("state", state, state.shape)
+            except InvalidInputError as error:
+                raise _diverged((k + 1) * dt, steps * dt, error) from error
     return measurements, np.array(states), evaluations

@@ -105,13 +105,13 @@ class Trajectory:
         Raises:
             TrajectoryFileError: The file cannot be written.
         """
-        path = Path(path)
-        if path.suffix != ".npz":
-            path = path.with_name(path.name + ".npz")
+        path = _npz(path)
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
         texts = {name: getattr(self, name) for name in _TEXTS}
         try:
-            np.savez_compressed(path, texts=np.array(json.dumps(texts)), **arrays)
+            # an open file, because numpy would add a second ending to .NPZ
+            with path.open("wb") as file:
+                np.savez_compressed(file, texts=np.array(json.dumps(texts)), **arrays)
         except OSError as error:
             raise TrajectoryFileError(
                 f"path must be a file that can be written, got {path}: {error}", given=path
@@ -125,13 +125,16 @@ class Trajectory:
         Raises:
             TrajectoryFileError: No such file, or not a trajectory.
         """
+        path = _npz(path)
         try:
             with np.load(path, allow_pickle=False) as file:
                 texts = json.loads(str(file["texts"]))
                 arrays = {f.name: file[f.name] for f in fields(cls) if f.name not in _TEXTS}
             for name in ("joint_names", "joint_units", "task_labels"):
                 texts[name] = tuple(texts[name])
-            return cls(**arrays, **texts)
+            run = cls(**arrays, **texts)
+            run._require_shapes()
+            return run
         except FileNotFoundError as error:
             raise TrajectoryFileError(
                 f"trajectory file {path} does not exist", given=path
@@ -141,6 +144,21 @@ class Trajectory:
                 f"{path} is not a trajectory written by Trajectory.save: {error}", given=path
             ) from error
 
+    def _require_shapes(self) -> None:
+        """Raise a ValueError if arrays do not fit together."""
+        n, joints, m = len(self.t), len(self.joint_names), len(self.task_labels)
+        shapes: dict[str, tuple[int, ...]]
+        shapes = {"v": (n, joints), "tau": (n, joints), "x": (n, m), "error": (n, m)}
+        shapes |= {"t": (n,), "status": (n,), "sigma_min": (n,), "target": (m,)}
+        # of these the second length is not known here, but they must have one
+        shapes |= {name: (n, getattr(self, name).shape[-1]) for name in ("q", "state")}
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype.kind not in "if":
+                raise ValueError(f"{name} must be numbers of shape {shape}, got {array.shape}")
+        if n == 0 or not set(np.unique(self.status)) <= set(Status):
+            raise ValueError("it is empty or has an unknown status")
+
     def __repr__(self) -> str:
         norm = self.error_norm
         counts = ", ".join(f"{s.name} {n}" for s, n in self.status_counts().items())
@@ -148,6 +166,14 @@ class Trajectory:
             f"Trajectory({self.robot_name!r}, {self.t[-1]:g} s, {len(self.t)} samples; "
             f"|e| {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}; {counts})"
         )
+
+
+def _npz(path: str | Path) -> Path:
+    """Return a path with the ending .npz."""
+    path = Path(path)
+    if not path.name:
+        raise InvalidInputError(f"path must name a file, got {str(path)!r}", given=path)
+    return path if path.suffix.lower() == ".npz" else path.with_name(path.name + ".npz")
 
 
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_unit")

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.checks import Array, as_vector
+from approxjac.checks import Array
 from approxjac.controllers import AdaptiveGravity, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.law import closed_loop_matrix
@@ -59,7 +59,7 @@ def local_stability(
             whose gravity is not exact near the posture, which is then no equilibrium; another
             task than the sensor's; or a posture of the wrong shape.
     """
-    q = as_vector("q_target", q_target, plant.robot.nq)
+    q = plant.robot.configuration(q_target, "q_target")
     require_same_task(plant, controller)
     if controller.velocity is not None or isinstance(controller.gravity, AdaptiveGravity):
         raise InvalidInputError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from approxjac import law
-from approxjac.checks import Array, as_number
+from approxjac.checks import Array, as_array, as_number
 from approxjac.controllers import AdaptiveGravity, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
@@ -56,6 +56,8 @@ def lyapunov(
         raise InvalidInputError(
             f"V and W are those of the laws (6) and (28), got {controller!r}", given=controller
         )
+    q, v = plant.robot.configuration(q), as_array("v", v, (plant.robot.nv,))
+    target = as_array("target", target, (plant.sensor.m,), plant.sensor.unit)
     task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
     kp, kv, damping = controller.diagonals
     e = sensor.value(q) - target
@@ -72,6 +74,8 @@ def lyapunov(
                 f"state = {state!r}, theta = {theta!r}",
                 given=(alpha, state, theta),
             )
+        state = as_array("state", state, (controller.n_state,))
+        theta = as_array("theta", theta, (controller.n_state,))
         V += law.parameter_potential(theta - controller.theta_hat(state), controller.gravity.L)
     W = law.W(
         v,

@@ -166,14 +166,20 @@ class Result:
     def settles(self) -> bool:
         """Whether the run's error dies down.
 
-        It does when the largest error of its last quarter is below the start and well below that
-        of its second quarter, or all but gone.
+        It does when the largest error of its last quarter is below the start and 5 % below that
+        of the quarter before, and the last eighth is below the eighth before; or when the error
+        is all but gone.
         """
         norm = self.run.error_norm / self.run.error_norm[0]
-        quarter = self.run.t[-1] / 4.0
-        second = norm[(self.run.t >= quarter) & (self.run.t < 2.0 * quarter)].max()
-        last = norm[self.run.t >= 3.0 * quarter].max()
-        return bool(last < 1e-6 or (last < 0.95 * second and last < 1.0))
+        before, last = np.array_split(norm, 4)[2:]
+        early, late = np.array_split(last, 2)
+        falls = last.max() < 0.95 * before.max() and late.max() < early.max()
+        return bool(last.max() < 1e-6 or (falls and last.max() < 1.0))
+
+    @property
+    def evidence_agrees(self) -> bool:
+        """Whether the linearisation, where there is one, and the run say the same."""
+        return self.local is None or self.local.stable == self.settles
 
     @property
     def verdict(self) -> Verdict:

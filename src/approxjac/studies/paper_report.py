@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.robots import Robot
+from approxjac.robots import GravityRegressor, Robot
 from approxjac.studies.paper import JacobianBound, Result, Setup
-from approxjac.view import new_figure, plot_error, plot_path, plot_torque, save_figure
-from approxjac.view.style import COLORS, TARGET, style
+from approxjac.view import (
+    new_figure,
+    plot_error,
+    plot_parameters,
+    plot_path,
+    plot_torque,
+    save_figure,
+)
+from approxjac.view.style import COLORS, TARGET, legend_below, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,20 +28,24 @@ if TYPE_CHECKING:
 def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
     """Return one of Figures 3–8: task error, the arm's path in its plane, joint torques."""
     experiment = result.experiment
-    figure, (left, middle, right) = new_figure(
-        3,
+    learnt = result.theta_hat is not None
+    figure, axes = new_figure(
+        4 if learnt else 3,
         title=f"Figure {experiment.figure}: {experiment.title} "
         f"(K_p = {experiment.kp:g} I, K_v = {experiment.kv:g} I) — {result.verdict}",
     )
-    plot_error(result.run, left)
-    plot_path(result.run, truth, target=setup.target, ax=middle)
-    plot_torque(result.run, right)
+    plot_error(result.run, axes[0], title="Task error in the image")
+    plot_path(result.run, truth, q_target=setup.target, ax=axes[1])
+    plot_torque(result.run, axes[2])
+    if learnt:
+        regressor = GravityRegressor(truth, moments="x")
+        plot_parameters(result.run, regressor.names, axes[3], theta=regressor.theta)
     return figure
 
 
 def draw_bound(bound: JacobianBound) -> Figure:
     """Return Figure 1: the allowed p against a, its two curves and their crossing."""
-    figure, (ax,) = new_figure(size=(6.5, 4.2))
+    figure, (ax,) = new_figure(size=(6.5, 4.8))
     with style():
         allowed = np.minimum(bound.velocity, bound.position)
         ax.fill_between(bound.a, allowed, color=COLORS[2], alpha=0.15, label="p allowed by (23)")
@@ -44,14 +55,8 @@ def draw_bound(bound: JacobianBound) -> Figure:
             crossing = bound.lambda2 / bound.alpha
             label = f"crossing: a = λ₂/α = {crossing:.4f}, p = √λ₂ = {bound.largest:.4f}"
             ax.plot([crossing], [bound.largest], "o", color=COLORS[6], ms=5, label=label)
-        ax.axhline(bound.p, color=TARGET, linestyle="--")
-        ax.annotate(
-            f"‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target: {bound.p:.4f}",
-            (bound.a[-1], bound.p),
-            xytext=(-6, 5),
-            textcoords="offset points",
-            ha="right",
-        )
+        label = f"‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target: {bound.p:.4f}"
+        ax.axhline(bound.p, color=TARGET, linestyle="--", label=label)
         ax.set(
             xlabel="a = k_p / k_v [1/s]",
             ylabel="allowed p [m/rad on the sensor]",
@@ -59,7 +64,7 @@ def draw_bound(bound: JacobianBound) -> Figure:
             ylim=(0.0, 1.25 * max(bound.p, float(bound.velocity.max()))),
             xlim=(0.0, float(bound.a[-1])),
         )
-        ax.legend(loc="upper right", bbox_to_anchor=(1.0, 0.75))
+        legend_below(ax)
     return figure
 
 
@@ -84,6 +89,7 @@ def summary(results: Sequence[Result], bound: JacobianBound | None, setup: Setup
             "error_ratio": {f"{t:g}": ratio for t, ratio in result.error_ratios.items()},
             "verdict": result.verdict,
             "reason": result.reason,
+            "evidence_agrees": result.evidence_agrees,
             "paper": result.experiment.paper_says,
             "agrees_with_paper": result.agrees_with_paper,
         }
@@ -125,7 +131,7 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
             f"{name:<46}{eigenvalue:>9} {ratios}  {result.verdict:<10}"
             f"“{experiment.paper_words}”{agrees}"
         )
-        if not result.agrees_with_paper:
+        if not result.agrees_with_paper or not result.evidence_agrees:
             lines.append(f"{'':3}{result.reason}")
         if result.theta_hat is not None:
             learnt = ", ".join(f"{value:.4f}" for value in result.theta_hat)

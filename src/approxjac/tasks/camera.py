@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from approxjac.checks import Array, as_array, as_number, axis_rows
 from approxjac.errors import InvalidInputError
 
 
+@runtime_checkable
 class Camera(Protocol):
     """A camera that sees one point.
 

@@ -34,18 +34,18 @@ class FrameKinematics:
 
     def position(self, q: Array) -> Array:
         """Position of the frame's origin in the world, shape (3,) [m]."""
-        pin.forwardKinematics(self._model, self._data, as_vector("q", q, self.robot.nq))
+        pin.forwardKinematics(self._model, self._data, self.robot.configuration(q))
         return np.array(pin.updateFramePlacement(self._model, self._data, self._id).translation)
 
     def jacobian(self, q: Array) -> Array:
         """Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, shape (6, n_v)."""
-        q = as_vector("q", q, self.robot.nq)
+        q = self.robot.configuration(q)
         J: Array = pin.computeFrameJacobian(self._model, self._data, q, self._id, _LWA)
         return J
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Time derivative of `jacobian` along q̇, shape (6, n_v)."""
-        q, v = as_vector("q", q, self.robot.nq), as_vector("v", v, self.robot.nv)
+        q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         pin.computeJointJacobiansTimeVariation(self._model, self._data, q, v)
         pin.updateFramePlacement(self._model, self._data, self._id)
         J_dot: Array = pin.getFrameJacobianTimeVariation(self._model, self._data, self._id, _LWA)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from approxjac.checks import Array
+from approxjac.checks import Array, require
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
 from approxjac.tasks.frame import FrameKinematics
@@ -26,6 +26,8 @@ class ImageTask(Task):
     """
 
     def __init__(self, robot: Robot, camera: Camera, frame: str | None = None) -> None:
+        require("robot", robot, Robot, "a Robot")
+        require("camera", camera, Camera, "a camera, such as PlanarCamera(f, z)")
         self._frame = FrameKinematics(robot, robot.tip_or(frame))
         self._camera = camera
         require_rows(len(camera.labels), robot)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from approxjac.checks import Array, axis_rows
+from approxjac.checks import Array, axis_rows, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.tasks.frame import FrameKinematics
@@ -23,6 +23,7 @@ class PositionTask(Task):
     """
 
     def __init__(self, robot: Robot, frame: str | None = None, axes: str = "xyz") -> None:
+        require("robot", robot, Robot, "a Robot")
         # a slice for "xyz", which NumPy takes without a copy
         rows = axis_rows("axes", axes)
         self._rows = slice(0, 3) if axes == "xyz" else rows

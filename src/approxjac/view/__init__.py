@@ -1,6 +1,15 @@
 """Plots of runs."""
 
-from approxjac.view.plots import plot_error, plot_path, plot_run, plot_torque
-from approxjac.view.style import new_figure, save_figure
+from approxjac.view.plots import plot_error, plot_parameters, plot_path, plot_run, plot_torque
+from approxjac.view.style import legend_below, new_figure, save_figure
 
-__all__ = ["new_figure", "plot_error", "plot_path", "plot_run", "plot_torque", "save_figure"]
+__all__ = [
+    "legend_below",
+    "new_figure",
+    "plot_error",
+    "plot_parameters",
+    "plot_path",
+    "plot_run",
+    "plot_torque",
+    "save_figure",
+]

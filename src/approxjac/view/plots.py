@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.checks import Array, axis_rows
+from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
-from approxjac.view.style import COLORS, TARGET, new_figure, style
+from approxjac.view.style import COLORS, TARGET, legend_below, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-def plot_error(run: Trajectory, ax: Axes | None = None) -> Axes:
+def plot_error(run: Trajectory, ax: Axes | None = None, *, title: str = "Task error") -> Axes:
     """Draw each coordinate of the task error against time.
 
     Args:
         run: The run.
         ax: Axes to draw into; new ones by default.
+        title: Of the axes.
     """
     with style():
         ax = _axes(ax)
@@ -32,24 +35,25 @@ def plot_error(run: Trajectory, ax: Axes | None = None) -> Axes:
         ax.axhline(0.0, color=TARGET, linewidth=0.8)
         for i, label in enumerate(run.task_labels):
             ax.plot(run.t, factor * run.error[:, i], color=COLORS[i % len(COLORS)], label=label)
-        ax.set(xlabel="time [s]", ylabel=f"x − x_d [{unit}]", title="Task error")
-        ax.legend(loc="upper right", ncols=min(3, len(run.task_labels)))
+        ax.set(xlabel="time [s]", ylabel=f"x − x_d [{unit}]", title=title)
+        legend_below(ax)
     return ax
 
 
-def plot_torque(run: Trajectory, ax: Axes | None = None) -> Axes:
+def plot_torque(run: Trajectory, ax: Axes | None = None, *, title: str = "Joint torque") -> Axes:
     """Draw the torque of each joint against time.
 
     Args:
         run: The run.
         ax: Axes to draw into; new ones by default.
+        title: Of the axes.
     """
     with style():
         ax = _axes(ax)
         for i, joint in enumerate(run.joint_names):
             ax.plot(run.t, run.tau[:, i], color=COLORS[i % len(COLORS)], label=joint)
-        ax.set(xlabel="time [s]", ylabel=f"τ [{run.units['tau']}]", title="Joint torque")
-        ax.legend(loc="upper right", ncols=2 if len(run.joint_names) > 3 else 1)
+        ax.set(xlabel="time [s]", ylabel=f"τ [{run.units['tau']}]", title=title)
+        legend_below(ax)
     return ax
 
 
@@ -58,8 +62,10 @@ def plot_path(
     robot: Robot,
     frame: str | None = None,
     plane: str = "xz",
-    target: Sequence[float] | Array | None = None,
+    q_target: Sequence[float] | Array | None = None,
     ax: Axes | None = None,
+    *,
+    title: str = "Path of the arm",
 ) -> Axes:
     """Draw the path of a frame in a plane of the world, with the arm at start and end.
 
@@ -68,10 +74,15 @@ def plot_path(
         robot: Robot whose kinematics to draw: the true one.
         frame: Frame to follow; the robot's `tip` by default.
         plane: Two world axes, such as "xz".
-        target: Posture that attains the target, shape (nq,), drawn dashed if given.
+        q_target: Posture that attains the target, shape (nq,), drawn dashed if given.
         ax: Axes to draw into; new ones by default.
+        title: Of the axes.
     """
     rows = axis_rows("plane", plane)
+    if len(rows) != 2:
+        raise InvalidInputError(
+            f"plane must name two world axes, such as 'xz', got {plane!r}", given=plane
+        )
     frame = robot.tip_or(frame)
     kinematics = FrameKinematics(robot, frame)
     tips = np.array([kinematics.position(q) for q in run.q])[:, rows]
@@ -80,13 +91,42 @@ def plot_path(
         ax.plot(*tips.T, color=COLORS[0], linewidth=1.0, label=f"path of {frame}")
         for q, color, label in ((run.q[0], COLORS[5], "start"), (run.q[-1], COLORS[1], "end")):
             ax.plot(*_skeleton(robot, frame, q)[:, rows].T, "o-", color=color, ms=4, label=label)
-        if target is not None:
-            points = _skeleton(robot, frame, np.asarray(target, dtype=float))[:, rows]
+        if q_target is not None:
+            points = _skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
             ax.plot(*points.T, "--", color=TARGET, linewidth=1.0, label="target")
             ax.plot(*points[-1], "x", color=TARGET, ms=8)
         ax.set_aspect("equal", adjustable="datalim")
-        ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title="Path of the arm")
-        ax.legend()
+        ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title=title)
+        legend_below(ax)
+    return ax
+
+
+def plot_parameters(
+    run: Trajectory,
+    names: Sequence[str],
+    ax: Axes | None = None,
+    *,
+    theta: Sequence[float] | Array | None = None,
+    title: str = "Learnt gravity",
+) -> Axes:
+    """Draw the gravity parameters θ̂ that were learnt against time.
+
+    Args:
+        run: The run of a controller that learns gravity.
+        names: Names of the parameters, as `GravityRegressor.names` has them.
+        ax: Axes to draw into; new ones by default.
+        theta: Their true values, drawn dashed if given, shape (p,).
+        title: Of the axes.
+    """
+    with style():
+        ax = _axes(ax)
+        for i, name in enumerate(names):
+            color = COLORS[i % len(COLORS)]
+            ax.plot(run.t, run.state[:, i], color=color, label=name)
+            if theta is not None:
+                ax.axhline(theta[i], color=color, linestyle="--", linewidth=0.8)
+        ax.set(xlabel="time [s]", ylabel="θ̂ [kg m, kg]", title=title)
+        legend_below(ax)
     return ax
 
 
@@ -103,11 +143,13 @@ def _axes(ax: Axes | None) -> Axes:
 
 
 def _skeleton(robot: Robot, frame: str, q: Array) -> Array:
-    """World positions of the base, of each joint on the way to a frame, and of the frame."""
+    """World positions of all joints and fixed frames from the base to a frame, shape (N, 3)."""
     model = robot.model
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    frame_id = robot.frame_id(frame)
-    joints = model.supports[model.frames[frame_id].parentJoint]
-    chain = [np.array(data.oMi[joint].translation) for joint in joints]
-    return np.array([*chain, np.array(data.oMf[frame_id].translation)])
+    chain = [robot.frame_id(frame)]
+    while chain[-1] != 0:
+        chain.append(model.frames[chain[-1]].parentFrame)
+    points = [np.array(data.oMf[i].translation) for i in reversed(chain)]
+    apart = [np.linalg.norm(b - a) > 1e-9 for a, b in pairwise(points)]
+    return np.array([points[0], *(p for p, new in zip(points[1:], apart, strict=True) if new)])

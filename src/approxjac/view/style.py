@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from approxjac.errors import InvalidInputError
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -24,8 +26,6 @@ _RC: Mapping[str, Any] = {
     "font.size": 9,
     "grid.alpha": 0.3,
     "grid.linewidth": 0.6,
-    "legend.edgecolor": "none",
-    "legend.framealpha": 0.8,
     "lines.linewidth": 1.4,
     "svg.hashsalt": "approxjac",  # the same SVG from the same run
 }
@@ -49,17 +49,27 @@ def new_figure(
     Args:
         columns: Plots side by side.
         rows: Plots one above the other.
-        size: Width and height [inch]; 4.3 × 3.6 for each plot by default.
+        size: Width and height [inch]; 4.3 × 3.8 for each plot by default.
         title: Of the whole figure.
     """
     from matplotlib.figure import Figure
 
     with style():
-        figure = Figure(size or (4.3 * columns, 3.6 * rows), layout="constrained")
+        figure = Figure(size or (4.3 * columns, 3.8 * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False)
         if title:
             figure.suptitle(title, fontweight="bold")
     return figure, list(axes.flat)
+
+
+def legend_below(ax: Axes) -> None:
+    """Put the legend under the axes, where it covers no data."""
+    labels = ax.get_legend_handles_labels()[1]
+    longest = max((len(label) for label in labels), default=1)
+    columns = max(1, min(len(labels), 44 // (longest + 4)))
+    ax.legend(
+        loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=columns, frameon=False, fontsize=8
+    )
 
 
 def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
@@ -67,10 +77,20 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
 
     Returns:
         The two paths.
+
+    Raises:
+        InvalidInputError: The files cannot be written.
     """
     stem = Path(stem)
+    if stem.suffix in (".png", ".svg"):
+        stem = stem.with_suffix("")
     paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
-    with style():
-        figure.savefig(paths[0], dpi=130)
-        figure.savefig(paths[1], metadata={"Date": None})
+    try:
+        with style():
+            figure.savefig(paths[0], dpi=130)
+            figure.savefig(paths[1], metadata={"Date": None})
+    except OSError as error:
+        raise InvalidInputError(
+            f"stem must name files that can be written, got {stem}: {error}", given=stem
+        ) from error
     return paths
