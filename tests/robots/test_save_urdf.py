@@ -101,8 +101,10 @@ def test_meshcat(name, tmp_path, rng):
         viewer.display(q)
         page = viewer.viewer.static_html()
     finally:
-        viewer.viewer.window.server_proc.kill()
-        viewer.viewer.window.server_proc.wait(timeout=10)
+        window = viewer.viewer.window
+        window.zmq_socket.close(linger=0)
+        window.server_proc.kill()
+        window.server_proc.wait(timeout=10)
     blobs = [base64.b64decode(data) for data in re.findall(r"base64,([^\"]+)", page)]
     commands = [umsgpack.unpackb(blob) for blob in blobs if b"set_transform" in blob[:40]]
     placed = {command["path"]: np.reshape(command["matrix"], (4, 4)).T for command in commands}
