@@ -57,7 +57,8 @@ def test_pinocchio(saved, rng):
     assert_allclose(tip(aj.load_robot(path), q), tip(robot, q), atol=1e-14)
 
 
-def test_mujoco(saved, rng):
+def test_mujoco(saved, rng, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
     robot, path = saved
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)

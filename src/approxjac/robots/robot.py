@@ -223,7 +223,6 @@ class Robot:
         self,
         length: float,
         mass: float = 0.0,
-        *,
         radius: float = 0.01,
         parent: str | None = None,
         axis: str | Sequence[float] = "z",
