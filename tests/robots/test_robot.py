@@ -153,8 +153,8 @@ def test_bad_urdfs_are_refused(source, error, text):
         (('xyz="0 1 0"', 'xyz="0 0 0"'), "the axis of joint 'hinge' is zero"),
         (('effort="5"', ""), "the <limit> of joint 'hinge' needs effort and velocity; 0 means"),
         (('<limit lower="-1" upper="1" effort="5" velocity="1"/>', ""), "has no <limit>; with"),
-        (('ixx="0.1"', 'ixx="-0.1"'), "link 'arm' has a negative mass or inertia"),
-        (('value="1"', 'value="-1"'), "link 'arm' has a negative mass or inertia"),
+        (('ixx="0.1"', 'ixx="-0.1"'), "the links moved by hinge have a negative mass or inertia"),
+        (('value="1"', 'value="-1"'), "the links moved by hinge have a negative mass or inertia"),
         (('name="minimal"', ""), "<robot> has no name"),
         (('<link name="base"/>', "<link/>"), "a <link> has no name"),
         (('<joint name="hinge"', "<joint"), "a <joint> has no name"),
@@ -163,7 +163,6 @@ def test_bad_urdfs_are_refused(source, error, text):
         (('xyz="0 0 0.5"', 'xyz="0 0 nan"'), "<origin xyz=...> of link 'arm' must be 3 finite num"),
         (('ixy="0"', ""), "<inertia ixy=...> of link 'arm' must be a finite number, got None"),
         (('lower="-1"', 'lower="2"'), "the limits of joint 'hinge' are reversed"),
-        (("</joint>", '<mimic joint="other"/></joint>'), "joint 'hinge' mimics 'other', which"),
         (
             ("</robot>", '<joint name="again" type="fixed"><parent link="base"/><child link="arm"/>'
              "</joint></robot>"),

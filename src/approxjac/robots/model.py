@@ -44,7 +44,18 @@ def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
 
 
 def _require_inertia(model: pin.Model, source: str) -> None:
-    """Refuse a robot whose inertia matrix is singular: no torque control is possible."""
+    """Refuse a robot whose inertia matrix is singular: no torque control is possible.
+
+    What is fixed to the base may have any inertia, and in URDFs that people use some of it has.
+    """
+    for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
+        moments = np.linalg.eigvalsh(inertia.inertia)
+        if inertia.mass < 0.0 or moments[0] < -1e-9 * max(1e-9, abs(moments[-1])):
+            raise UrdfError(
+                f"{source}: the links moved by {name} have a negative mass or inertia "
+                f"({inertia.mass:g} kg, principal moments {moments.tolist()} kg m^2)",
+                given=source,
+            )
     eigenvalues = np.linalg.eigvalsh(mass_matrix(model, model.createData(), pin.neutral(model)))
     if eigenvalues[0] > 1e-12 * max(eigenvalues[-1], 0.0) and eigenvalues[0] > 0.0:
         return

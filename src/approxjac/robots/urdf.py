@@ -176,17 +176,6 @@ def _faults(urdf: yourdfpy.URDF) -> list[str]:
                 f"the <limit> of joint {joint.name!r} needs effort and velocity; 0 means that none "
                 "is known"
             )
-        if joint.mimic is not None and joint.mimic.joint not in urdf.joint_map:
-            faults.append(
-                f"joint {joint.name!r} mimics {joint.mimic.joint!r}, which does not exist"
-            )
-    for link in links:
-        inertial = link.inertial
-        if inertial is None or inertial.inertia is None:
-            continue
-        moments = np.linalg.eigvalsh(inertial.inertia)
-        if (inertial.mass or 0.0) < 0.0 or moments[0] < -1e-9 * max(1.0, abs(moments[-1])):
-            faults.append(f"link {link.name!r} has a negative mass or inertia")
     faults += _tree_faults(joints, names)
     # yourdfpy counts some limits as missing that URDF allows to be; those were looked at above.
     return faults + [str(error) for error in urdf.errors if "<limit>" not in str(error)]
