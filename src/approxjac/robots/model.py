@@ -56,21 +56,14 @@ def _require_inertia(model: pin.Model, source: str) -> None:
                 f"({inertia.mass:g} kg, principal moments {moments.tolist()} kg m^2)",
                 given=source,
             )
-    eigenvalues = np.linalg.eigvalsh(mass_matrix(model, model.createData(), pin.neutral(model)))
-    if eigenvalues[0] > 1e-12 * max(eigenvalues[-1], 0.0) and eigenvalues[0] > 0.0:
+    M = mass_matrix(model, model.createData(), pin.neutral(model))
+    eigenvalues, vectors = np.linalg.eigh(M)
+    if eigenvalues[0] > 1e-12 * eigenvalues[-1] > 0.0:
         return
-    massless = [
-        name
-        for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True)
-        if not inertia.mass > 0.0
-    ]
-    what = (
-        f"the links moved by {', '.join(massless)} have no mass"
-        if massless
-        else "the inertia matrix is singular"
-    )
+    names = list(model.names)[1:]
+    loose = names[int(np.abs(vectors[:, 0]).argmax())]
     raise UrdfError(
-        f"{source}: {what}; torque control needs <inertial> with mass and inertia on every "
-        "moving link",
+        f"{source}: nothing with inertia is moved by joint {loose!r} (the inertia matrix is "
+        "singular); torque control needs <inertial> with mass and inertia on what every joint moves",
         given=source,
     )
