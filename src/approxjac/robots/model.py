@@ -64,6 +64,6 @@ def _require_inertia(model: pin.Model, source: str) -> None:
     loose = names[int(np.abs(vectors[:, 0]).argmax())]
     raise UrdfError(
         f"{source}: nothing with inertia is moved by joint {loose!r} (the inertia matrix is "
-        "singular); torque control needs <inertial> with mass and inertia on what every joint moves",
+        "singular); torque control needs <inertial> with mass and inertia on what each joint moves",
         given=source,
     )
