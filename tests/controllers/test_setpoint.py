@@ -414,6 +414,31 @@ def test_a_measurement_of_another_kind_is_refused(panda):
             controller.evaluate(np.zeros(0), measurement, TARGET)
 
 
+def test_arrays_that_would_wrap_around_are_refused(panda, rng):
+    """Unsigned pixels: 100 − 101 would be 65535."""
+    controller = controllers(panda)["(6)"]
+    good = state_of(panda, rng)
+    pixels = np.array([100, 200, 300], dtype=np.uint16)
+    for bad in (pixels, pixels.astype(np.float32), pixels + 0j, np.array([None] * 3)):
+        with pytest.raises(
+            aj.InvalidInputError, match=r"x must be an array of float64, got \w+; x.as"
+        ):
+            controller.evaluate(np.zeros(0), good._replace(x=bad), TARGET)
+    with pytest.raises(
+        aj.InvalidInputError, match="target must be an array of float64, got uint16"
+    ):
+        controller.evaluate(np.zeros(0), good, pixels)
+
+
+def test_gains_are_copies():
+    kp = np.array([1.0, 2.0])
+    gains = aj.Gains(kp, [3.0, 4.0])
+    kp[:] = -5.0
+    assert_allclose(gains.kp, [1.0, 2.0])
+    with pytest.raises(ValueError, match="read-only"):
+        gains.kv[0] = -1.0
+
+
 def test_continuous_joints_off_the_circle_are_refused(rng):
     kinova = aj.load_robot("kinova")
     task = aj.PositionTask(kinova)
@@ -450,6 +475,8 @@ def test_gravity_of_another_arm_is_refused(panda, two_link):
         ({"L": np.array([[1.0, 2.0], [2.0, 1.0]]), "alpha": 1.0}, "L must be symmetric positive d"),
         ({"L": np.array([[1.0, 2.0], [0.0, 1.0]]), "alpha": 1.0}, "L must be symmetric positive d"),
         ({"L": [[1.0], [2.0, 1.0]], "alpha": 1.0}, r"L must be numbers of shape \(2, 2\), got"),
+        ({"L": [], "alpha": 1.0}, r"L must have shape \(2,\), got shape \(0,\)"),
+        ({"L": [[1e-9, 0.0], [1e-9, 1e-9]], "alpha": 1.0}, "L must be symmetric positive definite"),
         ({"L": 1.0, "alpha": 0.0}, r"alpha must be a finite number > 0 \[1/s\], got 0.0"),
         ({"L": 1.0, "alpha": 1.0, "theta0": (1.0,)}, r"theta0 must have shape \(2,\), got"),
     ],

@@ -68,6 +68,14 @@ def test_limits_of_zero_width_mean_no_limit_known():
     assert np.isposinf(upper).all()
 
 
+@pytest.mark.parametrize("geometry", ["<capsule/>", '<mesh filename="a" scale="b"/>', ""])
+def test_geometry_is_never_needed(geometry):
+    visual = f"<visual><geometry>{geometry}</geometry></visual><collision/>"
+    robot = aj.load_robot(minimal(visual=visual))
+    assert robot.with_object(0.1, 0.2).nv == 1
+    assert "<collision/>" in robot.urdf
+
+
 def test_a_mesh_that_cannot_be_found_does_not_matter():
     mesh = '<visual><geometry><mesh filename="package://nowhere/arm.dae"/></geometry></visual>'
     robot = aj.load_robot(minimal(visual=mesh))
@@ -155,6 +163,10 @@ def test_bad_urdfs_are_refused(source, error, text):
         (('<limit lower="-1" upper="1" effort="5" velocity="1"/>', ""), "has no <limit>; with"),
         (('ixx="0.1"', 'ixx="-0.1"'), "the links moved by hinge have a negative mass or inertia"),
         (('value="1"', 'value="-1"'), "the links moved by hinge have a negative mass or inertia"),
+        (('value="1"', 'value=" 1 "'), "<mass value=...> of link 'arm' must be a finite"),
+        (('value="1"', 'value="1_0"'), "must be a finite number, got '1_0'"),
+        (('<mass value="1"/>', ""), "<inertial> of link 'arm' needs <mass> and <inertia>"),
+        (('<axis xyz="0 1 0"/>', "<axis/>"), "<axis xyz=...> of joint 'hinge' must be 3 finite"),
         (('name="minimal"', ""), "<robot> has no name"),
         (('<link name="base"/>', "<link/>"), "a <link> has no name"),
         (('<joint name="hinge"', "<joint"), "a <joint> has no name"),
@@ -223,6 +235,14 @@ def test_mimic_joints_are_locked_with_the_joint_they_follow():
     place = locked.model.frames[locked.frame_id("f2")].placement
     assert_allclose(place.translation, [-0.5, 0.0, 0.0], atol=1e-15)
     assert "mimic" not in locked.urdf
+    # each to its own where both are given, and a fixed joint stays where it is
+    own = robot.with_locked_joints({"jf1": 0.3, "jf2": 0.05})
+    assert_allclose(own.model.frames[own.frame_id("f2")].placement.translation, [0.05, 0.0, 0.0])
+    fixed = aj.load_robot(
+        robot.urdf.replace('name="jf2" type="prismatic"', 'name="jf2" type="fixed"')
+    )
+    place = fixed.with_locked_joints({"jf1": 0.3}).model.frames[fixed.frame_id("f2")].placement
+    assert_allclose(place.translation, np.zeros(3), atol=1e-15)
 
 
 def test_a_file_that_is_not_text_is_refused(tmp_path):
@@ -389,6 +409,11 @@ def test_no_error_is_the_same_robot_but_for_round_off(panda):
             ({"panda_jiont4": (0, 0, 0)},),
             aj.UnknownNameError,
             "joint 'panda_jiont4' not in panda; did you mean 'panda_joint4'",
+        ),
+        (
+            ([1],),
+            aj.InvalidInputError,
+            "shifts must be a mapping from joint names to 3-vectors, got [1]",
         ),
         (
             ({"panda_joint4": (0, 0)},),

@@ -194,3 +194,23 @@ def test_meshes_are_found_on_the_ros_package_path(tmp_path, mesh, monkeypatch):
 def test_a_folder_that_does_not_exist(two_link, tmp_path):
     with pytest.raises(aj.InvalidInputError, match="path must be a file that can be written, got"):
         two_link.save_urdf(tmp_path / "nowhere" / "arm.urdf")
+
+
+def test_meshes_of_one_name_do_not_overwrite_each_other(tmp_path):
+    import trimesh
+
+    sizes = {"a": 1.0, "b": 2.0}
+    urdf = aj.load_robot("two_link").urdf
+    for (folder, size), link in zip(sizes.items(), ("link1", "link2"), strict=True):
+        (tmp_path / folder).mkdir()
+        trimesh.creation.box((size, size, size)).export(tmp_path / folder / "m.ply")
+        collision = f'<collision><geometry><mesh filename="{folder}/m.ply"/></geometry></collision>'
+        urdf = urdf.replace(f'<link name="{link}">', f'<link name="{link}">{collision}')
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf)
+    aj.load_robot(path).save_urdf(tmp_path / "out.urdf")
+    written = sorted((tmp_path / "out_meshes").iterdir())
+    assert [trimesh.load(mesh).extents[0] for mesh in written] == pytest.approx([1.0, 2.0])
+    (tmp_path / "a" / "m.ply").write_text("broken")
+    with pytest.raises(aj.UrdfError, match=r"collision mesh .* cannot be converted"):
+        aj.load_robot(path).save_urdf(tmp_path / "out.urdf")

@@ -208,6 +208,9 @@ def test_files_that_are_no_runs_are_refused(tmp_path):
         ("q", np.zeros(11)),
         ("status", np.full(11, 99)),
         ("t", np.array(["a"] * 11)),
+        ("t", np.zeros(11)),
+        ("joint_units", ("rad",)),
+        ("robot_name", 5),
     ],
 )
 def test_files_whose_arrays_do_not_fit_are_refused(short_run, tmp_path, name, value):
@@ -229,7 +232,9 @@ def test_ratios_are_read_between_records_and_only_within_the_run(short_run):
     norm = short_run.error_norm
     assert short_run.error_ratio(0.035) == pytest.approx(0.5 * (norm[3] + norm[4]) / norm[0])
     for t in (-0.1, 0.2, np.nan):
-        with pytest.raises(aj.InvalidInputError, match=r"t must be within the run, 0 to 0.1 \[s\]"):
+        with pytest.raises(
+            aj.InvalidInputError, match=r"t must be (within the run, 0 to 0.1 \[s\]|a finite)"
+        ):
             short_run.error_ratio(t)
     still = dataclasses.replace(short_run, error=0.0 * short_run.error)
     with pytest.raises(aj.InvalidInputError, match="there is no ratio to an initial error of 0"):
@@ -362,5 +367,78 @@ def test_wrong_shapes_between_plant_and_controller_are_no_divergence(panda):
     plant = aj.Plant(panda, aj.PositionTask(panda, axes="xy"))
     controller = aj.SetpointController(aj.PositionTask(panda), aj.Gains(1.0, 1.0, 1.0))
     for dt in (None, 1e-3):
-        with pytest.raises(aj.InvalidInputError, match=r"x must be an array of shape \(3,\)"):
+        with pytest.raises(
+            aj.InvalidInputError, match="must have the coordinates of the plant's s"
+        ):
             aj.simulate(plant, controller, (0.5, 0.0), np.zeros(7), 1.0, dt=dt)
+
+
+class Faulty(ConstantTorque):
+    """A controller that answers something else than it should."""
+
+    def __init__(self, **changes):
+        super().__init__((0.0, 0.0))
+        self.changes = changes
+
+    def evaluate(self, state, measurement, target):
+        return super().evaluate(state, measurement, target)._replace(**self.changes)
+
+
+@pytest.mark.parametrize("dt", [None, 0.1])
+@pytest.mark.parametrize(
+    ("controller", "text"),
+    [
+        (None, "controller must be a controller, such as SetpointController"),
+        (ConstantTorque, "controller must be a controller, such as SetpointController"),
+        (Faulty(torque=np.zeros(3)), r"the controller's torque must have shape \(2,\)"),
+        (Faulty(torque=np.full(2, np.nan)), r"the controller's torque must be finite"),
+        (Faulty(state_rate=np.zeros(1)), r"the controller's state_rate must have shape \(0,\)"),
+        (Faulty(e=np.zeros(1)), r"the controller's e must have shape \(2,\)"),
+    ],
+)
+def test_faulty_controllers_are_named(controller, text, dt):
+    plant = plant_of(aj.load_robot("two_link"))
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.simulate(plant, controller, (0.5, 1.2), (0.3, 0.8), 1.0, dt=dt)
+
+
+def test_a_controller_may_use_one_buffer_for_all_torques():
+    class Counting(ConstantTorque):
+        def evaluate(self, state, measurement, target):
+            self.torque[:] = measurement.t
+            return super().evaluate(state, measurement, target)
+
+    plant = plant_of(aj.load_robot("two_link"))
+    run = aj.simulate(plant, Counting((0.0, 0.0)), (0.5, 1.2), (0.3, 0.8), 0.5, dt=0.1)
+    assert_allclose(run.tau[:, 0], run.t)
+
+
+def test_axes_in_another_order_are_refused():
+    robot = aj.load_robot("two_link")
+    controller = aj.SetpointController(aj.PositionTask(robot, axes="zx"), aj.Gains(1.0, 1.0))
+    with pytest.raises(aj.InvalidInputError, match="must have the coordinates of the plant's sen"):
+        aj.simulate(plant_of(robot), controller, (0.5, 1.2), (0.3, 0.8), 1.0, dt=0.1)
+
+
+@pytest.mark.parametrize("changes", [{"dt": 1e-320}, {"record_every": 1e-30}])
+def test_absurdly_many_steps_are_refused(changes):
+    plant = plant_of(aj.load_robot("two_link"))
+    with pytest.raises(aj.InvalidInputError, match="must be at least 1e-9 of duration = 1"):
+        aj.simulate(plant, ConstantTorque((0.0, 0.0)), (0.5, 1.2), (0.3, 0.8), 1.0, **changes)
+
+
+def test_damaged_files_are_always_a_named_error(short_run, tmp_path):
+    path = short_run.save(tmp_path / "run.npz")
+    data = path.read_bytes()
+    rng = np.random.default_rng(3)
+    refused = 0
+    for _ in range(200):
+        damaged = bytearray(data)
+        for place in rng.integers(0, len(data), 3):
+            damaged[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(damaged)
+        try:
+            aj.Trajectory.load(path)
+        except aj.TrajectoryFileError:
+            refused += 1
+    assert refused > 150

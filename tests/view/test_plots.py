@@ -103,6 +103,11 @@ def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
     ]
 
 
+def test_parameters_that_were_not_learnt_are_refused(run):
+    with pytest.raises(aj.InvalidInputError, match="names must be those of learnt parameters, got"):
+        view.plot_parameters(run, ("a",))
+
+
 def test_the_users_own_settings_are_left_alone(run):
     before = dict(matplotlib.rcParams)
     view.plot_run(run)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array, as_diagonal
+from approxjac.checks import Array, as_diagonal, is_scalar
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,9 @@ class Gains:
     def __post_init__(self) -> None:
         for name, positive in (("kp", True), ("kv", True), ("damping", False)):
             value = getattr(self, name)
-            as_diagonal(name, value, np.size(value), positive=positive)
+            diagonal = as_diagonal(name, value, np.size(value), positive=positive)
+            # a copy, so that nobody changes it later
+            object.__setattr__(self, name, float(value) if is_scalar(value) else diagonal)
 
     def diagonals(self, m: int, nv: int) -> Diagonals:
         """Return the diagonals for a task of m coordinates on an arm of n_v joints.

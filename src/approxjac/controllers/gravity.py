@@ -40,6 +40,7 @@ class NoGravity:
     """
 
     def __init__(self, robot: Robot) -> None:
+        require("robot", robot, Robot, "the believed Robot")
         self.robot = robot
         self._zero = np.zeros(robot.nv)
 
@@ -121,10 +122,11 @@ Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
 
 
 def _adaptation_gain(L: Any, p: int) -> Array:
-    if is_scalar(L) or is_scalar(L[0]):
+    if is_scalar(L) or all(is_scalar(row) for row in L):
         return as_diagonal("L", L, p)
     matrix = as_array("L", L, (p, p))
-    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] <= 0.0:
+    asymmetry = np.abs(matrix - matrix.T).max()
+    if asymmetry > 1e-9 * np.abs(matrix).max() or np.linalg.eigvalsh(matrix)[0] <= 0.0:
         raise InvalidInputError(
             f"L must be symmetric positive definite, got {matrix.tolist()}", given=L
         )

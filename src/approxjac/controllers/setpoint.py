@@ -128,6 +128,7 @@ class SetpointController:
         """θ̂ from one state (n_state,) or a series of them (…, n_state); shape (…, p)."""
         return state[..., : self._p]
 
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is a named error below
     def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
         """Torque for one measurement.
 
@@ -141,7 +142,8 @@ class SetpointController:
 
         Raises:
             MeasurementError: q or v not finite, or a torque that overflows.
-            InvalidInputError: Wrong shapes, a target or state that is not finite.
+            InvalidInputError: Wrong shapes or types, a target or state that is not finite, or
+                (cos, sin) pairs of continuous joints off the unit circle.
         """
         self._require_shapes(state, measurement, target)
         _, q, v, x = measurement
@@ -216,7 +218,9 @@ class SetpointController:
                 given=measurement,
             ) from None
         try:
-            if (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes:
+            if (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes and (
+                q.dtype == v.dtype == x.dtype == target.dtype == state.dtype == np.float64
+            ):
                 return
         except AttributeError:
             pass
@@ -226,6 +230,12 @@ class SetpointController:
                 given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
                 raise InvalidInputError(
                     f"{name} must be an array of shape {shape} for {self.task!r}, got {given}",
+                    given=value,
+                )
+            if value.dtype != np.float64:  # differences of unsigned pixels would wrap around
+                raise InvalidInputError(
+                    f"{name} must be an array of float64, got {value.dtype}; "
+                    f"{name}.astype(float) makes one of numbers",
                     given=value,
                 )
 
@@ -243,13 +253,12 @@ class SetpointController:
                 raise InvalidInputError(f"{name} must be finite, got {value.tolist()}", given=value)
         if not np.isfinite(measurement.x).all():
             return True
-        with np.errstate(over="ignore"):
-            if not np.isfinite(measurement.x - target).all():
-                raise MeasurementError(
-                    f"the error overflows: x = {measurement.x.tolist()} is beyond what the law can "
-                    "be evaluated at",
-                    given=measurement,
-                )
+        if not np.isfinite(measurement.x - target).all():
+            raise MeasurementError(
+                f"the error overflows: x = {measurement.x.tolist()} is beyond what the law can be "
+                "evaluated at",
+                given=measurement,
+            )
         return False
 
     def __repr__(self) -> str:

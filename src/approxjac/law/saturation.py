@@ -94,7 +94,9 @@ class Sine:
     _gamma: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_gamma", _checked_gamma(self.gamma))
+        gamma = _checked_gamma(self.gamma)
+        object.__setattr__(self, "_gamma", gamma)
+        object.__setattr__(self, "gamma", gamma if gamma.ndim else float(gamma))
 
     def s(self, e: Array) -> Array:
         """s(e), between −γ and γ."""
@@ -140,7 +142,9 @@ class Tanh:
     _gamma: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_gamma", _checked_gamma(self.gamma))
+        gamma = _checked_gamma(self.gamma)
+        object.__setattr__(self, "_gamma", gamma)
+        object.__setattr__(self, "gamma", gamma if gamma.ndim else float(gamma))
 
     def s(self, e: Array) -> Array:
         """s(e), between −γ and γ."""

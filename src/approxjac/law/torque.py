@@ -68,7 +68,8 @@ def learnt_gravity_torque(
 ) -> Array:
     """τ = −Ĵᵀ(K_p s(e) + K_v Ĵ q̇) − B_c q̇ + Z(q) θ̂.
 
-    Implements Eq. (28): eq. (6) with the gravity that has been learnt so far.
+    Implements Eq. (28): eq. (6) with the gravity that has been learnt so far. (`SetpointController`
+    composes it from (27) and (6), as its gravity may come from elsewhere.)
 
     Args:
         J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).

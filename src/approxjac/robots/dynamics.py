@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_vector
+from approxjac.checks import Array, as_vector, require
 from approxjac.robots.model import mass_matrix
 from approxjac.robots.robot import Robot
 
@@ -24,6 +24,7 @@ class Dynamics:
     """
 
     def __init__(self, robot: Robot) -> None:
+        require("robot", robot, Robot, "a Robot")
         self.robot = robot
         self._model = robot.model
         self._data = self._model.createData()

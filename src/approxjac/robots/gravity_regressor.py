@@ -106,6 +106,7 @@ class GravityRegressor:
         Raises:
             InvalidInputError: Other joints, or another gravity.
         """
+        require("robot", robot, Robot, "a Robot")
         if robot.joint_names != self.robot.joint_names:
             raise InvalidInputError(
                 f"robot must have the joints of {self.robot.name} "

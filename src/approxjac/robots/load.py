@@ -54,7 +54,7 @@ def load_robot(
         robot = _load_file(path, gravity, entry.tip if tip is None else tip)
         return robot.with_locked_joints(entry.locked) if entry.locked else robot
     path = Path(source)
-    if len(text) < 4096 and path.is_file():
+    if len(text) < 4096 and "\0" not in text and path.is_file():
         return _load_file(path, gravity, tip)
     if path.suffix or "/" in text or isinstance(source, Path):
         raise UrdfError(f"URDF file {text} does not exist", given=source)

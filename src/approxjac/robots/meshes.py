@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from approxjac.errors import UrdfError
 from approxjac.robots.named import share_dir
 
 _MUJOCO_READS = (".stl", ".obj", ".msh")
@@ -49,12 +50,18 @@ def for_other_tools(root: Any, urdf_dir: Path | None, path: Path) -> None:
     """
     from lxml import etree
 
+    converted: dict[Path, Path] = {}
+    folder = path.with_name(f"{path.stem}_meshes")
     for mesh in root.iter("mesh"):
         found = find_mesh(mesh.get("filename", ""), urdf_dir)
         if found is None:
             continue
-        if mesh.getparent().getparent().tag == "collision":
-            found = _readable_by_mujoco(found, path.with_name(f"{path.stem}_meshes"))
+        collides = mesh.getparent().getparent().tag == "collision"
+        if collides and found.suffix.lower() not in _MUJOCO_READS:
+            if found not in converted:
+                name = f"{len(converted)}_{found.stem}.stl"  # two meshes may share a name
+                converted[found] = _to_stl(found, (folder / name).resolve())
+            found = converted[found]
         mesh.set("filename", str(found))
     if root.find("mujoco") is None:
         mujoco = etree.Element("mujoco")
@@ -62,13 +69,15 @@ def for_other_tools(root: Any, urdf_dir: Path | None, path: Path) -> None:
         root.insert(0, mujoco)
 
 
-def _readable_by_mujoco(mesh: Path, folder: Path) -> Path:
-    """Return the mesh itself, or its conversion to STL in a folder made for it."""
-    if mesh.suffix.lower() in _MUJOCO_READS:
-        return mesh
+def _to_stl(mesh: Path, stl: Path) -> Path:
+    """Convert a mesh file to STL; returns the new file."""
     import trimesh
 
-    folder.mkdir(parents=True, exist_ok=True)
-    converted = (folder / f"{mesh.stem}.stl").resolve()
-    trimesh.load(mesh, force="mesh").export(converted)
-    return converted
+    try:
+        stl.parent.mkdir(parents=True, exist_ok=True)
+        trimesh.load(mesh, force="mesh").export(stl)
+    except Exception as error:  # each of trimesh's readers raises its own
+        raise UrdfError(
+            f"collision mesh {mesh} cannot be converted to {stl}: {error}", given=mesh
+        ) from error
+    return stl

@@ -49,6 +49,7 @@ class Robot:
         urdf_dir: Path | None = None,
         source: str = "URDF text",
     ) -> None:
+        require("urdf", urdf, str, "URDF text")
         self._urdf = urdf
         self._gravity = as_array("gravity", gravity, (3,), "m/s^2")
         self._urdf_dir = urdf_dir
@@ -301,6 +302,9 @@ class Robot:
             UnknownNameError: No such joint.
             InvalidInputError: Wrong shape or not finite.
         """
+        for name, errors in (("shifts", shifts), ("rotations", rotations)):
+            if errors is not None:
+                require(name, errors, Mapping, "a mapping from joint names to 3-vectors")
         root = urdf_xml.parse(self._urdf, self._source)
         shifts, rotations = dict(shifts or {}), dict(rotations or {})
         for joint in dict.fromkeys([*shifts, *rotations]):
@@ -331,9 +335,11 @@ class Robot:
             if joint not in self.joint_names:
                 raise UnknownNameError("moving joint", joint, self._name, self.joint_names)
             locked[joint] = as_number(f"position of {joint}", position, unit="rad or m")
-        for joint, (leader, multiplier, offset) in urdf_edit.followers(root).items():
-            if leader in locked:
-                locked[joint] = multiplier * locked[leader] + offset
+        followers = {j: f for j, f in urdf_edit.followers(root).items() if j in self.joint_names}
+        for _ in followers:  # a follower may be followed in turn
+            for joint, (leader, multiplier, offset) in followers.items():
+                if leader in locked:
+                    locked.setdefault(joint, multiplier * locked[leader] + offset)
         for joint, value in locked.items():
             axis = links.joint_map[joint].axis / np.linalg.norm(links.joint_map[joint].axis)
             if links.joint_map[joint].type == "prismatic":
@@ -345,7 +351,7 @@ class Robot:
 
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
-        return self._changed(self._urdf, gravity=gravity)
+        return self._changed(self._urdf, gravity=as_array("gravity", gravity, (3,), "m/s^2"))
 
     def save_urdf(self, path: str | Path) -> Path:
         """Write a URDF that Pinocchio, MuJoCo, MeshCat and yourdfpy open alike.
@@ -364,6 +370,7 @@ class Robot:
             InvalidInputError: The file cannot be written.
         """
         root = urdf_xml.parse(self._urdf, self._source)
+        require("path", path, (str, Path), "a file to write")
         path = Path(path)
         meshes.for_other_tools(root, self._urdf_dir, path)
         try:

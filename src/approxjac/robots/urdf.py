@@ -79,11 +79,15 @@ def read(root: Any, source: str) -> yourdfpy.URDF:
 
 
 def bare_text(root: Any) -> str:
-    """Return the URDF without comments and instructions, which not every parser takes."""
+    """Return the URDF as computing needs it: without geometry, comments and instructions.
+
+    Not every parser takes every geometry, nor instructions.
+    """
     from lxml import etree
 
     bare = copy.deepcopy(root)
     etree.strip_tags(bare, etree.Comment, etree.ProcessingInstruction)
+    etree.strip_elements(bare, "visual", "collision")
     return str(etree.tostring(bare, encoding="unicode"))
 
 
@@ -109,11 +113,15 @@ def _attribute_faults(root: Any) -> list[str]:
         for tag in ("parent", "child"):
             if owner.find(tag) is None or not owner.find(tag).get("link"):
                 faults.append(f"joint {owner.get('name')!r} has no <{tag} link=...>")
+    for owner in root.iterfind("link"):
+        inertial = owner.find("inertial")
+        if inertial is not None and None in (inertial.find("mass"), inertial.find("inertia")):
+            faults.append(f"<inertial> of link {owner.get('name')!r} needs <mass> and <inertia>")
     for owner in [*root.iterfind("link"), *root.iterfind("joint")]:
         for path, attribute, count in _NUMBERS:
             for element in owner.iterfind(path):
                 given = element.get(attribute)
-                if given is None and attribute in _OPTIONAL:
+                if given is None and attribute in _OPTIONAL and element.tag != "axis":
                     continue
                 if len(_floats(given)) != count:
                     wanted = "a finite number" if count == 1 else f"{count} finite numbers"
@@ -137,12 +145,20 @@ _NUMBERS = (
 _OPTIONAL = ("xyz", "rpy", "lower", "upper", "effort", "velocity")  # looked at elsewhere, or 0
 
 
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
 def _floats(text: str | None) -> list[float]:
-    """Return the numbers in a text, none if one of its words is no finite number."""
-    try:
-        numbers = [float(word) for word in (text or "").split()]
-    except ValueError:
+    """Return the numbers in a text, none if it holds anything else.
+
+    Stricter than Python: of what urdfdom cannot read, it drops the whole element without an error.
+    """
+    words = (text or "").split()
+    if len(words) == 1:
+        words = [text or ""]  # blanks around a single number are among what it cannot read
+    if not all(_NUMBER.fullmatch(word) for word in words):
         return []
+    numbers = [float(word) for word in words]
     return numbers if all(math.isfinite(number) for number in numbers) else []
 
 
@@ -169,7 +185,8 @@ def _faults(urdf: yourdfpy.URDF) -> list[str]:
                 f"joint {joint.name!r} is {joint.type} and has no <limit>; with effort, velocity, "
                 "lower and upper all 0, no limit is known"
             )
-        if moves and limit is not None and (limit.lower or 0.0) > (limit.upper or 0.0):
+        turns_freely = joint.type == "continuous"
+        if moves and limit and not turns_freely and (limit.lower or 0.0) > (limit.upper or 0.0):
             faults.append(f"the limits of joint {joint.name!r} are reversed")
         if moves and limit is not None and (limit.effort is None or limit.velocity is None):
             faults.append(

@@ -47,6 +47,19 @@ class Plant:
         )
         self.dynamics = Dynamics(robot)
 
+    def require_task(self, task: Task) -> None:
+        """Refuse a controller's task whose coordinates are not those that the sensor measures.
+
+        Raises:
+            InvalidInputError: Other coordinates, or another number of joints.
+        """
+        if self.sensor.labels != task.labels or self.robot.nv != task.robot.nv:
+            raise InvalidInputError(
+                f"the controller's task must have the coordinates of the plant's sensor "
+                f"{self.sensor!r}, got {task!r}",
+                given=task,
+            )
+
     def acceleration(self, q: Array, v: Array, tau: Array) -> Array:
         """q̈ under a torque, shape (n_v,) [rad/s² or m/s²]."""
         v = as_vector("v", v, self.robot.nv)

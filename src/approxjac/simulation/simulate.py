@@ -13,6 +13,7 @@ from approxjac.interface import Controller, Evaluation, Measurement
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.trajectory import Trajectory
+from approxjac.tasks import Task
 
 Progress = Callable[[float], None]
 _STALL_STEPS = 1000
@@ -62,12 +63,20 @@ def simulate(
         SimulationError: The closed loop diverged, or the integration could not reach the end.
     """
     require("plant", plant, Plant, "a Plant (the first argument; the controller is the second)")
+    if isinstance(controller, type) or not hasattr(controller, "evaluate"):
+        raise InvalidInputError(
+            f"controller must be a controller, such as SetpointController(...), got {controller!r}",
+            given=controller,
+        )
+    task = getattr(controller, "task", None)
+    if isinstance(task, Task):
+        plant.require_task(task)
     robot = plant.robot
     x_d = as_array("target", target, (plant.sensor.m,), plant.sensor.unit)
     q = robot.configuration(as_array("q0", q0, (robot.nq,), "rad"), "q0")
     v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
     duration = as_number("duration", duration, unit="s", above=0.0)
-    if integrator not in INTEGRATORS:
+    if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, "the integrators", INTEGRATORS)
     if dt is None:
         count = 1000 if record_every is None else _whole("record_every", record_every, duration)
@@ -125,9 +134,32 @@ def _diverged(t: float, duration: float, error: Exception) -> SimulationError:
     )
 
 
+def _first_state(plant: Plant, controller: Controller, x_d: Array, q: Array, v: Array) -> Array:
+    """Initial state of a controller, after one evaluation whose answer is looked at.
+
+    What is wrong with the arguments or the controller shows here, and not as a divergence.
+    """
+    measurement = plant.measure(0.0, q, v)
+    state = as_array(
+        "the controller's initial_state",
+        controller.initial_state(measurement),
+        (controller.n_state,),
+    )
+    answer = controller.evaluate(state, measurement, x_d)
+    require("the controller's answer", answer, Evaluation, "an Evaluation")
+    as_array("the controller's torque", answer.torque, (plant.robot.nv,), "N m or N")
+    as_array("the controller's state_rate", answer.state_rate, state.shape)
+    as_array("the controller's e", answer.e, (plant.sensor.m,), plant.sensor.unit)
+    return state
+
+
 def _whole(name: str, part: float, total: float, *, whole: str = "duration") -> int:
     """Return how often a time fits into another; refuse one that does not fit evenly."""
     part = as_number(name, part, unit="s", above=0.0)
+    if part < 1e-9 * total:
+        raise InvalidInputError(
+            f"{name} must be at least 1e-9 of {whole} = {total:g} [s], got {part:g}", given=part
+        )
     count = round(total / part)
     if count < 1 or abs(count * part - total) > 1e-9 * total:
         raise InvalidInputError(
@@ -166,11 +198,9 @@ def _continuous(
         )
 
     times = np.linspace(0.0, duration, count + 1)
-    records = np.empty((count + 1, 2 * n + controller.n_state))
-    records[0] = np.concatenate(
-        [np.zeros(n), v0, controller.initial_state(plant.measure(0.0, q0, v0))]
-    )
-    flow(0.0, records[0])  # what is wrong with the arguments shows here, not as a divergence
+    state = _first_state(plant, controller, x_d, q0, v0)
+    records = np.empty((count + 1, 2 * n + len(state)))
+    records[0] = np.concatenate([np.zeros(n), v0, state])
     solver = LSODA(flow, 0.0, records[0], duration, rtol=rtol, atol=atol)
     done, steps, checked = 1, 0, 0.0
     while solver.status == "running":
@@ -180,7 +210,7 @@ def _continuous(
             raise _diverged(solver.t, duration, error) from error
         steps += 1
         if steps % _STALL_STEPS == 0:  # LSODA creeps towards a pole for ever and calls it running
-            if solver.t - checked < 1e-9 * duration:
+            if solver.t - checked <= 1e-9 * duration:
                 message = "the steps have become vanishingly small"
             checked = solver.t
         if not np.isfinite(solver.y).all():
@@ -215,7 +245,7 @@ def _sampled(
 ) -> tuple[list[Measurement], Array, list[Evaluation]]:
     """Hold each torque over dt; the controller's state takes an Euler step."""
     step = INTEGRATORS[integrator]
-    state = controller.initial_state(plant.measure(0.0, q, v))
+    state = _first_state(plant, controller, x_d, q, v)
     measurements: list[Measurement] = []
     states: list[Array] = []
     evaluations: list[Evaluation] = []
@@ -224,13 +254,12 @@ def _sampled(
             measurement = plant.measure(k * dt, q, v)
             answer = controller.evaluate(state, measurement, x_d)
         except (InvalidInputError, MeasurementError) as error:
-            if k == 0:  # then the arguments are wrong
-                raise
             raise _diverged(k * dt, steps * dt, error) from error
         if k % stride == 0 or k == steps:
             measurements.append(measurement)
             states.append(state)
-            evaluations.append(answer)
+            # a controller may use one buffer for all its torques
+            evaluations.append(answer._replace(torque=answer.torque.copy(), e=answer.e.copy()))
             if progress is not None:
                 progress(measurement.t)
         if k < steps:

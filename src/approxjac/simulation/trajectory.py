@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array
+from approxjac.checks import Array, as_number, require
 from approxjac.errors import InvalidInputError, TrajectoryFileError
 from approxjac.interface import Status
 
@@ -83,6 +84,7 @@ class Trajectory:
             InvalidInputError: t outside the run, or a run that starts at its target.
         """
         norm = self.error_norm
+        t = as_number("t", t, unit="s")
         if not self.t[0] <= t <= self.t[-1]:
             raise InvalidInputError(
                 f"t must be within the run, {self.t[0]:g} to {self.t[-1]:g} [s], got {t!r}", given=t
@@ -127,7 +129,8 @@ class Trajectory:
         """
         path = _npz(path)
         try:
-            with np.load(path, allow_pickle=False) as file:
+            # opened here, because NumPy leaves a damaged file open
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 texts = json.loads(str(file["texts"]))
                 arrays = {f.name: file[f.name] for f in fields(cls) if f.name not in _TEXTS}
             for name in ("joint_names", "joint_units", "task_labels"):
@@ -139,7 +142,7 @@ class Trajectory:
             raise TrajectoryFileError(
                 f"trajectory file {path} does not exist", given=path
             ) from error
-        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        except _UNREADABLE as error:
             raise TrajectoryFileError(
                 f"{path} is not a trajectory written by Trajectory.save: {error}", given=path
             ) from error
@@ -158,6 +161,11 @@ class Trajectory:
                 raise ValueError(f"{name} must be numbers of shape {shape}, got {array.shape}")
         if n == 0 or not set(np.unique(self.status)) <= set(Status):
             raise ValueError("it is empty or has an unknown status")
+        if not (np.isfinite(self.t).all() and (np.diff(self.t) > 0.0).all()):
+            raise ValueError("its times do not increase")
+        names = (*self.joint_names, *self.joint_units, *self.task_labels, self.robot_name)
+        if len(self.joint_units) != joints or not all(isinstance(name, str) for name in names):
+            raise ValueError("its names and units do not fit its arrays")
 
     def __repr__(self) -> str:
         norm = self.error_norm
@@ -170,10 +178,16 @@ class Trajectory:
 
 def _npz(path: str | Path) -> Path:
     """Return a path with the ending .npz."""
+    require("path", path, (str, Path), "the name of a file")
     path = Path(path)
-    if not path.name:
+    if not path.name or "\0" in path.name:
         raise InvalidInputError(f"path must name a file, got {str(path)!r}", given=path)
     return path if path.suffix.lower() == ".npz" else path.with_name(path.name + ".npz")
 
 
+# what NumPy, zipfile and json raise on damaged files
+_UNREADABLE = (
+    OSError, EOFError, ValueError, KeyError, TypeError, IndexError, RuntimeError,
+    NotImplementedError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_unit")

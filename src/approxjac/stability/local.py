@@ -8,12 +8,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.checks import Array
+from approxjac.checks import Array, require
 from approxjac.controllers import AdaptiveGravity, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.law import closed_loop_matrix
 from approxjac.simulation import Plant
-from approxjac.stability.pairing import require_same_task
 
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
 _EXACT = 1e-6  # relative error of a gravity compensation that counts as none
@@ -59,8 +58,10 @@ def local_stability(
             whose gravity is not exact near the posture, which is then no equilibrium; another
             task than the sensor's; or a posture of the wrong shape.
     """
+    require("plant", plant, Plant, "a Plant")
+    require("controller", controller, SetpointController, "a SetpointController")
+    plant.require_task(controller.task)
     q = plant.robot.configuration(q_target, "q_target")
-    require_same_task(plant, controller)
     if controller.velocity is not None or isinstance(controller.gravity, AdaptiveGravity):
         raise InvalidInputError(
             "local_stability is for law (6), with the estimated task velocity and known gravity, "

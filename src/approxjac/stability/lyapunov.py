@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from approxjac import law
-from approxjac.checks import Array, as_array, as_number
+from approxjac.checks import Array, as_array, as_number, require
 from approxjac.controllers import AdaptiveGravity, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.stability.pairing import require_same_task
 
 
 class LyapunovValue(NamedTuple):
@@ -48,9 +47,11 @@ def lyapunov(
 
     Raises:
         InvalidInputError: A controller of law (5); one that learns gravity without `state` and
-            `theta`, or with another α; another task than the sensor's.
+            `theta`, or with another α; another task than the sensor's; a singular Ĵ.
     """
-    require_same_task(plant, controller)
+    require("plant", plant, Plant, "a Plant")
+    require("controller", controller, SetpointController, "a SetpointController")
+    plant.require_task(controller.task)
     alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
     if controller.velocity is not None:
         raise InvalidInputError(
@@ -63,6 +64,13 @@ def lyapunov(
     e = sensor.value(q) - target
     s = controller.saturation.s(e)
     J, J_hat = sensor.jacobian(q), task.jacobian(q)
+    sigma_min, sigma_max = law.extreme_singular_values(J_hat)
+    if sigma_min <= 1e-7 * sigma_max:
+        raise InvalidInputError(
+            f"q must not be a singular posture of the believed robot, where Ĵ⁺ does not exist, "
+            f"got {q.tolist()}",
+            given=q,
+        )
     J_hat_pinv = law.right_pinv(J_hat)
     M = dynamics.M(q)
     V = law.V(v, s, controller.saturation.S(e), J_hat_pinv, M, kp, kv, alpha)

@@ -70,7 +70,8 @@ class PlanarCamera:
         f = as_number("focal_length", self.focal_length, unit="m", above=0.0)
         as_number("distance", self.distance, unit="m", above=f)
         as_number("roll", self.roll, unit="rad")
-        as_array("offset", self.offset, (2,), "m")
+        offset = as_array("offset", self.offset, (2,), "m")
+        object.__setattr__(self, "offset", tuple(offset.tolist()))
         rows = axis_rows("plane", self.plane)
         if len(rows) != 2:
             raise InvalidInputError(

@@ -118,6 +118,12 @@ def plot_parameters(
         theta: Their true values, drawn dashed if given, shape (p,).
         title: Of the axes.
     """
+    if len(names) > run.state.shape[1]:
+        raise InvalidInputError(
+            f"names must be those of learnt parameters, got {len(names)} for a run with a state of "
+            f"{run.state.shape[1]}",
+            given=names,
+        )
     with style():
         ax = _axes(ax)
         for i, name in enumerate(names):
