@@ -83,14 +83,9 @@ def simulate(
         rtol = as_number("rtol", rtol, above=0.0)
         atol = as_number("atol", atol, above=0.0)
         with _overflow_is_expected():
-            times, qs, vs, states = _continuous(
+            record = _continuous(
                 plant, controller, x_d, q, v, duration, count, rtol, atol, progress
             )
-        measurements = [plant.measure(*instant) for instant in zip(times, qs, vs, strict=True)]
-        evaluations = [
-            controller.evaluate(state, measurement, x_d)
-            for state, measurement in zip(states, measurements, strict=True)
-        ]
     else:
         dt = as_number("dt", dt, unit="s", above=0.0)
         steps = _whole("dt", dt, duration)
@@ -99,9 +94,19 @@ def simulate(
             record_every = as_number("record_every", record_every, unit="s", above=0.0)
             stride = _whole("dt", dt, record_every, whole="record_every")
         with _overflow_is_expected():
-            measurements, states, evaluations = _sampled(
-                plant, controller, x_d, q, v, dt, steps, stride, integrator, progress
-            )
+            record = _sampled(plant, controller, x_d, q, v, dt, steps, stride, integrator, progress)
+    return _trajectory(plant, x_d, *record)
+
+
+def _trajectory(
+    plant: Plant,
+    x_d: Array,
+    measurements: list[Measurement],
+    states: Array,
+    evaluations: list[Evaluation],
+) -> Trajectory:
+    """Put what was recorded into arrays with time as their first axis."""
+    robot = plant.robot
     return Trajectory(
         t=np.array([measurement.t for measurement in measurements]),
         q=np.array([measurement.q for measurement in measurements]),
@@ -132,6 +137,11 @@ def _diverged(t: float, duration: float, error: Exception) -> SimulationError:
         "gains may help)",
         given=t,
     )
+
+
+def _copied(answer: Evaluation) -> Evaluation:
+    """Return an answer to keep: a controller may use one buffer for all its torques."""
+    return answer._replace(torque=answer.torque.copy(), e=answer.e.copy())
 
 
 def _first_state(plant: Plant, controller: Controller, x_d: Array, q: Array, v: Array) -> Array:
@@ -179,8 +189,8 @@ def _continuous(
     rtol: float,
     atol: float,
     progress: Progress | None,
-) -> tuple[Array, Array, Array, Array]:
-    """Integrate (q, v, controller state) together; returns t, q, v and state on a grid.
+) -> tuple[list[Measurement], Array, list[Evaluation]]:
+    """Integrate (q, v, controller state) together, and record on a grid.
 
     Every joint has one degree of freedom, so the motion since the start, ξ with ξ̇ = q̇, is a
     coordinate of the whole configuration space, continuous joints included.
@@ -227,8 +237,16 @@ def _continuous(
             if progress is not None:
                 progress(solver.t)
     records[-1] = solver.y
-    qs = np.array([pin.integrate(model, q0, record[:n]) for record in records])
-    return times, qs, records[:, n : 2 * n].copy(), records[:, 2 * n :].copy()
+    measurements = [
+        plant.measure(t, pin.integrate(model, q0, record[:n]), record[n : 2 * n])
+        for t, record in zip(times, records, strict=True)
+    ]
+    states = records[:, 2 * n :].copy()
+    evaluations = [
+        _copied(controller.evaluate(state, measurement, x_d))
+        for state, measurement in zip(states, measurements, strict=True)
+    ]
+    return measurements, states, evaluations
 
 
 def _sampled(
@@ -258,8 +276,7 @@ def _sampled(
         if k % stride == 0 or k == steps:
             measurements.append(measurement)
             states.append(state)
-            # a controller may use one buffer for all its torques
-            evaluations.append(answer._replace(torque=answer.torque.copy(), e=answer.e.copy()))
+            evaluations.append(_copied(answer))
             if progress is not None:
                 progress(measurement.t)
         if k < steps:
