@@ -36,7 +36,7 @@ _MESSAGES: Mapping[Status, str] = {
         "and its pseudo-inverse is damped"
     ),
     Status.MEASUREMENT_LOST: (
-        "the task measurement is not finite: no task force, damping and gravity compensation "
+        "the task measurement is not finite: no position force, damping and gravity compensation "
         "only, adaptation frozen"
     ),
 }
