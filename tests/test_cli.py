@@ -13,6 +13,7 @@ from PIL import Image
 
 import approxjac as aj
 from approxjac.cli import main
+from approxjac.robots.named import NAMED, urdf_path
 
 
 def run(*arguments):
@@ -173,6 +174,79 @@ def test_arguments_that_do_not_parse_give_exit_code_2():
     assert "ring" in process.stderr + process.stdout
 
 
+def test_robots_lists_every_arm(capsys):
+    assert main(["robots"]) == 0
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert lines[0].split() == [
+        "name", "nv", "nq", "joints", "effort", "limits", "suggested", "tip", "kg",
+    ]  # fmt: skip
+    assert [line.split()[0] for line in lines[2:-2]] == list(aj.robot_names())
+    words = {line.split()[0]: " ".join(line.split()) for line in lines[2:-2]}
+    assert words["panda"] == "panda 7 7 7 revolute 12-87 panda_hand_tcp 16.8"
+    assert words["kinova"].startswith("kinova 6 9 3 continuous, 3 revolute 20-80 j2s6s200_end_")
+    assert words["tiago_arm"].startswith("tiago_arm 8 8 1 prismatic, 7 revolute 2000, 3-39 wrist_")
+    assert words["double_pendulum"] == "double_pendulum 2 2 2 revolute none known link3 0.5"
+    assert lines[-1] == "Effort limits are in N m, those of prismatic joints in N."
+
+
+def test_robots_describes_one(capsys):
+    assert main(["robots", "tiago_arm"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("tiago_arm: 1 prismatic, 7 revolute; nv 8, nq 8; 18.21 kg\n")
+    words = [" ".join(line.split()) for line in out.splitlines()]
+    assert "tip: wrist_ft_tool_link" in words
+    assert "torso_lift_joint prismatic 0 to 0.35 m 2000 N" in words
+    assert "arm_1_joint revolute 0 to 2.749 rad 39 N m" in words
+    assert "locked: wheel_right_joint, wheel_left_joint, head_1_joint, head_2_joint" in words
+    main(["robots", "panda", "--free", "panda_finger_joint1"])
+    out = capsys.readouterr().out
+    assert "panda_finger_joint1  prismatic  0 to 0.04 m            100 N" in out
+    assert "moving with another joint: panda_finger_joint2" in out
+    assert "locked" not in out
+    main(["robots", "panda", "--free", "all"])
+    assert "nv 8, nq 8" in capsys.readouterr().out
+    main(["robots", "kinova"])
+    assert "j2s6s200_joint_1  continuous  none                 40 N m" in capsys.readouterr().out
+    main(["robots", "double_pendulum"])
+    assert "joint1  revolute  none known  none known" in capsys.readouterr().out
+    main(["robots", "talos_arm"])
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 100
+
+
+def test_robots_takes_any_urdf(capsys):
+    path = str(urdf_path(NAMED["baxter_left_arm"]))
+    assert main(["robots", path]) == 0
+    out = capsys.readouterr().out
+    assert "nv 17, nq 17" in out
+    assert "tip: not clear, as it has more than one end: name one as tip" in out
+    assert main(["robots", path, "--tip", "right_gripper"]) == 0
+    by_path = capsys.readouterr().out.splitlines()
+    assert main(["robots", "baxter_left_arm", "--tip", "right_gripper"]) == 0
+    assert capsys.readouterr().out.splitlines()[1:] == by_path[1:]
+    assert main(["robots", "talos_arm", "--base", "base_link"]) == 0
+    assert "9 revolute" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["pnada"], "approxjac: robot 'pnada' not in the robots known by name; did you mean 'pan"),
+        (["nowhere.urdf"], "approxjac: URDF file nowhere.urdf does not exist"),
+        (["panda", "--free", "thumb"], "approxjac: moving joint 'thumb' not in panda; valid are "),
+        (["panda", "--tip", "hand"], "approxjac: frame 'hand' not in panda; did you mean"),
+        (["--tip", "hand"], "approxjac: --tip, --base and --free need a robot, got none"),
+    ],
+)
+def test_a_robot_that_does_not_load_gives_exit_code_2(capsys, arguments, text):
+    assert main(["robots", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(text)
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+
+
 def test_help_and_version(capsys):
     assert run("paper", "--help").returncode == 0
     assert "--duration" in run("paper", "--help").stdout
@@ -201,3 +275,113 @@ def test_a_terminal_gets_a_progress_bar(tmp_path):
     assert process.wait(timeout=60) == 0
     assert b"figure 4" in shown
     assert b"100%" in shown
+
+
+# -- approxjac simulate and approxjac arms ----------------------------------------------
+
+HOME = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
+TOML = f"""
+robot = "panda"
+object_length = 0.3
+joint_shifts = {{ panda_joint4 = [0.0, 0.01, 0.0] }}
+start = {HOME}
+target_offset = [0.05, -0.05, 0.05]
+gravity = "exact"
+duration = 6.0
+rate = 500.0
+"""
+
+
+def test_simulate_prints_and_writes_what_became_of_it(tmp_path):
+    start = [str(number) for number in HOME]
+    process = run(
+        "simulate", "panda", "--object-length", "0.2", "--object-mass", "0.5",
+        "--believed-length", "0", "--joint-shifts", "panda_joint4", "0", "0.01", "0",
+        "--start", *start, "--target-offset", "0.05", "-0.05", "0.05", "--duration", "8",
+        "--rate", "500", "--out", str(tmp_path),
+    )  # fmt: skip
+    assert process.returncode == 0, process.stderr
+    assert process.stderr == ""
+    assert "verdict     converged" in process.stdout
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["verdict"] == "converged"
+    assert summary["final_error_m"] < 1e-3
+    assert summary["settings"]["joint_shifts"] == {"panda_joint4": [0.0, 0.01, 0.0]}
+    for name in ("final_error_m", "settling_time_s", "peak_torque_ratio"):
+        assert isinstance(summary[name], float)
+    picture = Image.open(tmp_path / "run.png")
+    assert len(np.unique(np.asarray(picture.convert("L")))) > 50
+    assert aj.Trajectory.load(tmp_path / "run.npz").t[-1] == pytest.approx(8.0)
+
+
+def test_a_file_says_the_same_as_options_and_options_come_before_it(tmp_path, capsys):
+    path = tmp_path / "reach.toml"
+    path.write_text(TOML, encoding="utf-8")
+    assert main(["simulate", str(path), "--out", str(tmp_path / "a")]) == 0
+    options = [
+        "simulate", "panda", "--object-length", "0.3", "--joint-shifts", "panda_joint4", "0",
+        "0.01", "0", "--start", *map(str, HOME), "--target-offset", "0.05", "-0.05", "0.05",
+        "--gravity", "exact", "--duration", "6", "--rate", "500", "--out", str(tmp_path / "b"),
+    ]  # fmt: skip
+    assert main(options) == 0
+    a, b = (json.loads((tmp_path / name / "summary.json").read_text()) for name in "ab")
+    assert a == b
+    assert main(["simulate", str(path), "--duration", "0.5", "--out", str(tmp_path / "c")]) == 1
+    short = json.loads((tmp_path / "c" / "summary.json").read_text())
+    assert short["settings"]["duration"] == 0.5
+    assert short["settings"]["object_length"] == 0.3
+    assert short["verdict"] == "not converged"
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("robot = 1", "must name a robot, such as robot = \"panda\", got 1"),
+        ("object_length = 0.1", "must name a robot"),
+        ('robot = "panda"\nobject_lenght = 0.1', "did you mean 'object_length'"),
+        ("robot = ", "cannot be read as TOML"),
+    ],
+)  # fmt: skip
+def test_a_bad_file_is_one_clear_line(tmp_path, capsys, text, message):
+    path = tmp_path / "bad.toml"
+    path.write_text(text, encoding="utf-8")
+    assert main(["simulate", str(path), "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_bad_options_of_simulate_are_one_clear_line(tmp_path, capsys):
+    for words, message in (
+        (["pando"], "robot 'pando' not in the robots known by name; did you mean"),
+        (["panda", "--object-length", "-1"], "length must be a finite number >= 0"),
+        (["panda", "--floor", "0"], "a floor needs the engine mujoco"),
+        (["missing.toml"], "missing.toml cannot be read as TOML"),
+    ):
+        assert main(["simulate", *words, "--out", str(tmp_path)]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+
+
+def test_arms_writes_a_table(tmp_path, capsys):
+    words = ["arms", "--robots", "ur5", "--starts", "1", "--duration", "8", "--jobs", "2"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    table = (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "| ur5 | 20 cm, 0.5 kg | 1 of 1 |" in table
+    assert table in capsys.readouterr().out
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["verdict"] == "ok"
+    assert len(summary["runs"]) == 2
+
+
+def test_a_file_may_name_the_folder_and_values_that_begin_with_a_minus(tmp_path, capsys):
+    path, out = tmp_path / "reach.toml", tmp_path / "there"
+    path.write_text(f'{TOML}object_axis = "-x"\nout = "{out}"\n', encoding="utf-8")
+    words = ["--duration=1", "--target", "0.4", "0.1", "0.5"]  # in place of the file's offset
+    assert main(["simulate", *words, str(path)]) == 1
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["settings"]["object_axis"] == "-x"
+    assert summary["target"] == [0.4, 0.1, 0.5]
+    capsys.readouterr()

@@ -11,8 +11,11 @@ from approxjac.controllers import (
     Gains,
     ModelGravity,
     NoGravity,
+    Posture,
     RegressorGravity,
     SetpointController,
+    default_adaptation,
+    default_gains,
 )
 from approxjac.errors import (
     ApproxJacError,
@@ -25,10 +28,27 @@ from approxjac.errors import (
 )
 from approxjac.interface import Controller, Evaluation, Measurement, Status
 from approxjac.law import Linear, Sine, Tanh
-from approxjac.robots import Dynamics, GravityRegressor, Robot, load_robot, robot_names
-from approxjac.simulation import Plant, Trajectory, simulate
+from approxjac.robots import (
+    Dynamics,
+    Excitation,
+    GravityRegressor,
+    Robot,
+    excitation,
+    load_robot,
+    robot_names,
+)
+from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
 from approxjac.stability import LocalStability, LyapunovValue, local_stability, lyapunov
-from approxjac.tasks import Camera, ImageTask, PlanarCamera, PositionTask, Task
+from approxjac.tasks import (
+    Camera,
+    ImageTask,
+    NonsingularTask,
+    PlanarCamera,
+    PoseTask,
+    PositionTask,
+    StackedTask,
+    Task,
+)
 
 __version__ = "0.1.0"
 
@@ -40,6 +60,7 @@ __all__ = [
     "DifferentiatedVelocity",
     "Dynamics",
     "Evaluation",
+    "Excitation",
     "Gains",
     "GravityRegressor",
     "ImageTask",
@@ -50,15 +71,21 @@ __all__ = [
     "Measurement",
     "MeasurementError",
     "ModelGravity",
+    "MujocoPlant",
     "NoGravity",
+    "NonsingularTask",
     "PlanarCamera",
     "Plant",
+    "PoseTask",
     "PositionTask",
+    "Posture",
     "RegressorGravity",
     "Robot",
+    "Sensing",
     "SetpointController",
     "SimulationError",
     "Sine",
+    "StackedTask",
     "Status",
     "Tanh",
     "Task",
@@ -66,6 +93,9 @@ __all__ = [
     "TrajectoryFileError",
     "UnknownNameError",
     "UrdfError",
+    "default_adaptation",
+    "default_gains",
+    "excitation",
     "law",
     "load_robot",
     "local_stability",

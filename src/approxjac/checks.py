@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from approxjac.errors import InvalidInputError, UnknownNameError
 
 Array = NDArray[np.float64]
+_LARGEST = 1e60
 
 
 def as_array(name: str, value: Any, shape: tuple[int, ...], unit: str = "") -> Array:
@@ -50,7 +51,7 @@ def as_vector(name: str, value: Any, size: int) -> Array:
         type(value) is np.ndarray
         and value.dtype == np.float64
         and value.shape == (size,)
-        and math.isfinite(value.dot(value))
+        and math.isfinite(math.hypot(*value.tolist()))  # overflows without a warning
     ):
         return value
     return as_array(name, value, (size,))
@@ -76,8 +77,8 @@ def as_number(
     elif above > -math.inf:
         bound = f" > {above:g}"
     try:
-        number = float(value)
-    except (TypeError, ValueError):
+        number = float(value) if np.ndim(value) == 0 else math.nan
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if isinstance(value, bool | str | bytes) or not (
         math.isfinite(number) and number >= minimum and number > above
@@ -94,16 +95,42 @@ def as_diagonal(
     """Return a diagonal given as a scalar or a vector as a read-only vector of `size`.
 
     Raises:
-        InvalidInputError: Wrong shape, not finite, negative, or zero where `positive`.
+        InvalidInputError: Wrong shape, not finite, above 1e60, negative, or zero where `positive`.
     """
     scalar = is_scalar(value)
     array = as_array(name, [value] * max(size, 1) if scalar else value, (max(size, 1),), unit)
+    if (array > _LARGEST).any():  # or products of gains could overflow in a control step
+        raise InvalidInputError(
+            f"{name} must be at most {_LARGEST:g}, got {array.tolist()}", given=value
+        )
     if (array <= 0).any() if positive else (array < 0).any():
         wanted = "> 0" if positive else ">= 0"
         suffix = f" [{unit}]" if unit else ""
         raise InvalidInputError(
             f"{name} must be {wanted} in every entry{suffix}, got {array.tolist()}", given=value
         )
+    return array
+
+
+def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
+    """Return limits given as a scalar or a vector as a read-only vector; inf is no limit.
+
+    Raises:
+        InvalidInputError: Wrong shape, not numeric, or not > 0.
+    """
+    try:
+        if np.asarray(value).dtype.kind not in "iuf":
+            raise TypeError
+        array = np.broadcast_to(np.array(value, dtype=np.float64), (size,)).copy()
+    except (TypeError, ValueError):
+        array = np.full(size, np.nan)
+    if not (array > 0.0).all():
+        raise InvalidInputError(
+            f"{name} must be numbers > 0 [{unit}], one or {size}, infinite where there is no "
+            f"limit, got {value!r}",
+            given=value,
+        )
+    array.flags.writeable = False
     return array
 
 
@@ -124,6 +151,14 @@ def is_scalar(value: Any) -> bool:
         return np.ndim(value) == 0
     except ValueError:
         return False
+
+
+def shape_of(value: Any) -> tuple[int, ...]:
+    """Return the shape of a value that may be anything; that of a ragged list is ()."""
+    try:
+        return np.shape(value)
+    except ValueError:
+        return ()
 
 
 def axis_rows(name: str, axes: str) -> list[int]:

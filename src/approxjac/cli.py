@@ -9,6 +9,8 @@ import io
 import json
 import math
 import sys
+import tomllib
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,7 +18,8 @@ import tyro
 from tqdm import tqdm
 
 import approxjac
-from approxjac.errors import ApproxJacError, InvalidInputError
+from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
+from approxjac.studies.reach import Settings
 
 app = tyro.extras.SubcommandApp()
 _DESCRIPTION = (
@@ -95,6 +98,90 @@ def paper(
     return 0 if all(result.agrees_with_paper for result in results) else 1
 
 
+@app.command(name="robots")
+def robots(
+    robot: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME|FILE")] = None,
+    tip: str | None = None,
+    base: str | None = None,
+    free: tuple[str, ...] = (),
+) -> int:
+    """List the arms that load by name, or describe one by name or from a .urdf file.
+
+    Args:
+        robot: Name or path of the one to describe.
+        tip: Its end-effector frame; joints that do not move it are locked.
+        base: Link that the chain to the tip starts from.
+        free: Joints that are not locked although the tip does not need them, or "all".
+    """
+    from approxjac.studies import robots_report as report
+
+    if robot is not None:
+        print(report.details(robot, tip=tip, base=base, free=free))
+    elif tip is None and base is None and not free:
+        print(report.table())
+    else:
+        raise InvalidInputError("--tip, --base and --free need a robot, got none", given=None)
+    return 0
+
+
+@app.command(name="simulate")
+def simulate(
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")],
+    settings: Annotated[Settings, tyro.conf.OmitArgPrefixes],
+    out: Path = Path("results/simulate"),
+) -> int:
+    """Let an arm reach a target although its controller believes a wrong robot.
+
+    Args:
+        robot: Name of an arm, a .urdf file, or a .toml file that names the robot and holds any of
+            these options, such as object_length = 0.3; options given here come before it.
+        settings: What to simulate.
+        out: Folder for run.png, run.svg, run.npz and summary.json.
+    """
+    from approxjac.studies import reach
+    from approxjac.studies import reach_report as report
+
+    prepared = reach.prepare(robot, settings)
+    _make_folder(out)
+    with tqdm(total=settings.duration, unit="s", disable=None) as bar:
+        result = reach.run(prepared, progress=lambda t: bar.update(t - bar.n) and None)
+    report.write(result, out)
+    print(report.text(result))
+    print(f"\nPictures, the run and summary.json are in {out}")
+    return 0 if result.converged else 1
+
+
+@app.command(name="arms")
+def arms(
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = (),
+    starts: int = 20,
+    duration: float = 30.0,
+    jobs: int | None = None,
+    out: Path = Path("results/arms"),
+) -> int:
+    """Let every arm reach targets with a tool that its controller believes absent.
+
+    Args:
+        robots: Arms to try; all that load by name by default.
+        starts: Seeded starts and targets for each arm, with gravity known and with gravity learnt.
+        duration: Of each run, in s.
+        jobs: Processes that share the work; as many as there are processors by default.
+        out: Folder for table.md and summary.json.
+    """
+    from approxjac.studies import arms as study
+
+    cases = study.cases(robots, starts, duration)
+    _make_folder(out)
+    with tqdm(total=len(cases), unit="run", disable=None) as bar:
+        outcomes = study.run(cases, jobs, progress=lambda: bar.update() and None)
+    (out / "table.md").write_text(study.table(outcomes), encoding="utf-8")
+    summary = study.summary(outcomes)
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    print(study.table(outcomes))
+    print(f"table.md and summary.json are in {out}")
+    return 0 if summary["verdict"] == "ok" else 1
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -104,6 +191,7 @@ def main(arguments: list[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
     try:
+        arguments = _with_file(arguments)
         return int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
     except KeyboardInterrupt:
         print("\napproxjac: stopped", file=sys.stderr)
@@ -111,6 +199,46 @@ def main(arguments: list[str] | None = None) -> int:
     except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
         print(f"approxjac: {error}", file=sys.stderr)
         return 2
+
+
+def _with_file(arguments: list[str]) -> list[str]:
+    """Write the settings of `simulate FILE.toml` out as the options that they stand for."""
+    files = [word for word in arguments if word.endswith(".toml")]
+    if arguments[:1] != ["simulate"] or not files:
+        return arguments
+    path, given = Path(files[0]), [word for word in arguments[1:] if word != files[0]]
+    try:
+        settings = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidInputError(f"{path} cannot be read as TOML: {error}", given=path) from error
+    robot = settings.pop("robot", None)
+    if not isinstance(robot, str):
+        raise InvalidInputError(
+            f'{path} must name a robot, such as robot = "panda", got {robot!r}', given=path
+        )
+    valid = {"out", *(field.name for field in fields(Settings))}
+    for name in settings:
+        if name not in valid:
+            raise UnknownNameError("setting", name, str(path), valid)
+    if any(word.split("=")[0] in ("--target", "--target-offset") for word in given):
+        settings = {k: v for k, v in settings.items() if k not in ("target", "target_offset")}
+    words = []
+    for name, value in settings.items():
+        option = f"--{name.replace('_', '-')}"
+        if isinstance(value, dict | list):
+            words += [option, *_words(value)]
+        else:
+            words.append(f"{option}={value}")  # as one word, so that "-x" is a value
+    return ["simulate", robot, *words, *given]
+
+
+def _words(value: object) -> list[str]:
+    """Return a TOML value as it is written on a command line."""
+    if isinstance(value, dict):
+        return [word for key, entry in value.items() for word in (str(key), *_words(entry))]
+    if isinstance(value, list):
+        return [word for entry in value for word in _words(entry)]
+    return [str(value)]
 
 
 def _make_folder(out: Path) -> None:

@@ -7,8 +7,11 @@ one way and a torque goes the other; neither side ever sees the other's model.
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from approxjac.checks import Array
 
@@ -19,6 +22,7 @@ class Status(enum.IntEnum):
     OK = 0
     NEAR_SINGULAR = 1
     MEASUREMENT_LOST = 2
+    TORQUE_SATURATED = 3
 
     def __str__(self) -> str:
         return self.name
@@ -39,6 +43,9 @@ _MESSAGES: Mapping[Status, str] = {
         "the task measurement is not finite: no position force, damping and gravity compensation "
         "only, adaptation frozen"
     ),
+    Status.TORQUE_SATURATED: (
+        "the law asks for more than the robot's effort limits: what it learns stands still"
+    ),
 }
 
 
@@ -49,7 +56,7 @@ class Measurement(NamedTuple):
         t: Time [s].
         q: Joint configuration, shape (nq,) [rad or m].
         v: Joint velocity q̇, shape (nv,) [rad/s or m/s].
-        x: Task value measured by a sensor, shape (m,) [unit of the task]; NaN when lost.
+        x: Task value measured by a sensor, shape (n_x,) [unit of the task]; NaN when lost.
     """
 
     t: float
@@ -65,16 +72,25 @@ class Evaluation(NamedTuple):
         torque: Joint torque τ, shape (nv,) [N m or N].
         state_rate: Time derivative of the controller's state, shape (n_state,).
         status: What happened.
-        e: Task error x − x_d, shape (m,) [unit of the task].
-        sigma_min: Smallest singular value of the estimated Jacobian [unit of the task/rad];
-            NaN from controllers that do not report it.
+        e: Task error, shape (m,) [unit of the task].
+        J_hat: Estimated Jacobian Ĵ, shape (m, n_v); None from controllers that have none.
     """
 
     torque: Array
     state_rate: Array
     status: Status
     e: Array
-    sigma_min: float
+    J_hat: Array | None = None
+
+    @property
+    def sigma_min(self) -> float:
+        """Smallest singular value of Ĵ [unit of the task/rad], NaN without one.
+
+        Computed when asked for: it costs as much as the rest of a control step.
+        """
+        if self.J_hat is None:
+            return math.nan
+        return float(np.linalg.svd(self.J_hat, compute_uv=False)[-1])
 
 
 class Controller(Protocol):
@@ -100,6 +116,6 @@ class Controller(Protocol):
         Args:
             state: Controller state, shape (n_state,).
             measurement: What was measured.
-            target: Wanted task value x_d, shape (m,).
+            target: Wanted task value x_d, shape (n_x,).
         """
         ...

@@ -32,13 +32,15 @@ def controllers(robot):
             task, gains, gravity=aj.RegressorGravity(regressor, regressor.theta)
         ),
         "(28)": aj.SetpointController(
-            task, gains, gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0)
+            task,
+            gains,
+            gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0, torque_limits=np.inf),
         ),
         "(5)": aj.SetpointController(task, gains, velocity=aj.DifferentiatedVelocity(0.01)),
         "(5), learnt": aj.SetpointController(
             task,
             gains,
-            gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0),
+            gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0, torque_limits=np.inf),
             velocity=aj.DifferentiatedVelocity(0.01),
         ),
     }
@@ -98,7 +100,9 @@ def test_adaptation_is_eq_29(panda, rng):
     regressor = aj.GravityRegressor(panda)
     root = rng.normal(size=(12, 12))
     for L in (0.1, rng.uniform(0.1, 1, 12), root @ root.T + np.eye(12)):
-        gravity = aj.AdaptiveGravity(regressor, L=L, alpha=0.7, theta0=np.zeros(12))
+        gravity = aj.AdaptiveGravity(
+            regressor, L=L, alpha=0.7, theta0=np.zeros(12), torque_limits=np.inf
+        )
         controller = aj.SetpointController(
             aj.PositionTask(panda), aj.Gains(400, 80, 1.0), gravity=gravity
         )
@@ -119,7 +123,7 @@ def test_a_singular_pose_is_reported_and_the_rate_stays_bounded(two_link):
     controller = aj.SetpointController(
         aj.PositionTask(two_link, axes="xz"),
         aj.Gains(100.0, 50.0),
-        gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0),
+        gravity=aj.AdaptiveGravity(regressor, L=0.1, alpha=1.0, torque_limits=np.inf),
     )
     rates = []
     for bend in (0.1, 0.03, 0.01, 1e-4, 0.0, -1e-4, -0.01):
@@ -332,7 +336,7 @@ def test_wrong_shapes_are_named(panda, rng):
     for arguments, text in cases:
         with pytest.raises(aj.InvalidInputError, match=text):
             controller.evaluate(*arguments)
-    with pytest.raises(aj.InvalidInputError, match=r"target must be finite, got \[nan"):
+    with pytest.raises(aj.InvalidInputError, match=r"target must be finite \[m\], got \[nan"):
         controller.evaluate(state, good, np.full(3, np.nan))
     with pytest.raises(aj.InvalidInputError, match=r"state must be finite, got \[inf"):
         controller.evaluate(np.full(12, np.inf), good, TARGET)
@@ -499,3 +503,27 @@ def test_a_bad_time_constant_is_refused():
 def test_repr_names_the_law(controller):
     assert "law (" in repr(controller)
     assert "PositionTask('panda', 'panda_hand_tcp', 'xyz')" in repr(controller)
+
+
+@pytest.mark.parametrize("gains", [(1e300, 1.0), (1.0, 1e300), (1.0, 1.0, 1e300)])
+def test_gains_that_could_overflow_in_a_step_are_refused(gains):
+    with pytest.raises(aj.InvalidInputError, match=r"must be at most 1e\+60, got"):
+        aj.Gains(*gains)
+
+
+def test_one_task_coordinate_is_bounded_through_its_singular_posture(two_link):
+    """Its only singular value vanishes; the threshold is a share of what it typically is."""
+    controller = aj.SetpointController(
+        aj.PositionTask(two_link, axes="x"),
+        aj.Gains(100.0, 50.0, 1.0),
+        gravity=aj.AdaptiveGravity(aj.GravityRegressor(two_link, "x"), L=0.1, alpha=1.0),
+    )
+    rates = []
+    for turn in (1e-2, 1e-4, 1e-9, 1e-12, 0.0, -1e-12, -1e-4):
+        q = np.array([turn, 0.0])  # stretched along x: x cannot be moved
+        measurement = aj.Measurement(0.0, q, np.zeros(2), np.array([1.0]))
+        answer = controller.evaluate(np.zeros(2), measurement, np.zeros(1))
+        rates.append(answer.state_rate)
+        assert (answer.status is aj.Status.NEAR_SINGULAR) == (abs(turn) < 1e-3)
+    assert np.abs(rates).max() < 1e3
+    assert np.abs(np.diff(rates[2:6], axis=0)).max() < 1e-3

@@ -46,8 +46,8 @@ def test_eq_27_and_28(numbers, rng):
 
 
 def test_eq_10(numbers):
-    pinv = law.right_pinv(numbers["J_hat"])
-    y = law.passive_output(numbers["v"], pinv, numbers["s"], 0.3)
+    pinv_s = law.right_pinv(numbers["J_hat"]) @ numbers["s"]
+    y = law.passive_output(numbers["v"], pinv_s, 0.3)
     assert_allclose(y, numbers["v"] + 0.3 * np.linalg.pinv(numbers["J_hat"]) @ numbers["s"])
 
 

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -20,50 +21,65 @@ def with_singular_values(values, rng):
     return U @ np.diag(values) @ Vt[:m]
 
 
-def test_away_from_singular_poses_it_is_the_pseudoinverse(rng):
-    J = with_singular_values([2.0, 1.0, 0.1], rng)
-    pinv, sigma_min, damping = law.damped_right_pinv(J)
+def damped_pinv(J):
+    """J⁺ column by column, σ_min and λ."""
+    G = J @ J.T
+    columns = [law.damped_gram_solve(G, unit) for unit in np.eye(len(J))]
+    w = np.array([column for column, _ in columns]).T
+    return J.T @ w, columns[0][1]
+
+
+@pytest.mark.parametrize("values", [[2.0], [2.0, 0.1], [2.0, 1.0, 0.1], [2.0, 1.0, 0.5, 0.1]])
+def test_away_from_singular_poses_it_is_the_pseudoinverse(values, rng):
+    J = with_singular_values(values, rng)
+    pinv, damping = damped_pinv(J)
     assert_allclose(pinv, np.linalg.pinv(J), atol=1e-11)
     assert_allclose(law.right_pinv(J), np.linalg.pinv(J), atol=1e-11)
-    assert_allclose(J @ pinv, np.eye(3), atol=1e-12)
-    assert_allclose(sigma_min, 0.1)
+    assert_allclose(J @ pinv, np.eye(len(J)), atol=1e-12)
     assert damping == 0.0
+    assert not law.is_near_singular(J @ J.T)
 
 
 @given(wide)
 def test_it_is_always_finite_and_bounded(J):
-    pinv, sigma_min, damping = law.damped_right_pinv(J)
+    pinv, damping = damped_pinv(J)
     values = np.linalg.svd(J, compute_uv=False)
     assert np.isfinite(pinv).all()
-    assert pinv.shape == J.shape[::-1]
     if values[0] > 0:
         assert np.linalg.norm(pinv, 2) <= 1.0 / (SINGULAR_RATIO * values[0]) * (1 + 1e-6)
-    assert_allclose(sigma_min, values[-1], atol=1e-6 * max(values[0], 1e-300))
     assert damping >= 0.0
+    assert (damping > 0.0) == law.is_near_singular(J @ J.T)
+    ratio = values[-1] / max(values[0], 1e-300)
+    if values[0] > 0 and abs(ratio - SINGULAR_RATIO) > 1e-6:
+        assert law.is_near_singular(J @ J.T) == (ratio < SINGULAR_RATIO)
 
 
-def test_it_is_continuous_through_a_singular_pose(rng):
-    U, _ = np.linalg.qr(rng.normal(size=(2, 2)))
-    Vt, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+@pytest.mark.parametrize("largest", [[1.0], [1.0, 0.3]])
+def test_it_is_continuous_through_a_singular_pose(largest, rng):
+    m = len(largest) + 1
+    U, _ = np.linalg.qr(rng.normal(size=(m, m)))
+    Vt, _ = np.linalg.qr(rng.normal(size=(m + 1, m + 1)))
     grid = np.linspace(0.05, -0.05, 20001)
-    path = [law.damped_right_pinv(U @ np.diag([1.0, x]) @ Vt[:2])[0] for x in grid]
+    path = [damped_pinv(U @ np.diag([*largest, x]) @ Vt[:m])[0] for x in grid]
     steps = np.linalg.norm(np.diff(path, axis=0), axis=(1, 2))
     assert steps.max() < 10.0 * (grid[0] - grid[1]) / SINGULAR_RATIO**2
 
 
 def test_a_zero_jacobian_gives_zero():
-    pinv, sigma_min, damping = law.damped_right_pinv(np.zeros((2, 4)))
-    assert np.array_equal(pinv, np.zeros((4, 2)))
-    assert sigma_min == damping == 0.0
+    for m in (2, 3):
+        pinv, damping = damped_pinv(np.zeros((m, 4)))
+        assert np.array_equal(pinv, np.zeros((4, m)))
+        assert damping == 0.0
 
 
 def test_units_do_not_matter(rng):
-    J = with_singular_values([1.0, 0.01], rng)
-    a, _, damping_a = law.damped_right_pinv(J)
-    b, _, damping_b = law.damped_right_pinv(1e-3 * J)
-    assert damping_a > 0
-    assert_allclose(1e-3 * b, a, rtol=1e-9)
-    assert_allclose(damping_b, 1e-3 * damping_a, rtol=1e-9)
+    for values in ([1.0, 0.01], [1.0, 0.5, 0.01]):
+        J = with_singular_values(values, rng)
+        a, damping_a = damped_pinv(J)
+        b, damping_b = damped_pinv(1e-3 * J)
+        assert damping_a > 0
+        assert_allclose(1e-3 * b, a, rtol=1e-9)
+        assert_allclose(damping_b, 1e-3 * damping_a, rtol=1e-9)
 
 
 def test_rate_by_finite_differences(rng):
@@ -71,3 +87,83 @@ def test_rate_by_finite_differences(rng):
     h = 1e-6
     expected = (law.right_pinv(J + h * J_dot) - law.right_pinv(J - h * J_dot)) / (2 * h)
     assert_allclose(law.right_pinv_dot(J, J_dot), expected, atol=1e-7)
+
+
+# -- the damped solution against its formula ------------------------------------------------
+
+
+def by_formula(J, b, ratio):
+    """J⁺b with dense matrices: (J Jᵀ + λ²I)⁻¹ b, λ² = ε² − σ_min² where σ_min < ε = ratio σ_max."""
+    values = np.linalg.svd(J, compute_uv=False)
+    epsilon = ratio * values[0]
+    squared = max(epsilon**2 - values[-1] ** 2, 0.0)
+    return np.linalg.solve(J @ J.T + squared * np.eye(len(J)), b), np.sqrt(squared)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("smallest", [1.0, 0.3, 0.021, 0.019, 0.005, 1e-4, 0.0])
+def test_it_is_the_formula_for_every_number_of_rows(m, smallest, rng):
+    for scale in (1e-3, 1.0, 1e3):
+        values = np.append(np.sort(rng.uniform(1.0, 1.4, m - 1))[::-1], smallest)[-m:]
+        if m == 1:
+            values = np.array([max(smallest, 1e-3)])  # one row is never near singular
+        J = scale * with_singular_values(values, rng)
+        b = rng.normal(size=m)
+        for ratio in (SINGULAR_RATIO, 0.1):
+            if abs(values[-1] / values[0] - ratio) < 1e-3:
+                continue
+            w, damping = law.damped_gram_solve(J @ J.T, b, ratio)
+            expected, expected_damping = by_formula(J, b, ratio)
+            assert_allclose(w, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
+            assert_allclose(damping, expected_damping, rtol=1e-7, atol=1e-12 * scale)
+            assert law.is_near_singular(J @ J.T, ratio) == (values[-1] < ratio * values[0])
+            assert (damping > 0.0) == (m > 1 and values[-1] < ratio * values[0])
+
+
+def test_the_quick_way_for_three_rows_is_the_way_by_eigenvalues(rng):
+    """The same J with a row and column of its own added takes the other way: to 1e-11."""
+    quick = 0
+    for _ in range(500):
+        values = np.sort(10.0 ** rng.uniform(-2.5, 0.0, 3))[::-1]
+        J, b = with_singular_values(values, rng), rng.normal(size=3)
+        G = J @ J.T
+        padded = np.zeros((4, 4))
+        padded[:3, :3], padded[3, 3] = G, values[0] * values[-1]  # between the extremes
+        w, damping = law.damped_gram_solve(G, b)
+        expected, expected_damping = law.damped_gram_solve(padded, np.append(b, 0.0))
+        assert_allclose(w, expected[:3], rtol=1e-9, atol=1e-11 * np.abs(w).max())
+        assert_allclose(damping, expected_damping, rtol=1e-9)
+        assert law.is_near_singular(G) == law.is_near_singular(padded)
+        # 4 det/trace³ tells surely regular ones; what it does not tell takes the other way
+        quick += 4.0 * np.prod(values**2) > SINGULAR_RATIO**2 * (values**2).sum() ** 3
+    assert 50 < quick < 450  # both ways were taken
+
+
+def test_no_three_rows_near_singular_are_called_regular(rng):
+    """Along the edge of the ratio, where the quick test must not be wrong."""
+    for second in (1.0, 0.7, 0.3, 0.05, 0.021):
+        for smallest, near in ((0.0199, True), (0.0201, False)):
+            J = with_singular_values([1.0, second, smallest], rng)
+            assert law.is_near_singular(J @ J.T) is near
+            _, damping = law.damped_gram_solve(J @ J.T, np.ones(3))
+            assert (damping > 0.0) is near
+    # exactly at the bound that the test uses: two equal large values
+    assert law.is_near_singular(np.diag([1.0, 1.0, 0.0199**2]))
+    assert not law.is_near_singular(np.diag([1.0, 1.0, 0.0201**2]))
+    assert not law.is_near_singular(np.eye(3))
+
+
+def test_a_scale_bounds_it_where_all_singular_values_vanish_together():
+    """As the only one of a J with one row does: without a scale 1/J would be unbounded."""
+    for m in (1, 2, 3):
+        U, _ = np.linalg.qr(np.random.default_rng(m).normal(size=(m, m)))
+        path = []
+        for size in np.linspace(0.1, 0.0, 4001):
+            J = size * U
+            w, _ = law.damped_gram_solve(J @ J.T, np.ones(m), scale=1.0)
+            path.append(J.T @ w)
+            assert np.linalg.norm(path[-1]) <= np.sqrt(m) / SINGULAR_RATIO * (1 + 1e-9)
+            assert law.is_near_singular(J @ J.T, scale=1.0) == (size < SINGULAR_RATIO)
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        assert steps.max() < 10.0 * np.sqrt(m) * (0.1 / 4000) / SINGULAR_RATIO**2
+        assert np.array_equal(path[-1], np.zeros(m))

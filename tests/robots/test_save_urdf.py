@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 import umsgpack
 import yourdfpy
+from lxml import etree
 from numpy.testing import assert_allclose
 
 import approxjac as aj
@@ -51,7 +52,9 @@ def test_pinocchio(saved, rng):
     robot, path = saved
     model = pin.buildModelFromUrdf(str(path))
     assert list(model.names) == list(robot.model.names)
-    for a, b in zip(robot.model.inertias, model.inertias, strict=True):
+    inertias = list(zip(robot.model.inertias, model.inertias, strict=True))
+    assert inertias[0][0].mass == pytest.approx(inertias[0][1].mass)  # of what does not move
+    for a, b in inertias[1:]:
         assert_allclose(a.toDynamicParameters(), b.toDynamicParameters(), rtol=1e-14, atol=1e-15)
     q = robot.random_configuration(rng)
     assert_allclose(tip(aj.load_robot(path), q), tip(robot, q), atol=1e-14)
@@ -68,9 +71,8 @@ def test_mujoco(saved, rng, tmp_path, monkeypatch):
     body = data.body("object_tip")
     assert_allclose(body.xpos, tip(robot, q)[:3, 3], atol=1e-12)
     assert_allclose(body.xmat.reshape(3, 3), tip(robot, q)[:3, :3], atol=1e-12)
-    held = [model.body(i).mass[0] for i in range(model.nbody)]
-    first = model.jnt_bodyid[0]
-    assert_allclose(sum(held[first:]), robot.mass, rtol=1e-12)
+    moved = model.body_weldid != 0  # 0 is the world
+    assert_allclose(model.body_mass[moved].sum(), robot.mass, rtol=1e-12)
     M = np.zeros((robot.nv, robot.nv))
     mujoco.mj_fullM(model, data, M)
     assert_allclose(M, aj.Dynamics(robot).M(q), atol=1e-9 + 1e-9 * np.abs(M).max())
@@ -191,6 +193,24 @@ def test_meshes_are_found_on_the_ros_package_path(tmp_path, mesh, monkeypatch):
     assert str(mesh) in robot.save_urdf(tmp_path / "out.urdf").read_text()
 
 
+def test_inertias_that_no_body_has_are_zeroed_where_nothing_moves(tmp_path):
+    impossible = (
+        '<inertial><mass value="0.5"/>'
+        '<inertia ixx="{}" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="9"/></inertial>'
+    )
+    text = aj.load_robot("two_link").urdf.replace(
+        '<link name="base_link"/>', f'<link name="base_link">{impossible.format(0.1)}</link>'
+    )
+    robot = aj.load_robot(text)
+    saved = robot.save_urdf(tmp_path / "out.urdf")
+    assert 'ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"' in saved.read_text()
+    assert robot.urdf == text
+    written = aj.load_robot(saved).model.inertias
+    assert written[0].mass == 0.5
+    for a, b in zip(robot.model.inertias[1:], written[1:], strict=True):
+        assert_allclose(a.toDynamicParameters(), b.toDynamicParameters(), rtol=1e-14)
+
+
 def test_a_folder_that_does_not_exist(two_link, tmp_path):
     with pytest.raises(aj.InvalidInputError, match="path must be a file that can be written, got"):
         two_link.save_urdf(tmp_path / "nowhere" / "arm.urdf")
@@ -214,3 +234,15 @@ def test_meshes_of_one_name_do_not_overwrite_each_other(tmp_path):
     (tmp_path / "a" / "m.ply").write_text("broken")
     with pytest.raises(aj.UrdfError, match=r"collision mesh .* cannot be converted"):
         aj.load_robot(path).save_urdf(tmp_path / "out.urdf")
+
+
+@pytest.mark.parametrize(("length", "shapes"), [(0.2, 1), (0.0, 0)])
+def test_an_object_can_be_touched_where_it_is_seen(length, shapes):
+    base = aj.load_robot("two_link")
+    root = etree.fromstring(base.with_object(length, radius=0.03).urdf.encode())
+    link = root.find("link[@name='object']")
+    assert len(link.findall("visual")) == len(link.findall("collision")) == shapes
+    for touched in link.findall("collision"):
+        for part in ("geometry", "origin"):
+            seen = link.find(f"visual/{part}")
+            assert etree.tostring(touched.find(part)).split() == etree.tostring(seen).split()

@@ -22,7 +22,7 @@ class ConstantTorque:
 
     def evaluate(self, state, measurement, target):
         e = measurement.x - target
-        return aj.Evaluation(self.torque, state, aj.Status.OK, e, np.nan)
+        return aj.Evaluation(self.torque, state, aj.Status.OK, e)
 
 
 def plant_of(robot, friction=0.0):

@@ -84,6 +84,13 @@ def controllers_without_a_linearization(robot):
         r"gravity must be exact near the target .* with ModelGravity": (
             aj.SetpointController(task, gains, gravity=aj.ModelGravity(heavier))
         ),
+        r"local_stability is for controllers without a posture, .*got Posture\(": (
+            aj.SetpointController(
+                aj.PositionTask(robot, axes="x"),
+                aj.Gains(50.0, 20.0, 1.0),
+                posture=aj.Posture((0.5, 1.0), 1.0),
+            )
+        ),
         r"the controller's task must have the coordinates of the plant's sensor": (
             aj.SetpointController(image, gains)
         ),
@@ -92,9 +99,31 @@ def controllers_without_a_linearization(robot):
 
 def test_what_has_another_linearization_is_refused(two_link):
     plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"))
+    height = aj.Plant(two_link, aj.PositionTask(two_link, axes="x"))
     for text, controller in controllers_without_a_linearization(two_link).items():
+        chosen = plant if controller.posture is None else height
         with pytest.raises(aj.InvalidInputError, match=text):
-            aj.local_stability(plant, controller, np.array([0.5, 1.0]))
+            aj.local_stability(chosen, controller, np.array([0.5, 1.0]))
     good = aj.SetpointController(aj.PositionTask(two_link, axes="xz"), aj.Gains(50.0, 20.0))
     with pytest.raises(aj.InvalidInputError, match=r"q_target must have shape \(2,\)"):
         aj.local_stability(plant, good, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"coulomb": 1.0},
+        {"torque_limits": 20.0},
+        {"actuator_delay": 0.01},
+        {"sensing": aj.Sensing(x_noise=1e-3)},
+    ],
+)
+def test_what_eq_1_does_not_have_is_refused(two_link, options):
+    """By the local test and by V and W, which know viscous friction only."""
+    task = aj.PositionTask(two_link, axes="xz")
+    plant, controller = aj.Plant(two_link, task, **options), aj.SetpointController(task)
+    q = np.array([0.3, 0.8])
+    with pytest.raises(aj.InvalidInputError, match="the local test is for a plant without Coulomb"):
+        aj.local_stability(plant, controller, q)
+    with pytest.raises(aj.InvalidInputError, match="the Lyapunov function is for a plant without"):
+        aj.lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array, as_diagonal, is_scalar
+from approxjac.checks import Array, as_diagonal, is_scalar, shape_of
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Gains:
     """Gains of the laws (5), (6) and (28), each a number or one number a coordinate.
 
@@ -32,9 +33,13 @@ class Gains:
     def __post_init__(self) -> None:
         for name, positive in (("kp", True), ("kv", True), ("damping", False)):
             value = getattr(self, name)
-            diagonal = as_diagonal(name, value, np.size(value), positive=positive)
+            diagonal = as_diagonal(name, value, math.prod(shape_of(value)), positive=positive)
             # a copy, so that nobody changes it later
             object.__setattr__(self, name, float(value) if is_scalar(value) else diagonal)
+
+    def __repr__(self) -> str:
+        shown = {name: _short(getattr(self, name)) for name in ("kp", "kv", "damping")}
+        return f"Gains({', '.join(f'{name}={text}' for name, text in shown.items())})"
 
     def diagonals(self, m: int, nv: int) -> Diagonals:
         """Return the diagonals for a task of m coordinates on an arm of n_v joints.
@@ -47,6 +52,14 @@ class Gains:
             as_diagonal("kv", self.kv, m),
             as_diagonal("damping", self.damping, nv, positive=False),
         )
+
+
+def _short(value: float | Sequence[float] | Array) -> str:
+    """A number, or one of all entries that are equal, or a list, to four digits."""
+    if is_scalar(value):
+        return f"{value:.4g}"
+    entries = [f"{entry:.4g}" for entry in np.asarray(value)]
+    return f"[{', '.join(entries)}]"
 
 
 class Diagonals(NamedTuple):

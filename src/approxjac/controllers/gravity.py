@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_diagonal, as_number, is_scalar, require
+from approxjac.checks import Array, as_array, as_diagonal, as_limits, as_number, is_scalar, require
 from approxjac.errors import InvalidInputError
-from approxjac.robots import Dynamics, GravityRegressor, Robot
+from approxjac.robots import GravityRegressor, Robot
 
 
 class ModelGravity:
@@ -20,16 +21,15 @@ class ModelGravity:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self._dynamics = Dynamics(robot)
-
-    @property
-    def robot(self) -> Robot:
-        """The robot whose gravity this is."""
-        return self._dynamics.robot
+        require("robot", robot, Robot, "the believed Robot")
+        self.robot = robot
+        self._model = robot.model
+        self._data = self._model.createData()
 
     def torque(self, q: Array) -> Array:
-        """g(q), shape (n_v,) [N m or N]."""
-        return self._dynamics.g(q)
+        """g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
+        g: Array = pin.computeGeneralizedGravity(self._model, self._data, q)
+        return g
 
 
 class NoGravity:
@@ -76,46 +76,103 @@ class RegressorGravity:
 
     def torque(self, q: Array) -> Array:
         """Z(q) θ, shape (n_v,) [N m or N]."""
-        return self.regressor.Z(q) @ self.theta
+        g: Array = self.regressor.compute_Z(q).dot(self.theta)
+        return g
 
 
 class AdaptiveGravity:
     """Z(q) θ̂ with θ̂ learnt by eq. (29).
 
+    θ̂ stands still while x is lost, and while the torque of the law is beyond `torque_limits`:
+    what a saturated motor fails to do is no evidence about gravity.
+
     Args:
         regressor: Z(q) of the believed robot.
         L: Adaptation gain > 0: a number, a diagonal (p,), or a symmetric positive definite
-            matrix (p, p).
-        alpha: α > 0 of eq. (10) [1/s].
+            matrix (p, p). None takes that of `default_adaptation`.
+        alpha: α > 0 of eq. (10) [1/s]. None takes that of `default_adaptation`.
         theta0: θ̂(0), shape (p,); that of the believed robot by default.
+        bounds: Smallest and largest θ, each a number or shape (p,), that θ̂ is kept in by
+            projection (to within one step of dt where control is sampled). Needs a diagonal L.
+        torque_limits: Torques beyond which θ̂ stands still, a number or shape (n_v,) [N m or N];
+            the believed robot's effort limits by default, `numpy.inf` for never.
 
     Attributes:
-        L: As a diagonal (p,) or a matrix (p, p).
+        L: As a diagonal (p,) or a matrix (p, p), or None.
+        bounds: As two arrays (p,), or None.
 
     Raises:
-        InvalidInputError: Wrong shapes, not finite, L or alpha not positive.
+        InvalidInputError: Wrong shapes, not finite, L or alpha not positive, bounds that are
+            reversed or do not hold theta0, or bounds with a full matrix L.
     """
 
     def __init__(
         self,
         regressor: GravityRegressor,
-        L: float | Sequence[float] | Array,
-        alpha: float,
+        L: float | Sequence[float] | Array | None = None,
+        alpha: float | None = None,
         theta0: Sequence[float] | Array | None = None,
+        bounds: tuple[float | Sequence[float] | Array, float | Sequence[float] | Array]
+        | None = None,
+        torque_limits: float | Sequence[float] | Array | None = None,
     ) -> None:
         require(
             "regressor", regressor, GravityRegressor, "a GravityRegressor of the believed robot"
         )
         p = regressor.p
         self.regressor = regressor
-        self.L = _adaptation_gain(L, p)
-        self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
+        self.L = None if L is None else _adaptation_gain(L, p)
+        self.alpha = None if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
+        if self.alpha is not None:
+            as_diagonal("alpha", self.alpha, 1, unit="1/s")  # not beyond what gains may be
         self.theta0 = as_array("theta0", regressor.theta if theta0 is None else theta0, (p,))
+        self.bounds = None if bounds is None else self._bounds(bounds)
+        robot = regressor.robot
+        limits = robot.effort_limits if torque_limits is None else torque_limits
+        self.torque_limits = as_limits("torque_limits", limits, robot.nv, unit="N m or N")
 
     @property
     def robot(self) -> Robot:
         """The robot whose regressor is used."""
         return self.regressor.robot
+
+    def _bounds(self, bounds: Any) -> tuple[Array, Array]:
+        p = self.regressor.p
+        try:
+            lower, upper = (
+                as_array("bounds", [bound] * p if is_scalar(bound) else bound, (p,))
+                for bound in bounds
+            )
+        except (TypeError, ValueError) as error:
+            if isinstance(error, InvalidInputError):
+                raise
+            raise InvalidInputError(
+                f"bounds must be a smallest and a largest theta, got {bounds!r}", given=bounds
+            ) from error
+        if not ((lower <= self.theta0) & (self.theta0 <= upper) & (lower < upper)).all():
+            raise InvalidInputError(
+                f"bounds must hold theta0 = {self.theta0.tolist()}, got {lower.tolist()} to "
+                f"{upper.tolist()}",
+                given=bounds,
+            )
+        if self.L is not None and self.L.ndim == 2:
+            raise InvalidInputError(
+                "bounds need L to be a number or a diagonal: with a full matrix, keeping one "
+                "parameter back would spoil the others",
+                given=bounds,
+            )
+        return lower, upper
+
+
+class Adaptation(NamedTuple):
+    """An `AdaptiveGravity` with its defaults filled in, for one task and its gains."""
+
+    regressor: GravityRegressor
+    L: Array
+    alpha: float
+    theta0: Array
+    bounds: tuple[Array, Array] | None
+    torque_limits: Array
 
 
 Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
@@ -125,6 +182,7 @@ def _adaptation_gain(L: Any, p: int) -> Array:
     if is_scalar(L) or all(is_scalar(row) for row in L):
         return as_diagonal("L", L, p)
     matrix = as_array("L", L, (p, p))
+    as_diagonal("L", np.abs(matrix).max(), p)  # not beyond what gains may be
     asymmetry = np.abs(matrix - matrix.T).max()
     if asymmetry > 1e-9 * np.abs(matrix).max() or np.linalg.eigvalsh(matrix)[0] <= 0.0:
         raise InvalidInputError(

@@ -7,15 +7,22 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac import law
-from approxjac.checks import Array, as_number, require
+from approxjac.checks import Array, as_array, as_diagonal, as_number, require
 from approxjac.controllers.gains import Gains
-from approxjac.controllers.gravity import AdaptiveGravity, Gravity, ModelGravity
+from approxjac.controllers.gravity import Adaptation, AdaptiveGravity, Gravity, ModelGravity
+from approxjac.controllers.posture import Posture
+from approxjac.controllers.tuning import default_adaptation, default_gains
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Status
 from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
+from approxjac.tasks.task import vanishing
+
+_FLOAT = np.dtype(np.float64)
+_HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 
 
 @dataclass(frozen=True)
@@ -42,63 +49,85 @@ class SetpointController:
 
     Immutable, but it owns scratch memory: one instance a thread.
 
+    Attributes:
+        adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
+
     Args:
         task: The task of the believed robot.
-        gains: K_p, K_v and the added joint damping.
+        gains: K_p, K_v and the added joint damping; `default_gains(task)` by default.
         gravity: Where the gravity torque comes from; the believed robot's own model by default.
             `NoGravity` is for robots that compensate it themselves, `AdaptiveGravity` makes this
             the law (28), (29).
         saturation: s(e); s(e) = e by default.
         velocity: None for the paper's estimated task velocity Ĵq̇, law (6); or
             `DifferentiatedVelocity`, law (5).
+        posture: Where the self-motion of a redundant arm is drawn to; nowhere by default.
 
     Raises:
         InvalidInputError: Gains or saturation of the wrong shape, no added damping on an arm with
-            more joints than task coordinates, or gravity of a robot with other joints.
+            more joints than task coordinates, a posture for an arm without self-motion, or
+            gravity of a robot with other joints.
     """
 
     def __init__(
         self,
         task: Task,
-        gains: Gains,
+        gains: Gains | None = None,
         *,
         gravity: Gravity | None = None,
         saturation: Saturation | None = None,
         velocity: DifferentiatedVelocity | None = None,
+        posture: Posture | None = None,
     ) -> None:
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
-        require("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...)")
-        if gravity is not None:
-            wanted = "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity"
-            require("gravity", gravity, get_args(Gravity), wanted)
-        if velocity is not None:
-            require(
-                "velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"
-            )
+        for name, value, kind, wanted in (
+            ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),
+            (
+                "gravity",
+                gravity,
+                get_args(Gravity),
+                "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity",
+            ),
+            ("velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"),
+            ("posture", posture, Posture, "Posture(q, stiffness) or None"),
+        ):
+            if value is not None:
+                require(name, value, kind, wanted)
+        robot = task.robot
         self.task = task
-        self.gains = gains
-        self.gravity: Gravity = ModelGravity(task.robot) if gravity is None else gravity
+        self.gains = default_gains(task) if gains is None else gains
         self.saturation: Saturation = Linear() if saturation is None else saturation
         self.velocity = velocity
-        self.diagonals = gains.diagonals(task.m, task.robot.nv)
+        self.posture = posture
+        self.diagonals = self.gains.diagonals(task.m, robot.nv)
         self._require_saturation()
-        robot = task.robot
         if robot.nv > task.m and not (self.diagonals.damping > 0.0).all():
             raise InvalidInputError(
                 f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for "
                 f"{task.m} task coordinates, and nothing else damps its self-motion; "
                 f"got {self.diagonals.damping.tolist()}",
-                given=gains.damping,
+                given=gains,
             )
+        self._subtracts = task.subtracts  # as most do
+        if velocity is not None and not self._subtracts:
+            raise InvalidInputError(
+                f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
+                given=velocity,
+            )
+        self.gravity: Gravity = ModelGravity(robot) if gravity is None else gravity
         if self.gravity.robot.joint_names != robot.joint_names:
             raise InvalidInputError(
                 f"gravity must be that of a robot with the joints of the task's robot "
                 f"({', '.join(robot.joint_names)}), got {self.gravity.robot!r}",
                 given=gravity,
             )
-        self._p = self.gravity.regressor.p if isinstance(self.gravity, AdaptiveGravity) else 0
+        self.adaptation = self._resolved_adaptation()
+        self._p = 0 if self.adaptation is None else self.adaptation.regressor.p
+        self._pull = None if posture is None else self._resolved_posture(posture)
         self._n_state = self._p + (0 if velocity is None else task.m)
-        self._shapes = ((robot.nq,), (robot.nv,), (task.m,), (task.m,), (self._n_state,))
+        self._shapes = ((robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (self._n_state,))
+        self._scale = vanishing(task)
+        self._continuous = robot.nq != robot.nv
         self._no_rate = np.zeros(self._n_state)
         self._no_rate.flags.writeable = False
 
@@ -111,24 +140,24 @@ class SetpointController:
         """State before the first evaluation: θ̂(0), and the first measured x for law (5).
 
         Raises:
+            InvalidInputError: A measurement of the wrong shapes.
             MeasurementError: Law (5), and the first x is lost.
         """
-        self._require_shapes(self._no_rate, measurement, measurement.x)
-        if self.velocity is not None and not np.isfinite(measurement.x).all():
+        _, _, x = self._require_arrays(self._no_rate, measurement, np.zeros(self.task.n_x))
+        if self.velocity is not None and not np.isfinite(x).all():
             raise MeasurementError(
                 f"the first x must be finite for law (5), which differentiates it, "
-                f"got {measurement.x.tolist()}",
+                f"got {x.tolist()}",
                 given=measurement,
             )
-        theta0 = self.gravity.theta0 if isinstance(self.gravity, AdaptiveGravity) else np.zeros(0)
-        followed = np.zeros(0) if self.velocity is None else measurement.x
+        theta0 = np.zeros(0) if self.adaptation is None else self.adaptation.theta0
+        followed = np.zeros(0) if self.velocity is None else x
         return np.concatenate([theta0, followed])
 
     def theta_hat(self, state: Array) -> Array:
         """θ̂ from one state (n_state,) or a series of them (…, n_state); shape (…, p)."""
         return state[..., : self._p]
 
-    @np.errstate(over="ignore", invalid="ignore")  # what overflows is a named error below
     def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
         """Torque for one measurement.
 
@@ -138,62 +167,142 @@ class SetpointController:
         Args:
             state: Controller state, shape (n_state,).
             measurement: t, q, v and the measured x.
-            target: x_d, shape (m,) [unit of the task].
+            target: x_d, shape (n_x,) [unit of the task].
 
         Raises:
             MeasurementError: q or v not finite, or a torque that overflows.
             InvalidInputError: Wrong shapes or types, a target or state that is not finite, or
                 (cos, sin) pairs of continuous joints off the unit circle.
         """
-        self._require_shapes(state, measurement, target)
-        _, q, v, x = measurement
-        e = x - target
-        # One cheap number that is not finite if anything is; the rare cases are told apart after.
-        lost = False
-        if not math.isfinite(q.dot(q) + v.dot(v) + e.dot(e) + state.dot(state)):
-            lost = self._require_finite(state, measurement, target)
-        s = np.zeros(self.task.m) if lost else self.saturation.s(e)
-        J_hat = self.task.jacobian(q)
+        try:
+            _, q, v, x = measurement
+            usual = (
+                (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
+                and q.dtype is _FLOAT
+                and v.dtype is _FLOAT
+                and x.dtype is _FLOAT
+                and target.dtype is _FLOAT
+                and state.dtype is _FLOAT
+            )
+        except (TypeError, ValueError, AttributeError):
+            usual = False
+        if not usual:
+            q, v, x = self._require_arrays(state, measurement, target)
+        # One number that is not small if anything is not finite. Unlike sums of squares it
+        # overflows without a warning, and it is faster.
+        size = math.hypot(*q.tolist(), *v.tolist(), *x.tolist(), *target.tolist(), *state.tolist())
+        if size < _HUGE:
+            e = x - target if self._subtracts else self.task.error(x, target)
+            if self._subtracts or math.isfinite(e.dot(e)):
+                if self._continuous:
+                    self.task.robot.configuration(q)
+                return self._answer(q, v, x, e, state, lost=False)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is a named error
+            e = x - target if self._subtracts else self.task.error(x, target)
+            lost = self._require_finite(q, v, x, target, state, e)
+            self.task.robot.configuration(q)
+            try:
+                answer = self._answer(q, v, x, e, state, lost)
+                if np.isfinite(answer.torque).all() and np.isfinite(answer.state_rate).all():
+                    return answer
+            except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
+                pass
+        raise MeasurementError(
+            f"the torque overflows: q = {q.tolist()}, v = {v.tolist()}, x = {x.tolist()} are "
+            "beyond what the law can be evaluated at",
+            given=measurement,
+        )
+
+    def _answer(
+        self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
+    ) -> Evaluation:
+        """Evaluate the law at inputs that have been checked."""
+        J_hat = self.task.compute_jacobian(q)
+        s = np.zeros_like(e) if lost else self.saturation.s(e)
         kp, kv, damping = self.diagonals
-        theta_rate = self._no_rate[: self._p]
-
-        if isinstance(self.gravity, AdaptiveGravity):
-            Z = self.gravity.regressor.Z(q)
-            J_hat_pinv, sigma_min, damped = law.damped_right_pinv(J_hat)
-            singular = damped > 0.0
-            if not lost:
-                y = law.passive_output(v, J_hat_pinv, s, self.gravity.alpha)
-                theta_rate = law.theta_hat_rate(self.gravity.L, Z, y)
-            g = law.gravity(Z, state[: self._p])  # with it, (6) below is (28)
+        G = J_hat.dot(J_hat.T)
+        learning = self.adaptation
+        if learning is None:
+            singular = law.is_near_singular(G, scale=self._scale)
+            g = self.gravity.torque(q)  # type: ignore[union-attr]  # the others have one
         else:
-            g = self.gravity.torque(q)
-            sigma_min, sigma_max = law.extreme_singular_values(J_hat)
-            singular = sigma_min < law.SINGULAR_RATIO * sigma_max
+            w, damped = law.damped_gram_solve(G, s, scale=self._scale)
+            singular = damped > 0.0
+            Z = learning.regressor.compute_Z(q)
+            g = law.gravity(Z, state[: self._p])  # with it, (6) below is (28)
+        if self._pull is not None:
+            g = g + self._pull_within_null_space(q, J_hat, G, *self._pull)
 
+        rate = self._no_rate
         if self.velocity is None:
             torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, g)
-            rate = theta_rate
         else:
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
             # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
             lag = self.velocity.time_constant
-            x_dot = J_hat @ v if lost else (x - state[self._p :]) / lag
+            x_dot = J_hat.dot(v) if lost else (x - state[self._p :]) / lag
             torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, g)
-            rate = np.concatenate([theta_rate, x_dot])
+            rate = np.concatenate([self._no_rate[: self._p], x_dot])
+
         status = Status.OK
         if lost:
             status = Status.MEASUREMENT_LOST
+        elif learning is not None and _is_beyond(torque, learning.torque_limits):
+            status = Status.TORQUE_SATURATED
         elif singular:
             status = Status.NEAR_SINGULAR
-        if not math.isfinite(torque.dot(torque) + rate.dot(rate)) and not (
-            np.isfinite(torque).all() and np.isfinite(rate).all()
-        ):
-            raise MeasurementError(
-                f"the torque overflows: q = {q.tolist()}, v = {v.tolist()}, x = {x.tolist()} are "
-                "beyond what the law can be evaluated at",
-                given=measurement,
+        if learning is not None and not lost and status is not Status.TORQUE_SATURATED:
+            y = law.passive_output(v, w.dot(J_hat), learning.alpha)
+            theta_rate = law.theta_hat_rate(learning.L, Z, y)
+            if learning.bounds is not None:
+                theta_hat = state[: self._p]
+                theta_rate = law.within_bounds(theta_rate, theta_hat, *learning.bounds)
+            rate = theta_rate if self.velocity is None else np.append(theta_rate, x_dot)
+        return Evaluation(torque, rate, status, e, J_hat)
+
+    def _pull_within_null_space(
+        self, q: Array, J_hat: Array, G: Array, posture: Array, stiffness: Array
+    ) -> Array:
+        """N τ₀ of `Posture`, shape (n_v,)."""
+        pull: Array = stiffness * pin.difference(self.task.robot.model, q, posture)
+        w, damped = law.damped_gram_solve(G, J_hat.dot(pull), scale=self._scale)
+        if damped == 0.0:
+            disturbing: Array = w.dot(J_hat)
+            return pull - disturbing
+        # With a damped Ĵ⁺, N would be no projector. An exact one that is faded out is one still,
+        # and continuous, as it turns only where its weight is zero.
+        _, values, rows = np.linalg.svd(J_hat, full_matrices=False)
+        threshold = law.SINGULAR_RATIO * max(values[0], self._scale)
+        weight = (values[-1] / threshold) ** 2 if threshold > 0.0 else 0.0
+        faded: Array = weight * (pull - rows.T.dot(rows.dot(pull)))
+        return faded
+
+    def _resolved_adaptation(self) -> Adaptation | None:
+        """The adaptation with its defaults filled in."""
+        gravity = self.gravity
+        if not isinstance(gravity, AdaptiveGravity):
+            return None
+        L, alpha = gravity.L, gravity.alpha
+        if L is None or alpha is None:
+            default_L, default_alpha = default_adaptation(
+                self.task, self.diagonals, gravity.regressor, alpha
             )
-        return Evaluation(torque, rate, status, e, sigma_min)
+            L = default_L if L is None else L
+            alpha = default_alpha
+        return Adaptation(
+            gravity.regressor, L, alpha, gravity.theta0, gravity.bounds, gravity.torque_limits
+        )
+
+    def _resolved_posture(self, posture: Posture) -> tuple[Array, Array]:
+        robot = self.task.robot
+        if robot.nv <= self.task.m:
+            raise InvalidInputError(
+                f"posture is for arms with more joints than task coordinates, got one for "
+                f"{robot.name} with {robot.nv} joints and {self.task.m} coordinates",
+                given=posture,
+            )
+        q = robot.configuration(as_array("q of the posture", posture.q, (robot.nq,), "rad"))
+        return q, as_diagonal("stiffness", posture.stiffness, robot.nv, unit="N m/rad")
 
     def _require_saturation(self) -> None:
         """Refuse a saturation whose γ has another length than the task."""
@@ -209,7 +318,13 @@ class SetpointController:
                 given=self.saturation,
             )
 
-    def _require_shapes(self, state: Array, measurement: Measurement, target: Array) -> None:
+    def _require_arrays(
+        self, state: Array, measurement: Measurement, target: Array
+    ) -> tuple[Array, Array, Array]:
+        """Say what is wrong with an argument that is no array of floats of its shape.
+
+        Returns q, v and x.
+        """
         try:
             _, q, v, x = measurement
         except (TypeError, ValueError):
@@ -217,13 +332,6 @@ class SetpointController:
                 f"measurement must be Measurement(t, q, v, x), got {measurement!r}",
                 given=measurement,
             ) from None
-        try:
-            if (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes and (
-                q.dtype == v.dtype == x.dtype == target.dtype == state.dtype == np.float64
-            ):
-                return
-        except AttributeError:
-            pass
         names = ("q", "v", "x", "target", "state")
         for name, value, shape in zip(names, (q, v, x, target, state), self._shapes, strict=True):
             if not isinstance(value, np.ndarray) or value.shape != shape:
@@ -232,35 +340,43 @@ class SetpointController:
                     f"{name} must be an array of shape {shape} for {self.task!r}, got {given}",
                     given=value,
                 )
-            if value.dtype != np.float64:  # differences of unsigned pixels would wrap around
+            if value.dtype != _FLOAT:  # differences of unsigned pixels would wrap around
                 raise InvalidInputError(
                     f"{name} must be an array of float64, got {value.dtype}; "
                     f"{name}.astype(float) makes one of numbers",
                     given=value,
                 )
+        return q, v, x
 
-    def _require_finite(self, state: Array, measurement: Measurement, target: Array) -> bool:
+    def _require_finite(
+        self, q: Array, v: Array, x: Array, target: Array, state: Array, e: Array
+    ) -> bool:
         """Tell what is not finite apart; return whether only the measured x is."""
-        for name, value in (("q", measurement.q), ("v", measurement.v)):
+        for name, value in (("q", q), ("v", v)):
             if not np.isfinite(value).all():
                 raise MeasurementError(
                     f"{name} must be finite, got {value.tolist()}: no safe torque exists without "
                     "the joint state; stop the robot",
-                    given=measurement,
+                    given=value,
                 )
-        for name, value in (("target", target), ("state", state)):
-            if not np.isfinite(value).all():
-                raise InvalidInputError(f"{name} must be finite, got {value.tolist()}", given=value)
-        if not np.isfinite(measurement.x).all():
-            return True
-        if not np.isfinite(measurement.x - target).all():
+        if not np.isfinite(state).all():
+            raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
+        self.task.target(target)
+        if np.isfinite(e).all():
+            return False
+        if np.isfinite(x).all() and self._subtracts:
             raise MeasurementError(
-                f"the error overflows: x = {measurement.x.tolist()} is beyond what the law can be "
-                "evaluated at",
-                given=measurement,
+                f"the error overflows: x = {x.tolist()} is beyond what the law can be evaluated at",
+                given=x,
             )
-        return False
+        return True
 
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         return f"SetpointController(law {law}, {self.task!r}, {self.gains!r})"
+
+
+def _is_beyond(torque: Array, limits: Array) -> bool:
+    share = torque / limits
+    # the sum of squares first: it is cheap, and mostly small enough
+    return bool(share.dot(share) > 1.0 and np.abs(share).max() > 1.0)

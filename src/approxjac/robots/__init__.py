@@ -1,8 +1,17 @@
 """Robots: arms from URDF files, objects attached to them, errors applied to them."""
 
 from approxjac.robots.dynamics import Dynamics
+from approxjac.robots.excitation import Excitation, excitation
 from approxjac.robots.gravity_regressor import GravityRegressor
 from approxjac.robots.load import load_robot, robot_names
 from approxjac.robots.robot import Robot
 
-__all__ = ["Dynamics", "GravityRegressor", "Robot", "load_robot", "robot_names"]
+__all__ = [
+    "Dynamics",
+    "Excitation",
+    "GravityRegressor",
+    "Robot",
+    "excitation",
+    "load_robot",
+    "robot_names",
+]

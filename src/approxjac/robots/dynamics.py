@@ -29,6 +29,11 @@ class Dynamics:
         self._model = robot.model
         self._data = self._model.createData()
         self._zero = np.zeros(robot.nv)
+        # the same where there are no mimic joints; Pinocchio's algorithms that cannot couple them
+        # run on this model
+        self._coupling = robot.coupling
+        self._all = robot.coupling.model
+        self._all_data = self._data if self._all is self._model else self._all.createData()
 
     def M(self, q: Array) -> Array:
         """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
@@ -36,7 +41,9 @@ class Dynamics:
 
     def C(self, q: Array, v: Array) -> Array:
         """Coriolis matrix C(q, q̇) with Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""
-        return np.array(pin.computeCoriolisMatrix(self._model, self._data, self._q(q), self._v(v)))
+        q_all, v_all = self._coupling.q(self._q(q)), self._coupling.v(self._v(v))
+        C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, v_all)
+        return np.array(self._coupling.rows(self._coupling.columns(C)))
 
     def M_dot(self, q: Array, v: Array) -> Array:
         """dM/dt = C + Cᵀ along q̇, shape (n_v, n_v)."""
@@ -56,24 +63,21 @@ class Dynamics:
         return np.array(pin.rnea(self._model, self._data, self._q(q), self._v(v), self._v(a, "a")))
 
     def forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """q̈ from τ by the articulated-body algorithm, shape (n_v,) [rad/s² or m/s²]."""
-        return np.array(
-            pin.aba(
-                self._model,
-                self._data,
-                self._q(q),
-                self._v(v),
-                self._v(tau, "tau"),
-                pin.Convention.WORLD,
-            )
-        )
+        """q̈ from τ, shape (n_v,) [rad/s² or m/s²].
+
+        By the articulated-body algorithm, or with mimic joints by solving with M(q).
+        """
+        q, v, tau = self._q(q), self._v(v), self._v(tau, "tau")
+        if self._coupling.G is not None:
+            return np.asarray(np.linalg.solve(self.M(q), tau - self.inverse(q, v, self._zero)))
+        return np.array(pin.aba(self._model, self._data, q, v, tau, pin.Convention.WORLD))
 
     def energy(self, q: Array, v: Array) -> float:
         """Kinetic plus potential energy [J]."""
-        q, v = self._q(q), self._v(v)
+        q, v = self._coupling.q(self._q(q)), self._coupling.v(self._v(v))
         return float(
-            pin.computeKineticEnergy(self._model, self._data, q, v)
-            + pin.computePotentialEnergy(self._model, self._data, q)
+            pin.computeKineticEnergy(self._all, self._all_data, q, v)
+            + pin.computePotentialEnergy(self._all, self._all_data, q)
         )
 
     def _q(self, q: Array) -> Array:

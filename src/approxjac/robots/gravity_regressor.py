@@ -48,12 +48,12 @@ class GravityRegressor:
         require("robot", robot, Robot, "a Robot")
         axes = axis_rows("moments", moments)
         self.robot = robot
-        self._model = robot.model
+        self._model = robot.coupling.model  # Pinocchio has no regressor with mimic joints
         self._data = self._model.createData()
-        self._zero = np.zeros(robot.nv)
+        self._zero = np.zeros(self._model.nv)
         # of each link's ten dynamic parameters, the first four are m, m c_x, m c_y, m c_z
         offsets = [0, *(1 + axis for axis in sorted(axes))]
-        candidates = np.array([10 * i + k for i in range(robot.nv) for k in offsets])
+        candidates = np.array([10 * i + k for i in range(self._model.nv) for k in offsets])
         rng = np.random.default_rng(0)
         stacked = np.vstack(
             [self._full(q)[:, candidates] for q in _anywhere(robot, rng, _POSTURES)]
@@ -67,7 +67,8 @@ class GravityRegressor:
             )
         self._columns = candidates[kept]
         labels = ["m", "mx", "my", "mz"]
-        self.names = tuple(f"{robot.joint_names[c // 10]}.{labels[c % 10]}" for c in self._columns)
+        movers = list(self._model.names)[1:]
+        self.names = tuple(f"{movers[c // 10]}.{labels[c % 10]}" for c in self._columns)
         parameters = np.concatenate(
             [inertia.toDynamicParameters() for inertia in list(self._model.inertias)[1:]]
         )
@@ -88,7 +89,11 @@ class GravityRegressor:
 
     def Z(self, q: Array) -> Array:
         """Gravity regressor Z(q), shape (n_v, p) [m²/s² for first moments, with g inside]."""
-        return self._full(q)[:, self._columns]
+        return self.compute_Z(self.robot.configuration(q))
+
+    def compute_Z(self, q: Array) -> Array:
+        """`Z` at a q that has been checked already, for loops."""
+        return self._full(q).take(self._columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
         """Return the θ with which this Z(q) reproduces the gravity of another robot.
@@ -139,11 +144,12 @@ class GravityRegressor:
         return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
 
     def _full(self, q: Array) -> Array:
-        """All columns at rest, shape (n_v, 10 n_v); an alias of scratch memory."""
+        """All columns at rest, ten for each moving link; an alias of scratch memory."""
+        coupling = self.robot.coupling
         regressor: Array = pin.computeJointTorqueRegressor(
-            self._model, self._data, self.robot.configuration(q), self._zero, self._zero
+            self._model, self._data, coupling.q(q), self._zero, self._zero
         )
-        return regressor
+        return coupling.rows(regressor)
 
     def __repr__(self) -> str:
         return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"

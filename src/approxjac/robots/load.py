@@ -8,7 +8,9 @@ from pathlib import Path
 
 from approxjac.checks import Array
 from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError
-from approxjac.robots.named import NAMED, urdf_path
+from approxjac.robots import urdf as urdf_xml
+from approxjac.robots.chain import lock_off_chain
+from approxjac.robots.named import NAMED, NamedRobot, urdf_path
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
 
 
@@ -17,31 +19,71 @@ def load_robot(
     *,
     gravity: Sequence[float] | Array = STANDARD_GRAVITY,
     tip: str | None = None,
+    base: str | None = None,
+    free: str | Sequence[str] = (),
 ) -> Robot:
     """Load an arm by name, from a path to a .urdf file, or from URDF text.
+
+    Where the tip is known, the arm is the chain from `base` to it: the robot's other joints, such
+    as those of fingers, wheels or the other arm, are locked, each at zero or at its limit nearest
+    to zero. Mimic joints are locked with the joint that they follow.
 
     Args:
         source: A name ("panda", "two_link", …), a path, or text that starts with "<".
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
         tip: End-effector frame; by default the named robot's own, or the last link of an arm
-            that does not branch.
+            that does not branch. Of a branched file without it, no joint is locked.
+        base: Link that the chain starts from; by default the named robot's own, or the root. The
+            robot stands in the world on its root all the same.
+        free: Joints that are not locked although the tip does not need them: one name, several,
+            or "all".
 
     Raises:
-        UnknownNameError: Neither a known name nor a file.
+        UnknownNameError: Neither a known name nor a file; no such frame, or moving joint to free.
         UrdfError: The file is missing, or its URDF is not usable.
-        InvalidInputError: Not a text or a path.
+        InvalidInputError: Not a text or a path; a tip that nothing moves, or that `base` does not
+            carry.
 
     Example:
         >>> load_robot("two_link").joint_names
         ('joint1', 'joint2')
     """
+    text, path, entry = _find(source)
+    if entry is not None:
+        tip, base = entry.tip if tip is None else tip, entry.base if base is None else base
+    label, folder = ("URDF text", None) if path is None else (str(path), path.resolve().parent)
+    if tip is not None or base is not None or not isinstance(free, tuple) or free:
+        root = urdf_xml.parse(text, label)
+        if lock_off_chain(root, urdf_xml.read(root, label), base, tip, free):
+            text = urdf_xml.to_text(root)
+    return Robot(text, gravity=gravity, tip=tip, urdf_dir=folder, source=label)
+
+
+def robot_names() -> tuple[str, ...]:
+    """Return the names that `load_robot` knows."""
+    return tuple(NAMED)
+
+
+def locked_joints(source: str | Path, robot: Robot) -> tuple[str, ...]:
+    """Return the joints that move in a source, and were locked when `robot` was loaded from it."""
+    fixed = _joints(robot.urdf, fixed=True)
+    return tuple(joint for joint in _joints(_find(source)[0], fixed=False) if joint in fixed)
+
+
+def _joints(text: str, *, fixed: bool) -> list[str]:
+    root = urdf_xml.parse(text, "URDF text")
+    return [j.get("name") for j in root.iterfind("joint") if (j.get("type") == "fixed") is fixed]
+
+
+def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:
+    """The URDF text that a source means, its file, and what is known of it by name."""
     if not isinstance(source, str | Path):
         raise InvalidInputError(
             f"source must be a name, a path or URDF text, got {source!r}", given=source
         )
     text = str(source).removeprefix("\ufeff")
     if isinstance(source, str) and text.lstrip().startswith("<"):
-        return Robot(text, gravity=gravity, tip=tip)
+        return text, None, None
     if isinstance(source, str) and text in NAMED:
         entry = NAMED[text]
         path = urdf_path(entry)
@@ -51,26 +93,26 @@ def load_robot(
                 "(pip install example-robot-data)",
                 given=source,
             )
-        robot = _load_file(path, gravity, entry.tip if tip is None else tip)
-        return robot.with_locked_joints(entry.locked) if entry.locked else robot
+        return _read(path), path, entry
     path = Path(source)
-    if len(text) < 4096 and "\0" not in text and path.is_file():
-        return _load_file(path, gravity, tip)
+    if _is_file(path):
+        return _read(path), path, None
     if path.suffix or "/" in text or isinstance(source, Path):
         raise UrdfError(f"URDF file {text} does not exist", given=source)
     raise UnknownNameError("robot", text, "the robots known by name", NAMED)
 
 
-def robot_names() -> tuple[str, ...]:
-    """Return the names that `load_robot` knows."""
-    return tuple(NAMED)
+def _is_file(path: Path) -> bool:
+    try:
+        return "\0" not in str(path) and path.is_file()
+    except OSError:  # a name that is too long, or a folder that may not be read
+        return False
 
 
-def _load_file(path: Path, gravity: Sequence[float] | Array, tip: str | None) -> Robot:
+def _read(path: Path) -> str:
     try:
         data = path.read_bytes()
         declared = re.match(rb"<\?xml[^>]*encoding=[\"']([\w.-]+)", data)
-        text = data.decode(declared.group(1).decode() if declared else "utf-8-sig")
+        return data.decode(declared.group(1).decode() if declared else "utf-8-sig")
     except (OSError, UnicodeDecodeError, LookupError) as error:
         raise UrdfError(f"URDF file {path} cannot be read: {error}", given=path) from error
-    return Robot(text, gravity=gravity, tip=tip, urdf_dir=path.resolve().parent, source=str(path))

@@ -1,4 +1,4 @@
-"""Mesh files of a URDF: where they are, and what other tools can read."""
+"""Mesh files of a URDF: where they are; and writing what other tools can read."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from approxjac.errors import UrdfError
 from approxjac.robots.named import share_dir
 
 _MUJOCO_READS = (".stl", ".obj", ".msh")
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
@@ -40,8 +43,10 @@ def for_other_tools(root: Any, urdf_dir: Path | None, path: Path) -> None:
 
     Mesh files that are found are named by their full path. Collision meshes that MuJoCo cannot
     read are converted to STL, into the folder `{name}_meshes` beside the file. MuJoCo is asked to
-    keep links on fixed joints as bodies (it merges them otherwise, and the tip frame is lost),
-    unless the URDF already speaks to MuJoCo.
+    keep links on fixed joints as bodies (it merges them otherwise, and the tip frame is lost) and
+    not to invent a mass for shapes of links that have none, unless the URDF already speaks to
+    MuJoCo. Of links that do not move, inertias that no body can have, which MuJoCo refuses, are
+    written as zero; they act on nothing.
 
     Args:
         root: XML root to change.
@@ -63,10 +68,42 @@ def for_other_tools(root: Any, urdf_dir: Path | None, path: Path) -> None:
                 converted[found] = _to_stl(found, (folder / name).resolve())
             found = converted[found]
         mesh.set("filename", str(found))
+    for link in _links_at_rest(root):
+        inertia = link.find("inertial/inertia")
+        if inertia is not None and not _possible(inertia):
+            for name in _MOMENTS:
+                inertia.set(name, "0")
     if root.find("mujoco") is None:
         mujoco = etree.Element("mujoco")
-        etree.SubElement(mujoco, "compiler", fusestatic="false", strippath="false")
+        etree.SubElement(
+            mujoco, "compiler", fusestatic="false", strippath="false", inertiafromgeom="false"
+        )
         root.insert(0, mujoco)
+
+
+def _links_at_rest(root: Any) -> list[Any]:
+    """The <link> elements that no joint moves."""
+    parents = {
+        joint.find("child").get("link"): (joint.get("type"), joint.find("parent").get("link"))
+        for joint in root.iterfind("joint")
+    }
+
+    def at_rest(name: str) -> bool:
+        while name in parents:
+            kind, name = parents[name]
+            if kind != "fixed":
+                return False
+        return True
+
+    return [link for link in root.iterfind("link") if at_rest(link.get("name"))]
+
+
+def _possible(inertia: Any) -> bool:
+    """Whether no principal moment is negative or larger than the other two together."""
+    xx, xy, xz, yy, yz, zz = (float(inertia.get(name)) for name in _MOMENTS)
+    small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    slack = 1e-9 * abs(large)
+    return bool(small >= -slack and small + middle >= large - slack)
 
 
 def _to_stl(mesh: Path, stl: Path) -> Path:

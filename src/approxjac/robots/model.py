@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
 from approxjac.checks import Array
 from approxjac.errors import UrdfError
+from approxjac.robots.coupling import Coupling, build_coupled
 
 
-def build_model(text: str, source: str) -> pin.Model:
-    """Return the Pinocchio model of a URDF.
+def build_model(root: Any, source: str) -> tuple[pin.Model, Coupling]:
+    """Return the Pinocchio model of a URDF, and how mimic joints follow from its joints.
 
     Args:
-        text: The URDF.
+        root: XML root of the URDF.
         source: What to call it in errors.
 
     Raises:
-        UrdfError: Not a URDF, no moving joint, joints of more than one degree of freedom, or
-            moving links without inertia.
+        UrdfError: Not a URDF, no moving joint, joints of more than one degree of freedom,
+            moving links without inertia, or mimic joints that nothing leads.
     """
     try:
-        model = pin.buildModelFromXML(text)
+        model, coupling = build_coupled(root, source)
+    except UrdfError:  # ours, which says more
+        raise
     except (ValueError, RuntimeError) as error:
         raise UrdfError(f"{source} is not a valid URDF: {error}", given=source) from error
     if model.nv == 0:
         raise UrdfError(f"{source} has no moving joint", given=source)
-    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+    independent = coupling.model
+    for name, joint in zip(independent.names[1:], list(independent.joints)[1:], strict=True):
         if joint.nv != 1:
             raise UrdfError(
                 f"{source}: joint {name!r} has {joint.nv} degrees of freedom; every joint of an "
@@ -34,7 +40,13 @@ def build_model(text: str, source: str) -> pin.Model:
                 given=source,
             )
     _require_inertia(model, source)
-    return model
+    return model, coupling
+
+
+def own_joints(model: pin.Model) -> dict[str, Any]:
+    """Return name → Pinocchio joint of those that move on their own, in the order of v."""
+    joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+    return {name: joint for name, joint in joints if joint.nv == 1}  # a mimic joint has nv 0
 
 
 def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
@@ -60,8 +72,7 @@ def _require_inertia(model: pin.Model, source: str) -> None:
     eigenvalues, vectors = np.linalg.eigh(M)
     if eigenvalues[0] > 1e-12 * eigenvalues[-1] > 0.0:
         return
-    names = list(model.names)[1:]
-    loose = names[int(np.abs(vectors[:, 0]).argmax())]
+    loose = list(own_joints(model))[int(np.abs(vectors[:, 0]).argmax())]
     raise UrdfError(
         f"{source}: nothing with inertia is moved by joint {loose!r} (the inertia matrix is "
         "singular); torque control needs <inertial> with mass and inertia on what each joint moves",

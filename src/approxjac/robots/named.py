@@ -14,34 +14,34 @@ class NamedRobot(NamedTuple):
     Attributes:
         path: URDF, relative to our `urdf/` folder or to example-robot-data's `robots/`.
         tip: Suggested end-effector frame.
-        locked: Joints that are fixed at these values when loaded (fingers) [rad or m].
+        base: Link that the arm starts from where it is part of a larger robot; the root if None.
     """
 
     path: str
     tip: str
-    locked: Mapping[str, float] = {}
+    base: str | None = None
 
 
 NAMED: Mapping[str, NamedRobot] = {
     "two_link": NamedRobot("two_link.urdf", "tool0"),
     "two_link_point_mass": NamedRobot("two_link_point_mass.urdf", "tool0"),
-    "panda": NamedRobot(
-        "panda_description/urdf/panda.urdf",
-        "panda_hand_tcp",
-        {"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0},
-    ),
+    "panda": NamedRobot("panda_description/urdf/panda.urdf", "panda_hand_tcp"),
     "ur3": NamedRobot("ur_description/urdf/ur3_robot.urdf", "tool0"),
     "ur5": NamedRobot("ur_description/urdf/ur5_robot.urdf", "tool0"),
     "ur10": NamedRobot("ur_description/urdf/ur10_robot.urdf", "tool0"),
     "kinova": NamedRobot("kinova_description/robots/kinova.urdf", "j2s6s200_end_effector"),
     "xarm7": NamedRobot("xarm_description/urdf/xarm7.urdf", "link_eef"),
+    "z1": NamedRobot("z1_description/urdf/z1.urdf", "gripperStator"),
+    "so100": NamedRobot("so_arm_description/urdf/so100.urdf", "gripper"),
+    "so101": NamedRobot("so_arm_description/urdf/so101.urdf", "gripper_frame_link"),
     "talos_arm": NamedRobot(
-        "talos_data/robots/talos_left_arm.urdf",
-        "wrist_left_ft_tool_link",
-        {"gripper_left_joint": 0.0},
+        "talos_data/robots/talos_reduced.urdf", "wrist_left_ft_tool_link", "torso_2_link"
     ),
-    "z1": NamedRobot("z1_description/urdf/z1.urdf", "gripperStator", {"jointGripper": 0.0}),
-    "so100": NamedRobot("so_arm_description/urdf/so100.urdf", "gripper", {"gripper": 0.0}),
+    "tiago_arm": NamedRobot("tiago_description/robots/tiago_no_hand.urdf", "wrist_ft_tool_link"),
+    "baxter_left_arm": NamedRobot("baxter_description/urdf/baxter.urdf", "left_gripper"),
+    "pr2_left_arm": NamedRobot(
+        "pr2_description/urdf/pr2.urdf", "l_gripper_tool_frame", "torso_lift_link"
+    ),
     "double_pendulum": NamedRobot(
         "double_pendulum_description/urdf/double_pendulum_simple.urdf", "link3"
     ),

@@ -14,7 +14,8 @@ from approxjac.checks import Array, as_array, as_number, as_vector, require
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import meshes, urdf_edit
 from approxjac.robots import urdf as urdf_xml
-from approxjac.robots.model import build_model
+from approxjac.robots.coupling import Coupling
+from approxjac.robots.model import build_model, own_joints
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
@@ -23,8 +24,8 @@ class Robot:
     """A fixed-base arm: its URDF text and the Pinocchio model built from it.
 
     Immutable: every change returns a new robot. Two robots are equal when their URDF text and
-    gravity are. Meshes are never needed. A mimic joint moves on its own, unless it is locked;
-    locking the joint that it follows locks it too.
+    gravity are. Meshes are never needed. A mimic joint is no degree of freedom: it moves with the
+    joint that it follows, under that joint's limits, and is locked with it.
 
     Args:
         urdf: URDF text.
@@ -35,8 +36,8 @@ class Robot:
         source: What to call the URDF in errors.
 
     Raises:
-        UrdfError: Malformed, no moving joint, joints of more than one degree of freedom, or
-            links without inertia.
+        UrdfError: Malformed, no moving joint, joints of more than one degree of freedom,
+            links without inertia, or mimic joints that cannot be coupled.
         UnknownNameError: `tip` is not a frame.
     """
 
@@ -57,8 +58,10 @@ class Robot:
         root = urdf_xml.parse(urdf, source)
         links = urdf_xml.read(root, source)
         self._name = str(root.get("name"))
-        self._model = build_model(urdf_xml.bare_text(root), source)
-        self._model.gravity.linear = self._gravity
+        self._model, self._coupling = build_model(root, source)
+        self._joints = own_joints(self._model)
+        for model in (self._model, self._coupling.model):
+            model.gravity.linear = self._gravity
         # A body and a joint may share a name; the body's frame is the one people mean.
         frames = sorted(
             (frame.type == pin.FrameType.BODY, index, frame.name)
@@ -105,6 +108,11 @@ class Robot:
         return self._model
 
     @property
+    def coupling(self) -> Coupling:
+        """How mimic joints move with the others."""
+        return self._coupling
+
+    @property
     def nq(self) -> int:
         """Length of a configuration q; larger than `nv` where joints are continuous."""
         return int(self._model.nq)
@@ -116,14 +124,14 @@ class Robot:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the moving joints, in the order of v and τ."""
-        return tuple(self._model.names)[1:]
+        """Names of the joints that move on their own, in the order of v and τ."""
+        return tuple(self._joints)
 
     @property
     def joint_units(self) -> tuple[str, ...]:
         """Unit of each joint's position, "rad", or "m" for prismatic joints."""
-        joints = list(self._model.joints)[1:]
-        return tuple("m" if j.shortname().startswith("JointModelP") else "rad" for j in joints)
+        kinds = (joint.shortname() for joint in self._joints.values())
+        return tuple("m" if kind.startswith("JointModelP") else "rad" for kind in kinds)
 
     @property
     def frame_names(self) -> tuple[str, ...]:
@@ -145,7 +153,7 @@ class Robot:
         URDF means that nobody filled them in).
         """
         lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
-        for joint in list(self._model.joints)[1:]:
+        for joint in self._joints.values():
             low = float(self._model.lowerPositionLimit[joint.idx_q])
             high = float(self._model.upperPositionLimit[joint.idx_q])
             if joint.nq == 1 and low < high:
@@ -320,8 +328,8 @@ class Robot:
         """Return this robot with joints fixed for good, such as those of fingers.
 
         Args:
-            positions: Joint name → position at which it is fixed [rad or m]. Mimic joints follow
-                the joint that they mimic, and are fixed with it.
+            positions: Joint name → position at which it is fixed [rad or m]. Mimic joints are
+                fixed with the joint that they follow, or where this says.
 
         Raises:
             UnknownNameError: Not a moving joint of this robot.
@@ -330,23 +338,13 @@ class Robot:
         require("positions", positions, Mapping, "a mapping from joint names to positions")
         root = urdf_xml.parse(self._urdf, self._source)
         links = urdf_xml.read(root, self._source)
+        moving = list(self._coupling.model.names)[1:]
         locked: dict[str, float] = {}
         for joint, position in positions.items():
-            if joint not in self.joint_names:
-                raise UnknownNameError("moving joint", joint, self._name, self.joint_names)
+            if joint not in moving:
+                raise UnknownNameError("moving joint", joint, self._name, moving)
             locked[joint] = as_number(f"position of {joint}", position, unit="rad or m")
-        followers = {j: f for j, f in urdf_edit.followers(root).items() if j in self.joint_names}
-        for _ in followers:  # a follower may be followed in turn
-            for joint, (leader, multiplier, offset) in followers.items():
-                if leader in locked:
-                    locked.setdefault(joint, multiplier * locked[leader] + offset)
-        for joint, value in locked.items():
-            axis = links.joint_map[joint].axis / np.linalg.norm(links.joint_map[joint].axis)
-            if links.joint_map[joint].type == "prismatic":
-                motion = urdf_edit.transform(value * axis)
-            else:
-                motion = urdf_edit.transform(np.zeros(3), pin.exp3(value * axis))
-            urdf_edit.fix_joint(root, links, joint, motion)
+        urdf_edit.lock_joints(root, links, locked)
         return self._changed(urdf_xml.to_text(root))
 
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:

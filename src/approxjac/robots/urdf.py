@@ -113,6 +113,8 @@ def _attribute_faults(root: Any) -> list[str]:
         for tag in ("parent", "child"):
             if owner.find(tag) is None or not owner.find(tag).get("link"):
                 faults.append(f"joint {owner.get('name')!r} has no <{tag} link=...>")
+        if owner.find("mimic") is not None and not owner.find("mimic").get("joint"):
+            faults.append(f"joint {owner.get('name')!r} has a <mimic> without joint=...")
     for owner in root.iterfind("link"):
         inertial = owner.find("inertial")
         if inertial is not None and None in (inertial.find("mass"), inertial.find("inertia")):
@@ -141,8 +143,11 @@ _NUMBERS = (
     ("inertial/mass", "value", 1),
     *(("inertial/inertia", name, 1) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
     *(("limit", name, 1) for name in ("lower", "upper", "effort", "velocity")),
+    ("mimic", "multiplier", 1),
+    ("mimic", "offset", 1),
 )
-_OPTIONAL = ("xyz", "rpy", "lower", "upper", "effort", "velocity")  # looked at elsewhere, or 0
+# looked at elsewhere, or with a default
+_OPTIONAL = ("xyz", "rpy", "lower", "upper", "effort", "velocity", "multiplier", "offset")
 
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)

@@ -5,10 +5,11 @@ yourdfpy writes the new elements; they go into the original XML tree, which keep
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError, UnknownNameError
@@ -66,10 +67,21 @@ def append_object(
 
     Both new links keep the orientation of `parent`, so that a length of 0 puts the tip frame
     exactly onto it. A massless object has no <inertial>, one without length no geometry
-    (other tools refuse cylinders of length 0). A thin rod (radius 0) has m l²/12 across it;
-    along it, where MuJoCo refuses 0, it has the inertia of the cylinder it is drawn as.
+    (other tools refuse cylinders of length 0), neither to see nor to touch. A thin rod (radius 0)
+    has m l²/12 across it; along it, where MuJoCo refuses 0, it has the inertia of the cylinder it
+    is drawn as.
     """
-    from yourdfpy import Color, Cylinder, Geometry, Inertial, Joint, Link, Material, Visual
+    from yourdfpy import (
+        Collision,
+        Color,
+        Cylinder,
+        Geometry,
+        Inertial,
+        Joint,
+        Link,
+        Material,
+        Visual,
+    )
 
     middle = transform(0.5 * length * axis, rotation_onto(axis))
     link = Link(name=name)
@@ -82,10 +94,12 @@ def append_object(
             inertia=np.diag([across, across, 0.5 * mass * drawn_radius**2]),
         )
     if length > 0.0:
+        geometry = Geometry(cylinder=Cylinder(radius=drawn_radius, length=length))
+        link.collisions = [Collision(name=None, origin=middle, geometry=geometry)]
         link.visuals = [
             Visual(
                 origin=middle,
-                geometry=Geometry(cylinder=Cylinder(radius=drawn_radius, length=length)),
+                geometry=geometry,
                 material=Material(
                     name=f"{name}_color", color=Color(rgba=np.array([0.9, 0.6, 0.0, 1.0]))
                 ),
@@ -121,14 +135,23 @@ def move_joint_origin(
     _set_origin(root, name, transform(translation) @ old @ transform(np.zeros(3), rotation))
 
 
-def fix_joint(root: Any, urdf: yourdfpy.URDF, name: str, motion: Array) -> None:
-    """Make a joint fixed at `motion`, its 4 × 4 displacement from the zero position."""
-    _set_origin(root, name, _origin(urdf, name) @ motion)
-    joint = _joint_element(root, name)
-    joint.set("type", "fixed")
-    for tag in ("axis", "limit", "mimic", "safety_controller", "calibration", "dynamics"):
-        for element in joint.findall(tag):
-            joint.remove(element)
+def lock_joints(root: Any, urdf: yourdfpy.URDF, positions: Mapping[str, float]) -> None:
+    """Make joints fixed at their positions [rad or m], and with them the joints that mimic them.
+
+    Args:
+        root: XML root to change.
+        urdf: The same, as `read` returned it.
+        positions: Moving joint → position. A mimic joint that is named is fixed where this says.
+    """
+    locked = dict(positions)
+    moving = {joint.name for joint in urdf.robot.joints if joint.type != "fixed"}
+    following = {joint: f for joint, f in followers(root).items() if joint in moving}
+    for _ in following:  # a follower may be followed in turn
+        for joint, (leader, multiplier, offset) in following.items():
+            if leader in locked:
+                locked.setdefault(joint, multiplier * locked[leader] + offset)
+    for name, position in locked.items():
+        _fix_joint(root, urdf, name, position)
 
 
 def followers(root: Any) -> dict[str, tuple[str, float, float]]:
@@ -141,6 +164,40 @@ def followers(root: Any) -> dict[str, tuple[str, float, float]]:
             offset = float(mimic.get("offset", 0.0))
             found[joint.get("name")] = (mimic.get("joint"), multiplier, offset)
     return found
+
+
+def leader_of(
+    joint: str, following: Mapping[str, tuple[str, float, float]]
+) -> tuple[str, float, float]:
+    """Return the joint at the end of a chain of followers, and the multiplier and offset to it.
+
+    Args:
+        joint: Where to start; itself, 1 and 0 are returned if it follows no other.
+        following: As `followers` returns it. Of joints that follow each other, one is returned.
+    """
+    multiplier, offset = 1.0, 0.0
+    for _ in following:
+        if joint not in following:
+            break
+        joint, own_multiplier, own_offset = following[joint]
+        multiplier, offset = multiplier * own_multiplier, multiplier * own_offset + offset
+    return joint, multiplier, offset
+
+
+def _fix_joint(root: Any, urdf: yourdfpy.URDF, name: str, position: float) -> None:
+    """Make a joint fixed at a position [rad or m]."""
+    if position != 0.0:
+        axis = urdf.joint_map[name].axis / np.linalg.norm(urdf.joint_map[name].axis)
+        if urdf.joint_map[name].type == "prismatic":
+            motion = transform(position * axis)
+        else:
+            motion = transform(np.zeros(3), pin.exp3(position * axis))
+        _set_origin(root, name, _origin(urdf, name) @ motion)
+    joint = _joint_element(root, name)
+    joint.set("type", "fixed")
+    for tag in ("axis", "limit", "mimic", "safety_controller", "calibration", "dynamics"):
+        for element in joint.findall(tag):
+            joint.remove(element)
 
 
 def _elements(links: Sequence[yourdfpy.Link], joints: Sequence[yourdfpy.Joint]) -> list[Any]:

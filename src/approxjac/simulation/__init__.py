@@ -1,7 +1,9 @@
 """Simulation: plants that are the truth, integrators, runs and their records."""
 
+from approxjac.simulation.mujoco_plant import MujocoPlant
 from approxjac.simulation.plant import Plant
+from approxjac.simulation.sensing import Sensing
 from approxjac.simulation.simulate import simulate
 from approxjac.simulation.trajectory import Trajectory
 
-__all__ = ["Plant", "Trajectory", "simulate"]
+__all__ = ["MujocoPlant", "Plant", "Sensing", "Trajectory", "simulate"]

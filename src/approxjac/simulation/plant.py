@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from approxjac.checks import Array, as_diagonal, as_vector, require
+import numpy as np
+
+from approxjac.checks import Array, as_diagonal, as_limits, as_number, as_vector, require
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
+from approxjac.simulation.sensing import Sensing, SensorReadings
 from approxjac.tasks import Task
 
 
 class Plant:
-    """M(q) q̈ + C(q, q̇)q̇ + B q̇ + g(q) = τ of the true robot, eq. (1).
+    """M(q) q̈ + C(q, q̇)q̇ + B q̇ + τ_c tanh(q̇/v_c) + g(q) = τ of the true robot, eq. (1).
 
     It yields measurements and takes torques; nothing else of it reaches a controller. The
-    direction of gravity is the robot's: see `Robot.with_gravity`.
+    direction of gravity is the robot's: see `Robot.with_gravity`. The term with τ_c is Coulomb
+    friction, which eq. (1) does not have.
 
     Owns scratch memory: one instance a thread.
 
@@ -24,28 +28,76 @@ class Plant:
         sensor: What measures X: a task of the true robot.
         friction: Natural viscous friction B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
             Damping that the URDF mentions is not used.
+        coulomb: Coulomb friction τ_c ≥ 0, a number or shape (n_v,) [N m or N].
+        coulomb_velocity: v_c > 0 within which it passes from −τ_c to τ_c [rad/s or m/s]. So that
+            joints creep rather than stick; a τ_c dt much above M v_c makes a sampled run unstable.
+        sensing: How measurements differ from the truth; not at all by default. Needs dt.
+        actuator_delay: Time from a torque to its effect [s], rounded to whole samples; until the
+            first one takes effect the robot is held by g(q). Needs dt.
+        torque_limits: What the motors deliver at most, a number or shape (n_v,) [N m or N]; more
+            is clipped, infinite is no limit. Nothing is clipped by default.
 
     Raises:
-        InvalidInputError: A sensor on another robot, or friction that is negative.
+        InvalidInputError: A sensor on another robot, or numbers that are negative or of the
+            wrong shape.
     """
 
     def __init__(
-        self, robot: Robot, sensor: Task, friction: float | Sequence[float] | Array = 0.0
+        self,
+        robot: Robot,
+        sensor: Task,
+        friction: float | Sequence[float] | Array = 0.0,
+        *,
+        coulomb: float | Sequence[float] | Array = 0.0,
+        coulomb_velocity: float = 0.05,
+        sensing: Sensing | None = None,
+        actuator_delay: float = 0.0,
+        torque_limits: float | Sequence[float] | Array | None = None,
     ) -> None:
         require("robot", robot, Robot, "the true Robot")
         require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
+        if sensing is not None:
+            require("sensing", sensing, Sensing, "Sensing(...) or None")
         if sensor.robot != robot:
             raise InvalidInputError(
                 f"sensor must be a task of the plant's own robot {robot!r}, "
                 f"got one of {sensor.robot!r}",
                 given=sensor,
             )
+        if sensing is not None:
+            SensorReadings(sensing, sensor, dt=1.0, seed=0)  # refuses wrong lengths
+        nv = robot.nv
         self.robot = robot
         self.sensor = sensor
-        self.friction = as_diagonal(
-            "friction", friction, robot.nv, unit="N m s/rad", positive=False
+        self.friction = as_diagonal("friction", friction, nv, unit="N m s/rad", positive=False)
+        self.coulomb = as_diagonal("coulomb", coulomb, nv, unit="N m", positive=False)
+        self.coulomb_velocity = as_number("coulomb_velocity", coulomb_velocity, above=0.0)
+        self.sensing = sensing
+        self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
+        self.torque_limits = (
+            None
+            if torque_limits is None
+            else as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         )
         self.dynamics = Dynamics(robot)
+
+    @property
+    def needs_sampling(self) -> bool:
+        """Whether only sampled control makes sense of it, with measurements or torques late."""
+        return self.sensing is not None or self.actuator_delay > 0.0
+
+    def require_ideal(self, what: str) -> None:
+        """Refuse a plant with anything beyond eq. (1), for an analysis that knows eq. (1) only.
+
+        Raises:
+            InvalidInputError: Coulomb friction, sensing, an actuator delay or torque limits.
+        """
+        if self.coulomb.any() or self.needs_sampling or self.torque_limits is not None:
+            raise InvalidInputError(
+                f"{what} is for a plant without Coulomb friction, sensing, actuator delay and "
+                f"torque limits, got {self!r}",
+                given=self,
+            )
 
     def require_task(self, task: Task) -> None:
         """Refuse a controller's task whose coordinates are not those that the sensor measures.
@@ -64,12 +116,22 @@ class Plant:
         """q̈ under a torque, shape (n_v,) [rad/s² or m/s²]."""
         v = as_vector("v", v, self.robot.nv)
         tau = as_vector("tau", tau, self.robot.nv)
-        return self.dynamics.forward(q, v, tau - self.friction * v)
+        return self.dynamics.forward(q, v, self.joint_torque(v, tau))
+
+    def joint_torque(self, v: Array, tau: Array) -> Array:
+        """What of a torque arrives at the joints: within the motors' limits, less friction."""
+        if self.torque_limits is not None:
+            tau = np.clip(tau, -self.torque_limits, self.torque_limits)
+        friction = self.friction * v
+        if self.coulomb.any():
+            friction = friction + self.coulomb * np.tanh(v / self.coulomb_velocity)
+        return tau - friction
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
-        """What a controller gets to know at time t [s]."""
+        """What ideal sensors measure at time t [s]."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         return Measurement(t, q, v, self.sensor.value(q))
 
     def __repr__(self) -> str:
-        return f"Plant({self.robot!r}, {self.sensor!r}, friction={self.friction.tolist()})"
+        name = type(self).__name__
+        return f"{name}({self.robot!r}, {self.sensor!r}, friction={self.friction.tolist()})"

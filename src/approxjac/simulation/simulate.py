@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -12,6 +13,7 @@ from approxjac.errors import InvalidInputError, MeasurementError, SimulationErro
 from approxjac.interface import Controller, Evaluation, Measurement
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
+from approxjac.simulation.sensing import SensorReadings
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.tasks import Task
 
@@ -30,6 +32,7 @@ def simulate(
     v0: Sequence[float] | Array | None = None,
     record_every: float | None = None,
     integrator: str = "rk4",
+    seed: int = 0,
     rtol: float = 1e-9,
     atol: float = 1e-11,
     progress: Progress | None = None,
@@ -39,7 +42,7 @@ def simulate(
     Args:
         plant: The true robot.
         controller: Anything with the interface of `Controller`.
-        target: x_d, shape (m,) [unit of the task].
+        target: x_d, shape (n_x,) [unit of the task].
         q0: Start configuration, shape (nq,).
         duration: > 0 [s].
         dt: Sampling time [s]: torques are held over it, as a robot does. None integrates
@@ -49,6 +52,7 @@ def simulate(
             A whole number of them fits into duration where dt is None; it is a whole number of dt
             otherwise, and the last instant is recorded too.
         integrator: Of the plant between samples: "rk4" or "semi_implicit_euler".
+        seed: Of the noise and the dropouts of the plant's sensing, ≥ 0.
         rtol: Relative tolerance of the continuous integration.
         atol: Absolute tolerance of the continuous integration.
         progress: Called now and then with the time reached [s].
@@ -72,13 +76,25 @@ def simulate(
     if isinstance(task, Task):
         plant.require_task(task)
     robot = plant.robot
-    x_d = as_array("target", target, (plant.sensor.m,), plant.sensor.unit)
+    x_d = plant.sensor.target(target)
     q = robot.configuration(as_array("q0", q0, (robot.nq,), "rad"), "q0")
     v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
     duration = as_number("duration", duration, unit="s", above=0.0)
     if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, "the integrators", INTEGRATORS)
+    if type(seed) is not int or seed < 0:
+        raise InvalidInputError(f"seed must be an integer >= 0, got {seed!r}", given=seed)
+    if progress is not None and not callable(progress):
+        raise InvalidInputError(
+            f"progress must be a function of the time reached [s], got {progress!r}", given=progress
+        )
     if dt is None:
+        if plant.needs_sampling:
+            raise InvalidInputError(
+                "dt must be given for a plant with sensing or an actuator delay: they are those "
+                "of sampled control",
+                given=dt,
+            )
         count = 1000 if record_every is None else _whole("record_every", record_every, duration)
         rtol = as_number("rtol", rtol, above=0.0)
         atol = as_number("atol", atol, above=0.0)
@@ -94,25 +110,30 @@ def simulate(
             record_every = as_number("record_every", record_every, unit="s", above=0.0)
             stride = _whole("dt", dt, record_every, whole="record_every")
         with _overflow_is_expected():
-            record = _sampled(plant, controller, x_d, q, v, dt, steps, stride, integrator, progress)
+            record = _sampled(
+                plant, controller, x_d, q, v, dt, steps, stride, integrator, seed, progress
+            )
     return _trajectory(plant, x_d, *record)
 
 
 def _trajectory(
     plant: Plant,
     x_d: Array,
-    measurements: list[Measurement],
+    truths: list[Measurement],
+    seen: list[Array],
     states: Array,
     evaluations: list[Evaluation],
 ) -> Trajectory:
     """Put what was recorded into arrays with time as their first axis."""
     robot = plant.robot
+    x = np.array([truth.x for truth in truths])
     return Trajectory(
-        t=np.array([measurement.t for measurement in measurements]),
-        q=np.array([measurement.q for measurement in measurements]),
-        v=np.array([measurement.v for measurement in measurements]),
-        x=np.array([measurement.x for measurement in measurements]),
-        error=np.array([e.e for e in evaluations]),
+        t=np.array([truth.t for truth in truths]),
+        q=np.array([truth.q for truth in truths]),
+        v=np.array([truth.v for truth in truths]),
+        x=x,
+        x_measured=np.array(seen),
+        error=np.array([plant.sensor.error(value, x_d) for value in x]),
         tau=np.array([e.torque for e in evaluations]),
         state=states,
         status=np.array([int(e.status) for e in evaluations], dtype=np.int64),
@@ -122,7 +143,7 @@ def _trajectory(
         joint_names=robot.joint_names,
         joint_units=robot.joint_units,
         task_labels=plant.sensor.labels,
-        task_unit=plant.sensor.unit,
+        task_units=plant.sensor.units,
     )
 
 
@@ -141,15 +162,16 @@ def _diverged(t: float, duration: float, error: Exception) -> SimulationError:
 
 def _copied(answer: Evaluation) -> Evaluation:
     """Return an answer to keep: a controller may use one buffer for all its torques."""
-    return answer._replace(torque=answer.torque.copy(), e=answer.e.copy())
+    return answer._replace(torque=answer.torque.copy())
 
 
-def _first_state(plant: Plant, controller: Controller, x_d: Array, q: Array, v: Array) -> Array:
+def _first_state(
+    plant: Plant, controller: Controller, x_d: Array, measurement: Measurement
+) -> Array:
     """Initial state of a controller, after one evaluation whose answer is looked at.
 
     What is wrong with the arguments or the controller shows here, and not as a divergence.
     """
-    measurement = plant.measure(0.0, q, v)
     state = as_array(
         "the controller's initial_state",
         controller.initial_state(measurement),
@@ -159,7 +181,8 @@ def _first_state(plant: Plant, controller: Controller, x_d: Array, q: Array, v: 
     require("the controller's answer", answer, Evaluation, "an Evaluation")
     as_array("the controller's torque", answer.torque, (plant.robot.nv,), "N m or N")
     as_array("the controller's state_rate", answer.state_rate, state.shape)
-    as_array("the controller's e", answer.e, (plant.sensor.m,), plant.sensor.unit)
+    if np.isfinite(measurement.x).all():  # a lost x has no error
+        as_array("the controller's e", answer.e, (plant.sensor.m,), plant.sensor.unit)
     return state
 
 
@@ -189,7 +212,7 @@ def _continuous(
     rtol: float,
     atol: float,
     progress: Progress | None,
-) -> tuple[list[Measurement], Array, list[Evaluation]]:
+) -> tuple[list[Measurement], list[Array], Array, list[Evaluation]]:
     """Integrate (q, v, controller state) together, and record on a grid.
 
     Every joint has one degree of freedom, so the motion since the start, ξ with ξ̇ = q̇, is a
@@ -208,7 +231,7 @@ def _continuous(
         )
 
     times = np.linspace(0.0, duration, count + 1)
-    state = _first_state(plant, controller, x_d, q0, v0)
+    state = _first_state(plant, controller, x_d, plant.measure(0.0, q0, v0))
     records = np.empty((count + 1, 2 * n + len(state)))
     records[0] = np.concatenate([np.zeros(n), v0, state])
     solver = LSODA(flow, 0.0, records[0], duration, rtol=rtol, atol=atol)
@@ -246,7 +269,7 @@ def _continuous(
         _copied(controller.evaluate(state, measurement, x_d))
         for state, measurement in zip(states, measurements, strict=True)
     ]
-    return measurements, states, evaluations
+    return measurements, [measurement.x for measurement in measurements], states, evaluations
 
 
 def _sampled(
@@ -259,31 +282,43 @@ def _sampled(
     steps: int,
     stride: int,
     integrator: str,
+    seed: int,
     progress: Progress | None,
-) -> tuple[list[Measurement], Array, list[Evaluation]]:
+) -> tuple[list[Measurement], list[Array], Array, list[Evaluation]]:
     """Hold each torque over dt; the controller's state takes an Euler step."""
     step = INTEGRATORS[integrator]
-    state = _first_state(plant, controller, x_d, q, v)
-    measurements: list[Measurement] = []
+    readings = None
+    if plant.sensing is not None:
+        readings = SensorReadings(plant.sensing, plant.sensor, dt, seed)
+    truth = plant.measure(0.0, q, v)
+    measurement = truth if readings is None else readings.read(truth)
+    state = _first_state(plant, controller, x_d, measurement)
+    late = round(min(plant.actuator_delay / dt, float(steps)))
+    waiting = deque([plant.dynamics.g(q)] * late)
+    truths: list[Measurement] = []
+    seen: list[Array] = []
     states: list[Array] = []
     evaluations: list[Evaluation] = []
     for k in range(steps + 1):
         try:
-            measurement = plant.measure(k * dt, q, v)
             answer = controller.evaluate(state, measurement, x_d)
         except (InvalidInputError, MeasurementError) as error:
             raise _diverged(k * dt, steps * dt, error) from error
         if k % stride == 0 or k == steps:
-            measurements.append(measurement)
+            truths.append(truth)
+            seen.append(measurement.x)
             states.append(state)
             evaluations.append(_copied(answer))
             if progress is not None:
-                progress(measurement.t)
+                progress(truth.t)
         if k < steps:
+            waiting.append(answer.torque.copy())
             state = state + dt * answer.state_rate
             try:
-                q, v = step(plant, q, v, answer.torque, dt)
+                q, v = step(plant, q, v, waiting.popleft(), dt)
                 as_array("state", state, state.shape)
+                truth = plant.measure((k + 1) * dt, q, v)
             except InvalidInputError as error:
                 raise _diverged((k + 1) * dt, steps * dt, error) from error
-    return measurements, np.array(states), evaluations
+            measurement = truth if readings is None else readings.read(truth)
+    return truths, seen, np.array(states), evaluations

@@ -25,24 +25,26 @@ class Trajectory:
         t: Time, shape (N,) [s].
         q: Configuration, shape (N, nq).
         v: Velocity, shape (N, n_v).
-        x: Measured task value, shape (N, m).
-        error: e = x − x_d, shape (N, m).
+        x: True task value, shape (N, n_x).
+        x_measured: What was measured of it, NaN where it was lost, shape (N, n_x).
+        error: True error of x to the target, shape (N, m).
         tau: Torque, shape (N, n_v).
         state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
         status: `Status` at these instants, shape (N,).
         sigma_min: Smallest singular value of Ĵ, shape (N,).
-        target: x_d, shape (m,).
+        target: x_d, shape (n_x,).
         robot_name: Name of the true robot.
         joint_names: In the order of v and τ.
         joint_units: "rad", or "m" for prismatic joints, in the same order.
-        task_labels: Names of the task coordinates.
-        task_unit: Unit of x, error and target.
+        task_labels: Names of the task coordinates, length m.
+        task_units: Their units, length m.
     """
 
     t: Array
     q: Array
     v: Array
     x: Array
+    x_measured: Array
     error: Array
     tau: Array
     state: Array
@@ -53,7 +55,12 @@ class Trajectory:
     joint_names: tuple[str, ...]
     joint_units: tuple[str, ...]
     task_labels: tuple[str, ...]
-    task_unit: str
+    task_units: tuple[str, ...]
+
+    @property
+    def task_unit(self) -> str:
+        """Unit of x, error and target; different ones are joined by "or"."""
+        return " or ".join(dict.fromkeys(self.task_units))
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -133,7 +140,7 @@ class Trajectory:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 texts = json.loads(str(file["texts"]))
                 arrays = {f.name: file[f.name] for f in fields(cls) if f.name not in _TEXTS}
-            for name in ("joint_names", "joint_units", "task_labels"):
+            for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])
             run = cls(**arrays, **texts)
             run._require_shapes()
@@ -151,8 +158,9 @@ class Trajectory:
         """Raise a ValueError if arrays do not fit together."""
         n, joints, m = len(self.t), len(self.joint_names), len(self.task_labels)
         shapes: dict[str, tuple[int, ...]]
-        shapes = {"v": (n, joints), "tau": (n, joints), "x": (n, m), "error": (n, m)}
-        shapes |= {"t": (n,), "status": (n,), "sigma_min": (n,), "target": (m,)}
+        shapes = {"v": (n, joints), "tau": (n, joints), "error": (n, m)}
+        shapes |= {"t": (n,), "status": (n,), "sigma_min": (n,), "target": self.target.shape[:1]}
+        shapes |= dict.fromkeys(("x", "x_measured"), (n, *self.target.shape))
         # of these the second length is not known here, but they must have one
         shapes |= {name: (n, getattr(self, name).shape[-1]) for name in ("q", "state")}
         for name, shape in shapes.items():
@@ -163,8 +171,12 @@ class Trajectory:
             raise ValueError("it is empty or has an unknown status")
         if not (np.isfinite(self.t).all() and (np.diff(self.t) > 0.0).all()):
             raise ValueError("its times do not increase")
-        names = (*self.joint_names, *self.joint_units, *self.task_labels, self.robot_name)
-        if len(self.joint_units) != joints or not all(isinstance(name, str) for name in names):
+        names = (*self.joint_names, *self.joint_units, *self.task_labels, *self.task_units)
+        if (
+            len(self.joint_units) != joints
+            or len(self.task_units) != m
+            or not all(isinstance(name, str) for name in (*names, self.robot_name))
+        ):
             raise ValueError("its names and units do not fit its arrays")
 
     def __repr__(self) -> str:
@@ -190,4 +202,4 @@ _UNREADABLE = (
     OSError, EOFError, ValueError, KeyError, TypeError, IndexError, RuntimeError,
     NotImplementedError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-_TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_unit")
+_TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")

@@ -54,18 +54,26 @@ def local_stability(
         q_target: Posture that attains the target, shape (nq,).
 
     Raises:
-        InvalidInputError: A controller of law (5) or (28), whose linearisation is another; one
-            whose gravity is not exact near the posture, which is then no equilibrium; another
-            task than the sensor's; or a posture of the wrong shape.
+        InvalidInputError: A controller of law (5) or (28), or with a `Posture`, whose
+            linearisation is another; one whose gravity is not exact near `q_target`, which is
+            then no equilibrium; another task than the sensor's; a `q_target` of the wrong shape;
+            or a plant with Coulomb friction, sensing, actuator delay or torque limits.
     """
     require("plant", plant, Plant, "a Plant")
     require("controller", controller, SetpointController, "a SetpointController")
     plant.require_task(controller.task)
+    plant.require_ideal("the local test")
     q = plant.robot.configuration(q_target, "q_target")
     if controller.velocity is not None or isinstance(controller.gravity, AdaptiveGravity):
         raise InvalidInputError(
             "local_stability is for law (6), with the estimated task velocity and known gravity, "
             f"got {controller!r}",
+            given=controller,
+        )
+    if controller.posture is not None:
+        raise InvalidInputError(
+            "local_stability is for controllers without a posture, whose torque is not linearised, "
+            f"got {controller.posture!r}",
             given=controller,
         )
     model = plant.robot.model

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from approxjac import law
 from approxjac.checks import Array, as_array, as_number, require
-from approxjac.controllers import AdaptiveGravity, SetpointController
+from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 
@@ -32,14 +32,16 @@ def lyapunov(
     """Evaluate the Lyapunov function of law (6), or (28), and its decrease.
 
     Along the closed loop dV/dt = −W holds exactly, provided that the controller's gravity is
-    exact, or learnt with the same α and in the span of its regressor.
+    exact, or learnt with the same α and in the span of its regressor (with Ĵ⁺ not damped, no bounds
+    at work, and torques within the limits of `AdaptiveGravity`). A `Posture` adds its power
+    q̇ᵀN τ₀ to dV/dt, which W leaves out.
 
     Args:
         plant: The true robot, sensor and friction.
         controller: The controller with its believed robot; Ĵ must be of full rank at q.
         q: Configuration, shape (nq,).
         v: Velocity, shape (n_v,).
-        target: x_d, shape (m,).
+        target: x_d, shape (n_x,).
         alpha: α of (10) [1/s].
         state: Controller state, needed where gravity is learnt, shape (n_state,).
         theta: True gravity parameters in the regressor of the controller, needed where gravity
@@ -47,21 +49,23 @@ def lyapunov(
 
     Raises:
         InvalidInputError: A controller of law (5); one that learns gravity without `state` and
-            `theta`, or with another α; another task than the sensor's; a singular Ĵ.
+            `theta`, or with another α; another task than the sensor's; a singular Ĵ; a plant with
+            Coulomb friction, sensing, actuator delay or torque limits.
     """
     require("plant", plant, Plant, "a Plant")
     require("controller", controller, SetpointController, "a SetpointController")
     plant.require_task(controller.task)
+    plant.require_ideal("the Lyapunov function")
     alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
     if controller.velocity is not None:
         raise InvalidInputError(
             f"V and W are those of the laws (6) and (28), got {controller!r}", given=controller
         )
     q, v = plant.robot.configuration(q), as_array("v", v, (plant.robot.nv,))
-    target = as_array("target", target, (plant.sensor.m,), plant.sensor.unit)
+    target = plant.sensor.target(target)
     task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
     kp, kv, damping = controller.diagonals
-    e = sensor.value(q) - target
+    e = sensor.error(sensor.value(q), target)
     s = controller.saturation.s(e)
     J, J_hat = sensor.jacobian(q), task.jacobian(q)
     sigma_min, sigma_max = law.extreme_singular_values(J_hat)
@@ -74,21 +78,21 @@ def lyapunov(
     J_hat_pinv = law.right_pinv(J_hat)
     M = dynamics.M(q)
     V = law.V(v, s, controller.saturation.S(e), J_hat_pinv, M, kp, kv, alpha)
-    if isinstance(controller.gravity, AdaptiveGravity):
-        if state is None or theta is None or alpha != controller.gravity.alpha:
+    if controller.adaptation is not None:
+        if state is None or theta is None or alpha != controller.adaptation.alpha:
             raise InvalidInputError(
                 "where gravity is learnt, state and theta must be given and alpha must be the "
-                f"controller's {controller.gravity.alpha:g}, got alpha = {alpha:g}, "
+                f"controller's {controller.adaptation.alpha:g}, got alpha = {alpha:g}, "
                 f"state = {state!r}, theta = {theta!r}",
                 given=(alpha, state, theta),
             )
         state = as_array("state", state, (controller.n_state,))
         theta = as_array("theta", theta, (controller.n_state,))
-        V += law.parameter_potential(theta - controller.theta_hat(state), controller.gravity.L)
+        V += law.parameter_potential(theta - controller.theta_hat(state), controller.adaptation.L)
     W = law.W(
         v,
         s,
-        controller.saturation.ds(e) * (J @ v),
+        controller.saturation.ds(e) * sensor.error_rate(e, J @ v),
         J,
         J_hat,
         J_hat_pinv,

@@ -3,7 +3,20 @@
 from approxjac.tasks.camera import Camera, PlanarCamera
 from approxjac.tasks.frame import FrameKinematics
 from approxjac.tasks.image import ImageTask
+from approxjac.tasks.nonsingular import NonsingularTask
+from approxjac.tasks.pose import PoseTask
 from approxjac.tasks.position import PositionTask
+from approxjac.tasks.stacked import StackedTask
 from approxjac.tasks.task import Task
 
-__all__ = ["Camera", "FrameKinematics", "ImageTask", "PlanarCamera", "PositionTask", "Task"]
+__all__ = [
+    "Camera",
+    "FrameKinematics",
+    "ImageTask",
+    "NonsingularTask",
+    "PlanarCamera",
+    "PoseTask",
+    "PositionTask",
+    "StackedTask",
+    "Task",
+]

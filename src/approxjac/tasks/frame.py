@@ -1,4 +1,4 @@
-"""Position and Jacobian of one frame of a robot, in the world's axes."""
+"""Position, orientation and Jacobian of one frame of a robot, in the world's axes."""
 
 from __future__ import annotations
 
@@ -31,22 +31,39 @@ class FrameKinematics:
         self._id = robot.frame_id(frame)
         self._model = robot.model
         self._data = self._model.createData()
+        # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
+        self._all = robot.coupling.model
+        self._all_data = self._data if self._all is self._model else self._all.createData()
+        self._id_in_all = self._all.getFrameId(frame, self._model.frames[self._id].type)
 
     def position(self, q: Array) -> Array:
         """Position of the frame's origin in the world, shape (3,) [m]."""
-        pin.forwardKinematics(self._model, self._data, self.robot.configuration(q))
-        return np.array(pin.updateFramePlacement(self._model, self._data, self._id).translation)
+        return np.array(self._placement(q).translation)
+
+    def pose(self, q: Array) -> Array:
+        """Position [m] and unit quaternion (x, y, z, w) of the frame in the world, shape (7,)."""
+        return np.array(pin.SE3ToXYZQUAT(self._placement(q)))
 
     def jacobian(self, q: Array) -> Array:
         """Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, shape (6, n_v)."""
-        q = self.robot.configuration(q)
+        return self.compute_jacobian(self.robot.configuration(q))
+
+    def compute_jacobian(self, q: Array) -> Array:
+        """`jacobian` at a q that has been checked already, for loops."""
         J: Array = pin.computeFrameJacobian(self._model, self._data, q, self._id, _LWA)
         return J
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Time derivative of `jacobian` along q̇, shape (6, n_v)."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        pin.computeJointJacobiansTimeVariation(self._model, self._data, q, v)
-        pin.updateFramePlacement(self._model, self._data, self._id)
-        J_dot: Array = pin.getFrameJacobianTimeVariation(self._model, self._data, self._id, _LWA)
-        return J_dot
+        coupling, frame = self.robot.coupling, self._id_in_all
+        pin.computeJointJacobiansTimeVariation(
+            self._all, self._all_data, coupling.q(q), coupling.v(v)
+        )
+        pin.updateFramePlacement(self._all, self._all_data, frame)
+        J_dot: Array = pin.getFrameJacobianTimeVariation(self._all, self._all_data, frame, _LWA)
+        return coupling.columns(J_dot)
+
+    def _placement(self, q: Array) -> pin.SE3:
+        pin.forwardKinematics(self._model, self._data, self.robot.configuration(q))
+        return pin.updateFramePlacement(self._model, self._data, self._id)

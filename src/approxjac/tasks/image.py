@@ -6,8 +6,7 @@ from approxjac.checks import Array, require
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
 from approxjac.tasks.frame import FrameKinematics
-from approxjac.tasks.position import require_rows
-from approxjac.tasks.task import Task
+from approxjac.tasks.task import Task, require_rows
 
 
 class ImageTask(Task):
@@ -51,15 +50,15 @@ class ImageTask(Task):
         return self._camera.labels
 
     @property
-    def unit(self) -> str:
-        return self._camera.unit
+    def units(self) -> tuple[str, ...]:
+        return (self._camera.unit,) * len(self._camera.labels)
 
     def value(self, q: Array) -> Array:
         return self._camera.project(self._frame.position(q))
 
-    def jacobian(self, q: Array) -> Array:
+    def compute_jacobian(self, q: Array) -> Array:
         r = self._frame.position(q)
-        return self._camera.interaction(r) @ self._frame.jacobian(q)[:3]
+        return self._camera.interaction(r) @ self._frame.compute_jacobian(q)[:3]
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         r, J_e = self._frame.position(q), self._frame.jacobian(q)[:3]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from approxjac.checks import Array, axis_rows, require
-from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.tasks.frame import FrameKinematics
-from approxjac.tasks.task import Task
+from approxjac.tasks.task import Task, require_rows
 
 
 class PositionTask(Task):
@@ -45,27 +44,17 @@ class PositionTask(Task):
         return self._labels
 
     @property
-    def unit(self) -> str:
-        return "m"
+    def units(self) -> tuple[str, ...]:
+        return ("m",) * len(self._labels)
 
     def value(self, q: Array) -> Array:
         return self._frame.position(q)[self._rows]
 
-    def jacobian(self, q: Array) -> Array:
-        return self._frame.jacobian(q)[self._rows]
+    def compute_jacobian(self, q: Array) -> Array:
+        return self._frame.compute_jacobian(q)[self._rows]
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return self._frame.jacobian_dot(q, v)[self._rows]
 
     def __repr__(self) -> str:
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {''.join(self.labels)!r})"
-
-
-def require_rows(m: int, robot: Robot) -> None:
-    """Refuse a task of more coordinates than the robot has joints: Ĵ⁺ would not exist."""
-    if m > robot.nv:
-        raise InvalidInputError(
-            f"a task must have at most as many coordinates as the robot has joints "
-            f"(m <= n_v), got m = {m} for {robot.name} with n_v = {robot.nv}",
-            given=m,
-        )

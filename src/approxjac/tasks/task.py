@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from approxjac.checks import Array
+import numpy as np
+
+from approxjac.checks import Array, as_array
+from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 
 
@@ -13,6 +16,9 @@ class Task(ABC):
 
     A controller uses the task of the *believed* robot, and of it only the Jacobian Ĵ: the value
     X comes from a measurement. A sensor is the same kind of object on the *true* robot.
+
+    The error e of a value to a target has m coordinates. Mostly e = X − X_d and X has m entries
+    too; a pose has 7 entries and an error of 6 coordinates.
 
     Owns scratch memory: one instance a thread.
     """
@@ -25,26 +31,99 @@ class Task(ABC):
     @property
     @abstractmethod
     def labels(self) -> tuple[str, ...]:
-        """Names of the task coordinates, length m."""
+        """Names of the error's coordinates, length m."""
 
     @property
     @abstractmethod
-    def unit(self) -> str:
-        """Unit of the task coordinates."""
+    def units(self) -> tuple[str, ...]:
+        """Units of the error's coordinates, length m."""
 
     @property
     def m(self) -> int:
-        """Number of task coordinates."""
+        """Number of task coordinates: of the error, and rows of the Jacobian."""
         return len(self.labels)
+
+    @property
+    def n_x(self) -> int:
+        """Length of a value X, and of a target."""
+        return self.m
+
+    @property
+    def unit(self) -> str:
+        """Unit of the task coordinates; different ones are joined by "or"."""
+        return " or ".join(dict.fromkeys(self.units))
 
     @abstractmethod
     def value(self, q: Array) -> Array:
-        """X = h(q), shape (m,)."""
+        """X = h(q), shape (n_x,)."""
+
+    def jacobian(self, q: Array) -> Array:
+        """J of ė = J q̇ near e = 0 (∂h/∂q where e = X − X_d), shape (m, n_v).
+
+        Raises:
+            InvalidInputError: A q of the wrong length or not finite.
+        """
+        return self.compute_jacobian(self.robot.configuration(q))
 
     @abstractmethod
-    def jacobian(self, q: Array) -> Array:
-        """∂h/∂q in the tangent space, shape (m, n_v)."""
+    def compute_jacobian(self, q: Array) -> Array:
+        """`jacobian` at a q that has been checked already, for loops."""
 
     @abstractmethod
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """d/dt of `jacobian` along q̇, shape (m, n_v)."""
+
+    def error(self, x: Array, x_d: Array) -> Array:
+        """Error e of a value x to a target, both of shape (n_x,); shape (m,), NaN if x is lost."""
+        return x - x_d
+
+    @property
+    def subtracts(self) -> bool:
+        """Whether the error is x − x_d."""
+        return type(self).error is Task.error
+
+    @property
+    def origin(self) -> Array:
+        """A value to measure others from: zero, or no rotation; shape (n_x,)."""
+        return np.zeros(self.n_x)
+
+    def displaced(self, x: Array, e: Array) -> Array:
+        """Value whose error to x (n_x,) is e (m,); shape (n_x,)."""
+        return x + e
+
+    def error_rate(self, e: Array, Jv: Array) -> Array:
+        """ė where the error is e and the Jacobian gives J q̇; shape (m,)."""
+        return Jv
+
+    def target(self, x_d: object) -> Array:
+        """Return a target as a read-only array of shape (n_x,).
+
+        Raises:
+            InvalidInputError: Wrong shape, not finite, or without an error to it.
+        """
+        target = as_array("target", x_d, (self.n_x,), self.unit)
+        if not (np.abs(self.error(target, target)) < 1e-6).all():
+            raise InvalidInputError(
+                f"target must be a value of {self!r}, got {target.tolist()}", given=x_d
+            )
+        return target
+
+
+def vanishing(task: Task) -> float:
+    """A tenth of the σ_max that the task's Jacobian typically has: below it, it is vanishing.
+
+    The median over seeded random postures within the joint limits [unit of the task/rad].
+    """
+    rng = np.random.default_rng(0)
+    postures = [task.robot.random_configuration(rng) for _ in range(20)]
+    return 0.1 * float(np.median([np.linalg.norm(task.jacobian(q), 2) for q in postures]))
+
+
+def require_rows(m: int, robot: Robot) -> None:
+    """Refuse a task of more coordinates than the robot has joints: Ĵ⁺ would not exist."""
+    if m > robot.nv:
+        raise InvalidInputError(
+            f"a task must have at most as many coordinates as the robot has joints "
+            f"(m <= n_v), got m = {m} for {robot.name} with n_v = {robot.nv}",
+            given=m,
+        )

@@ -31,28 +31,47 @@ def plot_error(run: Trajectory, ax: Axes | None = None, *, title: str = "Task er
     """
     with style():
         ax = _axes(ax)
-        factor, unit = (1e3, "mm") if run.task_unit == "m" else (1.0, run.task_unit)
+        scales = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}
+        units = [scales.get(unit, (unit, 1.0)) for unit in run.task_units]
         ax.axhline(0.0, color=TARGET, linewidth=0.8)
-        for i, label in enumerate(run.task_labels):
+        for i, (label, (_, factor)) in enumerate(zip(run.task_labels, units, strict=True)):
             ax.plot(run.t, factor * run.error[:, i], color=COLORS[i % len(COLORS)], label=label)
-        ax.set(xlabel="time [s]", ylabel=f"x − x_d [{unit}]", title=title)
+        shown = " or ".join(dict.fromkeys(unit for unit, _ in units))
+        ax.set(xlabel="time [s]", ylabel=f"x − x_d [{shown}]", title=title)
         legend_below(ax)
     return ax
 
 
-def plot_torque(run: Trajectory, ax: Axes | None = None, *, title: str = "Joint torque") -> Axes:
+def plot_torque(
+    run: Trajectory,
+    ax: Axes | None = None,
+    *,
+    limits: Array | None = None,
+    title: str = "Joint torque",
+) -> Axes:
     """Draw the torque of each joint against time.
 
     Args:
         run: The run.
         ax: Axes to draw into; new ones by default.
+        limits: Effort limits, shape (n_v,) [N m or N], infinite where none is known. With them
+            each torque is drawn as a share of its limit.
         title: Of the axes.
     """
     with style():
         ax = _axes(ax)
+        scale = np.ones(run.tau.shape[1])
+        known = limits is not None and bool(np.isfinite(limits).any())
+        if limits is not None and known:
+            scale = np.where(np.isfinite(limits), limits, np.nan)  # no line where none is known
         for i, joint in enumerate(run.joint_names):
-            ax.plot(run.t, run.tau[:, i], color=COLORS[i % len(COLORS)], label=joint)
-        ax.set(xlabel="time [s]", ylabel=f"τ [{run.units['tau']}]", title=title)
+            color = COLORS[i % len(COLORS)]
+            ax.plot(run.t, run.tau[:, i] / scale[i], color=color, label=joint)
+        if known:
+            for side in (-1.0, 1.0):
+                ax.axhline(side, color=TARGET, linewidth=1.0, linestyle="--")
+        label = "τ / limit" if known else f"τ [{run.units['tau']}]"
+        ax.set(xlabel="time [s]", ylabel=label, title=title)
         legend_below(ax)
     return ax
 

@@ -1,0 +1,160 @@
+"""Default gains, from the believed arm's own inertia and a wanted settling time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from approxjac.checks import Array, as_number, require
+from approxjac.controllers.gains import Diagonals, Gains
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.tasks import Task
+
+_POSTURES = 100
+_REGULAR = 0.05  # postures with σ_min below this share of σ_max are left out
+_DAMPING_SHARE = 0.03
+_LEARNING_SPEED = 3.0
+_FASTEST_LEARNING = 10.0
+_NO_DAMPING = 1e-9  # instead of none, which would divide by zero
+_NO_TIME = 1e-50  # settling times below it have gains that overflow [s]
+
+
+def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 1000.0) -> Gains:
+    """Gains with which the believed arm settles to 2 % in about `settling_time`.
+
+    With r = 4 / settling_time, Λ the inertia that the arm shows to a force along a task
+    coordinate, 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ, and M its inertia matrix, each the median over postures within
+    the joint limits (seeded, singular ones left out):
+
+        K_v = 4 r Λ,   B_c = r Mᵢᵢ + b,   b = 0.03 λ_max[Ĵᵀ K_v Ĵ],   K_p = r (K_v + K_b),
+
+    with K_b = 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ what B_c adds to the damping along a coordinate. So the slow
+    pole of Λë + (K_v + K_b) ė + K_p e = 0 is at about −r. Coordinates of one unit get the same
+    gain, so the rule has no favourite axis and orientation keeps its potential; those of an
+    orientation get K_v ≥ 2 b.
+
+    The added damping lets condition (21) hold: it asks for λ_min[ĴᵀK_vĴ + B] > 0, and along a
+    self-motion that is B alone. Its first term makes a self-motion decay like exp(−r t). The
+    second keeps the wrist quiet when a tool is longer than believed: Ĵ has no lever there
+    and K_v no effect, while the error feels the tool's.
+
+    Damping that acts faster than it is computed turns into its opposite. So K_v (and K_p with it)
+    of each unit and B_c of each joint are reduced to where λ_max[M⁻¹ĴᵀK_vĴ] and (M⁻¹)ᵢᵢ B_c, each
+    taken alone, are at most half of `bandwidth`.
+
+    Args:
+        task: The task of the believed robot.
+        settling_time: > 0 [s].
+        bandwidth: How fast damping may be > 0 [1/s]: 1/dt where control is sampled with an exact q̇,
+            1/(dt + T) with a q̇ that is filtered with the time constant T.
+
+    Raises:
+        InvalidInputError: Numbers that are not positive, or a task that is singular in every
+            posture.
+    """
+    require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+    rate = 4.0 / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
+    fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
+    dynamics = Dynamics(task.robot)
+    jacobians, inertias, inverses = [], [], []
+    for q, J in _regular_postures(task):
+        jacobians.append(J)
+        inertias.append(dynamics.M(q))
+        inverses.append(np.linalg.inv(inertias[-1]))
+    mobility = [J @ inverse @ J.T for J, inverse in zip(jacobians, inverses, strict=True)]
+    inertia = np.median([1.0 / np.diag(A) for A in mobility], axis=0)
+    angles, groups = np.array(task.units) == "rad", _groups(task)
+    kv = np.empty(task.m)
+    for group in groups:
+        kv[group] = 4.0 * rate * inertia[group].mean()
+    largest = [np.linalg.norm(J * np.sqrt(kv)[:, None], 2) ** 2 for J in jacobians]
+    quieting = _DAMPING_SHARE * float(np.median(largest))
+    kv[angles] = np.maximum(kv[angles], 2.0 * quieting)
+    for group in groups:
+        # M⁻¹JᵀK_vJ has the eigenvalues of K_v times the mobility
+        fastest_mode = max(np.linalg.norm(A[np.ix_(group, group)], 2) for A in mobility)
+        kv[group] = np.minimum(kv[group], fastest / fastest_mode)
+    damping = rate * np.median([np.diag(M) for M in inertias], axis=0) + quieting
+    most = fastest / np.max([np.diag(inverse) for inverse in inverses], axis=0)
+    damping = np.minimum(damping, most)
+    return Gains(kp=rate * (kv + _felt_damping(task, damping, jacobians)), kv=kv, damping=damping)
+
+
+def default_adaptation(
+    task: Task, gains: Diagonals, regressor: GravityRegressor, alpha: float | None = None
+) -> tuple[Array, float]:
+    """L and α for learning gravity about as fast as the gains let the task settle.
+
+    α is the rate of the task's slow pole, min k_p / (k_v + K_b) with the K_b of `default_gains`.
+    L = k D with D = 1/mean(‖Zᵢ‖²), so that every parameter counts by the torque it makes, and k
+    such that near the target, where the position force makes up for what gravity compensation
+    lacks, that lack dies out with three times that rate where it does so fastest (the median over
+    postures).
+
+    Learning a parameter and the motion of the joints that it acts on make an oscillator of
+    frequency ω² = Lᵢ Zᵢᵀ M⁻¹ Zᵢ. An entry of L is reduced to where ω is at most ten times the rate
+    of the slow pole in every posture, or a light wrist would be shaken by what is learnt.
+
+    Args:
+        task: The task of the believed robot.
+        gains: Its gains.
+        regressor: Gravity regressor of the believed robot.
+        alpha: α if it is chosen already [1/s].
+
+    Returns:
+        The diagonal of L, shape (p,), and α [1/s].
+    """
+    postures = _regular_postures(task)
+    felt = _felt_damping(task, gains.damping, [J for _, J in postures])
+    slow = float((gains.kp / (gains.kv + felt)).min())
+    alpha = slow if alpha is None else alpha
+    dynamics = Dynamics(task.robot)
+    columns = [regressor.Z(q) for q, _ in postures]
+    D = 1.0 / np.mean([(Z * Z).sum(axis=0) for Z in columns], axis=0)
+    rates, accelerations = [], []
+    for Z, (q, J) in zip(columns, postures, strict=True):
+        # e = K_p⁻¹ Ĵ⁺ᵀ Z Δθ at rest, and Δθ̇ = −L Zᵀ α Ĵ⁺ e
+        A = np.linalg.solve(J @ J.T, J) @ Z
+        learning = alpha * (A * D).T @ (A / gains.kp[:, None])
+        rates.append(float(np.linalg.eigvals(learning).real.max()))
+        accelerations.append((Z * np.linalg.solve(dynamics.M(q), Z)).sum(axis=0))
+    L = _LEARNING_SPEED * slow / float(np.median(rates)) * D
+    return np.minimum(L, (_FASTEST_LEARNING * slow) ** 2 / np.max(accelerations, axis=0)), alpha
+
+
+def _felt_damping(task: Task, damping: Array, jacobians: list[Array]) -> Array:
+    """What damping B_c of the joints adds to K_v along a task coordinate, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
+
+    The median over postures, and the mean over coordinates of one unit; shape (m,).
+    """
+    mobility = [(J * J) @ (1.0 / np.maximum(damping, _NO_DAMPING)) for J in jacobians]
+    felt: Array = np.median(1.0 / np.array(mobility), axis=0)
+    for group in _groups(task):
+        felt[group] = felt[group].mean()
+    return felt
+
+
+def _groups(task: Task) -> list[np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Which coordinates have the same unit, unit by unit."""
+    units = np.array(task.units)
+    return [units == unit for unit in dict.fromkeys(task.units)]
+
+
+def _regular_postures(task: Task) -> list[tuple[Array, Array]]:
+    """Seeded postures within the limits where the task is not near singular, with Ĵ."""
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(_POSTURES):
+        q = task.robot.random_configuration(rng)
+        J = task.jacobian(q)
+        values = np.linalg.svd(J, compute_uv=False)
+        if values[-1] > _REGULAR * values[0]:
+            found.append((q, J))
+    if not found:
+        raise InvalidInputError(
+            f"task must not be singular everywhere for gains to be chosen, got {task!r}",
+            given=task,
+        )
+    return found

@@ -1,0 +1,123 @@
+"""Mimic joints: joints that move in proportion to another, such as the second finger of a hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array
+from approxjac.errors import UrdfError
+from approxjac.robots.urdf import bare_text
+from approxjac.robots.urdf_edit import followers, leader_of
+
+
+class Coupling:
+    """How all moving joints follow from the n_v that move on their own: q_all = A q + b.
+
+    Pinocchio can leave mimic joints out of q and v, but not every algorithm of it can. Those that
+    cannot refuse such a model, or (Coriolis matrix, Jacobian rates) return something else without
+    a word. They are run on `model`, in which every joint moves on its own, and brought back with
+    v_all = G v, which is constant. Where nothing is coupled, `model` is the robot's own model and
+    every method returns what it is given.
+
+    Attributes:
+        model: Pinocchio model in which mimic joints move on their own.
+        G: v_all = G v, shape (n_all, n_v), or None where nothing is coupled.
+    """
+
+    def __init__(self, model: pin.Model, G: Array | None, A: Array | None, b: Array | None) -> None:
+        self.model = model
+        self.G = G
+        self._A = A
+        self._b = b
+
+    def q(self, q: Array) -> Array:
+        """Configuration of all joints, shape (nq_all,)."""
+        return q if self._A is None or self._b is None else self._A @ q + self._b
+
+    def v(self, v: Array) -> Array:
+        """Velocities of all joints, shape (n_all,)."""
+        return v if self.G is None else self.G @ v
+
+    def columns(self, J: Array) -> Array:
+        """J G: from a Jacobian in all velocities to one in v, shape (…, n_v)."""
+        return J if self.G is None else J @ self.G
+
+    def rows(self, tau: Array) -> Array:
+        """Gᵀ τ: from torques at all joints to those at the n_v, shape (n_v, …)."""
+        return tau if self.G is None else self.G.T @ tau
+
+
+def build_coupled(root: Any, source: str) -> tuple[pin.Model, Coupling]:
+    """Return the Pinocchio model of a URDF, without mimic joints in q and v, and its coupling.
+
+    Args:
+        root: XML root of the URDF.
+        source: What to call it in errors.
+
+    Raises:
+        UrdfError: A mimic joint that follows itself or nothing that moves, or one that Pinocchio
+            cannot couple.
+        ValueError: From Pinocchio, of what is no URDF.
+    """
+    text = bare_text(root)
+    model = pin.buildModelFromXML(text)
+    names = list(model.names)
+    coupled = {joint: follows for joint, follows in followers(root).items() if joint in names}
+    if not coupled:
+        return model, Coupling(model, None, None, None)
+    found = {joint: leader_of(joint, coupled) for joint in coupled}
+    for joint, (leader, _, _) in found.items():
+        fault = _fault(model, joint, leader, coupled)
+        if fault:
+            raise UrdfError(
+                f"{source}: joint {joint!r} mimics {leader!r}, {fault}; make it fixed, or take "
+                "its <mimic> away",
+                given=source,
+            )
+    reduced = pin.buildModelFromXML(_with_direct_leaders(text, found), True)
+    A, b = np.zeros((model.nq, reduced.nq)), np.zeros(model.nq)
+    G = np.zeros((model.nv, reduced.nv))
+    for name, own, kept in zip(names[1:], list(model.joints)[1:], reduced.joints[1:], strict=True):
+        # the indices of a mimic joint are those of its leader
+        _, multiplier, offset = found.get(name, (name, 1.0, 0.0))
+        for k in range(own.nq):
+            A[own.idx_q + k, kept.idx_q + k] = multiplier
+        for k in range(own.nv):
+            G[own.idx_v + k, kept.idx_v + k] = multiplier
+        b[own.idx_q] = offset
+    return reduced, Coupling(model, G, A, b)
+
+
+def _fault(
+    model: pin.Model, joint: str, leader: str, coupled: dict[str, tuple[str, float, float]]
+) -> str:
+    """Why a joint cannot follow another, or nothing."""
+    names = list(model.names)
+    if leader in coupled:
+        return "and the other way round"
+    if leader not in names:
+        return "which does not move"
+    follower, led = names.index(joint), names.index(leader)
+    if any(model.joints[i].nq != 1 for i in (follower, led)):
+        return "and one of them is continuous, which Pinocchio cannot couple"
+    if led > follower:
+        return "which comes after it in Pinocchio's order of joints, so that it cannot couple them"
+    return ""
+
+
+def _with_direct_leaders(text: str, found: dict[str, tuple[str, float, float]]) -> str:
+    """Return the URDF with every mimic joint following a joint that moves on its own."""
+    from lxml import etree
+
+    root = etree.fromstring(text)
+    for joint in root.iterfind("joint"):
+        if joint.get("name") in found:
+            leader, multiplier, offset = found[joint.get("name")]
+            mimic = joint.find("mimic")
+            mimic.set("joint", leader)
+            mimic.set("multiplier", repr(multiplier))
+            mimic.set("offset", repr(offset))
+    return str(etree.tostring(root, encoding="unicode"))

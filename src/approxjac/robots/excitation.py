@@ -1,0 +1,89 @@
+"""Which gravity parameters a motion tells apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from approxjac.checks import Array, as_array, as_number, require, shape_of
+from approxjac.errors import InvalidInputError
+from approxjac.robots.gravity_regressor import GravityRegressor
+
+_NO_EFFECT = 1e-12  # share of the largest effect that is round-off
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Excitation:
+    """How well the postures of a motion tell the parameters θ of g = Z(q)θ apart.
+
+    Attributes:
+        names: Names of the parameters, length p.
+        effect: Root mean square of the torque that one unit of a parameter makes, shape (p,)
+            [N m per unit].
+        own: What of it no combination of the other parameters can make, shape (p,) [N m per unit].
+            Where it is 0, learning cannot tell the parameter from others on this motion.
+        threshold: Share of `effect` that `own` has to reach for a parameter to count as excited.
+        rank: Number of combinations of parameters that the motion excites.
+    """
+
+    names: tuple[str, ...]
+    effect: Array
+    own: Array
+    threshold: float
+    rank: int
+
+    @property
+    def excited(self) -> tuple[str, ...]:
+        """Parameters that the motion determines by themselves."""
+        large = (self.effect > 0.0) & (self.own >= self.threshold * self.effect)
+        return tuple(name for name, is_large in zip(self.names, large, strict=True) if is_large)
+
+    def __repr__(self) -> str:
+        width, excited = max(len(name) for name in self.names), self.excited
+        lines = [
+            f"  {name:{width}}  {effect:9.3g}  {own:9.3g}  {'yes' if name in excited else 'no'}"
+            for name, effect, own in zip(self.names, self.effect, self.own, strict=True)
+        ]
+        head = f"  {'':{width}}  {'effect':>9}  {'own':>9}  excited   [N m per unit]"
+        return "\n".join(
+            [f"Excitation: {self.rank} of {len(self.names)} combinations", head, *lines]
+        )
+
+
+def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -> Excitation:
+    """Report which gravity parameters a motion excites, such as `run.q`.
+
+    Learnt gravity (29) needs no excitation to bring the task to its target; θ̂ reaches θ only
+    along what is excited.
+
+    Args:
+        regressor: The regressor.
+        q: Configurations of the motion, shape (N, nq) [rad or m].
+        threshold: Share of a parameter's effect that must be its own, from 0 to 1.
+
+    Raises:
+        InvalidInputError: Wrong shapes or not finite, no configuration, or a threshold out of
+            range.
+    """
+    require("regressor", regressor, GravityRegressor, "a GravityRegressor")
+    shape = shape_of(q)
+    count = max(shape[0], 1) if len(shape) == 2 else 1
+    q = as_array("q", q, (count, regressor.robot.nq), "rad or m")
+    threshold = as_number("threshold", threshold, above=0.0)
+    if threshold > 1.0:
+        raise InvalidInputError(f"threshold must be at most 1, got {threshold:g}", given=threshold)
+    Z = np.vstack([regressor.Z(posture) for posture in q]) / np.sqrt(len(q))
+    effect = np.linalg.norm(Z, axis=0)
+    effect[effect < _NO_EFFECT * effect.max()] = 0.0
+    scaled = np.where(effect > 0.0, Z / np.where(effect > 0.0, effect, 1.0), 0.0)
+    # with fewer rows than parameters, zeros below them, so that Vt spans the null space too
+    missing = max(regressor.p - len(scaled), 0)
+    _, values, Vt = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), full_matrices=False)
+    large = values > 1e-6 * values[0]
+    # 1/(A⁺A⁺ᵀ)ₖₖ is the squared distance of column k to the span of the others; a parameter with a
+    # share in the null space has none
+    within = np.linalg.norm(Vt[~large], axis=0) < 1e-3
+    spread = np.linalg.norm(Vt[large] / values[large, None], axis=0)
+    own = np.where(within & (effect > 0.0), effect / np.where(spread > 0.0, spread, 1.0), 0.0)
+    return Excitation(regressor.names, effect, own, threshold, int((values > threshold).sum()))

@@ -1,0 +1,207 @@
+"""A plant whose physics MuJoCo computes: an engine that no one here wrote."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array, as_number, as_vector, require
+from approxjac.errors import InvalidInputError, UrdfError
+from approxjac.robots import Dynamics, Robot
+from approxjac.simulation.plant import Plant
+from approxjac.simulation.sensing import Sensing
+from approxjac.tasks import Task
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+class MujocoPlant(Plant):
+    """A plant that moves as MuJoCo says, with joint limits and a floor.
+
+    MuJoCo opens the URDF that `Robot.save_urdf` writes. Without contact and within the joint
+    limits, accelerations are those of `Plant` to rounding. Limits and floor are soft constraints
+    with MuJoCo's own default, a time constant of 20 ms: what hits them or presses on them sinks
+    in a little, the more the harder (docs/mujoco.md has figures). What the arm and its object
+    touch is the floor only, never each other; the shapes are those of <collision> in the URDF,
+    meshes as their convex hulls.
+
+    Give `simulate` a `dt` (1e-3 s is a good one) if a limit or the floor may be touched: these
+    forces jump, and the continuous integration does not keep its tolerance across a jump.
+    Damping and friction that the URDF mentions are not used, as in `Plant`.
+
+    Needs `pip install 'approxjac[mujoco]'`. Owns scratch memory: one instance a thread.
+
+    Args:
+        robot: The true robot.
+        sensor: What measures X: a task of the true robot.
+        friction: Natural viscous friction B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
+        coulomb: As for `Plant`.
+        coulomb_velocity: As for `Plant`.
+        sensing: As for `Plant`.
+        actuator_delay: As for `Plant`.
+        torque_limits: As for `Plant`.
+        floor: Height z of a horizontal floor in the world frame [m]; None for no floor. What is
+            fixed to the base may be below it.
+        joint_limits: Whether the joints stop at `Robot.position_limits`.
+
+    Raises:
+        InvalidInputError: As for `Plant`, a floor that is no height, mimic joints that move, or
+            MuJoCo is not installed.
+        UrdfError: MuJoCo cannot open the URDF, such as for collision meshes that are missing.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        sensor: Task,
+        friction: float | Sequence[float] | Array = 0.0,
+        *,
+        coulomb: float | Sequence[float] | Array = 0.0,
+        coulomb_velocity: float = 0.05,
+        sensing: Sensing | None = None,
+        actuator_delay: float = 0.0,
+        torque_limits: float | Sequence[float] | Array | None = None,
+        floor: float | None = None,
+        joint_limits: bool = True,
+    ) -> None:
+        super().__init__(
+            robot,
+            sensor,
+            friction,
+            coulomb=coulomb,
+            coulomb_velocity=coulomb_velocity,
+            sensing=sensing,
+            actuator_delay=actuator_delay,
+            torque_limits=torque_limits,
+        )
+        if robot.coupling.G is not None:
+            raise InvalidInputError(
+                f"robot must have no mimic joints that move, which MuJoCo couples by a soft "
+                f"constraint only; lock those of {robot.name} (with_locked_joints)",
+                given=robot,
+            )
+        self.floor = None if floor is None else as_number("floor", floor, unit="m")
+        require("joint_limits", joint_limits, bool, "True or False")
+        self.joint_limits = joint_limits
+        self.dynamics: MujocoDynamics = MujocoDynamics(
+            _mujoco_model(robot, self.floor, joint_limits), robot
+        )
+
+    @property
+    def mujoco_model(self) -> mujoco.MjModel:
+        """MuJoCo's model of the robot and the floor, such as for its viewer. Read-only."""
+        return self.dynamics.mujoco_model
+
+    def __repr__(self) -> str:
+        plant = super().__repr__().removesuffix(")")
+        return f"{plant}, floor={self.floor}, joint_limits={self.joint_limits})"
+
+
+class MujocoDynamics(Dynamics):
+    """Forward dynamics by MuJoCo; M, C and g of the free arm by Pinocchio.
+
+    Args:
+        model: MuJoCo's model of the robot, and of what it may touch.
+        robot: The robot.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
+        import mujoco
+
+        super().__init__(robot)
+        self.mujoco_model = model
+        self._mujoco = mujoco
+        self._mujoco_data = mujoco.MjData(model)
+        self._neutral = robot.neutral()
+        # MuJoCo has one number a joint, continuous joints included, but another order of joints
+        self._places = np.array([model.joint(name).dofadr[0] for name in robot.joint_names])
+
+    def forward(self, q: Array, v: Array, tau: Array) -> Array:
+        """q̈ from τ, with the forces of limits and floor; shape (n_v,) [rad/s² or m/s²].
+
+        The same inputs give the same bits, whatever was asked before.
+        """
+        data, places = self._mujoco_data, self._places
+        data.qpos[places] = pin.difference(self.robot.model, self._neutral, self._q(q))
+        data.qvel[places] = self._v(v)
+        data.qfrc_applied[places] = as_vector("tau", tau, self.robot.nv)
+        self._mujoco.mj_forward(self.mujoco_model, data)
+        return np.array(data.qacc[places])
+
+
+def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:
+    """Return MuJoCo's model of a robot above a floor, from the URDF that `save_urdf` writes."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise InvalidInputError(
+            f"MujocoPlant needs MuJoCo, which cannot be imported ({error}): "
+            "pip install 'approxjac[mujoco]'"
+        ) from error
+    with tempfile.TemporaryDirectory() as folder:
+        path = robot.save_urdf(Path(folder) / "robot.urdf")
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+            _same_physics(spec, robot)
+            _constraints(spec, robot, floor, joint_limits)
+            return spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            reason = " ".join(str(error).split())  # MuJoCo's own is of several lines
+            raise UrdfError(
+                f"MuJoCo cannot open the URDF of {robot.name}: {reason}; it needs every collision "
+                "mesh that the URDF names, and inertias that a body can have",
+                given=robot,
+            ) from error
+
+
+def _same_physics(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Leave to a MuJoCo model what `Plant` has, and nothing that it has not."""
+    import mujoco
+
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    spec.compiler.balanceinertia = False
+    spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
+    spec.compiler.settotalmass = -1.0  # which is MuJoCo's way to say: as it is
+    spec.option.gravity = robot.gravity
+    spec.option.density = spec.option.viscosity = 0.0
+    # a warm start, or bodies that sleep, would make accelerations depend on what came before
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    spec.option.enableflags = 0
+    spec.option.tolerance = 1e-12
+    for joint in spec.joints:
+        joint.damping = np.zeros_like(joint.damping)
+        joint.stiffness = np.zeros_like(joint.stiffness)
+        joint.frictionloss = joint.armature = 0.0
+    for mimic in list(spec.equalities):
+        spec.delete(mimic)
+
+
+def _constraints(
+    spec: mujoco.MjSpec, robot: Robot, floor: float | None, joint_limits: bool
+) -> None:
+    """Put limits onto the joints, a floor under the arm, and let nothing else touch."""
+    import mujoco
+
+    for name, low, high in zip(robot.joint_names, *robot.position_limits, strict=True):
+        limited = joint_limits and bool(np.isfinite([low, high]).all())
+        joint = spec.joint(name)
+        joint.limited = mujoco.mjtLimited(int(limited))
+        if limited:
+            joint.range = (low, high)
+    for geom in spec.geoms:
+        # two shapes touch if the contype of one meets the conaffinity of the other
+        geom.contype, geom.conaffinity = int(geom.contype or geom.conaffinity), 0
+    if floor is not None:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            pos=(0.0, 0.0, floor),
+            size=(0.0, 0.0, 0.1),  # without end; the last is for drawing only
+            contype=0,
+            conaffinity=1,
+        )

@@ -1,0 +1,115 @@
+"""A reach in words and pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from approxjac.checks import Array
+from approxjac.studies.reach import Result
+from approxjac.tasks import FrameKinematics
+from approxjac.view import (
+    legend_below,
+    new_figure,
+    plot_error,
+    plot_path,
+    plot_torque,
+    save_figure,
+    style,
+)
+from approxjac.view.style import COLORS, TARGET
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def text(result: Result) -> str:
+    """Where the arm started, went and ended, in a few lines."""
+    run, reach = result.run, result.reach
+    shares = {k: n / len(run.t) for k, n in run.status_counts().items()}
+    ratio, excess = result.peak_torque_ratio, result.joint_limit_excess
+    torque = "no limit known" if math.isnan(ratio) else f"asks for up to {ratio:.2f} of the limits"
+    lines = [
+        f"{reach.plant.robot!r}",
+        f"gains       {reach.controller.gains!r}",
+        f"joints      {_numbers(run.q[0])} -> {_numbers(run.q[-1])}",
+        f"start       x = {_numbers(run.x[0])}",
+        f"target      x = {_numbers(run.target)}",
+        f"end         x = {_numbers(run.x[-1])} after {run.t[-1]:g} s",
+        f"error       {_errors(result.errors_at(0))} -> {_errors(result.errors_at(-1))}",
+        f"settled     {'not' if math.isnan(result.settling_time) else _settled(result)}",
+        f"torque      {torque}",
+        f"status      {', '.join(f'{s.name} {100 * share:.3g} %' for s, share in shares.items())}",
+        f"verdict     {'converged' if result.converged else 'not converged: ' + result.reason}",
+    ]
+    if excess > 0.0:
+        lines.insert(
+            -1, f"limits      a joint was {excess:.2g} rad or m beyond its position limits"
+        )
+    return "\n".join(lines)
+
+
+def draw(result: Result) -> Figure:
+    """Error, torque against limits, and the path in three planes of the world."""
+    run, reach = result.run, result.reach
+    truth, belief = reach.plant.robot, reach.controller.task.robot
+    settings = reach.settings
+    title = (
+        f"{run.robot_name}: the object is {settings.object_length:g} m long, "
+        f"the controller believes {settings.believed_length:g} m"
+    )
+    figure, (error, size, torque, *paths) = new_figure(3, 2, title=title)
+    plot_error(run, error)
+    with style():
+        size.semilogy(run.t, run.error_norm, color=COLORS[0])
+        size.axhline(settings.tolerance, color=TARGET, linewidth=1.0, linestyle="--")
+        label = f"‖x − x_d‖ [{run.task_unit}]"
+        size.set(xlabel="time [s]", ylabel=label, title="Size of the error, tolerance dashed")
+    plot_torque(run, torque, limits=truth.effort_limits, title="Torque asked for")
+    target = _position(result)
+    believed = FrameKinematics(belief, belief.tip_or(None))
+    seen = np.array([believed.position(q) for q in run.q])
+    for ax, plane in zip(paths, ("xz", "xy", "yz"), strict=True):
+        rows = ["xyz".index(axis) for axis in plane]
+        plot_path(run, truth, plane=plane, ax=ax, title=f"Path, {plane[0]}-{plane[1]} plane")
+        ax.plot(*seen[:, rows].T, color=COLORS[3], label="believed tip", zorder=5)
+        if target is not None:
+            ax.plot(*target[rows], "x", color=TARGET, ms=8, mew=2, label="target", zorder=6)
+        legend_below(ax)
+    return figure
+
+
+def write(result: Result, out: Path) -> None:
+    """Write run.png, run.svg, run.npz and summary.json into a folder."""
+    save_figure(draw(result), out / "run")
+    result.run.save(out / "run.npz")
+    (out / "summary.json").write_text(
+        json.dumps(result.summary(), indent=2) + "\n", encoding="utf-8"
+    )
+
+
+def _position(result: Result) -> Array | None:
+    """Target in the world [m], or None where a target does not fix all three axes."""
+    labels = result.run.task_labels
+    if labels[:3] == ("x", "y", "z"):
+        return result.run.target[:3]
+    return None
+
+
+def _settled(result: Result) -> str:
+    units = " and ".join(dict.fromkeys(result.run.task_units))
+    return f"to {result.reach.settings.tolerance:g} {units} after {result.settling_time:.3g} s"
+
+
+def _errors(errors: dict[str, float]) -> str:
+    scales = {"m": (1e3, "mm"), "rad": (180.0 / math.pi, "deg")}
+    shown = [(value, *scales.get(unit, (1.0, unit))) for unit, value in errors.items()]
+    return " and ".join(f"{factor * value:.3g} {unit}" for value, factor, unit in shown)
+
+
+def _numbers(values: Array) -> str:
+    return "[" + ", ".join(f"{round(float(value), 6) + 0.0:.4g}" for value in values) + "]"

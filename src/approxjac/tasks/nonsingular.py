@@ -1,0 +1,173 @@
+"""A Jacobian designed to keep its rank where that of the robot loses it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array, as_number, require
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.robots import Robot
+from approxjac.tasks.task import Task, vanishing
+
+_TINY = 1e-300
+
+
+class NonsingularTask(Task):
+    """A task whose Ĵ is designed to stay of full rank at the robot's singular postures.
+
+    The paper (section 6) remarks that Ĵ may be chosen so that the arm does not stall there. Here
+
+        Ĵ_d(q) = Ĵ(q) + P(q) (Ĵ(q ⊕ bend) − Ĵ(q)),   P = Σ wᵢ uᵢuᵢᵀ,   wᵢ = max(0, 1 − (σᵢ/ε)²)
+
+    with σᵢ, uᵢ the singular values and left singular vectors of Ĵ(q) and ε = `ratio` · σ_max (or
+    of a tenth of the σ_max that Ĵ typically has, where even σ_max is smaller). In
+    task directions that are being lost, Ĵ_d has the rows of a posture that is bent a little; all
+    other rows stay. P depends on ĴĴᵀ only, so Ĵ_d is continuous through a singular posture.
+
+    What it costs is Δ = Ĵ_d − Ĵ, which `design_error` reports and which adds to the error of the
+    model. `bend` also decides to which side the arm folds: of a square Jacobian the singular
+    postures are not gone but moved to the other side of the fold (its determinant has to change
+    its sign somewhere).
+
+    For controllers; a sensor is a plain task of the true robot.
+
+    Args:
+        task: The task of the believed robot.
+        bend: Joint name → displacement of the bent posture [rad or m], such as {"joint4": 0.3}.
+        ratio: Where a singular value falls below this share of the largest, Ĵ is changed; > 0
+            and < 1.
+
+    Raises:
+        UnknownNameError: No such joint.
+        InvalidInputError: No joint bent, a displacement that is zero or not finite, or a ratio
+            out of range.
+    """
+
+    def __init__(self, task: Task, bend: Mapping[str, float], ratio: float = 0.1) -> None:
+        require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+        require("bend", bend, Mapping, "a mapping from joint names to displacements")
+        self._task = task
+        self._ratio = as_number("ratio", ratio, above=0.0)
+        if self._ratio >= 1.0:
+            raise InvalidInputError(f"ratio must be < 1, got {ratio!r}", given=ratio)
+        robot = task.robot
+        offset = np.zeros(robot.nv)
+        for joint, displacement in bend.items():
+            if joint not in robot.joint_names:
+                raise UnknownNameError("moving joint", joint, robot.name, robot.joint_names)
+            name = f"bend of {joint}"
+            offset[robot.joint_names.index(joint)] = as_number(name, displacement, unit="rad or m")
+        if not offset.any():
+            raise InvalidInputError(
+                f"bend must displace at least one joint of {robot.name}, got {dict(bend)}",
+                given=bend,
+            )
+        self._bend = offset
+        self._scale = vanishing(task)
+
+    @property
+    def robot(self) -> Robot:
+        return self._task.robot
+
+    @property
+    def task(self) -> Task:
+        """The task as the robot has it."""
+        return self._task
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return self._task.labels
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return self._task.units
+
+    @property
+    def n_x(self) -> int:
+        return self._task.n_x
+
+    def value(self, q: Array) -> Array:
+        return self._task.value(q)
+
+    def error(self, x: Array, x_d: Array) -> Array:
+        return self._task.error(x, x_d)
+
+    @property
+    def subtracts(self) -> bool:
+        return self._task.subtracts
+
+    @property
+    def origin(self) -> Array:
+        return self._task.origin
+
+    def displaced(self, x: Array, e: Array) -> Array:
+        return self._task.displaced(x, e)
+
+    def error_rate(self, e: Array, Jv: Array) -> Array:
+        return self._task.error_rate(e, Jv)
+
+    def compute_jacobian(self, q: Array) -> Array:
+        J = self._task.compute_jacobian(q)
+        squares, U = np.linalg.eigh(J @ J.T)
+        weights = self._weights(squares)
+        if not weights.any():
+            return J
+        P = (U * weights) @ U.T
+        designed: Array = J + P @ (self._task.compute_jacobian(self._bent(q)) - J)
+        return designed
+
+    def design_error(self, q: Array) -> float:
+        """‖Ĵ_d − Ĵ‖, the part of (7)'s bound p that the design adds at q; 0 away from singular."""
+        return float(np.linalg.norm(self.jacobian(q) - self._task.jacobian(q), 2))
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        J, J_dot = self._task.jacobian(q), self._task.jacobian_dot(q, v)
+        squares, U = np.linalg.eigh(J @ J.T)
+        weights = self._weights(squares)
+        if not weights.any():
+            return J_dot
+        # Derivative of a function of a symmetric matrix: divided differences in its eigenbasis
+        # (Daleckii and Krein), and the threshold that moves with the largest eigenvalue.
+        A_dot = U.T @ (J_dot @ J.T + J @ J_dot.T) @ U
+        threshold = self._threshold(squares)
+        active = weights > 0.0
+        slopes = np.where(active, -1.0 / threshold, 0.0)
+        gaps = squares[:, None] - squares[None, :]
+        apart = np.abs(gaps) > 1e-12 * squares[-1]
+        divided = np.where(
+            apart,
+            (weights[:, None] - weights[None, :]) / np.where(apart, gaps, 1.0),
+            0.5 * (slopes[:, None] + slopes[None, :]),
+        )
+        follows = squares[-1] > self._scale**2
+        threshold_dot = self._ratio**2 * A_dot[-1, -1] if follows else 0.0
+        moved = np.where(active, squares / threshold**2, 0.0) * threshold_dot
+        P = (U * weights) @ U.T
+        P_dot = U @ (divided * A_dot + np.diag(moved)) @ U.T
+        bent = self._bent(q)
+        difference = self._task.jacobian(bent) - J
+        difference_dot = self._task.jacobian_dot(bent, v) - J_dot
+        designed: Array = J_dot + P_dot @ difference + P @ difference_dot
+        return designed
+
+    def _bent(self, q: Array) -> Array:
+        return np.array(pin.integrate(self.robot.model, q, self._bend))
+
+    def _weights(self, squares: Array) -> Array:
+        """Weight of each left singular vector, 1 where its singular value is 0."""
+        return np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / self._threshold(squares))
+
+    def _threshold(self, squares: Array) -> float:
+        """ε², never 0."""
+        return self._ratio**2 * max(float(squares[-1]), self._scale**2, _TINY)
+
+    def __repr__(self) -> str:
+        moved = {
+            joint: float(displacement)
+            for joint, displacement in zip(self.robot.joint_names, self._bend, strict=True)
+            if displacement
+        }
+        return f"NonsingularTask({self._task!r}, bend={moved})"

@@ -1,0 +1,128 @@
+"""Position and orientation of a frame."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array, require
+from approxjac.robots import Robot
+from approxjac.tasks.frame import FrameKinematics
+from approxjac.tasks.task import Task, require_rows
+
+_NO_ROTATION = 1e-6  # a quaternion shorter than this stands for no orientation
+
+
+class PoseTask(Task):
+    """X = position [m] and orientation of a frame in the world; m = 6.
+
+    A value is (x, y, z) and a quaternion (x, y, z, w), shape (7,), as `pin.SE3ToXYZQUAT` has it;
+    the quaternion's length and sign do not matter. The error is (p − p_d, φ): φ = log(R R_dᵀ) is
+    the rotation vector that leads from the target's orientation to the measured one, in world
+    axes [rad], valid up to 180°. At 180° itself the two ways round are equally long; of them
+    the one of the quaternion's sign is taken.
+
+    The Jacobian is the geometric one (velocity and angular velocity, world axes). With it
+    d/dt ½‖φ‖² = φᵀω holds exactly for every φ below 180°, so the paper's potential and proof carry
+    over there, where the three rotational gains are equal and s(φ) = φ. With other gains they
+    hold near the target only.
+
+    Args:
+        robot: The robot, true or believed.
+        frame: Frame name; the robot's `tip` by default.
+
+    Raises:
+        UnknownNameError: No such frame.
+        InvalidInputError: Fewer than six joints.
+    """
+
+    def __init__(self, robot: Robot, frame: str | None = None) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self._frame = FrameKinematics(robot, robot.tip_or(frame))
+        require_rows(6, robot)
+
+    @property
+    def robot(self) -> Robot:
+        return self._frame.robot
+
+    @property
+    def frame(self) -> str:
+        """Name of the frame."""
+        return self._frame.frame
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return ("x", "y", "z", "rx", "ry", "rz")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return ("m",) * 3 + ("rad",) * 3
+
+    @property
+    def n_x(self) -> int:
+        return 7
+
+    def value(self, q: Array) -> Array:
+        return self._frame.pose(q)
+
+    def compute_jacobian(self, q: Array) -> Array:
+        return self._frame.compute_jacobian(q)
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return self._frame.jacobian_dot(q, v)
+
+    def error(self, x: Array, x_d: Array) -> Array:
+        px, py, pz, *quaternion = x.tolist()
+        dx, dy, dz, *target = x_d.tolist()
+        return np.array(
+            [px - dx, py - dy, pz - dz, *_rotation_between(quaternion, target)], dtype=np.float64
+        )
+
+    @property
+    def origin(self) -> Array:
+        return np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+    def displaced(self, x: Array, e: Array) -> Array:
+        turned = pin.Quaternion(pin.exp3(e[3:])) * pin.Quaternion(x[3:])
+        return np.concatenate([x[:3] + e[:3], turned.coeffs()])
+
+    def error_rate(self, e: Array, Jv: Array) -> Array:
+        return np.concatenate([Jv[:3], _rotation_vector_rate(e[3:], Jv[3:])])
+
+    def __repr__(self) -> str:
+        return f"PoseTask({self.robot.name!r}, {self.frame!r})"
+
+
+def _rotation_between(a: list[float], b: list[float]) -> tuple[float, float, float]:
+    """Rotation vector of R_a R_bᵀ [rad] from quaternions (x, y, z, w); NaN where one is none."""
+    length_a, length_b = math.hypot(*a), math.hypot(*b)
+    if not (_NO_ROTATION < length_a < math.inf and _NO_ROTATION < length_b < math.inf):
+        return math.nan, math.nan, math.nan
+    ax, ay, az, aw = (entry / length_a for entry in a)
+    bx, by, bz, bw = (entry / length_b for entry in b)
+    w = aw * bw + ax * bx + ay * by + az * bz + 0.0  # no −0.0, which would turn the sign at 180°
+    x = ax * bw - aw * bx + az * by - ay * bz
+    y = ay * bw - aw * by + ax * bz - az * bx
+    z = az * bw - aw * bz + ay * bx - ax * by
+    sine = math.hypot(x, y, z)  # of half the angle
+    # of the two quaternions of this rotation, the one that turns by at most 180°
+    angle = 2.0 * math.atan2(math.copysign(sine, w), abs(w))
+    factor = angle / sine if sine > 1e-150 else math.copysign(2.0, w)
+    return factor * x, factor * y, factor * z
+
+
+def _rotation_vector_rate(phi: Array, omega: Array) -> Array:
+    """Rate of a rotation vector φ of R where Ṙ = [ω]ₓR: φ̇ = J_l⁻¹(φ) ω, shape (3,).
+
+    Source: J. Solà et al., "A micro Lie theory for state estimation in robotics", eq. (146).
+    """
+    angle = float(np.linalg.norm(phi))
+    if angle < 1e-4:
+        coefficient = 1.0 / 12.0 + angle**2 / 720.0
+    else:
+        half = 0.5 * angle
+        coefficient = (1.0 - half * math.cos(half) / math.sin(half)) / angle**2
+    turned = np.cross(phi, omega)
+    return np.asarray(omega - 0.5 * turned + coefficient * np.cross(phi, turned))

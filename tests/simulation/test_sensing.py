@@ -1,0 +1,615 @@
+"""Realistic measurement: noise, quanta, delay, dropouts, encoders, friction, slow actuators."""
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import cumulative_simpson
+
+import approxjac as aj
+from approxjac.simulation.sensing import SensorReadings
+
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+
+
+class Probe:
+    """A controller whose torque is a function of time, and which keeps what it was told."""
+
+    n_state = 0
+
+    def __init__(self, torque):
+        self.torque = torque
+        self.told = []
+
+    def initial_state(self, measurement):
+        return np.zeros(0)
+
+    def evaluate(self, state, measurement, target):
+        self.told.append(measurement)
+        return aj.Evaluation(self.torque(measurement.t), state, aj.Status.OK, np.zeros(2))
+
+
+def readings(sensing, truths, task, dt=1e-3, seed=0):
+    """What is measured of a series of true measurements."""
+    read = SensorReadings(sensing, task, dt, seed).read
+    return [read(truth) for truth in truths]
+
+
+def still(task, q, count, dt=1e-3):
+    """The truth of an arm at rest."""
+    x = task.value(q)
+    return [aj.Measurement(k * dt, q, np.zeros(task.robot.nv), x) for k in range(count)]
+
+
+def moving(task, q0, v, count, dt=1e-3):
+    """The truth of an arm whose joints move at constant rates."""
+    qs = [pin.integrate(task.robot.model, q0, k * dt * v) for k in range(count)]
+    return [aj.Measurement(k * dt, q, v, task.value(q)) for k, q in enumerate(qs)]
+
+
+def swing(sensing, *, robot=None, dt=1e-3, duration=0.2, seed=0, **plant):
+    """A two-link arm that swings under a constant torque, and what the controller was told."""
+    robot = aj.load_robot("two_link") if robot is None else robot
+    plant = aj.Plant(robot, aj.PositionTask(robot, axes="xz"), sensing=sensing, **plant)
+    probe = Probe(lambda t: np.array([0.5, -0.2]))
+    target, q0 = np.zeros(2), np.array([0.3, 0.8])
+    run = aj.simulate(plant, probe, target, q0, duration, dt=dt, seed=seed, v0=(0.4, -0.3))
+    return run, probe.told[1:]  # the first evaluation looks at the controller
+
+
+@pytest.fixture(scope="module")
+def position(panda):
+    return aj.PositionTask(panda)
+
+
+@pytest.fixture(scope="module")
+def pose(panda):
+    return aj.PoseTask(panda)
+
+
+@pytest.fixture(scope="module")
+def kinova():
+    return aj.load_robot("kinova")
+
+
+# -- noise ----------------------------------------------------------------------------------
+
+
+def assert_is_white(errors, sigma):
+    """Errors (N, k) have these standard deviations, no mean and no memory."""
+    count = len(errors)
+    deviations = errors.std(axis=0)
+    assert_allclose(deviations, sigma, rtol=0.05)
+    unit = errors / deviations
+    assert np.abs(unit.mean(axis=0)).max() < 4.5 / np.sqrt(count)
+    assert np.abs((unit[1:] * unit[:-1]).mean(axis=0)).max() < 4.5 / np.sqrt(count)
+    apart = unit.T @ unit / count - np.eye(unit.shape[1])
+    assert np.abs(apart[np.triu_indices_from(apart, 1)]).max() < 4.5 / np.sqrt(count)
+
+
+def test_noise_on_x_has_its_standard_deviation_in_each_coordinate(position):
+    sigma = np.array([1e-3, 5e-3, 2e-2])
+    truths = still(position, START, 5000)
+    seen = readings(aj.Sensing(x_noise=sigma), truths, position)
+    assert_is_white(np.array([m.x for m in seen]) - truths[0].x, sigma)
+    for measured, truth in zip(seen, truths, strict=True):
+        assert measured.t == truth.t
+        assert np.array_equal(measured.q, truth.q)
+        assert np.array_equal(measured.v, truth.v)
+
+
+def test_noise_on_a_pose_turns_it_by_a_rotation_vector(pose):
+    sigma = np.array([1e-3, 2e-3, 3e-3, 0.01, 0.02, 0.04])
+    truths = still(pose, START, 5000)
+    seen = readings(aj.Sensing(x_noise=sigma), truths, pose)
+    assert_is_white(np.array([pose.error(m.x, truths[0].x) for m in seen]), sigma)
+    assert_allclose([np.linalg.norm(m.x[3:]) for m in seen], 1.0, atol=1e-12)
+
+
+def test_noise_on_stacked_tasks_is_that_of_their_parts(panda):
+    task = aj.StackedTask(aj.PoseTask(panda), aj.PositionTask(panda, "panda_link4", axes="z"))
+    sigma = np.array([1e-3, 1e-3, 1e-3, 0.01, 0.01, 0.01, 5e-3])
+    truths = still(task, START, 5000)
+    seen = readings(aj.Sensing(x_noise=sigma), truths, task)
+    assert_is_white(np.array([task.error(m.x, truths[0].x) for m in seen]), sigma)
+
+
+def test_encoder_noise_has_its_standard_deviation_in_each_joint(position):
+    sigma = np.geomspace(1e-5, 1e-2, 7)
+    truths = still(position, START, 5000)
+    seen = readings(aj.Sensing(q_noise=sigma), truths, position)
+    assert_is_white(np.array([m.q for m in seen]) - START, sigma)
+    assert all(np.array_equal(m.x, truths[0].x) for m in seen)
+    assert all(np.array_equal(m.v, np.zeros(7)) for m in seen)
+
+
+def test_encoder_noise_leaves_continuous_joints_on_the_circle(kinova, rng):
+    task = aj.PositionTask(kinova)
+    q, sigma = kinova.random_configuration(rng), np.geomspace(1e-3, 0.1, 6)
+    seen = readings(aj.Sensing(q_noise=sigma), still(task, q, 5000), task)
+    assert_is_white(np.array([pin.difference(kinova.model, q, m.q) for m in seen]), sigma)
+    assert all(pin.isNormalized(kinova.model, m.q, 1e-12) for m in seen)
+
+
+def test_the_record_holds_what_is_true_and_what_was_measured():
+    run, told = swing(aj.Sensing(x_noise=0.01, q_noise=1e-3), duration=5.0)
+    assert_allclose((run.x_measured - run.x).std(axis=0), 0.01, rtol=0.05)
+    assert np.array_equal(run.x_measured, [m.x for m in told])
+    assert_allclose((run.q - [m.q for m in told]).std(axis=0), 1e-3, rtol=0.05)
+    exact, _ = swing(None, duration=5.0)
+    assert np.array_equal(run.q, exact.q)  # noise is in the measurement, not in the motion
+    assert np.array_equal(run.x, exact.x)
+    assert np.array_equal(exact.x_measured, exact.x)
+
+
+# -- quanta ---------------------------------------------------------------------------------
+
+
+def assert_on_grid(values, quantum):
+    steps = values / quantum
+    assert_allclose(steps, np.round(steps), atol=1e-6)
+    assert len(np.unique(np.round(steps), axis=0)) > 20
+
+
+def test_measured_values_lie_on_the_grid():
+    run, _ = swing(aj.Sensing(x_quantum=(0.002, 0.0005)), duration=1.0)
+    assert_on_grid(run.x_measured, (0.002, 0.0005))
+    assert (np.abs(run.x_measured - run.x) <= np.array([0.001, 0.00025]) + 1e-12).all()
+    run, _ = swing(aj.Sensing(x_noise=0.01, x_quantum=(0.002, 0.0)), duration=1.0)
+    assert_on_grid(run.x_measured[:, :1], 0.002)  # noise is rounded too, for it comes first
+    assert not np.allclose(run.x_measured[:, 1] % 0.002, 0.0, atol=1e-6)
+
+
+def test_a_pose_is_rounded_in_its_position_and_rotation_vector(pose):
+    quantum = np.array([1e-3, 1e-3, 1e-3, 0.01, 0.01, 0.01])
+    truths = moving(pose, START, np.array([0.5, 0.3, -0.4, 0.2, 0.6, -0.3, 0.4]), 500)
+    seen = readings(aj.Sensing(x_quantum=quantum), truths, pose)
+    rotations = [pin.log3(pin.Quaternion(m.x[3:]).toRotationMatrix()) for m in seen]
+    assert_on_grid(np.array(rotations), 0.01)
+    assert_on_grid(np.array([m.x[:3] for m in seen]), 1e-3)
+    errors = np.array([pose.error(m.x, t.x) for m, t in zip(seen, truths, strict=True)])
+    assert (np.abs(errors[:, :3]) <= 0.5e-3 + 1e-12).all()
+    assert np.linalg.norm(errors[:, 3:], axis=1).max() < 0.02  # ½ √3 quanta, curvature aside
+
+
+@pytest.mark.parametrize("name", ["panda", "kinova"])
+def test_encoders_read_multiples_of_their_quantum(name, kinova, panda, rng):
+    robot = {"kinova": kinova, "panda": panda}[name]
+    task, quantum = aj.PositionTask(robot), np.linspace(1e-3, 4e-3, robot.nv)
+    truths = moving(task, robot.neutral(), rng.uniform(0.3, 1.0, robot.nv), 1000)
+    seen = readings(aj.Sensing(q_quantum=quantum), truths, task)
+    motions = np.array([pin.difference(robot.model, robot.neutral(), m.q) for m in seen])
+    assert_on_grid(motions, quantum)
+    errors = [pin.difference(robot.model, t.q, m.q) for m, t in zip(seen, truths, strict=True)]
+    assert (np.abs(errors) <= 0.5 * quantum + 1e-9).all()
+    assert all(pin.isNormalized(robot.model, m.q, 1e-12) for m in seen)
+
+
+# -- delay and dropouts ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("delay", "samples"),
+    [(0.0, 0), (0.02, 20), (1e-3, 1), (0.4e-3, 0), (0.6e-3, 1), (2.4e-3, 2), (2.6e-3, 3)],
+)
+def test_x_is_as_old_as_the_delay_in_whole_samples(delay, samples):
+    run, told = swing(aj.Sensing(x_delay=delay))
+    assert np.array_equal(run.x_measured[samples:], run.x[: len(run.x) - samples])
+    # until the first one arrives, the first is seen
+    assert np.array_equal(run.x_measured[:samples], np.repeat(run.x[:1], samples, axis=0))
+    assert np.array_equal([m.q for m in told], run.q)  # encoders are not late
+    assert np.abs(np.diff(run.x, axis=0)).min(axis=0).max() > 0.0
+
+
+def test_a_delay_longer_than_the_run_shows_the_start():
+    for delay in (0.5, 1e300):
+        run, _ = swing(aj.Sensing(x_delay=delay))
+        assert np.array_equal(run.x_measured, np.repeat(run.x[:1], len(run.x), axis=0))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.2, 0.9, 1.0])
+def test_the_share_that_is_lost_is_the_probability(share, position):
+    count = 20000
+    seen = readings(aj.Sensing(x_dropout=share), still(position, START, count), position)
+    lost = np.array([np.isnan(m.x).all() for m in seen])
+    assert np.array_equal(lost, [np.isnan(m.x).any() for m in seen])
+    deviation = np.sqrt(share * (1.0 - share) / count)
+    assert abs(lost.mean() - share) <= 4.5 * deviation
+    if 0.0 < share < 1.0:  # one loss says nothing about the next
+        both = (lost[1:] & lost[:-1]).mean()
+        assert abs(both - share**2) < 4.5 * deviation
+
+
+def test_what_is_not_lost_is_as_old_as_the_delay():
+    run, _ = swing(aj.Sensing(x_delay=0.01, x_dropout=0.3), duration=1.0)
+    kept = np.isfinite(run.x_measured).all(axis=1)
+    kept[:10] = False
+    assert 600 < kept.sum() < 780
+    assert np.array_equal(run.x_measured[kept], run.x[np.flatnonzero(kept) - 10])
+
+
+def test_the_status_says_where_a_measurement_was_lost(panda, position):
+    controller = aj.SetpointController(position)
+    plant = aj.Plant(panda, position, sensing=aj.Sensing(x_dropout=0.2))
+    target = position.value(START) + [0.05, 0.0, 0.05]
+    run = aj.simulate(plant, controller, target, START, 1.0, dt=1e-3)
+    lost = np.isnan(run.x_measured).any(axis=1)
+    assert 150 < lost.sum() < 250
+    assert np.array_equal(run.status == aj.Status.MEASUREMENT_LOST, lost)
+    assert np.isfinite(run.error).all()  # that is the true one
+
+
+def test_an_arm_that_sees_nothing_slows_down_and_does_not_fall(panda, position):
+    plant = aj.Plant(panda, position, sensing=aj.Sensing(x_dropout=1.0))
+    controller = aj.SetpointController(position)
+    target = position.value(START) + [0.1, 0.1, 0.1]
+    v0 = np.array([0.5, -0.4, 0.3, 0.6, -0.5, 0.4, 1.0])
+    run = aj.simulate(plant, controller, target, START, 4.0, dt=1e-3, v0=v0)
+    assert run.status_counts() == {aj.Status.MEASUREMENT_LOST: 4001}
+    kinetic = [0.5 * v @ plant.dynamics.M(q) @ v for q, v in zip(run.q, run.v, strict=True)]
+    assert (np.diff(kinetic) < 0.0).all()
+    assert np.abs(run.v[-1]).max() < 1e-5
+    assert np.linalg.norm(run.x - run.x[0], axis=1).max() < 0.1
+    assert_allclose(run.tau[-1], plant.dynamics.g(run.q[-1]), atol=1e-3)
+
+
+# -- velocities -----------------------------------------------------------------------------
+
+
+def test_without_a_filter_velocities_are_differences_of_the_measured_q():
+    dt = 2e-3
+    for sensing in (
+        aj.Sensing(velocity_filter=0.0),
+        aj.Sensing(velocity_filter=0.0, q_noise=1e-4),
+        aj.Sensing(velocity_filter=0.0, q_quantum=1e-3),
+    ):
+        _, told = swing(sensing, dt=dt)
+        q, v = (np.array([getattr(m, name) for m in told]) for name in "qv")
+        assert_allclose(v[1:], np.diff(q, axis=0) / dt, atol=1e-12)
+        assert np.array_equal(v[0], np.zeros(2))  # nothing is known before the second sample
+
+
+def test_a_tachometer_is_exact():
+    run, told = swing(aj.Sensing(q_noise=0.01, q_quantum=0.01, x_noise=0.1))
+    assert np.array_equal([m.v for m in told], run.v)
+
+
+@pytest.mark.parametrize("T", [5e-3, 0.02, 0.1])
+def test_the_velocity_filter_has_its_time_constant(position, T):
+    """A joint that is set in motion: 1 − e⁻¹ of its velocity after T, all of it in the end."""
+    dt, v = 1e-4, np.array([1.0, -2.0, 0.5, 0.1, 0.3, -0.7, 1.5])
+    truths = moving(position, START, v, round(12 * T / dt), dt)
+    seen = readings(aj.Sensing(velocity_filter=T), truths, position, dt)
+    ratio = np.array([m.v for m in seen]) / v
+    t = np.array([m.t for m in seen])
+    assert_allclose(ratio, np.tile(1.0 - np.exp(-t / T), (7, 1)).T, atol=1.1 * dt / T)
+    assert ratio[round(T / dt)] == pytest.approx(1.0 - np.exp(-1.0), abs=0.02)
+    assert_allclose(ratio[-1], 1.0, atol=1e-4)
+
+
+def test_the_velocity_filter_smooths_noise(position):
+    """White noise σ on q makes √2 σ/dt as plain differences, and about σ/T where dt ≪ T."""
+    sigma, dt = 1e-5, 1e-3
+    truths = still(position, START, 20000, dt)
+    for T, expected in ((0.0, np.sqrt(2.0) * sigma / dt), (0.02, sigma / 0.02)):
+        sensing = aj.Sensing(q_noise=sigma, velocity_filter=T)
+        v = np.array([m.v for m in readings(sensing, truths, position, dt)])[1000:]
+        assert_allclose(v.std(), expected, rtol=0.06)
+
+
+def test_continuous_joints_have_velocities_across_the_turn(kinova):
+    task = aj.PositionTask(kinova)
+    v = np.array([2.0, -1.5, 1.0, 3.0, -2.5, 2.0])
+    truths = moving(task, kinova.neutral(), v, 5000)  # more than a turn
+    seen = readings(aj.Sensing(velocity_filter=0.0, q_quantum=1e-9), truths, task)
+    assert_allclose([m.v for m in seen[1:]], np.tile(v, (4999, 1)), atol=1e-5)
+
+
+# -- repeatability --------------------------------------------------------------------------
+
+EVERYTHING = aj.Sensing(
+    x_noise=1e-3, x_quantum=5e-4, x_delay=0.02, x_dropout=0.2, q_noise=1e-5, velocity_filter=5e-3
+)
+FIELDS = [f.name for f in dataclasses.fields(aj.Trajectory)]
+
+
+def closed_loop(panda, sensing, seed=0):
+    task = aj.PositionTask(panda)
+    plant = aj.Plant(panda, task, sensing=sensing, actuator_delay=2e-3, coulomb=0.1)
+    controller = aj.SetpointController(task, gravity=aj.AdaptiveGravity(aj.GravityRegressor(panda)))
+    target = task.value(START) + [0.1, 0.1, 0.1]
+    return aj.simulate(plant, controller, target, START, 0.3, dt=1e-3, seed=seed)
+
+
+def same(a, b, name):
+    a, b = getattr(a, name), getattr(b, name)
+    return np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray) else a == b
+
+
+def test_the_same_seed_gives_the_same_bits(panda):
+    first, again = closed_loop(panda, EVERYTHING, 7), closed_loop(panda, EVERYTHING, 7)
+    assert all(same(first, again, name) for name in FIELDS)
+
+
+def test_another_seed_gives_another_run(panda):
+    first, other = closed_loop(panda, EVERYTHING, 7), closed_loop(panda, EVERYTHING, 8)
+    assert [name for name in FIELDS if not same(first, other, name)] == [
+        "q", "v", "x", "x_measured", "error", "tau", "state", "status", "sigma_min",
+    ]  # fmt: skip
+
+
+def test_perfect_sensing_is_no_sensing_to_the_bit(panda):
+    ideal, perfect = closed_loop(panda, None), closed_loop(panda, aj.Sensing())
+    assert all(same(ideal, perfect, name) for name in FIELDS)
+    zeros = aj.Sensing(x_noise=np.zeros(3), q_noise=np.zeros(7), q_quantum=0, x_delay=0)
+    assert all(same(ideal, closed_loop(panda, zeros), name) for name in FIELDS)
+
+
+def test_a_run_with_lost_measurements_saves_and_loads(panda, tmp_path):
+    run = closed_loop(panda, EVERYTHING)
+    assert np.isnan(run.x_measured).any()
+    loaded = aj.Trajectory.load(run.save(tmp_path / "run"))
+    assert all(same(run, loaded, name) for name in FIELDS)
+
+
+def test_units_of_the_task_coordinates_are_recorded(panda, pose):
+    plant = aj.Plant(panda, pose)
+    run = aj.simulate(plant, aj.SetpointController(pose), pose.value(START), START, 2e-3, dt=1e-3)
+    assert run.task_units == ("m", "m", "m", "rad", "rad", "rad")
+    assert run.task_unit == run.units["x"] == "m or rad"
+    assert run.x_measured.shape == run.x.shape == (3, 7)
+    assert run.error.shape == (3, 6)
+
+
+# -- actuators ------------------------------------------------------------------------------
+
+
+def accelerations(run, dt):
+    """q̈ over each sample, of a run with semi-implicit Euler."""
+    return np.diff(run.v, axis=0) / dt
+
+
+def probed(torque, *, dt=1e-3, duration=0.1, q0=(0.3, 0.8), v0=(0.0, 0.0), **plant):
+    robot = aj.load_robot("two_link")
+    plant = aj.Plant(robot, aj.PositionTask(robot, axes="xz"), **plant)
+    options = {"dt": dt, "v0": v0, "integrator": "semi_implicit_euler"}
+    return plant, aj.simulate(plant, Probe(torque), np.zeros(2), np.array(q0), duration, **options)
+
+
+def wavy(t):
+    return np.array([30.0 + 5.0 * np.sin(40.0 * t), 8.0 - 3.0 * np.cos(30.0 * t)])
+
+
+@pytest.mark.parametrize(
+    ("delay", "samples"), [(0.0, 0), (1e-3, 1), (0.02, 20), (0.4e-3, 0), (0.6e-3, 1), (1e300, 100)]
+)
+def test_a_torque_takes_effect_after_the_delay(delay, samples):
+    dt = 1e-3
+    plant, run = probed(wavy, dt=dt, actuator_delay=delay)
+    assert_allclose(run.tau, [wavy(t) for t in run.t])  # what is commanded is recorded
+    held = plant.dynamics.g(run.q[0])
+    measured = accelerations(run, dt)
+    for k, acceleration in enumerate(measured):
+        applied = held if k < samples else run.tau[k - samples]
+        expected = plant.dynamics.forward(run.q[k], run.v[k], applied)
+        assert_allclose(acceleration, expected, atol=1e-9)
+    assert_allclose(measured[:samples], 0.0, atol=1e-9)  # it is held at rest until then
+    if samples < 100:
+        assert np.abs(measured[samples]).max() > 1.0
+
+
+@pytest.mark.parametrize("limits", [12.0, (20.0, 3.0), (np.inf, 3.0)])
+def test_motors_deliver_no_more_than_their_limits(limits):
+    dt = 1e-3
+    plant, run = probed(wavy, dt=dt, torque_limits=limits, friction=0.3)
+    assert_allclose(run.tau, [wavy(t) for t in run.t])
+    for k, acceleration in enumerate(accelerations(run, dt)):
+        delivered = np.clip(wavy(run.t[k]), -np.array(limits), limits)
+        assert np.abs(delivered - wavy(run.t[k])).max() > 1.0
+        expected = plant.dynamics.forward(run.q[k], run.v[k], delivered - 0.3 * run.v[k])
+        assert_allclose(acceleration, expected, atol=1e-9)
+
+
+def test_friction_is_not_clipped_with_the_torque():
+    robot = aj.load_robot("two_link")
+    plant = aj.Plant(
+        robot, aj.PositionTask(robot, axes="xz"), friction=2.0, torque_limits=(1.0, 1.0)
+    )
+    v, tau = np.array([3.0, -2.0]), np.array([-5.0, 0.5])
+    assert_allclose(plant.joint_torque(v, tau), [-1.0 - 6.0, 0.5 + 4.0])
+
+
+# -- friction -------------------------------------------------------------------------------
+
+
+def test_joint_torque_is_the_formula(rng):
+    robot = aj.load_robot("two_link")
+    B, coulomb = np.array([0.3, 0.7]), np.array([1.5, 0.4])
+    plant = aj.Plant(
+        robot,
+        aj.PositionTask(robot, axes="xz"),
+        friction=B,
+        coulomb=coulomb,
+        coulomb_velocity=0.02,
+    )
+    for _ in range(20):
+        v, tau, q = rng.normal(0.0, 0.05, 2), rng.normal(size=2), rng.normal(size=2)
+        arrives = tau - B * v - coulomb * np.tanh(v / 0.02)
+        assert_allclose(plant.joint_torque(v, tau), arrives, rtol=1e-12)
+        assert_allclose(plant.acceleration(q, v, tau), plant.dynamics.forward(q, v, arrives))
+        assert (v * (plant.joint_torque(v, 0.0 * tau)) < 0.0).all()  # it opposes motion
+    fast = plant.joint_torque(np.array([5.0, -5.0]), np.zeros(2))
+    assert_allclose(fast, [-1.5 - 1.5, 0.4 + 3.5], atol=1e-9)  # all of τ_c, and viscous friction
+    assert np.array_equal(plant.joint_torque(np.zeros(2), np.zeros(2)), np.zeros(2))
+
+
+@pytest.mark.parametrize("viscous", [0.0, 0.3])
+def test_coulomb_friction_dissipates_exactly_its_power(viscous):
+    robot = aj.load_robot("two_link")
+    coulomb, width = np.array([0.8, 0.3]), 0.1
+    plant = aj.Plant(
+        robot,
+        aj.PositionTask(robot, axes="xz"),
+        friction=viscous,
+        coulomb=coulomb,
+        coulomb_velocity=width,
+    )
+    probe = Probe(lambda t: np.zeros(2))
+    run = aj.simulate(plant, probe, np.zeros(2), (0.3, 0.8), 2.0, record_every=1e-3)
+    energy = np.array([plant.dynamics.energy(q, v) for q, v in zip(run.q, run.v, strict=True)])
+    power = (run.v * np.tanh(run.v / width)) @ coulomb + viscous * (run.v**2).sum(axis=1)
+    lost = cumulative_simpson(power, x=run.t, initial=0.0)
+    assert lost[-1] > 1.0
+    assert_allclose(energy[0] - energy, lost, atol=1e-5)
+
+
+# -- bad input ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"x_noise": -1e-3}, r"x_noise must be >= 0 in every entry, got \[-0.001\]"),
+        ({"x_noise": (1e-3, np.nan)}, r"x_noise must be finite, got \[0.001, nan\]"),
+        ({"x_noise": "much"}, r"x_noise must be numbers of shape \(1,\), got \['much'\]"),
+        ({"x_noise": [[1.0], [1.0, 2.0]]}, r"x_noise must be numbers of shape \(1,\), got \[\[1"),
+        ({"x_quantum": -1.0}, r"x_quantum must be >= 0 in every entry, got \[-1.0\]"),
+        ({"q_noise": np.inf}, r"q_noise must be finite, got \[inf\]"),
+        ({"q_quantum": (1.0, -1.0)}, r"q_quantum must be >= 0 in every entry, got \[1.0, -1.0\]"),
+        ({"x_delay": -0.01}, r"x_delay must be a finite number >= 0 \[s\], got -0.01"),
+        ({"x_delay": np.nan}, r"x_delay must be a finite number >= 0 \[s\], got nan"),
+        ({"x_delay": None}, r"x_delay must be a finite number >= 0 \[s\], got None"),
+        ({"x_dropout": 1.1}, r"x_dropout must be a probability from 0 to 1, got 1.1"),
+        ({"x_dropout": -0.1}, r"x_dropout must be a finite number >= 0, got -0.1"),
+        ({"x_dropout": np.nan}, r"x_dropout must be a finite number >= 0, got nan"),
+        ({"velocity_filter": -1.0}, r"velocity_filter must be a finite number >= 0 \[s\], got -1"),
+        ({"velocity_filter": np.inf}, r"velocity_filter must be a finite number >= 0 \[s\], got"),
+    ],
+)
+def test_bad_sensing_is_refused(changes, text):
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.Sensing(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"x_noise": (1.0, 1.0, 1.0)}, r"x_noise must have shape \(2,\), got shape \(3,\)"),
+        ({"x_quantum": (1.0,)}, r"x_quantum must have shape \(2,\), got shape \(1,\)"),
+        ({"q_noise": (1.0, 1.0, 1.0)}, r"q_noise must have shape \(2,\), got shape \(3,\)"),
+        ({"q_quantum": np.ones(7)}, r"q_quantum must have shape \(2,\), got shape \(7,\)"),
+    ],
+)
+def test_sensing_of_the_wrong_length_is_refused_by_the_plant(changes, text):
+    robot = aj.load_robot("two_link")
+    sensing = aj.Sensing(**changes)
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.Plant(robot, aj.PositionTask(robot, axes="xz"), sensing=sensing)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"coulomb": -1.0}, r"coulomb must be >= 0 in every entry \[N m\], got \[-1.0, -1.0\]"),
+        ({"coulomb": (1.0,)}, r"coulomb must have shape \(2,\) \[N m\], got shape \(1,\)"),
+        ({"coulomb": np.nan}, r"coulomb must be finite \[N m\], got"),
+        ({"coulomb_velocity": 0.0}, r"coulomb_velocity must be a finite number > 0, got 0.0"),
+        ({"actuator_delay": -1e-3}, r"actuator_delay must be a finite number >= 0 \[s\], got -0"),
+        ({"actuator_delay": np.nan}, r"actuator_delay must be a finite number >= 0 \[s\], got nan"),
+        ({"torque_limits": 0.0}, r"torque_limits must be numbers > 0 \[N m or N\], one or 2, inf"),
+        ({"torque_limits": (1.0, np.nan)}, r"torque_limits must be numbers > 0 .* got \(1.0, nan"),
+        ({"torque_limits": np.ones(3)}, r"torque_limits must be numbers > 0 \[N m or N\], one or"),
+        ({"torque_limits": True}, r"torque_limits must be numbers > 0 \[N m or N\], one or 2, inf"),
+        ({"sensing": 1e-3}, r"sensing must be Sensing\(...\) or None, got 0.001"),
+        ({"sensing": aj.Sensing}, r"sensing must be Sensing\(...\) or None, got the class Sensing"),
+    ],
+)
+def test_a_bad_plant_is_refused(changes, text):
+    robot = aj.load_robot("two_link")
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.Plant(robot, aj.PositionTask(robot, axes="xz"), **changes)
+
+
+@pytest.mark.parametrize("changes", [{"sensing": aj.Sensing()}, {"actuator_delay": 1e-3}])
+def test_late_and_lost_measurements_need_sampled_control(changes):
+    with pytest.raises(aj.InvalidInputError, match="dt must be given for a plant with sensing or"):
+        probed(wavy, dt=None, **changes)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.0, None, True, "0"])
+def test_a_bad_seed_is_refused(seed):
+    with pytest.raises(aj.InvalidInputError, match=r"seed must be an integer >= 0, got"):
+        swing(aj.Sensing(x_noise=1.0), seed=seed)
+
+
+def test_progress_must_be_a_function(panda, position):
+    plant, controller = aj.Plant(panda, position), aj.SetpointController(position)
+    with pytest.raises(aj.InvalidInputError, match="progress must be a function of the time reac"):
+        aj.simulate(plant, controller, np.ones(3), START, 1.0, dt=0.1, progress=True)
+
+
+# -- all of it together ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("offset", [(0.1, -0.15, 0.16), (-0.1, 0.2, 0.1)])
+@pytest.mark.parametrize(
+    ("gravity", "settled", "final"),
+    [("known", 3e-3, 1e-3), ("learnt", 5e-3, 2e-3)],  # measured over 8 seeds: 1.4, 0.4; 2.3, 0.8
+)
+def test_the_target_is_reached_with_realistic_measurements(
+    panda, gravity, settled, final, offset, seed
+):
+    """A 20 cm, 0.5 kg tool believed absent, default gains, friction that nobody models.
+
+    1 kHz; x with 1 mm noise, 0.5 mm quanta, 20 ms late and every fifth lost; encoders with 10 µrad
+    noise and their filtered differences for q̇; torques 2 ms late; 0.5 N m s/rad of viscous and
+    0.5 N m of Coulomb friction.
+    """
+    truth, belief = panda.with_object(0.20, 0.5), panda.with_object(0.0, 0.0)
+    regressor = aj.GravityRegressor(belief)
+    controller = aj.SetpointController(
+        aj.PositionTask(belief),
+        gravity=aj.AdaptiveGravity(regressor)
+        if gravity == "learnt"
+        else aj.RegressorGravity(regressor, regressor.fit(truth)[0]),
+    )
+    plant = aj.Plant(
+        truth,
+        aj.PositionTask(truth),
+        friction=0.5,
+        coulomb=0.5,
+        sensing=EVERYTHING,
+        actuator_delay=2e-3,
+    )
+    target = plant.sensor.value(START) + offset
+    options = {"dt": 1e-3, "integrator": "semi_implicit_euler", "seed": seed}
+    run = aj.simulate(plant, controller, target, START, 8.0, **options)
+    assert run.error_norm[0] > 0.24
+    assert run.error_norm.max() < 1.05 * run.error_norm[0]
+    assert run.error_norm[run.t >= 6.0].max() < settled
+    assert run.error_norm[-1] < final
+    assert np.abs(run.v[run.t >= 6.0]).max() < 0.02
+    lost = np.isnan(run.x_measured).any(axis=1)
+    assert lost.mean() == pytest.approx(0.2, abs=0.02)
+    # what was measured scatters more than what was reached
+    scatter = np.linalg.norm((run.x_measured - run.x)[~lost & (run.t >= 6.0)], axis=1)
+    assert scatter.mean() > 1.5e-3 > run.error_norm[-1]
+
+
+def test_a_controller_starts_from_its_first_reading_not_from_the_truth(panda):
+    """Law (5) differentiates x from the first one on, and that one is a measured one."""
+    task = aj.PositionTask(panda)
+    controller = aj.SetpointController(
+        task, aj.Gains(100.0, 20.0, 1.0), velocity=aj.DifferentiatedVelocity(0.02)
+    )
+    plant = aj.Plant(panda, task, sensing=aj.Sensing(x_quantum=0.1))
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    run = aj.simulate(plant, controller, task.value(q0), q0, 0.01, dt=1e-3)
+    assert np.array_equal(run.state[0], run.x_measured[0])
+    assert np.abs(run.x_measured[0] - run.x[0]).max() > 0.01
+    lost = aj.Plant(panda, task, sensing=aj.Sensing(x_dropout=1.0))
+    with pytest.raises(aj.MeasurementError, match=r"the first x must be finite for law \(5\)"):
+        aj.simulate(lost, controller, task.value(q0), q0, 0.01, dt=1e-3)
