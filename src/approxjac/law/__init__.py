@@ -5,15 +5,27 @@ Symbols are the paper's; misprints are corrected and each departure is named whe
 
 from approxjac.law.adaptation import passive_output, theta_hat_rate, within_bounds
 from approxjac.law.conditions import (
+    allowed_p,
     allowed_p_at_crossing,
     allowed_p_position,
     allowed_p_velocity,
+    best_alpha,
     jacobian_error,
     lambda_2,
     largest_allowed_p,
+    largest_alpha,
 )
 from approxjac.law.linearization import closed_loop_matrix
 from approxjac.law.lyapunov import V, W, parameter_potential
+from approxjac.law.matrix_form import (
+    cross_weight_damped,
+    cross_weight_pinv,
+    decrease_matrix,
+    dissipation,
+    inertial_block,
+    potential_matrix,
+    stiffness_block,
+)
 from approxjac.law.pseudoinverse import (
     SINGULAR_RATIO,
     damped_gram_solve,
@@ -38,24 +50,34 @@ __all__ = [
     "Tanh",
     "V",
     "W",
+    "allowed_p",
     "allowed_p_at_crossing",
     "allowed_p_position",
     "allowed_p_velocity",
+    "best_alpha",
     "closed_loop_matrix",
+    "cross_weight_damped",
+    "cross_weight_pinv",
     "damped_gram_solve",
+    "decrease_matrix",
+    "dissipation",
     "estimated_velocity_torque",
     "extreme_singular_values",
     "gravity",
+    "inertial_block",
     "is_near_singular",
     "jacobian_error",
     "lambda_2",
     "largest_allowed_p",
+    "largest_alpha",
     "learnt_gravity_torque",
     "measured_velocity_torque",
     "parameter_potential",
     "passive_output",
+    "potential_matrix",
     "right_pinv",
     "right_pinv_dot",
+    "stiffness_block",
     "theta_hat_rate",
     "within_bounds",
 ]

@@ -1,6 +1,7 @@
-"""Bounds on the Jacobian error: eqs. (7), (23), (24) and (25).
+"""The conditions of Theorem 1: eqs. (7), (14), (21), (22), (23), (24) and (25).
 
-Theorem 1 asks for p, a bound of ‖Jᵀ − Ĵᵀ‖, below both curves of the paper's Figure 1.
+Theorem 1 asks for p, a bound of ‖Jᵀ − Ĵᵀ‖, below both curves of the paper's Figure 1, with gains
+large enough for what inertia and damping take, c₀ and c₁.
 """
 
 from __future__ import annotations
@@ -24,6 +25,54 @@ def lambda_2(J_hat: Array, B_over_kv: Array) -> float:
     """
     smallest = np.linalg.eigvalsh(J_hat.T @ J_hat + np.diag(B_over_kv))[0]
     return max(float(smallest), 0.0)  # it is never negative but for round-off
+
+
+def largest_alpha(kv: Array, c_bar: float, lambda_m: float) -> float:
+    """The α below which k_vi c̄ − αλ_m > 0 for all i [1/s]. Implements Eq. (14).
+
+    Args:
+        kv: Diagonal of K_v, shape (m,).
+        c_bar: c̄ of eq. (8).
+        lambda_m: λ_max[Ĵ⁺ᵀ M Ĵ⁺].
+    """
+    return float(kv.min()) * c_bar / lambda_m
+
+
+def allowed_p(
+    alpha: float, kp: Array, kv: Array, lambda1: float, c0: float, c1: float
+) -> tuple[float, float]:
+    """The p below which l₁ λ_max[K_v] > αc₀, and that below which l₂ λ_max[K_v] > αc₁.
+
+    Implements Eq. (22), solved for p; (21) is the same with c₀ = c₁ = 0. Departure: λ₁ is that of
+    ĴᵀK_vĴ + B, not of J.
+
+    Args:
+        alpha: α > 0 [1/s].
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        lambda1: λ₁ = λ_min[ĴᵀK_vĴ + B] / λ_max[K_v].
+        c0: c₀ of eq. (15).
+        c1: c₁ of eq. (15).
+    """
+    k = float(kv.max())
+    spread = float(kp.max()) + alpha * k
+    return (
+        2.0 * (k * lambda1 - alpha * c0) / spread,
+        2.0 * alpha * (float(kp.min()) - c1) / spread,
+    )
+
+
+def best_alpha(
+    kp: Array, kv: Array, lambda1: float, c0: float, c1: float, alpha_max: float
+) -> float:
+    """The α that allows the largest p: where the two bounds of (22) cross, or `alpha_max`.
+
+    Implements Eq. (24) with c₀, c₁ and gains that differ from axis to axis: the first bound falls
+    with α and the second rises.
+    """
+    slope = float(kp.min()) - c1 + c0
+    crossing = float(kv.max()) * lambda1 / slope if slope > 0.0 else alpha_max
+    return min(crossing, alpha_max)
 
 
 def allowed_p_velocity(a: Array, alpha: float, lambda2: float) -> Array:

@@ -164,11 +164,11 @@ class Robot:
         """Configuration with every joint at zero, shape (nq,)."""
         return np.array(pin.neutral(self._model))
 
-    def random_configuration(self, rng: np.random.Generator) -> Array:
-        """Uniform configuration within the joint limits, shape (nq,) [rad or m].
+    def usual_range(self) -> tuple[Array, Array]:
+        """Range of each joint that is drawn from, as two motions from zero, shape (n_v,) each.
 
-        Of a range wider than a turn or than 2 m, or without limits, the turn or the 2 m
-        nearest to zero are used.
+        The joint limits. Of a range wider than a turn or than 2 m, or without limits, the turn or
+        the 2 m nearest to zero [rad or m].
         """
         lower, upper = self.position_limits
         reach = np.where(np.array(self.joint_units) == "m", 1.0, np.pi)
@@ -177,8 +177,11 @@ class Robot:
         middle = np.clip(
             0.0, np.where(wide, lower, 0.0) + reach, np.where(wide, upper, 0.0) - reach
         )
-        low, high = np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
-        motion = rng.uniform(low, high)
+        return np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
+
+    def random_configuration(self, rng: np.random.Generator) -> Array:
+        """Uniform configuration within `usual_range`, shape (nq,) [rad or m]."""
+        motion = rng.uniform(*self.usual_range())
         return np.array(pin.integrate(self._model, self.neutral(), motion))
 
     def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:

@@ -1,0 +1,263 @@
+"""Test 2: the matrix form with free potential, a linear matrix inequality over many scenarios.
+
+Solved by cutting planes: in m + 1 to 2m² + m unknowns and thousands of small matrices, an
+eigenvalue decomposition of all of them and a linear program of the few directions that matter
+(HiGHS, through SciPy) take less than a conic solver takes to read the problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from approxjac import law
+from approxjac.checks import Array
+from approxjac.stability.scenarios import Scenarios
+
+Family = Literal["paper", "free", "wide"]
+"""Which Lyapunov functions are tried.
+
+"paper" is G = αĴ⁺ with w = k_p + αk_v, "free" is G = αĴ⁺ with any w, and "wide" is
+G = Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂ with any m × m matrices A₁ and A₂, and any w.
+"""
+FAMILIES: tuple[Family, ...] = ("paper", "free", "wide")
+
+_ACTIVE = 60  # scenarios to begin with
+_MORE = 40  # and how many of the worst are added at a time
+_CUTS = 15  # a round, from the scenarios that violate most
+_ROUNDS = 150
+_PRECISION = 5e-3  # of the margin
+_SIGN = 1e-5  # and while it is negative, as weights of other sizes may still make it positive
+_BOX = 30.0  # unknowns are sought within so many times their natural size
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """A Lyapunov function V = ½q̇ᵀMq̇ + q̇ᵀM(Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂)s + Σ wᵢSᵢ(eᵢ).
+
+    Attributes:
+        A1: A₁, shape (m, m) [1/s]; αI in the paper.
+        A2: A₂, shape (m, m) [1/s]; zero in the paper.
+        w: Shape (m,) [N per unit of the task]; k_p + αk_v in the paper.
+    """
+
+    A1: Array
+    A2: Array
+    w: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The closed loop's part of the conditions, the same in every scenario.
+
+    Attributes:
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        B: Diagonal of all viscous damping, shape (n_v,).
+        c_bar: c̄ of eq. (8).
+        fixed_alpha: α where gravity is learnt with it by (29); None if α is free [1/s].
+        large_gains: Leave out what inertia takes, as in the limit of large gains.
+    """
+
+    kp: Array
+    kv: Array
+    B: Array
+    c_bar: float
+    fixed_alpha: float | None = None
+    large_gains: bool = False
+
+    @property
+    def alpha(self) -> float:
+        """α, or its natural size where it is free: half the mean rate k_p/k_v [1/s]."""
+        if self.fixed_alpha is not None:
+            return self.fixed_alpha
+        return 0.5 * float(np.mean(self.kp / self.kv))
+
+    @property
+    def families(self) -> tuple[Family, ...]:
+        """The families that apply: (29) learns along q̇ + αĴ⁺s(e), which G then has to match."""
+        return FAMILIES if self.fixed_alpha is None else ("paper", "free")
+
+
+class MatrixForm:
+    """What has to be positive for V to be a Lyapunov function, at many scenarios."""
+
+    def __init__(self, scenarios: Scenarios, setting: Setting) -> None:
+        self.scenarios, self.setting = scenarios, setting
+        J_hat, dJ_hat, kv = scenarios.J_hat, scenarios.dJ_hat, setting.kv
+        self._D = law.dissipation(J_hat, kv, setting.B)
+        self._pinv = law.cross_weight_pinv(J_hat, dJ_hat)
+        self._damped = law.cross_weight_damped(self._D, J_hat, dJ_hat, kv)
+
+    def pencils(self, weights: Weights) -> tuple[Array, Array]:
+        """X and Y with the margin as the largest μ for which X − μY ≥ 0.
+
+        X holds Q of V̇ = −zᵀQz and P of V ≥ ½zᵀPz, one after the other, Y the same without their
+        cross blocks and inertia; both of shape (2, N, n_v + m, n_v + m) and affine in the weights.
+        """
+        at, setting = self.scenarios, self.setting
+        (G1, dG1), (G2, dG2) = self._pinv, self._damped
+        G = G1 @ weights.A1 + G2 @ weights.A2
+        N = np.zeros_like(at.M)
+        if not setting.large_gains:
+            dG = dG1 @ weights.A1 + dG2 @ weights.A2
+            N = law.inertial_block(at.M, at.dM, at.J_e, G, dG, at.s, at.slope)
+        Q = law.decrease_matrix(self._D, N, at.J_e, at.J_hat, G, setting.kp, weights.w)
+        P = law.potential_matrix(at.M, G, weights.w, setting.c_bar)
+        X = np.stack([Q, P])
+        Y = np.zeros_like(X)
+        n = self._D.shape[-1]
+        Y[0, :, :n, :n] = self._D
+        Y[1, :, :n, :n] = at.M
+        Y[:, :, n:, n:] = X[:, :, n:, n:]
+        if setting.large_gains:  # V is all potential
+            X[1] = Y[1]
+        return X, Y
+
+    def margins(self, weights: Weights) -> Array:
+        """Margin of each scenario, at most 1; positive where V is a Lyapunov function; (N,).
+
+        V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + Σ c̄wᵢsᵢ²) hold there. −∞ where
+        sym(K_pĴG) or w is not positive.
+        """
+        margins = np.full(len(self.scenarios), -np.inf)
+        if (weights.w <= 0.0).any():
+            return margins
+        (Q, P), (Y, _) = self.pencils(weights)
+        n = self._D.shape[-1]
+        positive = np.linalg.eigvalsh(Y[:, n:, n:])[:, 0] > 0.0
+        factor = np.linalg.inv(np.linalg.cholesky(Y[positive]))
+        decrease = np.linalg.eigvalsh(factor @ Q[positive] @ np.swapaxes(factor, -1, -2))[:, 0]
+        # of P the margin is 1 less the largest singular value of the whitened cross block
+        cross, M = P[positive, :n, n:], self.scenarios.M[positive]
+        square = np.swapaxes(cross, -1, -2) @ np.linalg.solve(M, cross)
+        roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
+        size = np.linalg.eigvalsh(square / np.outer(roots, roots))[:, -1]
+        margins[positive] = np.minimum(decrease, 1.0 - np.sqrt(np.maximum(size, 0.0)))
+        return margins
+
+
+class _Unknowns:
+    """The unknowns y of a family, scaled to be of the order of one."""
+
+    def __init__(self, family: Family, setting: Setting) -> None:
+        m = len(setting.kp)
+        one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
+        alpha, kp, kv = setting.alpha, setting.kp, setting.kv
+        paper = kp + alpha * kv
+        potentials = [Weights(zero, zero, row) for row in np.diag(paper)]
+        self.fixed = Weights(zero, zero, none)
+        if family == "wide":
+            self.basis, self.start = self._any_matrices(alpha, potentials)
+            return
+        cross = Weights(alpha * one, zero, none)
+        if family == "paper":
+            cross, potentials = Weights(alpha * one, zero, alpha * kv), []
+            self.fixed = Weights(zero, zero, kp)
+        if setting.fixed_alpha is None:
+            self.basis = [cross, *potentials]
+        else:
+            self.fixed, self.basis = _sum(self.fixed, cross), potentials
+        self.start = np.ones(len(self.basis))
+
+    @staticmethod
+    def _any_matrices(alpha: float, potentials: list[Weights]) -> tuple[list[Weights], Array]:
+        """A basis of all A₁, A₂ and w, and αĴ⁺ with the paper's weights in it."""
+        m = len(potentials)
+        one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
+        units = [alpha * np.outer(a, b) for a in one for b in one]
+        first = [Weights(unit, zero, none) for unit in units]
+        second = [Weights(zero, unit, none) for unit in units]
+        return [*first, *second, *potentials], np.concatenate(
+            [one.ravel(), zero.ravel(), np.ones(m)]
+        )
+
+    def weights(self, y: Array) -> Weights:
+        """The Lyapunov function of some unknowns."""
+        names = ("A1", "A2", "w")
+        return Weights(
+            *(
+                getattr(self.fixed, name)
+                + sum(k * getattr(b, name) for k, b in zip(y, self.basis, strict=True))
+                for name in names
+            )
+        )
+
+
+def best_weights(whole: MatrixForm, family: Family) -> tuple[Weights, Array]:
+    """The Lyapunov function of a family with the largest least margin, and all margins (N,).
+
+    The worst scenarios are gathered until no other one is worse.
+    """
+    scenarios, setting = whole.scenarios, whole.setting
+    unknowns = _Unknowns(family, setting)
+    if not unknowns.basis:
+        return unknowns.fixed, whole.margins(unknowns.fixed)
+    active = np.unique(np.linspace(0, len(scenarios) - 1, _ACTIVE).astype(int))
+    y = unknowns.start
+    while True:
+        y, inner = _cutting_planes(MatrixForm(scenarios.take(active), setting), unknowns, y)
+        weights = unknowns.weights(y)
+        margins = whole.margins(weights)
+        others = np.setdiff1d(np.argsort(margins)[:_MORE], active)
+        if margins.min() >= inner - _PRECISION or len(others) == 0:
+            return weights, margins
+        active = np.concatenate([active, others])
+
+
+def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tuple[Array, float]:
+    """Maximise the least margin: μ is raised to that of the best point until no point beats it.
+
+    For a given μ, X − μY is affine in the unknowns, and each of its eigenvectors v gives a linear
+    bound vᵀ(X − μY)v of its least eigenvalue from above.
+    """
+    from scipy.optimize import linprog
+
+    d = len(start)
+    X0, Y0 = form.pencils(unknowns.fixed)
+    parts = [form.pencils(_sum(unknowns.fixed, part)) for part in unknowns.basis]
+    X1, Y1 = np.stack([X - X0 for X, _ in parts]), np.stack([Y - Y0 for _, Y in parts])
+    best, best_margin = start, float(form.margins(unknowns.weights(start)).min())
+    mu = max(best_margin, -1.0)
+    y = start
+    cuts_X, cuts_Y = np.empty((0, 1 + d)), np.empty((0, 1 + d))
+    for _ in range(_ROUNDS):
+        # eigenvectors in the metric of the best point, where Y is positive
+        factor = np.linalg.inv(np.linalg.cholesky(Y0 + np.tensordot(best, Y1, 1)))
+        factor_T = np.swapaxes(factor, -1, -2)
+        violated = X0 + np.tensordot(y, X1, 1) - mu * (Y0 + np.tensordot(y, Y1, 1))
+        values, vectors = np.linalg.eigh(factor @ violated @ factor_T)
+        which = np.unravel_index(np.argsort(values[..., 0], axis=None)[:_CUTS], values.shape[:2])
+        for column in range(2):
+            v = (factor_T[which] @ vectors[which][..., column, None])[..., 0]
+            cuts_X = np.concatenate([cuts_X, _along(v, X0, X1, which)])
+            cuts_Y = np.concatenate([cuts_Y, _along(v, Y0, Y1, which)])
+        bound = cuts_X - mu * cuts_Y
+        answer = linprog(
+            np.append(np.zeros(d), -1.0),
+            A_ub=np.column_stack([-bound[:, 1:], cuts_Y @ np.append(1.0, best)]),
+            b_ub=bound[:, 0],
+            bounds=[*[(-_BOX, _BOX)] * d, (None, 10.0)],
+            method="highs",
+        )
+        if answer.status != 0 or answer.x[-1] < (_PRECISION if best_margin > 0.0 else _SIGN):
+            break
+        # half the way, as the bounds far from the best point are still poor
+        y = 0.5 * (answer.x[:-1] + best)
+        margin = float(form.margins(unknowns.weights(y)).min())
+        if margin > best_margin:
+            best, best_margin, mu = y, margin, max(mu, margin)
+    return best, best_margin
+
+
+def _along(v: Array, A0: Array, A1: Array, which: tuple[Array, ...]) -> Array:
+    """The affine functions vᵀA(y)v, constants first; shape (number of v, 1 + d)."""
+    constant = np.einsum("ci,cij,cj->c", v, A0[which], v)
+    slopes = np.einsum("ci,kcij,cj->ck", v, A1[(slice(None), *which)], v)
+    return np.column_stack([constant, slopes])
+
+
+def _sum(a: Weights, b: Weights) -> Weights:
+    return Weights(a.A1 + b.A1, a.A2 + b.A2, a.w + b.w)

@@ -1,0 +1,304 @@
+"""Regions of joint space: where the stability tests look."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac import law
+from approxjac.checks import Array, as_array, as_number, is_scalar, require
+from approxjac.controllers import SetpointController
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Robot
+from approxjac.simulation import Plant
+from approxjac.tasks import Task
+
+_TRIES = 1000
+_THINNING = 5
+
+
+class Region(ABC):
+    """A set of postures that can be drawn from.
+
+    Attributes:
+        robot: A robot with the joints that the postures are of.
+        spread: Typical width along each joint, shape (n_v,) [rad or m].
+    """
+
+    robot: Robot
+    spread: Array
+
+    @abstractmethod
+    def sample(self, n: int, rng: np.random.Generator) -> Array:
+        """Draw n postures, shape (n, nq).
+
+        Raises:
+            InvalidInputError: The region is empty, as far as drawing can tell.
+        """
+
+    @abstractmethod
+    def contains(self, q: Array) -> bool:
+        """Whether a posture (nq,) belongs to the region."""
+
+    def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
+        """A posture of the region about `size` spreads away from one of its postures q."""
+        for _ in range(20):
+            motion = size * self.spread * rng.standard_normal(self.robot.nv)
+            moved = np.array(pin.integrate(self.robot.model, q, motion))
+            if self.contains(moved):
+                return moved
+        return q
+
+
+class JointBox(Region):
+    """Postures between two bounds of every joint.
+
+    Args:
+        robot: The robot, true or believed.
+        lower: Smallest motion from `center`, a number or shape (n_v,) [rad or m]; by default the
+            lower joint limits, where `center` must not be given.
+        upper: Largest motion from `center`; by default the upper joint limits. Of a range wider
+            than a turn or than 2 m, or without limits, `Robot.random_configuration` tells the part
+            that is used.
+        center: Posture that motions are counted from, shape (nq,); all joints at zero by default.
+
+    Raises:
+        InvalidInputError: Wrong shapes, not finite, or an empty box.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        lower: float | Sequence[float] | Array | None = None,
+        upper: float | Sequence[float] | Array | None = None,
+        center: Sequence[float] | Array | None = None,
+    ) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self.robot = robot
+        if (lower is None) != (upper is None) or (lower is None and center is not None):
+            raise InvalidInputError(
+                "lower and upper must both be given, or neither they nor a center, "
+                f"got {lower!r}, {upper!r} and {center!r}",
+                given=(lower, upper, center),
+            )
+        self.center = robot.neutral() if center is None else robot.configuration(center, "center")
+        if lower is None:
+            self.lower, self.upper = robot.usual_range()
+        else:
+            self.lower, self.upper = (
+                as_array(name, [bound] * robot.nv if is_scalar(bound) else bound, (robot.nv,))
+                for name, bound in (("lower", lower), ("upper", upper))
+            )
+        if not (self.lower <= self.upper).all():
+            raise InvalidInputError(
+                "lower must be at most upper in every joint, or the region is empty, got "
+                f"{self.lower.tolist()} and {self.upper.tolist()}",
+                given=(lower, upper),
+            )
+        self.spread = self.upper - self.lower
+
+    @classmethod
+    def around(
+        cls,
+        robot: Robot,
+        q: Sequence[float] | Array,
+        radius: float | Sequence[float] | Array,
+    ) -> JointBox:
+        """Box of all postures whose joints are within `radius` [rad or m] of posture q."""
+        radius = np.asarray(radius, dtype=np.float64)
+        return cls(robot, -radius + np.zeros(robot.nv), radius + np.zeros(robot.nv), q)
+
+    def sample(self, n: int, rng: np.random.Generator) -> Array:
+        motions = rng.uniform(self.lower, self.upper, (n, self.robot.nv))
+        return np.array(
+            [pin.integrate(self.robot.model, self.center, motion) for motion in motions]
+        )
+
+    def contains(self, q: Array) -> bool:
+        motion = pin.difference(self.robot.model, self.center, q)
+        return bool((self.lower - 1e-12 <= motion).all() and (motion <= self.upper + 1e-12).all())
+
+    def __repr__(self) -> str:
+        return f"JointBox({self.robot.name!r}, {self.lower.tolist()}, {self.upper.tolist()})"
+
+
+class Tube(Region):
+    """Postures near those of a recorded trajectory.
+
+    Args:
+        robot: The robot, true or believed.
+        postures: Recorded postures, shape (N, nq), such as `Trajectory.q`.
+        radius: How far each joint may be from one of them > 0, a number or shape (n_v,).
+
+    Raises:
+        InvalidInputError: Wrong shapes, no posture, or a radius that is not positive.
+    """
+
+    def __init__(
+        self, robot: Robot, postures: Array, radius: float | Sequence[float] | Array = 0.05
+    ) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self.robot = robot
+        if np.ndim(postures) != 2 or len(postures) == 0:
+            raise InvalidInputError(
+                f"postures must be of shape (N, {robot.nq}) with N > 0, got shape "
+                f"{np.shape(postures)}",
+                given=postures,
+            )
+        self.postures = np.array([robot.configuration(q, "each posture") for q in postures])
+        self.spread = as_array(
+            "radius", [radius] * robot.nv if is_scalar(radius) else radius, (robot.nv,)
+        )
+        if not (self.spread > 0.0).all():
+            raise InvalidInputError(
+                f"radius must be > 0 in every joint, or the region is empty, got {radius!r}",
+                given=radius,
+            )
+
+    def sample(self, n: int, rng: np.random.Generator) -> Array:
+        model = self.robot.model
+        chosen = self.postures[rng.integers(len(self.postures), size=n)]
+        motions = rng.uniform(-self.spread, self.spread, (n, self.robot.nv))
+        return np.array(
+            [pin.integrate(model, q, motion) for q, motion in zip(chosen, motions, strict=True)]
+        )
+
+    def contains(self, q: Array) -> bool:
+        model = self.robot.model
+        return any(
+            bool((np.abs(pin.difference(model, known, q)) <= self.spread).all())
+            for known in self.postures
+        )
+
+    def __repr__(self) -> str:
+        return f"Tube({self.robot.name!r}, {len(self.postures)} postures)"
+
+
+class SublevelSet(Region):
+    """Postures that V lets the arm reach from a start, {q : V(q, q̇) ≤ V(q₀, 0) for some q̇}.
+
+    With V of eq. (12) and the paper's weights. It is the part connected with the start, drawn from
+    by a random walk. A motion that starts at rest in q₀ and along which V falls stays in it.
+
+    Args:
+        plant: The true robot.
+        controller: The controller, for its gains and Ĵ.
+        target: x_d, shape (n_x,).
+        q0: Start, shape (nq,).
+        alpha: α of V ≥ 0 [1/s].
+        within: Region that the postures must also be in; the joint limits by default.
+
+    Raises:
+        InvalidInputError: A start outside `within`, or wrong shapes.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        controller: SetpointController,
+        target: Sequence[float] | Array,
+        q0: Sequence[float] | Array,
+        alpha: float = 0.0,
+        within: Region | None = None,
+    ) -> None:
+        require("plant", plant, Plant, "a Plant")
+        require("controller", controller, SetpointController, "a SetpointController")
+        plant.require_task(controller.task)
+        self.robot = plant.robot
+        self.within = JointBox(plant.robot) if within is None else within
+        self.alpha = as_number("alpha", alpha, unit="1/s", minimum=0.0)
+        self._plant, self._controller = plant, controller
+        self._target = plant.sensor.target(target)
+        self.start = plant.robot.configuration(q0, "q0")
+        if not self.within.contains(self.start):
+            raise InvalidInputError(
+                f"q0 must be in {self.within!r}, or the region is empty, got {self.start.tolist()}",
+                given=q0,
+            )
+        self.level = self._at_rest(self.start)
+        self.spread = self.within.spread
+
+    def sample(self, n: int, rng: np.random.Generator) -> Array:
+        q, drawn = self.start, []
+        for k in range(n * _THINNING):
+            size = 10.0 ** rng.uniform(-2.5, -0.5)  # a symmetric step: the walk is uniform
+            q = self._step(q, size, rng)
+            if k % _THINNING == _THINNING - 1:
+                drawn.append(q)
+        return np.array(drawn)
+
+    def contains(self, q: Array) -> bool:
+        if not self.within.contains(q):
+            return False
+        kinetic = 0.0
+        if self.alpha > 0.0:
+            s = self._s(q)
+            Gs = self.alpha * law.right_pinv(self._controller.task.jacobian(q)) @ s
+            kinetic = 0.5 * float(Gs @ self._plant.dynamics.M(q) @ Gs)
+        return self._at_rest(q) - kinetic <= self.level
+
+    def _step(self, q: Array, size: float, rng: np.random.Generator) -> Array:
+        motion = size * self.spread * rng.standard_normal(self.robot.nv)
+        moved = np.array(pin.integrate(self.robot.model, q, motion))
+        return moved if self.contains(moved) else q
+
+    def _at_rest(self, q: Array) -> float:
+        """V(q, 0)."""
+        kp, kv, _ = self._controller.diagonals
+        sensor = self._plant.sensor
+        e = sensor.error(sensor.value(q), self._target)
+        return float((kp + self.alpha * kv) @ self._controller.saturation.S(e))
+
+    def _s(self, q: Array) -> Array:
+        sensor = self._plant.sensor
+        return self._controller.saturation.s(sensor.error(sensor.value(q), self._target))
+
+    def __repr__(self) -> str:
+        return f"SublevelSet({self.robot.name!r}, V <= {self.level:.4g} J)"
+
+
+class RegularPart(Region):
+    """The postures of a region where the believed task is not near singular.
+
+    Args:
+        region: The region.
+        task: The believed task.
+        sigma_min: Smallest singular value that Ĵ must have [unit of the task/rad].
+
+    Raises:
+        InvalidInputError: A bound that is negative or not finite.
+    """
+
+    def __init__(self, region: Region, task: Task, sigma_min: float) -> None:
+        require("region", region, Region, "a Region, such as JointBox(robot)")
+        require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+        self.robot, self.spread = region.robot, region.spread
+        self.region, self.task = region, task
+        self.sigma_min = as_number("sigma_min", sigma_min, minimum=0.0)
+
+    def sample(self, n: int, rng: np.random.Generator) -> Array:
+        drawn: list[Array] = []
+        tried = 0
+        while len(drawn) < n:
+            batch = self.region.sample(max(n - len(drawn), 20), rng)
+            tried += len(batch)
+            J = np.array([self.task.jacobian(q) for q in batch])
+            regular = np.linalg.svd(J, compute_uv=False)[:, -1] >= self.sigma_min
+            drawn.extend(batch[regular])
+            if len(drawn) * _TRIES < tried:
+                raise InvalidInputError(
+                    f"the region is empty: of {tried} postures of {self.region!r} {len(drawn)} "
+                    f"have sigma_min >= {self.sigma_min:g}; give a smaller bound or another region",
+                    given=self.sigma_min,
+                )
+        return np.array(drawn[:n])
+
+    def contains(self, q: Array) -> bool:
+        sigma = np.linalg.svd(self.task.jacobian(q), compute_uv=False)[-1]
+        return bool(sigma >= self.sigma_min) and self.region.contains(q)
+
+    def __repr__(self) -> str:
+        return f"RegularPart({self.region!r}, sigma_min >= {self.sigma_min:g})"

@@ -1,0 +1,140 @@
+"""Test 1: Theorem 1 of the paper, with its constants taken over scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from approxjac import law
+from approxjac.checks import Array
+from approxjac.stability.matrix_form import Setting
+from approxjac.stability.scenarios import Scenarios
+
+
+@dataclass(frozen=True, eq=False)
+class Theorem1:
+    """The constants of Theorem 1 over a region, and what they allow.
+
+    Attributes:
+        p: Largest ‖Jᵀ − Ĵᵀ‖, eq. (7).
+        b_J: Largest ‖J‖.
+        lambda_m: Largest λ_max[Ĵ⁺ᵀ M Ĵ⁺], of eq. (14).
+        lambda_1: Smallest λ_min[ĴᵀK_vĴ + B] / λ_max[K_v], of eq. (21).
+        lambda_2: Smallest λ_min[ĴᵀĴ + B/λ_max[K_v]], of eq. (23).
+        c0: c₀ of eq. (15) [kg m²/s for a joint that turns].
+        c1: c₁ of eq. (15).
+        alpha: The α that allows the largest p, or that gravity is learnt with [1/s].
+        alpha_max: The α that (14) allows [1/s].
+        allowed_p: The largest p that (14) and (22) allow, at `alpha`; negative if none.
+        setting: Gains and damping.
+        worst: Which scenario each constant comes from, by its name.
+    """
+
+    p: float
+    b_J: float
+    lambda_m: float
+    lambda_1: float
+    lambda_2: float
+    c0: float
+    c1: float
+    setting: Setting
+    worst: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def alpha_max(self) -> float:
+        return law.largest_alpha(self.setting.kv, self.setting.c_bar, self.lambda_m)
+
+    @property
+    def alpha(self) -> float:
+        setting = self.setting
+        if setting.fixed_alpha is not None:
+            return setting.fixed_alpha
+        return law.best_alpha(
+            setting.kp, setting.kv, self.lambda_1, self.c0, self.c1, self.alpha_max
+        )
+
+    @property
+    def allowed_p(self) -> float:
+        if self.alpha > self.alpha_max:
+            return 0.0
+        return min(self._bounds(self.alpha))
+
+    @property
+    def allowed_p_large_gains(self) -> float:
+        """The largest p that (21) allows: (22) in the limit of large gains at the same ratios."""
+        setting = self.setting
+        alpha = law.best_alpha(setting.kp, setting.kv, self.lambda_1, 0.0, 0.0, np.inf)
+        return min(law.allowed_p(alpha, setting.kp, setting.kv, self.lambda_1, 0.0, 0.0))
+
+    @property
+    def margin(self) -> float:
+        """1 − p / allowed p, positive if Theorem 1 holds; −∞ if it allows no p at all."""
+        allowed = self.allowed_p
+        return 1.0 - self.p / allowed if allowed > 0.0 else -np.inf
+
+    @property
+    def holds(self) -> bool:
+        """Whether (14) and (22) hold for some α."""
+        return self.margin > 0.0
+
+    @property
+    def alpha_range(self) -> tuple[float, float]:
+        """Smallest and largest α for which (14) and (22) hold [1/s]; NaN if there is none."""
+        if not self.holds:
+            return np.nan, np.nan
+        kp, k = self.setting.kp, float(self.setting.kv.max())
+        pull = 0.5 * self.p
+        lowest = pull * float(kp.max()) / (float(kp.min()) - self.c1 - pull * k)
+        highest = (k * self.lambda_1 - pull * float(kp.max())) / (self.c0 + pull * k)
+        return lowest, min(highest, self.alpha_max)
+
+    def _bounds(self, alpha: float) -> tuple[float, float]:
+        setting = self.setting
+        return law.allowed_p(alpha, setting.kp, setting.kv, self.lambda_1, self.c0, self.c1)
+
+
+CONSTANTS = ("p", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")
+_SMALLEST = ("lambda_1", "lambda_2")
+
+
+def constants(scenarios: Scenarios, setting: Setting) -> dict[str, Array]:
+    """What each constant would be for each scenario alone; arrays of shape (N,) by name."""
+    J, J_hat, kv, B = scenarios.J, scenarios.J_hat, setting.kv, setting.B
+    D = law.dissipation(J_hat, kv, B)
+    G, dG = law.cross_weight_pinv(J_hat, scenarios.dJ_hat)
+    N = law.inertial_block(scenarios.M, scenarios.dM, scenarios.J_e, G, dG, scenarios.s, scenarios.slope)
+    metric = np.swapaxes(G, -1, -2) @ scenarios.M @ G
+    # the damping's αs(e)ᵀĴ⁺ᵀBq̇ is shared out by (18)
+    c1 = 0.5 * _norm(B[:, None] * G)
+    uniform = law.dissipation(J_hat, np.ones_like(kv), B / float(kv.max()))
+    return {
+        "p": _norm(J - J_hat),
+        "b_J": _norm(J),
+        "lambda_m": np.linalg.eigvalsh(metric)[:, -1],
+        "lambda_1": np.maximum(np.linalg.eigvalsh(D)[:, 0], 0.0) / float(kv.max()),
+        "lambda_2": np.maximum(np.linalg.eigvalsh(uniform)[:, 0], 0.0),
+        "c0": c1 + np.abs(np.linalg.eigvalsh(N)).max(axis=-1),
+        "c1": c1,
+    }
+
+
+def badness(name: str, values: Array) -> Array:
+    """Large where a constant is unfavourable."""
+    return -values if name in _SMALLEST else values
+
+
+def theorem1(scenarios: Scenarios, setting: Setting) -> Theorem1:
+    """Take the constants of Theorem 1 over all scenarios."""
+    found = constants(scenarios, setting)
+    worst = {name: int(np.argmax(badness(name, values))) for name, values in found.items()}
+    return Theorem1(
+        **{name: float(found[name][k]) for name, k in worst.items()}, setting=setting, worst=worst
+    )
+
+
+def _norm(A: Array) -> Array:
+    """Spectral norm of each matrix."""
+    return np.linalg.svd(A, compute_uv=False)[..., 0]

@@ -1,0 +1,205 @@
+"""`tolerance`: how much larger or smaller errors may be before each test gives way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from approxjac.checks import Array, as_number, require
+from approxjac.controllers import SetpointController
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.stability.matrix_form import MatrixForm, best_weights
+from approxjac.stability.region import Region
+from approxjac.stability.report import (
+    attaining,
+    default_region,
+    local_test,
+    require_law,
+    setting_of,
+    true_plants,
+)
+from approxjac.stability.scenarios import Sampler
+from approxjac.stability.theorem1 import theorem1
+from approxjac.stability.uncertainty import Uncertainty
+
+Test = Literal["theorem1", "matrix", "local"]
+TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
+_STEPS = 20  # of bisection
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerance:
+    """How far a set of errors may be scaled while a test passes.
+
+    Attributes:
+        test: Which test.
+        scale: The largest scale at which it passed, with the test passing at all the smaller
+            ones that bisection tried; 0 if it does not even pass without errors.
+        fails_at: The smallest scale at which it failed; infinite if it never did.
+        worst: The true values that fail there, shape (d,); those at `scale` if nothing fails.
+        uncertainty: The set at `scale`.
+        worst_text: The true values in words.
+    """
+
+    test: Test
+    scale: float
+    fails_at: float
+    worst: Array
+    uncertainty: Uncertainty
+    worst_text: str
+
+    def __str__(self) -> str:
+        allowed = self.uncertainty.describe_ranges()
+        if not np.isfinite(self.fails_at):
+            return f"{self.test}: passes up to the largest scale tried, {self.scale:.3g} ({allowed})"
+        return (
+            f"{self.test}: passes up to scale {self.scale:.3g} ({allowed}); fails at "
+            f"{self.fails_at:.3g} with {self.worst_text}"
+        )
+
+
+def tolerance(
+    controller: SetpointController,
+    uncertainty: Uncertainty,
+    region: Region | None = None,
+    *,
+    tests: Sequence[Test] = TESTS,
+    target: Sequence[float] | Array | None = None,
+    largest: float = 10.0,
+    precision: float = 0.02,
+    postures: int = 400,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> dict[Test, Tolerance]:
+    """Find the largest scaling of a set of errors for which each test still passes.
+
+    By bisection, with the same postures at every scale. Sets grow with their scale, so for the
+    first two tests whatever passes at one scale passes at all smaller ones (as far as corners and
+    postures tell). The local test looks at corners and might pass again beyond a gap.
+
+    Args:
+        controller: The controller.
+        uncertainty: The errors at scale 1.
+        region: Where to look; see `stability_report`.
+        tests: Which tests.
+        target: x_d, shape (n_x,); see `stability_report`.
+        largest: Scale at most > 0; less where robots beyond it cannot exist.
+        precision: Of the scale, relative, > 0.
+        postures: How many to draw.
+        seed: Of the drawing.
+        progress: Called with the share that is done.
+
+    Raises:
+        InvalidInputError: Numbers out of range, or what `stability_report` refuses.
+        UnknownNameError: No such test.
+    """
+    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
+    require("controller", controller, SetpointController, "a SetpointController")
+    require_law(controller)
+    if uncertainty.d == 0:
+        raise InvalidInputError(
+            f"uncertainty must have a range to scale, got {uncertainty!r}", given=uncertainty
+        )
+    for test in tests:
+        if test not in TESTS:
+            raise UnknownNameError("test", test, "the tests", TESTS)
+    largest = _physical(uncertainty, as_number("largest", largest, above=0.0))
+    precision = as_number("precision", precision, above=0.0)
+    region = default_region(controller) if region is None else region
+    found: dict[Test, Tolerance] = {}
+    for k, test in enumerate(tests):
+
+        def failing(scale: float, test: Test = test) -> Array | None:
+            return _failing(
+                controller, uncertainty.scaled(scale), region, test, target, postures, seed
+            )
+
+        def tell(share: float, k: int = k) -> None:
+            if progress is not None:
+                progress((k + share) / len(tests))
+
+        found[test] = _bisect(test, failing, uncertainty, largest, precision, tell)
+    return found
+
+
+def _bisect(
+    test: Test,
+    failing: Callable[[float], Array | None],
+    uncertainty: Uncertainty,
+    largest: float,
+    precision: float,
+    tell: Callable[[float], None],
+) -> Tolerance:
+    passes, fails, worst = 0.0, np.inf, failing(0.0)
+    if worst is not None:
+        fails = 0.0
+    scale = min(1.0, largest)
+    for step in range(_STEPS):
+        if fails - passes <= precision * fails or passes == largest:
+            break
+        tell(step / _STEPS)
+        culprit = failing(scale)
+        if culprit is None:
+            passes = scale
+        else:
+            fails, worst = scale, culprit
+        scale = min(2.0 * passes, largest) if np.isinf(fails) else 0.5 * (passes + fails)
+    held = uncertainty.scaled(passes)
+    if worst is None:
+        return Tolerance(test, passes, fails, held.believed, held, "")
+    return Tolerance(test, passes, fails, worst, held, uncertainty.scaled(fails).describe(worst))
+
+
+def _failing(
+    controller: SetpointController,
+    uncertainty: Uncertainty,
+    region: Region,
+    test: Test,
+    target: Sequence[float] | Array | None,
+    postures: int,
+    seed: int,
+) -> Array | None:
+    """The true values with which a test fails on a set, or None if it passes."""
+    corners, plants = true_plants(controller, uncertainty)
+    rng = np.random.default_rng(seed)
+    x_d = None if target is None else plants[0].sensor.target(target)
+    sampler = Sampler(controller, plants, region, x_d)
+    # whole rounds of the corners, so that every one is seen by as many postures
+    scenarios = sampler.draw(max(1, postures // len(corners)) * len(corners), rng)
+    setting = setting_of(controller, plants[0])
+    if test == "theorem1":
+        first = theorem1(scenarios, setting)
+        culprit = None if first.holds else scenarios.truth[first.worst["p"]]
+    elif test == "matrix":
+        margins = max(
+            (best_weights(MatrixForm(scenarios, setting), family)[1] for family in setting.families),
+            key=lambda values: float(values.min()),
+        )
+        culprit = None if margins.min() > 0.0 else scenarios.truth[margins.argmin()]
+    else:
+        if x_d is not None:
+            scenarios = attaining(sampler, rng)
+        local = local_test(controller, scenarios, setting)
+        culprit = None if local.stable else local.truth[local.worst]
+    return None if culprit is None else corners[int(culprit)]
+
+
+def _physical(uncertainty: Uncertainty, largest: float) -> float:
+    """The largest scale, up to a bound, at which all robots of a set can exist."""
+    low, high = 0.0, largest
+    try:
+        uncertainty.scaled(largest)
+        return largest
+    except InvalidInputError:
+        pass
+    for _ in range(_STEPS):
+        middle = 0.5 * (low + high)
+        try:
+            uncertainty.scaled(middle)
+            low = middle
+        except InvalidInputError:
+            high = middle
+    return low
