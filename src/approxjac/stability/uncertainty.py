@@ -171,7 +171,7 @@ class Uncertainty:
             raise InvalidInputError(f"limit must be an integer >= 1, got {limit!r}", given=limit)
         ends = [tuple(dict.fromkeys((known.low, known.high))) for known in self._coordinates]
         if math.prod(map(len, ends)) <= limit:
-            return np.array(list(itertools.product(*ends)), dtype=float).reshape(-1, self.d)
+            return np.array(list(itertools.product(*ends)), dtype=float)
         believed = tuple(self.believed.tolist())
         chosen = {
             (*believed[:i], end, *believed[i + 1 :]): None for i in range(self.d) for end in ends[i]
