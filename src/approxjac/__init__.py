@@ -38,7 +38,16 @@ from approxjac.robots import (
     robot_names,
 )
 from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
-from approxjac.stability import LocalStability, LyapunovValue, local_stability, lyapunov
+from approxjac.stability import (
+    LocalStability,
+    LyapunovValue,
+    Rollout,
+    Rollouts,
+    Uncertainty,
+    local_stability,
+    lyapunov,
+    rollouts,
+)
 from approxjac.tasks import (
     Camera,
     ImageTask,
@@ -81,6 +90,8 @@ __all__ = [
     "Posture",
     "RegressorGravity",
     "Robot",
+    "Rollout",
+    "Rollouts",
     "Sensing",
     "SetpointController",
     "SimulationError",
@@ -91,6 +102,7 @@ __all__ = [
     "Task",
     "Trajectory",
     "TrajectoryFileError",
+    "Uncertainty",
     "UnknownNameError",
     "UrdfError",
     "default_adaptation",
@@ -101,5 +113,6 @@ __all__ = [
     "local_stability",
     "lyapunov",
     "robot_names",
+    "rollouts",
     "simulate",
 ]

@@ -22,6 +22,16 @@ class ApproxJacError(Exception):
         super().__init__(message)
         self.given = given
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # not by calling the class, whose arguments differ: errors cross from worker processes
+        return _without_init, (type(self), self.args), self.__dict__
+
+
+def _without_init(kind: type[ApproxJacError], args: tuple[Any, ...]) -> ApproxJacError:
+    error = kind.__new__(kind)
+    error.args = args
+    return error
+
 
 class InvalidInputError(ApproxJacError, ValueError):
     """A number, array or option that is outside what is meaningful."""

@@ -26,6 +26,9 @@ class ModelGravity:
         self._model = robot.model
         self._data = self._model.createData()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot,)  # a copy has scratch memory of its own
+
     def torque(self, q: Array) -> Array:
         """g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
         g: Array = pin.computeGeneralizedGravity(self._model, self._data, q)

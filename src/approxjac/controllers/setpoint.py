@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -371,9 +371,21 @@ class SetpointController:
             )
         return True
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # a copy has scratch memory of its own, down to that of its task and its gravity
+        names = ("gains", "gravity", "saturation", "velocity", "posture")
+        options = {name: getattr(self, name) for name in names}
+        return _with_options, (type(self), self.task, options)
+
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         return f"SetpointController(law {law}, {self.task!r}, {self.gains!r})"
+
+
+def _with_options(
+    kind: type[SetpointController], task: Task, options: dict[str, Any]
+) -> SetpointController:
+    return kind(task, **options)
 
 
 def _is_beyond(torque: Array, limits: Array) -> bool:

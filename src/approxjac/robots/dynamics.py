@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
@@ -34,6 +36,9 @@ class Dynamics:
         self._coupling = robot.coupling
         self._all = robot.coupling.model
         self._all_data = self._data if self._all is self._model else self._all.createData()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot,)  # a copy has scratch memory of its own
 
     def M(self, q: Array) -> Array:
         """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""

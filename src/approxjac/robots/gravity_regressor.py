@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
@@ -46,6 +48,7 @@ class GravityRegressor:
 
     def __init__(self, robot: Robot, moments: str = "xyz") -> None:
         require("robot", robot, Robot, "a Robot")
+        self._moments = moments
         axes = axis_rows("moments", moments)
         self.robot = robot
         self._model = robot.coupling.model  # Pinocchio has no regressor with mimic joints
@@ -81,6 +84,9 @@ class GravityRegressor:
                 f"would be wrong by {100 * error:.2g} %; 'xyz' covers every robot",
                 given=moments,
             )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot, self._moments)  # a copy has scratch memory of its own
 
     @property
     def p(self) -> int:

@@ -270,10 +270,8 @@ class Robot:
                 given=(length, radius),
             )
         parent = self.tip_or(parent)
-        root = urdf_xml.parse(self._urdf, self._source)
-        links = urdf_xml.read(root, self._source).link_map
-        if parent not in links:
-            raise UnknownNameError("link", parent, self._name, links)
+        if parent not in self._links:
+            raise UnknownNameError("link", parent, self._name, self._links)
         taken = set(self._frames) | {"universe"}
         if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
             raise InvalidInputError(
@@ -286,6 +284,7 @@ class Robot:
                     f"frame {new!r}; give another name",
                     given=name,
                 )
+        root = urdf_xml.parse(self._urdf, self._source)
         urdf_edit.append_object(
             root,
             name=name,
@@ -317,9 +316,9 @@ class Robot:
             if errors is not None:
                 require(name, errors, Mapping, "a mapping from joint names to 3-vectors")
         root = urdf_xml.parse(self._urdf, self._source)
+        links = urdf_xml.read(root, self._source)
         shifts, rotations = dict(shifts or {}), dict(rotations or {})
         for joint in dict.fromkeys([*shifts, *rotations]):
-            links = urdf_xml.read(root, self._source)
             if joint not in links.joint_map:
                 raise UnknownNameError("joint", joint, self._name, links.joint_map)
             shift = as_array(f"shift of {joint}", shifts.get(joint, np.zeros(3)), (3,), "m")
@@ -420,6 +419,9 @@ class Robot:
 
     def _key(self) -> tuple[Any, ...]:
         return (self._urdf, tuple(self._gravity))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
+        return self  # it never changes
 
     def __reduce__(self) -> tuple[Any, ...]:
         make = functools.partial(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 
@@ -35,6 +37,9 @@ class FrameKinematics:
         self._all = robot.coupling.model
         self._all_data = self._data if self._all is self._model else self._all.createData()
         self._id_in_all = self._all.getFrameId(frame, self._model.frames[self._id].type)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot, self.frame)  # a copy has scratch memory of its own
 
     def position(self, q: Array) -> Array:
         """Position of the frame's origin in the world, shape (3,) [m]."""

@@ -1,0 +1,365 @@
+"""Sampled closed loop: rollouts over starts and errors, with an exact confidence interval."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, as_completed
+from dataclasses import dataclass
+
+import numpy as np
+
+from approxjac.checks import Array, as_number, require
+from approxjac.errors import InvalidInputError, SimulationError
+from approxjac.interface import Controller
+from approxjac.simulation import Trajectory, simulate
+from approxjac.stability.region import Region
+from approxjac.stability.uncertainty import Uncertainty
+from approxjac.tasks import Task
+
+_RECORDS = 500  # of a run: 50 in its last tenth
+_CHUNKS = 64  # that runs are handed to an executor in, at most
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """One run.
+
+    Attributes:
+        index: k, from 0. Seed and index decide all that is drawn.
+        values: True values of the uncertain coordinates, shape (d,).
+        q0: Start, at rest, shape (nq,).
+        target: x_d, shape (n_x,).
+        final_error: ‖e‖ at the end [unit of the task]; infinite if the run diverged.
+        settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
+            recorded instant [s]; NaN if it is not at the end.
+        converged: Whether it is at every recorded instant of the last tenth.
+        diverged: Whether the simulation could not be carried to its end.
+        stayed: Whether all recorded postures are in the region; False if the run diverged.
+    """
+
+    index: int
+    values: Array
+    q0: Array
+    target: Array
+    final_error: float
+    settling_time: float
+    converged: bool
+    diverged: bool
+    stayed: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rollouts:
+    """What became of all runs. Its text is a sentence that says so.
+
+    Attributes:
+        runs: The runs, in the order of their index.
+        uncertainty: What the true robots were drawn from.
+        confidence: Of the interval.
+        tolerance: Error below which a task counts as done [unit of the task].
+    """
+
+    runs: tuple[Rollout, ...]
+    uncertainty: Uncertainty
+    confidence: float
+    tolerance: float
+
+    @property
+    def n(self) -> int:
+        """Number of runs."""
+        return len(self.runs)
+
+    @property
+    def n_converged(self) -> int:
+        """Number of runs that converged."""
+        return sum(run.converged for run in self.runs)
+
+    @property
+    def n_diverged(self) -> int:
+        """Number of runs that could not be simulated to their end."""
+        return sum(run.diverged for run in self.runs)
+
+    @property
+    def n_left(self) -> int:
+        """Number of runs that left the region and did not diverge."""
+        return sum(not (run.stayed or run.diverged) for run in self.runs)
+
+    @property
+    def share(self) -> float:
+        """Share of the runs that converged."""
+        return self.n_converged / self.n
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Clopper–Pearson interval for the probability to converge: see `clopper_pearson`."""
+        return clopper_pearson(self.n_converged, self.n, self.confidence)
+
+    @property
+    def worst(self) -> Rollout:
+        """The run with the largest final error, which is one that diverged if any did."""
+        return max(self.runs, key=lambda run: run.final_error)
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        worst, unit = self.worst, self.uncertainty.believed_task().unit
+        ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
+        return (
+            f"{self.n_converged} of {self.n} runs converged to within {self.tolerance:g} {unit}: "
+            f"{100 * self.share:.1f} %, with {100 * self.confidence:g} % confidence "
+            f"{100 * low:.1f} to {100 * high:.1f} %; {self.n_diverged} diverged, {self.n_left} "
+            f"others left the region; the worst, run {worst.index}, {ended} "
+            f"with {self.uncertainty.describe(worst.values)}"
+        )
+
+    def __repr__(self) -> str:
+        return f"Rollouts({self})"
+
+
+def rollouts(
+    controller: Controller,
+    uncertainty: Uncertainty,
+    region: Region,
+    *,
+    target: Sequence[float] | Array | None = None,
+    runs: int = 100,
+    duration: float = 10.0,
+    dt: float = 1e-3,
+    tolerance: float = 1e-3,
+    seed: int = 0,
+    executor: Executor | None = None,
+    confidence: float = 0.95,
+    progress: Callable[[int], None] | None = None,
+) -> Rollouts:
+    """Simulate the sampled closed loop from random starts, with random true robots.
+
+    Run k draws from a generator of its own, `numpy.random.default_rng([seed, k])`: the true
+    values, the start, and the posture that attains the target. So the result is the same whatever
+    carries out the runs, and more runs of the same seed begin with the same ones.
+
+    Args:
+        controller: The controller with its believed robot: anything with the interface of
+            `Controller`.
+        uncertainty: How the true robot may differ.
+        region: Where starts, at rest, and targets are drawn.
+        target: x_d of all runs, shape (n_x,) [unit of the task]; by default, what the sensor of
+            the true robot measures in another posture of the region.
+        runs: ≥ 1.
+        duration: Of a run, a whole number of dt [s].
+        dt: Sampling time [s].
+        tolerance: > 0; a run converged if ‖e‖ is below it at every recorded instant of the last
+            tenth [unit of the task].
+        seed: ≥ 0.
+        executor: What carries out the runs, such as a `ProcessPoolExecutor` (the user's to shut
+            down); one after the other here by default. Each portion of runs has its own copies.
+        confidence: Of the interval, > 0 and < 1.
+        progress: Called with the number of runs that are done, in the calling process.
+
+    Returns:
+        All runs, their count and interval.
+
+    Raises:
+        InvalidInputError: Numbers out of range, a controller of another task than the sensor's, or
+            something that cannot be sent to the processes of an executor.
+    """
+    _require_arguments(controller, uncertainty, region, executor, progress)
+    for name, value, least in (("runs", runs, 1), ("seed", seed, 0)):
+        if type(value) is not int or value < least:
+            raise InvalidInputError(
+                f"{name} must be an integer >= {least}, got {value!r}", given=value
+            )
+    dt = as_number("dt", dt, unit="s", above=0.0)
+    duration = as_number("duration", duration, unit="s", minimum=dt)
+    tolerance = as_number("tolerance", tolerance, above=0.0)
+    confidence = _as_confidence(confidence)
+    sensor = uncertainty.believed_task()
+    job = _Job(
+        controller=controller,
+        uncertainty=uncertainty,
+        region=region,
+        target=None if target is None else sensor.target(target),
+        duration=duration,
+        dt=dt,
+        tolerance=tolerance,
+        seed=seed,
+    )
+    done: list[Rollout] = []
+    portions = _here(job, runs) if executor is None else _elsewhere(job, runs, executor)
+    for portion in portions:
+        done += portion
+        if progress is not None:
+            progress(len(done))
+    done.sort(key=lambda run: run.index)
+    return Rollouts(tuple(done), uncertainty, confidence, tolerance)
+
+
+def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Exact confidence interval for a probability, after Clopper and Pearson (1934).
+
+    Whatever the probability is, the interval holds it in at least the share `confidence` of all
+    samples; each end is missed in at most half of the rest.
+
+    Args:
+        successes: 0 to `runs`.
+        runs: ≥ 1.
+        confidence: > 0 and < 1.
+
+    Raises:
+        InvalidInputError: Numbers out of range.
+    """
+    if not (type(runs) is int and type(successes) is int and 0 <= successes <= runs and runs >= 1):
+        raise InvalidInputError(
+            f"successes must be an integer of 0 to runs >= 1, got {successes!r} of {runs!r}",
+            given=(successes, runs),
+        )
+    from scipy.special import betaincinv
+
+    tail = 0.5 * (1.0 - _as_confidence(confidence))
+    failures = runs - successes
+    low = 0.0 if successes == 0 else float(betaincinv(successes, failures + 1, tail))
+    high = 1.0 if failures == 0 else float(betaincinv(successes + 1, failures, 1.0 - tail))
+    return low, high
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """What is the same for all runs."""
+
+    controller: Controller
+    uncertainty: Uncertainty
+    region: Region
+    target: Array | None
+    duration: float
+    dt: float
+    tolerance: float
+    seed: int
+
+    def run(self, index: int) -> Rollout:
+        """Carry out one run."""
+        rng = np.random.default_rng([self.seed, index])
+        values = self.uncertainty.sample(rng)
+        plant = self.uncertainty.plant(values)
+        q0 = self._posture(rng)
+        target = self.target
+        if target is None:
+            target = plant.sensor.value(self._posture(rng))
+        every = max(1, round(self.duration / self.dt / _RECORDS)) * self.dt
+        try:
+            record = simulate(
+                plant,
+                self.controller,
+                target,
+                q0,
+                self.duration,
+                dt=self.dt,
+                record_every=every,
+                integrator="semi_implicit_euler",
+            )
+        except SimulationError:
+            return Rollout(index, values, q0, target, math.inf, math.nan, False, True, False)
+        settling, converged = _judged(record, self.tolerance)
+        return Rollout(
+            index,
+            values,
+            q0,
+            target,
+            final_error=float(record.error_norm[-1]),
+            settling_time=settling,
+            converged=converged,
+            diverged=False,
+            stayed=all(bool(self.region.contains(q)) for q in record.q),
+        )
+
+    def _posture(self, rng: np.random.Generator) -> Array:
+        return np.array(self.region.sample(1, rng)[0])
+
+
+def _judged(record: Trajectory, tolerance: float) -> tuple[float, bool]:
+    """Settling time, and whether the error was below the tolerance in all of the last tenth."""
+    t, below = record.t, record.error_norm < tolerance
+    last_tenth = t >= (0.9 - 1e-9) * t[-1]
+    above = np.flatnonzero(~below)
+    first = 0 if len(above) == 0 else int(above[-1]) + 1
+    settling = float(t[first]) if first < len(t) else math.nan
+    return settling, bool(below[last_tenth].all())
+
+
+def _here(job: _Job, runs: int) -> Iterator[list[Rollout]]:
+    return ([job.run(index)] for index in range(runs))
+
+
+def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollout]]:
+    """Portions of runs as an executor is done with them."""
+    _require_picklable(job, executor)
+    size = math.ceil(runs / _CHUNKS)
+    starts = range(0, runs, size)
+    futures = [
+        executor.submit(_portion, job, range(start, min(start + size, runs))) for start in starts
+    ]
+    try:
+        for future in as_completed(futures):
+            yield future.result()
+    finally:  # where one has failed, or nobody wants the others any more
+        for future in futures:
+            future.cancel()
+
+
+def _portion(job: _Job, indices: range) -> list[Rollout]:
+    own = copy.deepcopy(job)  # tasks and controllers have scratch memory: one instance a thread
+    return [own.run(index) for index in indices]
+
+
+def _require_arguments(
+    controller: Controller,
+    uncertainty: Uncertainty,
+    region: Region,
+    executor: Executor | None,
+    progress: Callable[[int], None] | None,
+) -> None:
+    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
+    if isinstance(controller, type) or not hasattr(controller, "evaluate"):
+        raise InvalidInputError(
+            f"controller must be a controller, such as SetpointController(...), got {controller!r}",
+            given=controller,
+        )
+    task = getattr(controller, "task", None)
+    if isinstance(task, Task):
+        uncertainty.plant(uncertainty.believed).require_task(task)
+    if isinstance(region, type) or not isinstance(region, Region):
+        raise InvalidInputError(
+            f"region must have the methods sample and contains, got {region!r}", given=region
+        )
+    if executor is not None:
+        require("executor", executor, Executor, "an executor of concurrent.futures or None")
+    if progress is not None and not callable(progress):
+        raise InvalidInputError(
+            f"progress must be a function of the number of runs done, got {progress!r}",
+            given=progress,
+        )
+
+
+def _require_picklable(job: _Job, executor: Executor) -> None:
+    """Say what is wrong before a pool of processes does; other executors may pickle more."""
+    from concurrent.futures import ProcessPoolExecutor
+
+    if not isinstance(executor, ProcessPoolExecutor):
+        return
+    try:
+        pickle.dumps(job)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InvalidInputError(
+            "controller, uncertainty and region must be picklable to go to other processes "
+            f"(functools.partial(PositionTask, axes='xz') is, a lambda is not): {error}",
+            given=executor,
+        ) from error
+
+
+def _as_confidence(confidence: float) -> float:
+    confidence = as_number("confidence", confidence, above=0.0)
+    if confidence >= 1.0:
+        raise InvalidInputError(
+            f"confidence must be > 0 and < 1, such as 0.95, got {confidence!r}", given=confidence
+        )
+    return confidence

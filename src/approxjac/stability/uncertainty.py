@@ -1,0 +1,421 @@
+"""`Uncertainty`: how the true robot may differ from the believed one."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array, as_array, as_number, is_scalar, require
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.robots import Robot
+from approxjac.simulation import Plant
+from approxjac.tasks import ImageTask, PlanarCamera, PositionTask, Task
+
+_CORNER_SEED = 0
+
+
+class _Coordinate(NamedTuple):
+    """One number that is not known: what is believed of it, and the range that it may be in."""
+
+    name: str
+    unit: str
+    believed: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Uncertainty:
+    """A box of errors: how the true robot may differ from the one that the controller believes.
+
+    Each range that is given is one uncertain coordinate, in the order of the attributes below,
+    and x, y, z within a joint. The truth is a point of the box, the values (d,) of these
+    coordinates; the belief is one of its points too. Everything else is certain.
+
+    An object is held if any length or mass of one is given; then the belief holds it too, with
+    the length and the mass that are believed.
+
+    Attributes:
+        arm: The believed arm, without the object.
+        task: Makes the task of a robot, such as `functools.partial(PositionTask, axes="xz")` (a
+            function that is to go to other processes must not be a lambda). With a camera the
+            task is `ImageTask(robot, camera)`.
+        object_length: Smallest and largest true length of the object [m].
+        object_mass: Smallest and largest true mass of the object [kg].
+        believed_length: Length of the object that is believed, ≥ 0 [m].
+        believed_mass: Mass of the object that is believed, ≥ 0 [kg].
+        object_axis: Axis of the tip's frame that the object points along.
+        joint_shifts: Joint name → how far its true origin may be from the believed one to either
+            side along each axis of the parent link, shape (3,) [m]; an axis with 0 is certain.
+        joint_rotations: Joint name → the same for the rotation vector in the joint's own frame,
+            shape (3,) [rad].
+        camera: The believed camera, if the task is an image.
+        focal_length: Smallest and largest true focal length [m].
+        distance: Smallest and largest true distance of the camera [m].
+        roll: Smallest and largest true roll of the camera [rad].
+        friction: Viscous friction B ≥ 0 of the true joints, which is certain, a number or shape
+            (n_v,) [N m s/rad or N s/m].
+        factor: What the ranges above are shrunk or grown by, about what is believed; see `scaled`.
+
+    Raises:
+        InvalidInputError: Ranges that are reversed, not finite or do not hold what is believed;
+            robots or cameras anywhere in the box that cannot exist; ranges of a camera without a
+            camera; a camera and a task.
+        UnknownNameError: No such joint.
+
+    Example:
+        >>> arm = load_robot("panda")
+        >>> Uncertainty(arm, object_length=(0.0, 0.3)).plant([0.2]).robot.tip
+        'object_tip'
+    """
+
+    arm: Robot
+    task: Callable[[Robot], Task] = PositionTask
+    _: KW_ONLY
+    object_length: tuple[float, float] | None = None
+    object_mass: tuple[float, float] | None = None
+    believed_length: float = 0.0
+    believed_mass: float = 0.0
+    object_axis: str | Sequence[float] = "z"
+    joint_shifts: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
+    joint_rotations: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
+    camera: PlanarCamera | None = None
+    focal_length: tuple[float, float] | None = None
+    distance: tuple[float, float] | None = None
+    roll: tuple[float, float] | None = None
+    friction: float | Sequence[float] | Array = 0.0
+    factor: float = 1.0
+    _coordinates: tuple[_Coordinate, ...] = field(init=False)
+    _belief: Robot = field(init=False)
+
+    def __post_init__(self) -> None:
+        require("arm", self.arm, Robot, "the believed Robot, without the object")
+        self._require_one_task()
+        as_number("believed_length", self.believed_length, unit="m", minimum=0.0)
+        as_number("believed_mass", self.believed_mass, unit="kg", minimum=0.0)
+        as_number("factor", self.factor, minimum=0.0)
+        # copies, so that nobody changes them later
+        for name, unit in (("joint_shifts", "m"), ("joint_rotations", "rad")):
+            self._set(name, self._bounds(name, unit))
+        if not is_scalar(self.friction):
+            self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
+        given = [*self._object_ranges(), *self._joint_ranges(), *self._camera_ranges()]
+        self._set("_coordinates", tuple(_scaled(known, self.factor) for known in given))
+        self._require_physical()
+        self._set("_belief", self._believed_robot())
+        self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
+
+    # -- the box ------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the uncertain coordinates, length d."""
+        return tuple(known.name for known in self._coordinates)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units, length d."""
+        return tuple(known.unit for known in self._coordinates)
+
+    @property
+    def d(self) -> int:
+        """Number of uncertain coordinates; 0 where the belief is the truth."""
+        return len(self._coordinates)
+
+    @property
+    def believed(self) -> Array:
+        """What is believed of each, shape (d,)."""
+        return np.array([known.believed for known in self._coordinates], dtype=float)
+
+    @property
+    def low(self) -> Array:
+        """The smallest values that they may have, shape (d,)."""
+        return np.array([known.low for known in self._coordinates], dtype=float)
+
+    @property
+    def high(self) -> Array:
+        """The largest values that they may have, shape (d,)."""
+        return np.array([known.high for known in self._coordinates], dtype=float)
+
+    def scaled(self, factor: float) -> Uncertainty:
+        """Return a box of the same coordinates, shrunk or grown about what is believed.
+
+        Args:
+            factor: ≥ 0; 0 leaves no error at all, 1 changes nothing.
+
+        Raises:
+            InvalidInputError: A factor that is none, or so large that the box holds robots that
+                cannot exist.
+        """
+        factor = as_number("factor", factor, minimum=0.0)
+        return replace(self, factor=self.factor * factor)
+
+    def corners(self, limit: int = 64) -> Array:
+        """Return the corners of the box, or a selection where they are many; shape (k, d).
+
+        A coordinate whose range has no width counts as having one end. If the corners are at most
+        `limit`, these are all of them. Otherwise they are, without repetition: the points with one
+        coordinate at an end and the others at what is believed (at most 2 d, whatever the limit),
+        and random corners of a fixed seed, up to `limit` points in all.
+
+        Raises:
+            InvalidInputError: A limit that is no integer ≥ 1.
+        """
+        if type(limit) is not int or limit < 1:
+            raise InvalidInputError(f"limit must be an integer >= 1, got {limit!r}", given=limit)
+        ends = [tuple(dict.fromkeys((known.low, known.high))) for known in self._coordinates]
+        if math.prod(map(len, ends)) <= limit:
+            return np.array(list(itertools.product(*ends)), dtype=float)
+        believed = tuple(self.believed.tolist())
+        chosen = {
+            (*believed[:i], end, *believed[i + 1 :]): None for i in range(self.d) for end in ends[i]
+        }
+        rng = np.random.default_rng(_CORNER_SEED)
+        while len(chosen) < limit:
+            chosen[tuple(each[rng.integers(len(each))] for each in ends)] = None
+        return np.array(list(chosen))
+
+    def sample(self, rng: np.random.Generator) -> Array:
+        """Return values drawn uniformly from the box, shape (d,)."""
+        return rng.uniform(self.low, self.high)
+
+    # -- the robots ---------------------------------------------------------------------
+
+    def belief(self) -> Robot:
+        """Return the believed robot, holding the object that is believed."""
+        return self._belief
+
+    def believed_task(self) -> Task:
+        """Return a new task of the believed robot, for a controller."""
+        return self._task_of(self._belief, self.camera)
+
+    def plant(self, values: Sequence[float] | Array) -> Plant:
+        """Return the true robot at some values, with its sensor and friction.
+
+        Args:
+            values: Of the uncertain coordinates, shape (d,). They may be outside the box.
+
+        Raises:
+            InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.
+        """
+        at = self._by_name(values)
+        robot = self._true_robot(at)
+        camera = self.camera
+        if camera is not None:
+            camera = replace(
+                camera,
+                focal_length=at.get("camera focal_length", camera.focal_length),
+                distance=at.get("camera distance", camera.distance),
+                roll=at.get("camera roll", camera.roll),
+            )
+        return Plant(robot, self._task_of(robot, camera), self.friction)
+
+    def describe(self, values: Sequence[float] | Array) -> str:
+        """Return values (d,) in words, such as "object_length 0.300 m, camera roll 0.349 rad"."""
+        shown = [
+            _text(name, value, unit)
+            for (name, value), unit in zip(self._by_name(values).items(), self.units, strict=True)
+        ]
+        return ", ".join(shown) or "no error"
+
+    def _by_name(self, values: Sequence[float] | Array) -> dict[str, float]:
+        array = as_array("values", values, (self.d,), ", ".join(self.units))
+        return dict(zip(self.names, array.tolist(), strict=True))
+
+    def _true_robot(self, at: Mapping[str, float]) -> Robot:
+        """The robot at some values; the believed one itself where nothing is wrong with it."""
+        robot = self._belief
+        length = at.get("object_length", self.believed_length)
+        mass = at.get("object_mass", self.believed_mass)
+        if (length, mass) != (self.believed_length, self.believed_mass):
+            robot = self.arm.with_object(length, mass, axis=self.object_axis)
+        shifts = _vectors(at, "shift", self.joint_shifts)
+        rotations = _vectors(at, "rotation", self.joint_rotations)
+        return robot.with_kinematic_error(shifts, rotations) if shifts or rotations else robot
+
+    def _believed_robot(self) -> Robot:
+        none_given = self.object_length is None and self.object_mass is None
+        if none_given and self.believed_length == 0.0 and self.believed_mass == 0.0:
+            return self.arm
+        return self.arm.with_object(self.believed_length, self.believed_mass, axis=self.object_axis)
+
+    def _task_of(self, robot: Robot, camera: PlanarCamera | None) -> Task:
+        if camera is not None:
+            return ImageTask(robot, camera)
+        task = self.task(robot)
+        require("what task makes of a robot", task, Task, "a task, such as PositionTask(robot)")
+        return task
+
+    # -- what was given -----------------------------------------------------------------
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)  # frozen once it is built
+
+    def _require_one_task(self) -> None:
+        if not callable(self.task):
+            raise InvalidInputError(
+                f"task must be a function from a robot to its task, such as PositionTask, "
+                f"got {self.task!r}",
+                given=self.task,
+            )
+        if self.camera is not None:
+            require("camera", self.camera, PlanarCamera, "a PlanarCamera or None")
+            if self.task is not PositionTask:
+                raise InvalidInputError(
+                    f"task must not be given with a camera, whose image is the task, "
+                    f"got {self.task!r}",
+                    given=self.task,
+                )
+
+    def _bounds(self, name: str, unit: str) -> dict[str, tuple[float, ...]]:
+        """`joint_shifts` or `joint_rotations`, checked, as a new dictionary."""
+        given = getattr(self, name)
+        require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
+        joints = _joints(self.arm)
+        for joint in given:
+            if joint not in joints:
+                raise UnknownNameError("joint", joint, self.arm.name, joints)
+        bounds = {
+            joint: as_array(f"{name} of {joint}", bound, (3,), unit)
+            for joint, bound in given.items()
+        }
+        for joint, bound in bounds.items():
+            if (bound < 0.0).any():
+                raise InvalidInputError(
+                    f"{name} of {joint} must be >= 0 [{unit}], as they are to either side, "
+                    f"got {bound.tolist()}",
+                    given=given[joint],
+                )
+        return {joint: tuple(bound.tolist()) for joint, bound in bounds.items()}
+
+    def _object_ranges(self) -> list[_Coordinate]:
+        known = (
+            ("object_length", self.object_length, self.believed_length, "m"),
+            ("object_mass", self.object_mass, self.believed_mass, "kg"),
+        )
+        return [
+            _range(name, name, given, believed, unit)
+            for name, given, believed, unit in known
+            if given is not None
+        ]
+
+    def _joint_ranges(self) -> list[_Coordinate]:
+        joints = dict.fromkeys([*self.joint_shifts, *self.joint_rotations])
+        kinds = (("shift", "m", self.joint_shifts), ("rotation", "rad", self.joint_rotations))
+        return [
+            _Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
+            for joint in joints
+            for kind, unit, bounds in kinds
+            for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
+            if bound > 0.0
+        ]
+
+    def _camera_ranges(self) -> list[_Coordinate]:
+        ranges = []
+        for name, unit in (("focal_length", "m"), ("distance", "m"), ("roll", "rad")):
+            given = getattr(self, name)
+            if given is None:
+                continue
+            if self.camera is None:
+                raise InvalidInputError(
+                    f"{name} is that of a camera, got {given!r} without one: give the believed "
+                    "camera as camera=PlanarCamera(f, z)",
+                    given=given,
+                )
+            ranges.append(_range(name, f"camera {name}", given, getattr(self.camera, name), unit))
+        return ranges
+
+    def _require_physical(self) -> None:
+        """Refuse a box that holds robots or cameras that cannot exist."""
+        box = {known.name: known for known in self._coordinates}
+        for name in ("object_length", "object_mass"):
+            if name in box and box[name].low < 0.0:
+                raise self._unphysical(box[name], ">= 0")
+        if self.camera is None:
+            return
+        focal, distance = box.get("camera focal_length"), box.get("camera distance")
+        if focal is not None and focal.low <= 0.0:
+            raise self._unphysical(focal, "> 0")
+        longest = self.camera.focal_length if focal is None else focal.high
+        nearest = self.camera.distance if distance is None else distance.low
+        if nearest <= longest:
+            raise InvalidInputError(
+                "camera distance must be > camera focal_length in the whole set [m], got a "
+                f"distance of {nearest:.4g} and a focal length of {longest:.4g}{self._grown}",
+                given=(nearest, longest),
+            )
+
+    def _unphysical(self, known: _Coordinate, wanted: str) -> InvalidInputError:
+        return InvalidInputError(
+            f"{known.name} must be {wanted} in the whole set [{known.unit}], "
+            f"got {known.low:.4g} to {known.high:.4g}{self._grown}",
+            given=(known.low, known.high),
+        )
+
+    @property
+    def _grown(self) -> str:
+        return "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
+
+    def __repr__(self) -> str:
+        shown = [
+            f"{known.name} {known.low:.4g} to {known.high:.4g} {known.unit} "
+            f"(believed {known.believed:.4g})"
+            for known in self._coordinates
+        ]
+        return f"Uncertainty({self.arm.name!r}: {', '.join(shown) or 'no error'})"
+
+
+def _range(field_name: str, name: str, given: Any, believed: float, unit: str) -> _Coordinate:
+    """A coordinate whose range was given as (low, high).
+
+    Raises:
+        InvalidInputError: Not two finite numbers, reversed, or without what is believed in it.
+    """
+    low, high = as_array(field_name, given, (2,), unit).tolist()
+    if low > high:
+        raise InvalidInputError(
+            f"{field_name} must be (smallest, largest) [{unit}], got {(low, high)}; "
+            f"{(high, low)} is such a range",
+            given=given,
+        )
+    if not low <= believed <= high:
+        raise InvalidInputError(
+            f"{field_name} must hold what is believed, {believed:g} [{unit}], got {(low, high)}; "
+            f"{(min(low, believed), max(high, believed))} does",
+            given=given,
+        )
+    return _Coordinate(name, unit, float(believed), low, high)
+
+
+def _scaled(known: _Coordinate, factor: float) -> _Coordinate:
+    """Exact for the factors 0 and 1, and never without what is believed, whatever is rounded."""
+    believed = known.believed
+    low, high = (factor * end + (1.0 - factor) * believed for end in (known.low, known.high))
+    return known._replace(low=min(low, believed), high=max(high, believed))
+
+
+def _vectors(
+    at: Mapping[str, float], kind: str, joints: Mapping[str, Any]
+) -> dict[str, list[float]]:
+    """Joint → vector of the values that are named after it, without those that are zero."""
+    vectors = {joint: [at.get(f"{joint} {kind} {axis}", 0.0) for axis in "xyz"] for joint in joints}
+    return {joint: vector for joint, vector in vectors.items() if any(vector)}
+
+
+def _joints(arm: Robot) -> list[str]:
+    """All joints of a robot, fixed ones included."""
+    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    frames = list(arm.model.frames)[1:]  # without the universe
+    return [frame.name for frame in frames if frame.type in kinds]
+
+
+def _text(name: str, value: float, unit: str) -> str:
+    value += 0.0  # of -0 makes 0
+    degrees = f" ({math.degrees(value):.1f} deg)" if unit == "rad" else ""
+    return f"{name} {value:#.3g} {unit}{degrees}"

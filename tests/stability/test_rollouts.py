@@ -1,0 +1,274 @@
+"""Rollouts over starts and errors."""
+
+import dataclasses
+import functools
+import math
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+import approxjac as aj
+from approxjac.simulation import Trajectory
+from approxjac.stability.region import Region
+from approxjac.stability.rollouts import _judged, clopper_pearson
+
+PLANE = functools.partial(aj.PositionTask, axes="xz")
+SHORT = {"runs": 9, "duration": 1.5, "dt": 2e-3, "tolerance": 0.005}
+
+
+@dataclasses.dataclass(frozen=True)
+class Box:
+    """Joint positions between two bounds; `margin` is how far beyond them a run may go."""
+
+    low: tuple
+    high: tuple
+    margin: float = 10.0
+
+    def sample(self, n, rng):
+        return rng.uniform(self.low, self.high, (n, len(self.low)))
+
+    def contains(self, q):
+        return bool((q >= np.array(self.low) - self.margin).all())
+
+
+REGION = Box((0.3, 0.8), (0.8, 1.4))
+
+
+@pytest.fixture(scope="module")
+def uncertainty():
+    arm = aj.load_robot("two_link")
+    shifts = {"joint2": (0.1, 0.0, 0.0)}
+    return aj.Uncertainty(
+        arm, PLANE, object_length=(0.0, 0.4), object_axis="x", joint_shifts=shifts, friction=0.2
+    )
+
+
+@pytest.fixture(scope="module")
+def controller(uncertainty):
+    return aj.SetpointController(uncertainty.believed_task())
+
+
+@pytest.fixture(scope="module")
+def serial(controller, uncertainty):
+    return aj.rollouts(controller, uncertainty, REGION, **SHORT)
+
+
+def require_same(ours, theirs):
+    for a, b in zip(ours.runs, theirs.runs, strict=True):
+        for field in dataclasses.fields(a):
+            assert_array_equal(getattr(a, field.name), getattr(b, field.name), err_msg=field.name)
+
+
+def test_runs_are_what_a_simulation_by_hand_is(controller, uncertainty, serial):
+    run = serial.runs[4]
+    rng = np.random.default_rng([0, 4])
+    values = uncertainty.sample(rng)
+    plant = uncertainty.plant(values)
+    q0 = REGION.sample(1, rng)[0]
+    target = plant.sensor.value(REGION.sample(1, rng)[0])
+    record = aj.simulate(
+        plant, controller, target, q0, 1.5, dt=2e-3, integrator="semi_implicit_euler"
+    )
+    assert_array_equal(run.values, values)
+    assert_array_equal(run.q0, q0)
+    assert_array_equal(run.target, target)
+    assert run.index == 4
+    assert run.final_error == record.error_norm[-1]
+    assert run.converged == (record.error_norm[record.t >= 1.35] < 0.005).all()
+    assert run.stayed
+    assert not run.diverged
+
+
+def test_threads_and_processes_give_the_same(controller, uncertainty, serial):
+    with ThreadPoolExecutor(3) as pool:
+        require_same(aj.rollouts(controller, uncertainty, REGION, executor=pool, **SHORT), serial)
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=spawn) as pool:
+        done = []
+        many = aj.rollouts(
+            controller, uncertainty, REGION, executor=pool, progress=done.append, **SHORT
+        )
+        require_same(many, serial)
+        assert done == list(range(1, 10))  # portions of one run
+        with pytest.raises(aj.InvalidInputError, match=r"duration must be a whole number of dt"):
+            aj.rollouts(
+                controller, uncertainty, REGION, executor=pool, duration=1.0, dt=0.3, runs=2
+            )
+        by_lambda = aj.Uncertainty(uncertainty.arm, lambda robot: PLANE(robot))
+        with pytest.raises(aj.InvalidInputError, match=r"must be picklable .* a lambda is not\)"):
+            aj.rollouts(controller, by_lambda, REGION, executor=pool, **SHORT)
+    with ThreadPoolExecutor(1) as pool:
+        threads = aj.rollouts(controller, by_lambda, REGION, executor=pool, **SHORT)
+    require_same(threads, aj.rollouts(controller, by_lambda, REGION, **SHORT))
+
+
+def test_learnt_gravity_in_threads(uncertainty):
+    task = uncertainty.believed_task()
+    learning = aj.SetpointController(
+        task, gravity=aj.AdaptiveGravity(aj.GravityRegressor(task.robot))
+    )
+    serial = aj.rollouts(learning, uncertainty, REGION, **SHORT)
+    with ThreadPoolExecutor(2) as pool:
+        require_same(aj.rollouts(learning, uncertainty, REGION, executor=pool, **SHORT), serial)
+
+
+def test_more_runs_begin_with_the_same_ones(controller, uncertainty, serial):
+    few = aj.rollouts(controller, uncertainty, REGION, **SHORT | {"runs": 3})
+    require_same(few, dataclasses.replace(serial, runs=serial.runs[:3]))
+    other = aj.rollouts(controller, uncertainty, REGION, **SHORT | {"runs": 3}, seed=1)
+    assert (other.runs[0].q0 != few.runs[0].q0).all()
+
+
+def test_portions_hold_every_run_once(controller, uncertainty):
+    done = []
+    with ThreadPoolExecutor(2) as pool:
+        many = aj.rollouts(
+            controller, uncertainty, REGION, runs=130, duration=0.01, executor=pool,
+            progress=done.append,
+        )  # fmt: skip
+    assert [run.index for run in many.runs] == list(range(130))
+    assert len(done) == 44  # portions of three
+    assert done[-1] == 130
+
+
+def test_a_given_target_is_that_of_all(controller, uncertainty):
+    target = uncertainty.believed_task().value(np.array([0.5, 1.0]))
+    many = aj.rollouts(
+        controller, uncertainty, REGION, target=target.tolist(), **SHORT | {"runs": 2}
+    )
+    for run in many.runs:
+        assert_array_equal(run.target, target)
+
+
+def test_what_became_of_them(controller, uncertainty, serial):
+    low, high = serial.interval
+    assert 0.0 <= low < serial.share < high <= 1.0 or serial.share in (0.0, 1.0)
+    assert serial.n == 9
+    assert serial.share == serial.n_converged / 9
+    assert serial.worst.final_error == max(run.final_error for run in serial.runs)
+    assert str(serial).startswith(f"{serial.n_converged} of 9 runs converged to within 0.005 m: ")
+    assert f"run {serial.worst.index}, ended" in str(serial)
+    assert f"with {uncertainty.describe(serial.worst.values)}" in repr(serial)
+    narrow = dataclasses.replace(REGION, margin=-0.1)
+    left = aj.rollouts(controller, uncertainty, narrow, **SHORT)
+    assert left.n_left == sum(not run.stayed for run in left.runs) > 0
+    assert [run.final_error for run in left.runs] == [run.final_error for run in serial.runs]
+
+
+def test_divergence_counts_as_not_converged(uncertainty):
+    task = uncertainty.believed_task()
+    wild = aj.SetpointController(task, aj.Gains(1e8, 1e6))  # far too stiff for dt
+    many = aj.rollouts(wild, uncertainty, REGION, **SHORT | {"runs": 3})
+    assert many.n_diverged == 3
+    assert many.n_converged == many.n_left == 0
+    assert many.worst is many.runs[0]
+    assert many.worst.final_error == math.inf
+    assert math.isnan(many.worst.settling_time)
+    assert not many.worst.stayed
+    assert "0 of 3 runs converged" in str(many)
+    assert "3 diverged, 0 others left the region; the worst, run 0, diverged with" in str(many)
+
+
+@pytest.mark.parametrize(
+    ("error", "settling", "converged"),
+    [
+        ([0.1] * 21, 0.0, True),
+        ([2.0] * 21, math.nan, False),
+        ([2.0] * 18 + [0.1] * 3, 18.0, True),  # the last tenth begins at 18
+        ([2.0] * 19 + [0.1] * 2, 19.0, False),
+        ([0.1] * 20 + [2.0], math.nan, False),
+        ([0.1] * 20 + [1.0], math.nan, False),  # at the tolerance is not below it
+        ([0.1] * 5 + [2.0] + [0.1] * 15, 6.0, True),
+    ],
+)
+def test_the_last_tenth_decides(error, settling, converged):
+    fields = {field.name: None for field in dataclasses.fields(Trajectory)}
+    fields |= {"t": np.arange(21.0), "error": np.array(error)[:, None]}
+    assert_array_equal(_judged(Trajectory(**fields), 1.0), (settling, converged))
+
+
+def test_a_pose(panda):
+    """Any task that a function makes."""
+    uncertainty = aj.Uncertainty(panda, aj.PoseTask, object_length=(0.0, 0.1))
+    controller = aj.SetpointController(uncertainty.believed_task())
+    home = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])
+    region = Box(tuple(home - 0.1), tuple(home + 0.1))
+    many = aj.rollouts(controller, uncertainty, region, runs=2, duration=0.2)
+    assert many.runs[0].target.shape == (7,)
+    assert "m or rad off" in str(many)
+
+
+# -- the interval -----------------------------------------------------------------------
+
+
+def test_known_intervals():
+    """Of none in ten the upper end is 1 − (α/2)^(1/10)."""
+    end = 1.0 - 0.025**0.1
+    assert clopper_pearson(0, 10) == pytest.approx((0.0, end), abs=1e-14)
+    assert clopper_pearson(10, 10) == pytest.approx((1.0 - end, 1.0), abs=1e-14)
+    assert end == pytest.approx(0.3085, abs=1e-4)
+    assert clopper_pearson(5, 10) == pytest.approx((0.1871, 0.8129), abs=1e-4)
+
+
+@settings(max_examples=40)
+@given(runs=st.integers(1, 2000), share=st.floats(0.0, 1.0), confidence=st.floats(0.01, 0.999))
+def test_the_interval_is_that_of_scipy(runs, share, confidence):
+    from scipy.stats import binomtest
+
+    successes = round(share * runs)
+    expected = binomtest(successes, runs).proportion_ci(confidence, method="exact")
+    low, high = clopper_pearson(successes, runs, confidence)
+    assert (low, high) == pytest.approx((expected.low, expected.high), rel=1e-9, abs=1e-12)
+    assert low <= successes / runs <= high
+
+
+# -- what is refused --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"runs": 0}, "runs must be an integer >= 1, got 0"),
+        ({"runs": 2.0}, "runs must be an integer >= 1, got 2.0"),
+        ({"seed": -1}, "seed must be an integer >= 0, got -1"),
+        ({"confidence": 1.0}, "confidence must be > 0 and < 1, such as 0.95, got 1.0"),
+        ({"confidence": 0.0}, "confidence must be a finite number > 0, got 0"),
+        ({"dt": 0.0}, "dt must be a finite number > 0"),
+        ({"duration": 1e-4}, "duration must be a finite number >= 0.001"),
+        ({"duration": 0.01, "dt": 0.003}, r"duration must be a whole number of dt = 0.003"),
+        ({"tolerance": -1.0}, "tolerance must be a finite number > 0, got -1"),
+        ({"target": (0.1, 0.2, 0.3)}, r"target must have shape \(2,\) \[m\]"),
+        ({"executor": 2}, "executor must be an executor of concurrent.futures or None, got 2"),
+        ({"progress": 2}, "progress must be a function of the number of runs done, got 2"),
+    ],
+)
+def test_refused_numbers(controller, uncertainty, options, text):
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.rollouts(controller, uncertainty, REGION, **options)
+
+
+def test_refused_parts(controller, uncertainty, panda):
+    for region in (None, Box):
+        with pytest.raises(aj.InvalidInputError, match="region must have the methods sample and"):
+            aj.rollouts(controller, uncertainty, region)
+    for wrong in (aj.SetpointController, uncertainty):
+        with pytest.raises(aj.InvalidInputError, match="controller must be a controller, such as"):
+            aj.rollouts(wrong, uncertainty, REGION)
+    with pytest.raises(aj.InvalidInputError, match="uncertainty must be an Uncertainty, got"):
+        aj.rollouts(controller, panda, REGION)
+    other = aj.SetpointController(aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match="task must have the coordinates of the plant's"):
+        aj.rollouts(other, uncertainty, REGION)
+    with pytest.raises(aj.InvalidInputError, match=r"q0 must have shape \(2,\)"):
+        aj.rollouts(controller, uncertainty, Box((0.0,) * 3, (1.0,) * 3), target=(1.0, 0.0))
+    with pytest.raises(aj.InvalidInputError, match="successes must be an integer of 0 to runs"):
+        clopper_pearson(3, 2)
+
+
+def test_a_region_is_what_has_its_methods():
+    assert isinstance(REGION, Region)

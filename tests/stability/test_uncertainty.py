@@ -1,0 +1,342 @@
+"""How the true robot may differ from the believed one."""
+
+import copy
+import functools
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac.tasks import FrameKinematics
+
+CAMERA = aj.PlanarCamera(0.05, 3.0, 0.1)
+PLANE = functools.partial(aj.PositionTask, axes="xz")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return aj.load_robot("two_link")
+
+
+@pytest.fixture(scope="module")
+def everything(arm):
+    """Every kind of coordinate, on an arm that is cheap to build."""
+    return aj.Uncertainty(
+        arm,
+        object_length=(0.0, 0.3),
+        object_mass=(0.1, 1.0),
+        believed_length=0.1,
+        believed_mass=0.5,
+        object_axis="x",
+        joint_shifts={"joint2": (0.02, 0.0, 0.01)},
+        joint_rotations={"joint1": (0.0, 0.05, 0.0), "joint2": np.array([0.0, 0.1, 0.0])},
+        camera=CAMERA,
+        focal_length=(0.04, 0.06),
+        distance=(2.0, 4.0),
+        roll=(-0.2, 0.4),
+        friction=(0.1, 0.2),
+    )
+
+
+def test_names_units_and_ranges(everything):
+    table = {
+        "object_length": ("m", 0.1, 0.0, 0.3),
+        "object_mass": ("kg", 0.5, 0.1, 1.0),
+        "joint2 shift x": ("m", 0.0, -0.02, 0.02),
+        "joint2 shift z": ("m", 0.0, -0.01, 0.01),
+        "joint2 rotation y": ("rad", 0.0, -0.1, 0.1),
+        "joint1 rotation y": ("rad", 0.0, -0.05, 0.05),
+        "camera focal_length": ("m", 0.05, 0.04, 0.06),
+        "camera distance": ("m", 3.0, 2.0, 4.0),
+        "camera roll": ("rad", 0.1, -0.2, 0.4),
+    }
+    units, *numbers = zip(*table.values(), strict=True)
+    assert everything.names == tuple(table)
+    assert everything.units == units
+    assert everything.d == 9
+    given_numbers = (everything.believed, everything.low, everything.high)
+    assert_array_equal(given_numbers, numbers)
+
+
+def test_the_truth_has_the_values(everything):
+    values = np.array([0.25, 0.7, 0.01, -0.01, 0.1, 0.05, 0.06, 4.0, -0.2])
+    plant = everything.plant(values)
+    by_hand = (
+        everything.arm.with_object(0.25, 0.7, axis="x")
+        .with_kinematic_error({"joint2": (0.01, 0.0, -0.01)})
+        .with_kinematic_error(rotations={"joint1": (0.0, 0.05, 0.0), "joint2": (0.0, 0.1, 0.0)})
+    )
+    q = np.array([0.4, -1.1])
+    assert plant.robot.tip == "object_tip"
+    assert_allclose(plant.robot.mass, by_hand.mass, rtol=1e-14)
+    true, expected = (FrameKinematics(r, "object_tip").pose(q) for r in (plant.robot, by_hand))
+    assert_allclose(true, expected, atol=1e-12)
+    assert plant.sensor.camera == aj.PlanarCamera(0.06, 4.0, -0.2)
+    assert_array_equal(plant.friction, (0.1, 0.2))
+
+
+@pytest.mark.parametrize("length", [0.0, 0.123456789, 0.3])
+def test_an_uncertain_length_is_the_true_one(panda, length):
+    uncertainty = aj.Uncertainty(panda, object_length=(0.0, 0.3), believed_length=0.1)
+    robot = uncertainty.plant([length]).robot
+    q = np.array([0.1, 0.2, -0.3, -1.5, 0.4, 1.5, 0.2])
+    hand = aj.PositionTask(robot, "panda_hand_tcp").value(q)
+    assert_allclose(np.linalg.norm(aj.PositionTask(robot).value(q) - hand), length, atol=1e-12)
+    believed = uncertainty.belief()
+    tip = aj.PositionTask(believed).value(q)
+    assert_allclose(np.linalg.norm(tip - hand), 0.1, atol=1e-12)
+
+
+def test_the_truth_at_what_is_believed_is_the_belief(panda, everything, rng):
+    shifted = aj.Uncertainty(
+        panda, object_length=(0.0, 0.3), joint_shifts={"panda_joint4": (0.0, 0.01, 0.0)}
+    )
+    for uncertainty in (shifted, everything):
+        plant, task = uncertainty.plant(uncertainty.believed), uncertainty.believed_task()
+        assert plant.robot == uncertainty.belief() == task.robot
+        plant.require_task(task)
+        for _ in range(3):
+            q = plant.robot.random_configuration(rng)
+            assert_array_equal(plant.sensor.jacobian(q), task.jacobian(q))
+            assert_array_equal(plant.sensor.value(q), task.value(q))
+
+
+def test_nothing_uncertain(arm):
+    uncertainty = aj.Uncertainty(arm, PLANE)
+    assert uncertainty.d == 0
+    assert uncertainty.names == uncertainty.units == ()
+    assert uncertainty.belief() is arm  # no object where nothing is said about one
+    assert uncertainty.corners().shape == (1, 0)
+    assert uncertainty.sample(np.random.default_rng(0)).shape == (0,)
+    assert uncertainty.plant(uncertainty.corners()[0]).robot == arm
+    assert uncertainty.describe([]) == "no error"
+    assert repr(uncertainty) == "Uncertainty('two_link': no error)"
+
+
+def test_a_certain_object_is_held_by_both(arm):
+    uncertainty = aj.Uncertainty(arm, PLANE, believed_length=0.2, object_axis="x")
+    assert uncertainty.d == 0
+    assert uncertainty.belief() == arm.with_object(0.2, axis="x")
+    heavy = aj.Uncertainty(arm, PLANE, object_mass=(0.0, 1.0))
+    assert heavy.names == ("object_mass",)
+    assert_allclose(heavy.plant([1.0]).robot.mass, arm.mass + 1.0)
+    assert heavy.belief() == arm.with_object(0.0)
+
+
+# -- corners, samples, scale ------------------------------------------------------------
+
+
+def box(arm, d):
+    """A set of d joint shifts and rotations; those of the arm's three joints are 18."""
+    bounds = iter([1e-3] * d + [0.0] * 18)
+    joints = ("joint1", "joint2", "tool0_joint")
+    shifts, rotations = (
+        {joint: tuple(itertools.islice(bounds, 3)) for joint in joints} for _ in range(2)
+    )
+    return aj.Uncertainty(arm, PLANE, joint_shifts=shifts, joint_rotations=rotations)
+
+
+def test_few_corners_are_all_of_them(arm):
+    uncertainty = box(arm, 4)
+    corners = uncertainty.corners(16)
+    assert corners.shape == (16, 4)
+    assert {tuple(np.sign(corner)) for corner in corners} == set(
+        itertools.product((-1, 1), repeat=4)
+    )
+
+
+@settings(max_examples=25)
+@given(d=st.integers(0, 18), limit=st.integers(1, 200))
+def test_corners(d, limit):
+    uncertainty = box(ARM, d)
+    corners = uncertainty.corners(limit)
+    assert corners.shape[1] == d
+    assert_array_equal(corners, uncertainty.corners(limit))
+    assert len(np.unique(corners, axis=0)) == len(corners)
+    at_ends = (corners == uncertainty.low) | (corners == uncertainty.high)
+    if 2**d <= limit:
+        assert len(corners) == 2**d
+        assert at_ends.all()
+        return
+    assert len(corners) == max(limit, 2 * d)
+    alone = corners[(corners == 0.0).any(axis=1)] if d > 1 else corners
+    assert len(alone) == 2 * d
+    assert (np.count_nonzero(alone, axis=1) == 1).all()
+    assert at_ends.all(axis=1).sum() == len(corners) - (2 * d if d > 1 else 0)
+
+
+ARM = aj.load_robot("two_link")
+
+
+@given(
+    seed=st.integers(0, 2**32), factor=st.floats(0.0, 3.0), low=st.floats(-3.0, 0.1),
+    high=st.floats(0.1, 3.0),
+)  # fmt: skip
+@settings(max_examples=25)
+def test_scaled(seed, factor, low, high):
+    uncertainty = aj.Uncertainty(
+        ARM, camera=CAMERA, roll=(low, high), joint_rotations={"joint2": (0.0, 0.1, 0.0)}
+    )
+    scaled = uncertainty.scaled(factor)
+    assert scaled.names == uncertainty.names
+    assert_array_equal(scaled.believed, uncertainty.believed)
+    assert (scaled.low <= scaled.believed).all()
+    assert (scaled.believed <= scaled.high).all()
+    for end, other in ((scaled.low, uncertainty.low), (scaled.high, uncertainty.high)):
+        expected = scaled.believed + factor * (other - scaled.believed)
+        assert_allclose(end, expected, atol=1e-14)
+    sample = scaled.sample(np.random.default_rng(seed))
+    assert ((scaled.low <= sample) & (sample <= scaled.high)).all()
+    assert_array_equal(sample, scaled.sample(np.random.default_rng(seed)))
+    assert_array_equal(uncertainty.scaled(1.0).high, uncertainty.high)
+    twice = scaled.scaled(0.5)
+    assert_allclose(twice.high, uncertainty.scaled(0.5 * factor).high, atol=1e-15)
+
+
+def test_scaled_by_zero_is_no_error(everything):
+    none = everything.scaled(0.0)
+    assert none.names == everything.names
+    assert_array_equal(none.corners(), [everything.believed])
+    assert_array_equal(none.low, none.high)
+    assert none.plant(none.corners()[0]).robot == everything.belief()
+
+
+# -- texts ------------------------------------------------------------------------------
+
+
+def test_words(everything, arm):
+    uncertainty = aj.Uncertainty(
+        arm, object_length=(0.0, 0.3), camera=CAMERA, roll=(0.0, 0.5), object_axis="x"
+    )
+    assert uncertainty.describe([0.3, 0.349]) == (
+        "object_length 0.300 m, camera roll 0.349 rad (20.0 deg)"
+    )
+    assert uncertainty.describe([-0.0, 0.0]).startswith("object_length 0.00 m")
+    assert repr(uncertainty.scaled(0.5)) == (
+        "Uncertainty('two_link': object_length 0 to 0.15 m (believed 0), "
+        "camera roll 0.05 to 0.3 rad (believed 0.1))"
+    )
+
+
+def test_copies(everything):
+    values = everything.high
+    q = np.array([0.4, -1.1])
+    for other in (pickle.loads(pickle.dumps(everything)), copy.deepcopy(everything)):
+        assert repr(other) == repr(everything)
+        assert_array_equal(other.low, everything.low)
+        ours, theirs = everything.plant(values), other.plant(values)
+        assert_array_equal(theirs.sensor.jacobian(q), ours.sensor.jacobian(q))
+
+
+def test_what_was_given_cannot_be_changed_later(arm):
+    bounds = np.array([0.1, 0.0, 0.0])
+    shifts = {"joint2": bounds}
+    uncertainty = aj.Uncertainty(arm, PLANE, joint_shifts=shifts)
+    bounds[0] = 5.0
+    shifts.clear()
+    assert uncertainty.scaled(2.0).high == 0.2
+    uncertainty.high[0] = 9.0
+    assert uncertainty.high == 0.1
+
+
+# -- what is refused --------------------------------------------------------------------
+
+REFUSED = [
+    (
+        {"object_length": (0.3, 0.0)},
+        r"object_length must be \(smallest, largest\) \[m\], got \(0.3, 0.0\); \(0.0, 0.3\) is",
+    ),
+    ({"object_length": (0.0, np.nan)}, r"object_length must be finite \[m\], got \[0.0, nan\]"),
+    ({"object_length": 0.3}, r"object_length must have shape \(2,\) \[m\]"),
+    (
+        {"object_length": (0.1, 0.3)},
+        r"object_length must hold what is believed, 0 \[m\], got \(0.1, 0.3\); \(0.0, 0.3\) does",
+    ),
+    ({"object_mass": (0.0, 1.0), "believed_mass": 2.0}, "object_mass must hold what is"),
+    ({"object_length": (-0.1, 0.3)}, r"object_length must be >= 0 in the whole set \[m\]"),
+    ({"object_mass": (-0.1, 0.3)}, r"object_mass must be >= 0 in the whole set \[kg\], got -0.1"),
+    ({"believed_length": -1.0}, r"believed_length must be a finite number >= 0 \[m\], got -1"),
+    ({"believed_mass": "1"}, r"believed_mass must be a finite number >= 0 \[kg\], got '1'"),
+    ({"object_length": (0.0, 1.0), "object_axis": (0, 0, 0)}, "axis must not be zero"),
+    ({"joint_shifts": [0.1]}, "joint_shifts must be a mapping from joint names to bounds"),
+    ({"joint_shifts": {"joint2": (0.1, 0.1)}}, r"joint_shifts of joint2 must have shape"),
+    (
+        {"joint_rotations": {"joint2": (-0.1, 0.1, 0.0)}},
+        r"joint_rotations of joint2 must be >= 0 \[rad\], as they are to either side, got \[-0.1",
+    ),
+    ({"roll": (-0.1, 0.1)}, r"roll is that of a camera, got \(-0.1, 0.1\) without one: give"),
+    ({"camera": 5}, "camera must be a PlanarCamera or None, got 5"),
+    ({"camera": CAMERA, "focal_length": (0.0, 0.1)}, "camera focal_length must be > 0 in the"),
+    (
+        {"camera": CAMERA, "focal_length": (0.05, 2.5), "distance": (2.4, 3.5)},
+        r"camera distance must be > camera focal_length in the whole set \[m\], got a distance of "
+        r"2.4 and a focal length of 2.5",
+    ),
+    ({"camera": CAMERA, "focal_length": (0.05, 3.0)}, "got a distance of 3 and a focal"),
+    ({"camera": CAMERA, "distance": (0.05, 3.0)}, "got a distance of 0.05 and a focal"),
+    ({"camera": CAMERA, "roll": (0.2, 0.3)}, r"roll must hold what is believed, 0.1 \[rad\]"),
+    ({"factor": -1.0}, "factor must be a finite number >= 0, got -1.0"),
+    ({"friction": (0.1, 0.2, 0.3)}, r"friction must have shape \(2,\)"),
+    ({"friction": -1.0}, "friction must be >= 0"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("options", "text"), REFUSED)
+def test_refused(arm, options, text):
+    task = aj.PositionTask if "camera" in options else PLANE
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.Uncertainty(arm, task, **options)
+
+
+def test_refused_arms_tasks_and_joints(arm):
+    with pytest.raises(
+        aj.InvalidInputError, match=r"arm must be the believed Robot, .* got 'panda'"
+    ):
+        aj.Uncertainty("panda")
+    with pytest.raises(aj.InvalidInputError, match="task must be a function from a robot"):
+        aj.Uncertainty(arm, PLANE(arm))
+    with pytest.raises(aj.InvalidInputError, match="what task makes of a robot must be a task"):
+        aj.Uncertainty(arm, lambda robot: robot)
+    with pytest.raises(
+        aj.InvalidInputError, match="sensor must be a task of the plant's own robot"
+    ):
+        aj.Uncertainty(arm, lambda robot: PLANE(arm), believed_length=0.1)
+    with pytest.raises(aj.InvalidInputError, match="task must not be given with a camera"):
+        aj.Uncertainty(arm, PLANE, camera=CAMERA)
+    for field in ("joint_shifts", "joint_rotations"):
+        with pytest.raises(
+            aj.UnknownNameError, match="joint 'joint' not in two_link; did you mean"
+        ):
+            aj.Uncertainty(arm, PLANE, **{field: {"joint": (0.1, 0.0, 0.0)}})
+
+
+def test_a_set_that_grows_too_large(arm):
+    uncertainty = aj.Uncertainty(arm, PLANE, object_length=(0.05, 0.2), believed_length=0.1)
+    assert uncertainty.scaled(2.0).low == 0.0
+    with pytest.raises(
+        aj.InvalidInputError,
+        match=r"object_length must be >= 0 in the whole set .* got -0.05 to 0.4 with the factor 3",
+    ):
+        uncertainty.scaled(3.0)
+    camera = aj.Uncertainty(arm, camera=CAMERA, distance=(2.0, 3.0))
+    with pytest.raises(aj.InvalidInputError, match=r"a focal length of 0.05 with the factor 3"):
+        camera.scaled(3.0)
+    with pytest.raises(aj.InvalidInputError, match="factor must be a finite number >= 0, got nan"):
+        camera.scaled(float("nan"))
+
+
+def test_refused_values_and_limits(arm):
+    uncertainty = aj.Uncertainty(arm, PLANE, object_length=(0.0, 0.3))
+    for ask in (uncertainty.plant, uncertainty.describe):
+        with pytest.raises(aj.InvalidInputError, match=r"values must have shape \(1,\) \[m\]"):
+            ask([0.1, 0.2])
+    with pytest.raises(aj.InvalidInputError, match=r"length must be a finite number >= 0 \[m\]"):
+        uncertainty.plant([-0.1])
+    for limit in (0, 1.5, True):
+        with pytest.raises(aj.InvalidInputError, match="limit must be an integer >= 1, got"):
+            uncertainty.corners(limit)
