@@ -154,6 +154,7 @@ def rollouts(
         seed: ≥ 0.
         executor: What carries out the runs, such as a `ProcessPoolExecutor` (the user's to shut
             down); one after the other here by default. Each portion of runs has its own copies.
+            Threads are no faster than none: a run is mostly Python.
         confidence: Of the interval, > 0 and < 1.
         progress: Called with the number of runs that are done, in the calling process.
 
