@@ -7,10 +7,13 @@ eigenvalue decomposition of all of them and a linear program of the few directio
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.checks import Array
@@ -26,8 +29,9 @@ FAMILIES: tuple[Family, ...] = ("paper", "free", "wide")
 
 _ACTIVE = 60  # scenarios to begin with
 _MORE = 40  # and how many of the worst are added at a time
-_CUTS = 15  # a round, from the scenarios that violate most
+_CUTS = 10  # a round, from the scenarios that violate most
 _ROUNDS = 150
+_STEP = 0.4
 _PRECISION = 5e-3  # of the margin
 _SIGN = 1e-5  # and while it is negative, as weights of other sizes may still make it positive
 _BOX = 30.0  # unknowns are sought within so many times their natural size
@@ -90,6 +94,29 @@ class MatrixForm:
         self._D = law.dissipation(J_hat, kv, setting.B)
         self._pinv = law.cross_weight_pinv(J_hat, dJ_hat)
         self._damped = law.cross_weight_damped(self._D, J_hat, dJ_hat, kv)
+
+    def take(self, which: Array) -> MatrixForm:
+        """The same at those scenarios of some indices."""
+        return self._with(self.scenarios.take(which), lambda array, _: array[which], self)
+
+    def join(self, other: MatrixForm) -> MatrixForm:
+        """The same at these scenarios and those of another."""
+        both = self.scenarios.join(other.scenarios)
+        return self._with(both, lambda mine, theirs: np.concatenate([mine, theirs]), other)
+
+    def _with(
+        self,
+        scenarios: Scenarios,
+        combine: Callable[[Array, Array], Array],
+        other: MatrixForm,
+    ) -> MatrixForm:
+        form = copy.copy(self)
+        form.scenarios = scenarios
+        form._D = combine(self._D, other._D)
+        for name in ("_pinv", "_damped"):
+            pairs = zip(getattr(self, name), getattr(other, name), strict=True)
+            setattr(form, name, tuple(combine(mine, theirs) for mine, theirs in pairs))
+        return form
 
     def pencils(self, weights: Weights) -> tuple[Array, Array]:
         """X and Y with the margin as the largest μ for which X − μY ≥ 0.
@@ -186,24 +213,48 @@ class _Unknowns:
         )
 
 
-def best_weights(whole: MatrixForm, family: Family) -> tuple[Weights, Array]:
-    """The Lyapunov function of a family with the largest least margin, and all margins (N,).
+@dataclass(frozen=True, eq=False)
+class Best:
+    """The Lyapunov function of a family with the largest least margin.
+
+    Attributes:
+        weights: The function.
+        margins: Its margin in every scenario, shape (N,).
+        active: Indices of the scenarios that decided it.
+        unknowns: The scaled unknowns of `weights`, to start from again.
+    """
+
+    weights: Weights
+    margins: Array
+    active: NDArray[np.intp]
+    unknowns: Array
+
+
+def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
+    """Choose the Lyapunov function of a family whose least margin is largest.
 
     The worst scenarios are gathered until no other one is worse.
+
+    Args:
+        form: The conditions at all scenarios.
+        family: Which functions to choose from.
+        known: What was found without the last ones of the scenarios, to go on from.
     """
-    scenarios, setting = whole.scenarios, whole.setting
-    unknowns = _Unknowns(family, setting)
-    if not unknowns.basis:
-        return unknowns.fixed, whole.margins(unknowns.fixed)
-    active = np.unique(np.linspace(0, len(scenarios) - 1, _ACTIVE).astype(int))
+    unknowns, N = _Unknowns(family, form.setting), len(form.scenarios)
+    active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
     y = unknowns.start
+    if known is not None:
+        active = np.union1d(known.active, np.arange(len(known.margins), N))
+        y = known.unknowns
     while True:
-        y, inner = _cutting_planes(MatrixForm(scenarios.take(active), setting), unknowns, y)
+        inner = np.inf
+        if unknowns.basis:
+            y, inner = _cutting_planes(form.take(active), unknowns, y)
         weights = unknowns.weights(y)
-        margins = whole.margins(weights)
+        margins = form.margins(weights)
         others = np.setdiff1d(np.argsort(margins)[:_MORE], active)
-        if margins.min() >= inner - _PRECISION or len(others) == 0:
-            return weights, margins
+        if not unknowns.basis or margins.min() >= inner - _PRECISION or len(others) == 0:
+            return Best(weights, margins, active, y)
         active = np.concatenate([active, others])
 
 
@@ -220,6 +271,9 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
     parts = [form.pencils(_sum(unknowns.fixed, part)) for part in unknowns.basis]
     X1, Y1 = np.stack([X - X0 for X, _ in parts]), np.stack([Y - Y0 for _, Y in parts])
     best, best_margin = start, float(form.margins(unknowns.weights(start)).min())
+    if best_margin == -np.inf:  # found where some of these scenarios were not known yet
+        best = start = unknowns.start
+        best_margin = float(form.margins(unknowns.weights(start)).min())
     mu = max(best_margin, -1.0)
     y = start
     cuts_X, cuts_Y = np.empty((0, 1 + d)), np.empty((0, 1 + d))
@@ -240,12 +294,13 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
             A_ub=np.column_stack([-bound[:, 1:], cuts_Y @ np.append(1.0, best)]),
             b_ub=bound[:, 0],
             bounds=[*[(-_BOX, _BOX)] * d, (None, 10.0)],
-            method="highs",
+            method="highs-ds",
+            options={"presolve": False},
         )
         if answer.status != 0 or answer.x[-1] < (_PRECISION if best_margin > 0.0 else _SIGN):
             break
-        # half the way, as the bounds far from the best point are still poor
-        y = 0.5 * (answer.x[:-1] + best)
+        # part of the way only, as the bounds far from the best point are still poor
+        y = best + _STEP * (answer.x[:-1] - best)
         margin = float(form.margins(unknowns.weights(y)).min())
         if margin > best_margin:
             best, best_margin, mu = y, margin, max(mu, margin)

@@ -17,6 +17,7 @@ from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability.attain import attain
 from approxjac.stability.matrix_form import (
+    Best,
     Family,
     MatrixForm,
     Setting,
@@ -31,8 +32,10 @@ from approxjac.stability.uncertainty import Uncertainty
 from approxjac.tasks.task import vanishing
 
 _REGULAR = 0.5  # times a tenth of the typical σ_max, below which postures are left out
-_REFINED = 3  # rounds of a closer look at the worst scenario
-_NEAR = 40  # scenarios a round
+_REFINED = 6  # closer looks at the worst scenario, each from the worst of the last
+_NEAR = 40  # scenarios of a closer look
+_CLOSER = 0.15  # of the region's spread
+_NOTABLE = 1e-3  # margin
 _LOCAL = 1000  # postures at most that the local test takes as targets
 _STARTS = 20  # of the search for postures that attain a target
 _CONFIDENCE = 0.95
@@ -350,17 +353,17 @@ def stability_report(
     setting = setting_of(controller, plants[0])
 
     scenarios = _refine_constants(sampler, scenarios, setting, rng)
+    form, check = MatrixForm(scenarios, setting), MatrixForm(fresh, setting)
     chosen: dict[Family, Weights] = {}
     for k, family in enumerate(setting.families):
         tell("matrix form", k / len(setting.families))
-        scenarios, chosen[family] = _refine_weights(sampler, scenarios, setting, family, rng)
-    form, check = MatrixForm(scenarios, setting), MatrixForm(fresh, setting)
+        form, best = _refine(sampler, form, family, rng)
+        chosen[family] = best.weights
+    scenarios = form.scenarios
     matrix: dict[Family, MatrixTest] = {}
     for family, weights in chosen.items():
         violations = int((check.margins(weights) <= 0.0).sum())
-        matrix[family] = MatrixTest(
-            family, weights, form.margins(weights), len(fresh), violations
-        )
+        matrix[family] = MatrixTest(family, weights, form.margins(weights), len(fresh), violations)
     tell("local", 0.0)
     local = local_test(controller, scenarios if targets is None else targets, setting)
     outcome = None
@@ -434,9 +437,7 @@ def setting_of(controller: SetpointController, plant: Plant) -> Setting:
     return Setting(kp, kv, damping + plant.friction, controller.saturation.c_bar, alpha)
 
 
-def local_test(
-    controller: SetpointController, scenarios: Scenarios, setting: Setting
-) -> LocalTest:
+def local_test(controller: SetpointController, scenarios: Scenarios, setting: Setting) -> LocalTest:
     """Eigenvalues of the closed loop with each posture (of the first thousand) as a target."""
     few = scenarios.take(np.arange(min(len(scenarios), _LOCAL)))
     n, m = few.J.shape[-1], few.J.shape[-2]
@@ -447,13 +448,20 @@ def local_test(
         Z = np.array([learning.regressor.Z(q) for q in few.q])
         still += learning.regressor.p - np.linalg.matrix_rank(Z)
         pinv, _ = law.cross_weight_pinv(few.J_hat, few.dJ_hat)
-        A = law.adaptive_closed_loop_matrix(A, few.M, few.J, pinv, Z, learning.L, learning.alpha)
+        A = np.array(
+            [
+                law.adaptive_closed_loop_matrix(
+                    *at, setting.kp, setting.kv, setting.B, Z_at, learning.L, learning.alpha
+                )
+                for *at, Z_at in zip(few.M, few.J, few.J_hat, pinv, Z, strict=True)
+            ]
+        )
     values = np.linalg.eigvals(A)
     order = np.argsort(np.abs(values), axis=-1)
     values = np.take_along_axis(values, order, axis=-1)
     values[np.arange(values.shape[-1]) < still[:, None]] = -np.inf  # the equilibria's own zeros
-    size = np.maximum(np.abs(values), 1e-300)
-    ratios = np.where(np.isinf(size), 1.0, -values.real / size)
+    moving = np.where(np.isfinite(values), values, -1.0)
+    ratios = -moving.real / np.maximum(np.abs(moving), 1e-300)
     return LocalTest(-values.real.max(axis=-1), ratios.min(axis=-1), few.q, few.truth)
 
 
@@ -514,40 +522,39 @@ def _refine_constants(
     sampler: Sampler, scenarios: Scenarios, setting: Setting, rng: np.random.Generator
 ) -> Scenarios:
     """Look closer around the worst scenario of each constant of Theorem 1."""
+    values = constants(scenarios, setting)
     for name in CONSTANTS:
-        values = badness(name, constants(scenarios, setting)[name])
-        size = 0.1
         for _ in range(_REFINED):
-            k = int(values.argmax())
-            nearby = sampler.near(scenarios, k, _NEAR, size, rng)
-            found = badness(name, constants(nearby, setting)[name])
-            if found.max() > values[k]:
-                worse = np.array([found.argmax()])
-                scenarios = scenarios.join(nearby.take(worse))
-                values = np.append(values, found[worse])
-            size *= 0.4
+            k = int(badness(name, values[name]).argmax())
+            nearby = sampler.near(scenarios, k, _NEAR, _CLOSER, rng)
+            found = constants(nearby, setting)
+            worst = badness(name, found[name]).argmax(keepdims=True)
+            if badness(name, found[name])[worst] <= badness(name, values[name])[k]:
+                break
+            scenarios = scenarios.join(nearby.take(worst))
+            values = {key: np.append(values[key], found[key][worst]) for key in values}
     return scenarios
 
 
-def _refine_weights(
-    sampler: Sampler,
-    scenarios: Scenarios,
-    setting: Setting,
-    family: Family,
-    rng: np.random.Generator,
-) -> tuple[Scenarios, Weights]:
+def _refine(
+    sampler: Sampler, form: MatrixForm, family: Family, rng: np.random.Generator
+) -> tuple[MatrixForm, Best]:
     """Choose a Lyapunov function, with a closer look around its worst scenario."""
-    weights, margins = best_weights(MatrixForm(scenarios, setting), family)
-    size = 0.1
+    best = best_weights(form, family)
+    worst, k, least = form.scenarios, int(best.margins.argmin()), float(best.margins.min())
+    found = []
     for _ in range(_REFINED):
-        nearby = sampler.near(scenarios, int(margins.argmin()), _NEAR, size, rng)
-        found = MatrixForm(nearby, setting).margins(weights)
-        size *= 0.4
-        if found.min() < margins.min() - 1e-3:
-            worse = np.argsort(found)[:3]
-            scenarios = scenarios.join(nearby.take(worse))
-            weights, margins = best_weights(MatrixForm(scenarios, setting), family)
-    return scenarios, weights
+        worst = sampler.near(worst, k, _NEAR, _CLOSER, rng)
+        nearby = MatrixForm(worst, form.setting)
+        margins = nearby.margins(best.weights)
+        k = int(margins.argmin())
+        if margins[k] > least - _NOTABLE:
+            break
+        least = float(margins[k])
+        found.append(nearby.take(np.array([k])))
+    for nearby in found:
+        form = form.join(nearby)
+    return form, best_weights(form, family, best) if found else best
 
 
 def _upper_bound(violations: int, checked: int) -> float:

@@ -95,7 +95,8 @@ class Sampler:
     ) -> Scenarios:
         """N scenarios of the same true robot as the k-th known one, at postures near its own."""
         truth = int(known.truth[k])
-        postures = np.array([self.region.near(known.q[k], size, rng) for _ in range(n)])
+        sizes = size * 10.0 ** rng.uniform(-1.0, 0.5, n)
+        postures = np.array([self.region.near(known.q[k], each, rng) for each in sizes])
         x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
         return self._evaluate(np.full(n, truth), postures, x_d, None)
 

@@ -105,7 +105,9 @@ def constants(scenarios: Scenarios, setting: Setting) -> dict[str, Array]:
     J, J_hat, kv, B = scenarios.J, scenarios.J_hat, setting.kv, setting.B
     D = law.dissipation(J_hat, kv, B)
     G, dG = law.cross_weight_pinv(J_hat, scenarios.dJ_hat)
-    N = law.inertial_block(scenarios.M, scenarios.dM, scenarios.J_e, G, dG, scenarios.s, scenarios.slope)
+    N = law.inertial_block(
+        scenarios.M, scenarios.dM, scenarios.J_e, G, dG, scenarios.s, scenarios.slope
+    )
     metric = np.swapaxes(G, -1, -2) @ scenarios.M @ G
     # the damping's αs(e)ᵀĴ⁺ᵀBq̇ is shared out by (18)
     c1 = 0.5 * _norm(B[:, None] * G)

@@ -52,9 +52,11 @@ class Tolerance:
     worst_text: str
 
     def __str__(self) -> str:
-        allowed = self.uncertainty.describe_ranges()
+        allowed = self.uncertainty.describe_box()
         if not np.isfinite(self.fails_at):
-            return f"{self.test}: passes up to the largest scale tried, {self.scale:.3g} ({allowed})"
+            return (
+                f"{self.test}: passes up to the largest scale tried, {self.scale:.3g} ({allowed})"
+            )
         return (
             f"{self.test}: passes up to scale {self.scale:.3g} ({allowed}); fails at "
             f"{self.fails_at:.3g} with {self.worst_text}"
@@ -138,7 +140,7 @@ def _bisect(
         fails = 0.0
     scale = min(1.0, largest)
     for step in range(_STEPS):
-        if fails - passes <= precision * fails or passes == largest:
+        if passes == largest or (np.isfinite(fails) and fails - passes <= precision * fails):
             break
         tell(step / _STEPS)
         culprit = failing(scale)
@@ -174,8 +176,9 @@ def _failing(
         first = theorem1(scenarios, setting)
         culprit = None if first.holds else scenarios.truth[first.worst["p"]]
     elif test == "matrix":
+        form = MatrixForm(scenarios, setting)
         margins = max(
-            (best_weights(MatrixForm(scenarios, setting), family)[1] for family in setting.families),
+            (best_weights(form, family).margins for family in setting.families),
             key=lambda values: float(values.min()),
         )
         culprit = None if margins.min() > 0.0 else scenarios.truth[margins.argmin()]

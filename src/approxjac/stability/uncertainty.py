@@ -224,6 +224,15 @@ class Uncertainty:
         ]
         return ", ".join(shown) or "no error"
 
+    def describe_box(self) -> str:
+        """Return the ranges in words, such as "object_length 0.00 m to 0.300 m"."""
+        lows, highs = self.describe(self.low).split(", "), self.describe(self.high).split(", ")
+        shown = [
+            f"{low} to {high.removeprefix(name).strip()}"
+            for name, low, high in zip(self.names, lows, highs, strict=True)
+        ]
+        return ", ".join(shown) or "no error"
+
     def _by_name(self, values: Sequence[float] | Array) -> dict[str, float]:
         array = as_array("values", values, (self.d,), ", ".join(self.units))
         return dict(zip(self.names, array.tolist(), strict=True))

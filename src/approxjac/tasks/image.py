@@ -66,5 +66,8 @@ class ImageTask(Task):
         J_I_dot = self._camera.interaction_dot(r, J_e @ v)
         return self._camera.interaction(r) @ J_e_dot + J_I_dot @ J_e
 
+    def on(self, robot: Robot) -> ImageTask:
+        return ImageTask(robot, self._camera, self.frame)
+
     def __repr__(self) -> str:
         return f"ImageTask({self.robot.name!r}, {self.camera!r}, {self.frame!r})"

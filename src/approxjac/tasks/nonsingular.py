@@ -164,6 +164,10 @@ class NonsingularTask(Task):
         """ε², never 0."""
         return self._ratio**2 * max(float(squares[-1]), self._scale**2, _TINY)
 
+    def on(self, robot: Robot) -> Task:
+        """The task that was designed around, of another robot."""
+        return self._task.on(robot)
+
     def __repr__(self) -> str:
         moved = {
             joint: float(displacement)

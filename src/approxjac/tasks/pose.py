@@ -91,6 +91,9 @@ class PoseTask(Task):
     def error_rate(self, e: Array, Jv: Array) -> Array:
         return np.concatenate([Jv[:3], _rotation_vector_rate(e[3:], Jv[3:])])
 
+    def on(self, robot: Robot) -> PoseTask:
+        return PoseTask(robot, self.frame)
+
     def __repr__(self) -> str:
         return f"PoseTask({self.robot.name!r}, {self.frame!r})"
 

@@ -56,5 +56,8 @@ class PositionTask(Task):
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return self._frame.jacobian_dot(q, v)[self._rows]
 
+    def on(self, robot: Robot) -> PositionTask:
+        return PositionTask(robot, self.frame, "".join(self._labels))
+
     def __repr__(self) -> str:
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {''.join(self.labels)!r})"

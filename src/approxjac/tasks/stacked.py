@@ -93,5 +93,8 @@ class StackedTask(Task):
         each = zip(self._tasks, self._rows, strict=True)
         return np.concatenate([task.error_rate(e[rows], Jv[rows]) for task, rows in each])
 
+    def on(self, robot: Robot) -> StackedTask:
+        return StackedTask(*(task.on(robot) for task in self._tasks))
+
     def __repr__(self) -> str:
         return f"StackedTask({', '.join(map(repr, self._tasks))})"

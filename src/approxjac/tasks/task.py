@@ -77,6 +77,14 @@ class Task(ABC):
         """Error e of a value x to a target, both of shape (n_x,); shape (m,), NaN if x is lost."""
         return x - x_d
 
+    @abstractmethod
+    def on(self, robot: Robot) -> Task:
+        """The same task of another robot, such as the true one.
+
+        Raises:
+            UnknownNameError: That robot has no such frame.
+        """
+
     @property
     def subtracts(self) -> bool:
         """Whether the error is x − x_d."""
