@@ -68,15 +68,11 @@ def test_a_singular_target_is_never_stable(two_link, q):
 
 def controllers_without_a_linearization(robot):
     task, gains = aj.PositionTask(robot, axes="xz"), aj.Gains(50.0, 20.0)
-    adaptive = aj.AdaptiveGravity(aj.GravityRegressor(robot, "x"), 0.1, 1.0)
     heavier = robot.with_object(0.1, 0.5, name="more")
     image = aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0))
     return {
         r"local_stability is for law \(6\), .*got SetpointController\(law \(5\)": (
             aj.SetpointController(task, gains, velocity=aj.DifferentiatedVelocity())
-        ),
-        r"local_stability is for law \(6\), .*got SetpointController\(law \(28\)": (
-            aj.SetpointController(task, gains, gravity=adaptive)
         ),
         r"gravity must be exact near the target .* with NoGravity": (
             aj.SetpointController(task, gains, gravity=aj.NoGravity(robot))

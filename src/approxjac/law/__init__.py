@@ -12,7 +12,11 @@ from approxjac.law.conditions import (
     lambda_2,
     largest_allowed_p,
 )
-from approxjac.law.linearization import closed_loop_matrix
+from approxjac.law.linearization import (
+    adaptive_closed_loop_matrix,
+    closed_loop_matrix,
+    learning_gain,
+)
 from approxjac.law.lyapunov import V, W, parameter_potential
 from approxjac.law.pseudoinverse import (
     SINGULAR_RATIO,
@@ -38,6 +42,7 @@ __all__ = [
     "Tanh",
     "V",
     "W",
+    "adaptive_closed_loop_matrix",
     "allowed_p_at_crossing",
     "allowed_p_position",
     "allowed_p_velocity",
@@ -50,6 +55,7 @@ __all__ = [
     "jacobian_error",
     "lambda_2",
     "largest_allowed_p",
+    "learning_gain",
     "learnt_gravity_torque",
     "measured_velocity_torque",
     "parameter_potential",
