@@ -159,8 +159,7 @@ def local_stability(
         _require_finite(A, timing.dt)
     values, is_manifold = _eigenvalues_across(A, still, at_rest)
     if timing is not None:
-        with np.errstate(divide="ignore"):  # a mode that is over after one sample
-            values = (np.log(values) / timing.dt).astype(np.complex128)
+        values = _rates(values, timing.dt)
     return LocalStability(
         values,
         self_motion=plant.robot.nv - plant.sensor.m,
@@ -299,6 +298,15 @@ def _eigenvalues_across(
     residual = np.abs(A @ along - at_rest * along).max()
     rest = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
     return rest, bool(residual <= 1e-9 * np.abs(A).max())
+
+
+def _rates(multipliers: NDArray[np.complex128], dt: float) -> NDArray[np.complex128]:
+    """λ = ln(μ)/dt; −∞ for a mode that is over after one sample."""
+    rates = np.empty_like(multipliers)
+    with np.errstate(divide="ignore"):
+        rates.real = np.log(np.abs(multipliers)) / dt
+    rates.imag = np.angle(multipliers) / dt
+    return rates
 
 
 def _loses_rank(loop: LinearLoop) -> bool:
