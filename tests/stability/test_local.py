@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.stability import local as local_module
 
 
 def linearized_by_differences(plant, controller, q_target):
@@ -236,6 +237,30 @@ def test_the_manifold_of_equilibria_is_recognised(panda):
         assert len(local.eigenvalues) == 14 + regressor.p - 4 - unseen
         assert np.abs(local.eigenvalues).min() > 0.1
         assert not local.singular
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda still: still[:, 1:],  # one more eigenvalue is zero than was expected
+        lambda still: still + 1e-3,  # no equilibria there
+    ],
+)
+@pytest.mark.parametrize("dt", [None, 1e-3])
+def test_a_manifold_that_is_none_decides_nothing(panda, monkeypatch, wrong, dt):
+    plant, controller, q = panda_loop(panda, (5.0, 2.0))
+    assert not aj.local_stability(plant, controller, q, dt).singular
+    right = local_module.equilibria
+    monkeypatch.setattr(local_module, "equilibria", lambda *given: wrong(right(*given)))
+    assert aj.local_stability(plant, controller, q, dt).singular
+
+
+def test_the_dead_time_is_the_hold_and_the_delays(two_link):
+    plant, controller = two_link_loop(
+        two_link, actuator_delay=0.02, sensing=aj.Sensing(x_delay=0.031)
+    )
+    assert_allclose(aj.local_stability(plant, controller, GOAL, 0.01).dead_time, 0.06)
+    assert aj.local_stability(*two_link_loop(two_link), GOAL).dead_time == 0.0
 
 
 def test_an_arm_that_hangs_feels_no_parameter_at_all(two_link):
