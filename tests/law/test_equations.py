@@ -122,3 +122,26 @@ def test_linearization_of_eq_9_for_a_point_mass():
         np.array([[2.0]]), np.eye(1), np.eye(1), np.array([8.0]), np.array([1.5]), np.array([0.5])
     )
     assert_allclose(np.sort_complex(np.linalg.eigvals(A)), np.roots([2.0, 2.0, 8.0])[::-1])
+
+
+def test_linearization_of_eqs_28_and_29_entry_by_entry(numbers, rng):
+    J, Z, alpha = rng.normal(size=(M, NV)), rng.normal(size=(NV, P)), 0.3
+    root = rng.normal(size=(NV, NV))
+    inertia, B = root @ root.T + np.eye(NV), rng.uniform(0, 1, NV)
+    pinv = law.right_pinv(numbers["J_hat"])
+    diagonal, root = rng.uniform(1, 2, P), rng.normal(size=(P, P))
+    v, dq, dtheta = rng.normal(size=NV), rng.normal(size=NV), rng.normal(size=P)
+    for L in (diagonal, root @ root.T + np.eye(P)):
+        A = law.adaptive_closed_loop_matrix(
+            inertia, J, numbers["J_hat"], pinv, numbers["kp"], numbers["kv"], B, Z, L, alpha
+        )
+        s = J @ dq  # s'(0) = 1
+        damping = np.zeros(NV)
+        torque = law.estimated_velocity_torque(
+            numbers["J_hat"], numbers["kp"], numbers["kv"], s, v, damping, Z @ dtheta
+        )
+        acceleration = np.linalg.solve(inertia, torque - B * v)
+        rate = law.theta_hat_rate(L, Z, law.passive_output(v, pinv @ s, alpha))
+        assert_allclose(
+            A @ np.concatenate([dq, v, dtheta]), np.concatenate([v, acceleration, rate])
+        )

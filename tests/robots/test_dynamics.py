@@ -97,3 +97,18 @@ def test_lists_of_numbers_are_taken(panda):
     q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
     assert_allclose(aj.PositionTask(panda).value(q), aj.PositionTask(panda).value(np.array(q)))
     assert_allclose(aj.Dynamics(panda).g(q), aj.Dynamics(panda).g(np.array(q)))
+
+
+def test_the_gradient_of_gravity_by_finite_differences(arm, rng):
+    dynamics, q, h = aj.Dynamics(arm), arm.random_configuration(rng), 1e-5
+    steps = h * np.eye(arm.nv)
+    slopes = [
+        dynamics.g(pin.integrate(arm.model, q, step))
+        - dynamics.g(pin.integrate(arm.model, q, -step))
+        for step in steps
+    ]
+    assert_allclose(
+        dynamics.g_gradient(q),
+        np.array(slopes).T / (2 * h),
+        atol=1e-7 * np.abs(dynamics.g(q)).max(),
+    )

@@ -227,3 +227,10 @@ def test_pinocchio_alone_would_be_wrong():
     q, v = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, -1.0])
     C = pin.computeCoriolisMatrix(model, model.createData(), q, v)
     assert np.abs(C - aj.Dynamics(robot).C(q, v)).max() > 1e-3
+
+
+def test_the_gradient_of_gravity_is_coupled(coupled, rng):
+    robot, _, _, _ = coupled
+    dynamics, q, h = aj.Dynamics(robot), robot.random_configuration(rng), 1e-5
+    slopes = [(dynamics.g(q + h * u) - dynamics.g(q - h * u)) / (2 * h) for u in np.eye(robot.nv)]
+    assert_allclose(dynamics.g_gradient(q), np.array(slopes).T, atol=1e-6)

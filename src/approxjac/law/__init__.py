@@ -15,7 +15,11 @@ from approxjac.law.conditions import (
     largest_allowed_p,
     largest_alpha,
 )
-from approxjac.law.linearization import closed_loop_matrix
+from approxjac.law.linearization import (
+    adaptive_closed_loop_matrix,
+    closed_loop_matrix,
+    learning_gain,
+)
 from approxjac.law.lyapunov import V, W, parameter_potential
 from approxjac.law.matrix_form import (
     cross_weight_damped,
@@ -50,6 +54,7 @@ __all__ = [
     "Tanh",
     "V",
     "W",
+    "adaptive_closed_loop_matrix",
     "allowed_p",
     "allowed_p_at_crossing",
     "allowed_p_position",
@@ -70,6 +75,7 @@ __all__ = [
     "lambda_2",
     "largest_allowed_p",
     "largest_alpha",
+    "learning_gain",
     "learnt_gravity_torque",
     "measured_velocity_torque",
     "parameter_potential",

@@ -63,6 +63,12 @@ class Dynamics:
         """Gravity torque g(q), shape (n_v,) [N m or N]."""
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, self._q(q)))
 
+    def g_gradient(self, q: Array) -> Array:
+        """∂g/∂q, shape (n_v, n_v) [N m/rad, and alike with m and N]."""
+        q_all = self._coupling.q(self._q(q))
+        G = pin.computeGeneralizedGravityDerivatives(self._all, self._all_data, q_all)
+        return np.array(self._coupling.rows(self._coupling.columns(G)))
+
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
         """M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
         return np.array(pin.rnea(self._model, self._data, self._q(q), self._v(v), self._v(a, "a")))

@@ -99,6 +99,21 @@ class Plant:
                 given=self,
             )
 
+    def require_linear(self, what: str) -> None:
+        """Refuse what no linearisation of the sampled loop has; delays and a filter of q̇ it has.
+
+        Raises:
+            InvalidInputError: Coulomb friction, torque limits, or sensing with noise, rounding or
+                dropouts.
+        """
+        rough = self.sensing is not None and not self.sensing.is_linear
+        if self.coulomb.any() or rough or self.torque_limits is not None:
+            raise InvalidInputError(
+                f"{what} is for a plant without Coulomb friction, torque limits, noise, rounding "
+                f"and dropouts (delays and velocity_filter may be there), got {self!r}",
+                given=self,
+            )
+
     def require_task(self, task: Task) -> None:
         """Refuse a controller's task whose coordinates are not those that the sensor measures.
 

@@ -63,6 +63,12 @@ class Sensing:
         if self.velocity_filter is not None:
             as_number("velocity_filter", self.velocity_filter, unit="s", minimum=0.0)
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether it does no more than delay x and filter q̇: nothing random, nothing rounded."""
+        others = (self.x_noise, self.x_quantum, self.x_dropout, self.q_noise, self.q_quantum)
+        return not any(np.any(value) for value in others)
+
 
 class SensorReadings:
     """The readings of one run, sample by sample; the same seed gives the same ones.

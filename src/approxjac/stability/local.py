@@ -2,72 +2,210 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.checks import Array, require
-from approxjac.controllers import AdaptiveGravity, SetpointController
+from approxjac.checks import Array, as_number, require
+from approxjac.controllers import SetpointController
+from approxjac.controllers.gravity import Adaptation
 from approxjac.errors import InvalidInputError
-from approxjac.law import closed_loop_matrix
 from approxjac.simulation import Plant
+from approxjac.stability.linear_loop import (
+    LinearLoop,
+    Timing,
+    continuous_matrix,
+    equilibria,
+    linear_loop,
+    sampled_matrix,
+)
 
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
+_ZERO = 1e-11  # size of an eigenvalue relative to the largest that counts as zero
 _EXACT = 1e-6  # relative error of a gravity compensation that counts as none
+_NEAR = 1e-2  # how far from the target gravity is compared [rad or m]
+_MOST_STATES = 1000  # eigenvalues of more take many seconds
 
 
 @dataclass(frozen=True, eq=False)
 class LocalStability:
-    """Eigenvalues of the linearised closed loop, the self-motion's zeros left out.
+    """Eigenvalues of the linearised closed loop, those of the equilibria themselves left out.
+
+    With dt the loop is sampled: a mode is multiplied by μ from one sample to the next, and its
+    eigenvalue is λ = ln(μ)/dt, so that all numbers mean the same with and without dt.
 
     Attributes:
-        eigenvalues: Shape (2 n_v − (n_v − m),), complex [1/s].
-        max_real_eigenvalue: Their largest real part, the spectral abscissa [1/s];
-            −1/max_real_eigenvalue is the slowest time constant.
-        singular: Whether J or Ĵ loses rank at the target. Then there are further eigenvalues of
-            zero, and the linearisation decides nothing.
+        eigenvalues: Complex λ [1/s], 2 n_v − (n_v − m) of them for law (6). Learnt parameters and
+            delays add to them; −∞ is a mode that is over after one sample.
+        self_motion: Number n_v − m of eigenvalues left out because every posture of the
+            self-motion attains the target.
+        unseen_parameters: Number p − rank Z of eigenvalues left out because so many combinations
+            of the learnt parameters exert no torque at the target.
+        singular: Whether more eigenvalues are zero than that, as where J or Ĵ loses rank at the
+            target. Then the linearisation decides nothing.
+        dt: Sampling time [s], or None for the continuous loop.
+        dead_time: Longest time until the sampled loop has answered a motion, hold and delays
+            together [s]; 0 for the continuous loop.
     """
 
     eigenvalues: NDArray[np.complex128]
-    max_real_eigenvalue: float
+    self_motion: int
+    unseen_parameters: int
     singular: bool
+    dt: float | None = None
+    dead_time: float = 0.0
+
+    @property
+    def max_real_eigenvalue(self) -> float:
+        """Largest real part of the eigenvalues, the spectral abscissa [1/s]."""
+        return float(self.eigenvalues.real.max())
+
+    @property
+    def decay_rate(self) -> float:
+        """Rate at which the slowest error dies out [1/s]; negative where one grows."""
+        return -self.max_real_eigenvalue
+
+    @property
+    def damping_ratio(self) -> float:
+        """Smallest −Re λ/|λ|: 1 does not oscillate, 0 oscillates for ever, below 0 grows.
+
+        Of the sampled loop, modes that fall to a tenth within the dead time are not counted:
+        every delay has such modes, as many as samples, and nobody sees them.
+        """
+        lasting = self.eigenvalues[self.eigenvalues.real * self.dead_time > -math.log(10.0)]
+        moving = lasting[lasting != 0.0]
+        return float(np.min(-moving.real / np.abs(moving), initial=1.0))
 
     @property
     def stable(self) -> bool:
         """Whether every error near the target dies out."""
         return not self.singular and self.max_real_eigenvalue < 0.0
 
+    def __str__(self) -> str:
+        return f"{self._verdict()} {self._loop()}{self._left_out()}"
+
+    def _verdict(self) -> str:
+        if self.singular:
+            return (
+                "undecided: J or Ĵ loses rank at the target, so that more than the self-motion "
+                "is neither held nor driven away; choose another posture or task"
+            )
+        if self.stable:
+            return (
+                f"stable: errors near the target die out at {self.decay_rate:.3g} 1/s or faster "
+                f"(to 1 % in {math.log(100.0) / self.decay_rate:.3g} s), "
+                f"damping ratio {self.damping_ratio:.2g}"
+            )
+        worst = self.eigenvalues[self.eigenvalues.real.argmax()]
+        swing = abs(float(worst.imag)) / (2.0 * math.pi)
+        how = f", oscillating at {swing:.3g} Hz" if swing > 0.0 else ""
+        return f"unstable: errors near the target grow at {-self.decay_rate:.3g} 1/s{how}"
+
+    def _loop(self) -> str:
+        return "(continuous loop)" if self.dt is None else f"(sampled every {self.dt:g} s)"
+
+    def _left_out(self) -> str:
+        parts = {
+            "of self-motion": self.self_motion,
+            "of learnt parameters without effect at the target": self.unseen_parameters,
+        }
+        named = [f"{count} {what}" for what, count in parts.items() if count]
+        return f"; left out are {' and '.join(named)}" if named else ""
+
 
 def local_stability(
-    plant: Plant, controller: SetpointController, q_target: Array
+    plant: Plant, controller: SetpointController, q_target: Array, dt: float | None = None
 ) -> LocalStability:
-    """Linearise the closed loop of law (6) at rest in a posture that attains the target.
+    """Linearise the closed loop of law (6) or (28), (29) at rest where it attains the target.
 
-    With s'(0) = 1. For n_v > m the n_v − m eigenvalues nearest to zero belong to the self-motion,
-    along which every posture attains the target; they are left out.
+    With s'(0) = 1. The equilibria with e = 0 form a manifold: the self-motion, and for learnt
+    gravity every θ̂ with the right torque. Motion along it neither decays nor grows; its
+    eigenvalues, of zero, are left out. Gravity that is learnt is linearised at a θ̂ that gives the
+    true gravity around the target, and not only at it.
 
     Args:
         plant: The true robot, sensor and friction.
         controller: The controller with its believed robot.
         q_target: Posture that attains the target, shape (nq,).
+        dt: Sampling time [s] for the loop as `simulate` runs it with dt: torque held over dt,
+            delays of the torque and of x in whole samples, q̇ filtered, θ̂ in Euler steps, and
+            friction and gravity acting all the time. None is the continuous loop.
 
     Raises:
-        InvalidInputError: A controller of law (5) or (28), or with a `Posture`, whose
-            linearisation is another; one whose gravity is not exact near `q_target`, which is
-            then no equilibrium; another task than the sensor's; a `q_target` of the wrong shape;
-            or a plant with Coulomb friction, sensing, actuator delay or torque limits.
+        InvalidInputError: A controller of law (5), or with a `Posture`, whose linearisation is
+            another; one whose gravity is not exact near `q_target` and cannot become so by
+            learning, or whose θ̂ stands still there (torque_limits, bounds), so that it is no
+            equilibrium; another task than the sensor's; a `q_target` of the wrong shape; a plant
+            with Coulomb friction, noise, rounding, dropouts or torque limits; delays or a filter
+            of q̇ without dt, or of very many samples.
     """
     require("plant", plant, Plant, "a Plant")
     require("controller", controller, SetpointController, "a SetpointController")
     plant.require_task(controller.task)
-    plant.require_ideal("the local test")
+    timing = _timing(plant, dt)
     q = plant.robot.configuration(q_target, "q_target")
-    if controller.velocity is not None or isinstance(controller.gravity, AdaptiveGravity):
+    _require_law(controller)
+    _require_gravity(plant, controller, q)
+    loop = linear_loop(plant, controller, q)
+    unseen = _null_space(loop.Z, float(np.linalg.norm(plant.robot.gravity)))
+    still = equilibria(loop, unseen, timing)
+    if timing is None:
+        A, at_rest = continuous_matrix(loop), 0.0
+    else:
+        A, at_rest = sampled_matrix(loop, timing), 1.0
+        _require_finite(A, timing.dt)
+    values, is_manifold = _eigenvalues_across(A, still, at_rest)
+    if timing is not None:
+        values = _rates(values, timing.dt)
+    return LocalStability(
+        values,
+        self_motion=plant.robot.nv - plant.sensor.m,
+        unseen_parameters=unseen.shape[1],
+        singular=_loses_rank(loop) or not is_manifold or _has_zero(values),
+        dt=None if timing is None else timing.dt,
+        dead_time=0.0 if timing is None else timing.dead_time,
+    )
+
+
+def _timing(plant: Plant, dt: float | None) -> Timing | None:
+    """Timing of the loop in whole samples, as `simulate` has it; None without dt."""
+    if dt is None:
+        plant.require_ideal("the local test")
+        return None
+    dt = as_number("dt", dt, unit="s", above=0.0)
+    plant.require_linear("the local test with dt")
+    sensing = plant.sensing
+    x_delay, velocity_filter = (
+        (0.0, None) if sensing is None else (sensing.x_delay, sensing.velocity_filter)
+    )
+    late = plant.sensor.m * x_delay / dt + plant.robot.nv * plant.actuator_delay / dt
+    if late > _MOST_STATES:
         raise InvalidInputError(
-            "local_stability is for law (6), with the estimated task velocity and known gravity, "
-            f"got {controller!r}",
+            f"the delays must be at most some {_MOST_STATES // plant.robot.nv} samples in all, got "
+            f"x_delay = {x_delay:g} s and actuator_delay = {plant.actuator_delay:g} s with "
+            f"dt = {dt:g} s; a larger dt tells the same",
+            given=dt,
+        )
+    return Timing(dt, round(x_delay / dt), round(plant.actuator_delay / dt), velocity_filter)
+
+
+def _require_finite(A: Array, dt: float) -> None:
+    if not np.isfinite(A).all():  # the arm falls from the target without end in one sample
+        raise InvalidInputError(
+            f"dt must be a sampling time of control, such as 0.001 [s], got {dt:g}: the motion "
+            "within one sample overflows",
+            given=dt,
+        )
+
+
+def _require_law(controller: SetpointController) -> None:
+    if controller.velocity is not None:
+        raise InvalidInputError(
+            "local_stability is for law (6), or (28) where gravity is learnt, with the estimated "
+            f"task velocity, got {controller!r}",
             given=controller,
         )
     if controller.posture is not None:
@@ -76,23 +214,106 @@ def local_stability(
             f"got {controller.posture!r}",
             given=controller,
         )
+
+
+def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> None:
+    """Refuse gravity that is not exact around the target, or cannot be learnt to be so."""
     model = plant.robot.model
-    nearby = [q, *(pin.integrate(model, q, 1e-3 * unit) for unit in np.eye(plant.robot.nv))]
+    nearby = [q, *(pin.integrate(model, q, _NEAR * unit) for unit in np.eye(plant.robot.nv))]
     wanted = np.array([plant.dynamics.g(posture) for posture in nearby])
-    given = np.array([controller.gravity.torque(posture) for posture in nearby])
+    learning = controller.adaptation
+    if learning is None:
+        given = np.array([controller.gravity.torque(posture) for posture in nearby])  # type: ignore[union-attr]
+        expected = "exact"
+    else:
+        given = _learnt(learning, nearby, wanted)
+        expected = "learnable"
     error = float(np.abs(given - wanted).max())
     if error > _EXACT * max(1.0, float(np.abs(wanted).max())):
         raise InvalidInputError(
-            "the controller's gravity must be exact near the target for it to be an equilibrium, "
-            f"got an error of {error:.3g} N m with {type(controller.gravity).__name__}",
+            f"the controller's gravity must be {expected} near the target for it to be an "
+            f"equilibrium, got an error of {error:.3g} N m with "
+            f"{type(controller.gravity).__name__}",
             given=controller,
         )
-    M, J, J_hat = plant.dynamics.M(q), plant.sensor.jacobian(q), controller.task.jacobian(q)
-    kp, kv, damping = controller.diagonals
-    A = closed_loop_matrix(M, J, J_hat, kp, kv, plant.friction + damping)
-    eigenvalues = np.linalg.eigvals(A).astype(np.complex128)
-    self_motion = plant.robot.nv - plant.sensor.m
-    eigenvalues = eigenvalues[np.argsort(np.abs(eigenvalues))][self_motion:]
-    values = np.linalg.svd(J @ np.linalg.solve(M, J_hat.T), compute_uv=False)
-    singular = bool(values[-1] <= _SINGULAR * values[0])
-    return LocalStability(eigenvalues, float(eigenvalues.real.max()), singular)
+
+
+def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
+    """Z θ̂ at the postures, shape (k, n_v), with the θ̂ nearest to the believed one that fits best.
+
+    Raises:
+        InvalidInputError: The law does not learn there: the torque or θ̂ is at a limit.
+    """
+    if (np.abs(wanted[0]) >= learning.torque_limits).any():
+        raise InvalidInputError(
+            "gravity at the target must be within torque_limits of AdaptiveGravity, or θ̂ stands "
+            f"still: it is {wanted[0].tolist()}, got {learning.torque_limits.tolist()}",
+            given=learning.torque_limits,
+        )
+    regressor = learning.regressor
+    Z = np.array([regressor.compute_Z(posture) for posture in nearby])
+    rows, believed = Z.reshape(-1, regressor.p), regressor.theta
+    change = np.linalg.lstsq(rows, wanted.ravel() - rows @ believed, rcond=1e-12)[0]
+    theta = believed + change
+    if learning.bounds is not None:
+        lower, upper = learning.bounds
+        if not ((lower < theta) & (theta < upper)).all():
+            raise InvalidInputError(
+                f"the bounds of AdaptiveGravity must hold theta = {theta.tolist()}, which gives "
+                f"the true gravity, got {lower.tolist()} to {upper.tolist()}",
+                given=learning.bounds,
+            )
+    gravity: Array = Z @ theta
+    return gravity
+
+
+def _null_space(Z: Array, gravity: float) -> Array:
+    """Orthonormal basis of the θ without torque, shape (p, p − rank Z)."""
+    if Z.shape[1] == 0:
+        return np.zeros((0, 0))
+    _, values, rows = np.linalg.svd(Z)
+    # the columns of first moments are g times a sine: where all are 1e-16, none counts
+    rank = int((values > _SINGULAR * max(values[0], gravity)).sum())
+    return np.asarray(rows[rank:].T)
+
+
+def _eigenvalues_across(
+    A: Array, still: Array, at_rest: float
+) -> tuple[NDArray[np.complex128], bool]:
+    """Eigenvalues of A on what is left of the state when some directions count as one.
+
+    Args:
+        A: Square matrix.
+        still: Directions with A d = `at_rest` d, as columns.
+        at_rest: 0 for a flow, 1 for a map.
+
+    Returns:
+        The other eigenvalues, and whether the directions are what they should be.
+    """
+    count = still.shape[1]
+    if count == 0:
+        return np.linalg.eigvals(A).astype(np.complex128), True
+    basis = np.linalg.qr(still, mode="complete")[0]
+    along, across = basis[:, :count], basis[:, count:]
+    residual = np.abs(A @ along - at_rest * along).max()
+    rest = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
+    return rest, bool(residual <= 1e-9 * np.abs(A).max())
+
+
+def _rates(multipliers: NDArray[np.complex128], dt: float) -> NDArray[np.complex128]:
+    """λ = ln(μ)/dt; −∞ for a mode that is over after one sample."""
+    rates = np.empty_like(multipliers)
+    with np.errstate(divide="ignore"):
+        rates.real = np.log(np.abs(multipliers)) / dt
+    rates.imag = np.angle(multipliers) / dt
+    return rates
+
+
+def _loses_rank(loop: LinearLoop) -> bool:
+    values = np.linalg.svd(loop.J @ np.linalg.solve(loop.M, loop.J_hat.T), compute_uv=False)
+    return bool(values[-1] <= _SINGULAR * values[0])
+
+
+def _has_zero(eigenvalues: NDArray[np.complex128]) -> bool:
+    size = np.abs(eigenvalues[np.isfinite(eigenvalues)])
+    return bool(np.min(size, initial=np.inf) <= _ZERO * np.max(size, initial=0.0))

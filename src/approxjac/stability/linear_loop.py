@@ -1,0 +1,199 @@
+"""A closed loop near its target to first order: continuous, and as it runs sampled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from approxjac import law
+from approxjac.checks import Array
+from approxjac.controllers import SetpointController
+from approxjac.simulation import Plant
+from approxjac.tasks import Task
+from approxjac.tasks.task import vanishing
+
+
+class LinearLoop(NamedTuple):
+    """What the linearised laws (6) and (28), (29) are made of; p = 0 where gravity is known.
+
+    Attributes:
+        M: Inertia matrix at the target, shape (n_v, n_v).
+        G: ∂g/∂q there, of the robot and of its exact compensation, shape (n_v, n_v).
+        J: True task Jacobian, shape (m, n_v).
+        J_hat: Estimated task Jacobian, shape (m, n_v).
+        J_hat_pinv: Ĵ⁺ as (29) has it, shape (n_v, m).
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        friction: Diagonal of the natural friction B, shape (n_v,).
+        damping: Diagonal of the added damping B_c, shape (n_v,).
+        Z: Gravity regressor, shape (n_v, p).
+        L: Adaptation gain, shape (p,) or (p, p).
+        alpha: α of (10) [1/s].
+    """
+
+    M: Array
+    G: Array
+    J: Array
+    J_hat: Array
+    J_hat_pinv: Array
+    kp: Array
+    kv: Array
+    friction: Array
+    damping: Array
+    Z: Array
+    L: Array
+    alpha: float
+
+
+class Timing(NamedTuple):
+    """When things happen in sampled control.
+
+    Attributes:
+        dt: Sampling time [s].
+        x_late: Age of the measured x in samples.
+        torque_late: Samples from a torque to its effect.
+        velocity_filter: Time constant of q̇ from differences of q [s]; None is a tachometer.
+    """
+
+    dt: float
+    x_late: int = 0
+    torque_late: int = 0
+    velocity_filter: float | None = None
+
+    @property
+    def dead_time(self) -> float:
+        """Longest time from a motion to the end of the first torque that answers it [s]."""
+        return (1 + self.x_late + self.torque_late) * self.dt
+
+    def states(self, loop: LinearLoop) -> tuple[int, ...]:
+        """Lengths of the parts of the state: δq, q̇, δθ̂, filter, late x, late torques."""
+        (n, p), m = loop.Z.shape, len(loop.J)
+        filtered = 0 if self.velocity_filter is None else n
+        return n, n, p, filtered, self.x_late * m, self.torque_late * n
+
+
+def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> LinearLoop:
+    """Return the parts of the loop of a plant and a controller at a posture (nq,)."""
+    n, m = plant.robot.nv, plant.sensor.m
+    J_hat = np.array(controller.task.jacobian(q))
+    learning = controller.adaptation
+    Z, L, alpha, J_hat_pinv = np.zeros((n, 0)), np.zeros(0), 0.0, np.zeros((n, m))
+    if learning is not None:
+        Z, L, alpha = learning.regressor.Z(q), learning.L, learning.alpha
+        J_hat_pinv = _damped_pinv(controller.task, J_hat)
+    return LinearLoop(
+        plant.dynamics.M(q),
+        plant.dynamics.g_gradient(q),
+        np.array(plant.sensor.jacobian(q)),
+        J_hat,
+        J_hat_pinv,
+        *controller.diagonals[:2],
+        plant.friction,
+        controller.diagonals.damping,
+        Z,
+        L,
+        alpha,
+    )
+
+
+def continuous_matrix(loop: LinearLoop) -> Array:
+    """A of ż = A z with z = (δq, q̇, δθ̂), shape (2 n_v + p, 2 n_v + p)."""
+    return law.adaptive_closed_loop_matrix(
+        loop.M,
+        loop.J,
+        loop.J_hat,
+        loop.J_hat_pinv,
+        loop.kp,
+        loop.kv,
+        loop.friction + loop.damping,
+        loop.Z,
+        loop.L,
+        loop.alpha,
+    )
+
+
+def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
+    """A of z(k+1) = A z(k): one sample of `simulate` with dt, to first order.
+
+    z = (δq, q̇, δθ̂, w, the late x, the late torques), the oldest first. The filtered velocity is
+    (a/dt) δq + w with a = dt/(T + dt). Between samples the torque is held while friction and
+    gravity act all the time, so that gravity and its sampled compensation do not quite cancel.
+
+    Returns:
+        Square, of the sum of `Timing.states`.
+    """
+    (n, _), m, dt = loop.Z.shape, len(loop.J), timing.dt
+    sizes = timing.states(loop)
+    # each part of the state as rows that select it from z
+    q, v, theta, w, x_late, torque_late = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
+
+    x = loop.J @ q
+    x_seen = np.vstack([x_late, x])[:m]
+    v_seen, filtered = v, w
+    if timing.velocity_filter is not None:
+        a = dt / (timing.velocity_filter + dt)
+        v_seen = a / dt * q + w
+        filtered = (1.0 - a) * v_seen - a / dt * q
+    D = (loop.J_hat.T * loop.kv) @ loop.J_hat + np.diag(loop.damping)
+    torque = -(loop.J_hat.T * loop.kp) @ x_seen - D @ v_seen + loop.G @ q + loop.Z @ theta
+    torque_acting = np.vstack([torque_late, torque])[:n]
+
+    free, forced = _held(loop, dt)
+    y = v_seen + loop.alpha * loop.J_hat_pinv @ x_seen
+    return np.vstack(
+        [
+            free @ np.vstack([q, v]) + forced @ torque_acting,
+            theta - dt * law.learning_gain(loop.L, loop.Z) @ y,
+            filtered,
+            np.vstack([x_late, x])[m:],
+            np.vstack([torque_late, torque])[n:],
+        ]
+    )
+
+
+def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) -> Array:
+    """Directions in which the equilibria with e = 0 continue, as columns of the state z.
+
+    Self-motion, along which the held torque follows gravity, and changes of θ̂ that no joint feels
+    at the target.
+
+    Args:
+        loop: The loop.
+        unseen: Basis of the null space of Z, shape (p, p − rank Z).
+        timing: That of the sampled loop; None is the continuous one.
+    """
+    n, m = loop.M.shape[0], len(loop.J)
+    self_motion = np.linalg.svd(loop.J)[2][m:].T
+    sizes = Timing(1.0).states(loop) if timing is None else timing.states(loop)
+    directions = np.zeros((sum(sizes), self_motion.shape[1] + unseen.shape[1]))
+    q, _, theta, w, _, torque_late = np.split(directions, np.cumsum(sizes)[:-1])  # views
+    q[:, : n - m] = self_motion
+    theta[:, n - m :] = unseen
+    if timing is not None:
+        if timing.velocity_filter is not None:  # standing still, (a/dt) δq + w = 0
+            w[:, : n - m] = -self_motion / (timing.velocity_filter + timing.dt)
+        torque_late[:, : n - m] = np.tile(loop.G @ self_motion, (timing.torque_late, 1))
+    return directions
+
+
+def _held(loop: LinearLoop, dt: float) -> tuple[Array, Array]:
+    """Map (δq, q̇) and a torque that is held over dt to (δq, q̇) after it, exactly."""
+    from scipy.linalg import expm
+
+    n = len(loop.M)
+    flow = np.zeros((3 * n, 3 * n))
+    flow[:n, n : 2 * n] = np.eye(n)
+    flow[n : 2 * n] = np.linalg.solve(
+        loop.M, np.hstack([-loop.G, -np.diag(loop.friction), np.eye(n)])
+    )
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is told later
+        after = expm(dt * flow)
+    return after[: 2 * n, : 2 * n], after[: 2 * n, 2 * n :]
+
+
+def _damped_pinv(task: Task, J_hat: Array) -> Array:
+    """Ĵ⁺ as law (29) is evaluated: damped near singular postures; shape (n_v, m)."""
+    gram, scale = J_hat @ J_hat.T, vanishing(task)
+    columns = [law.damped_gram_solve(gram, unit, scale=scale)[0] for unit in np.eye(task.m)]
+    return J_hat.T @ np.array(columns).T
