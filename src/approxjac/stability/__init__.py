@@ -1,17 +1,29 @@
-"""Stability of a closed loop: the local test, the Lyapunov function, errors and rollouts."""
+"""Stability before you run: the paper's conditions for any arm, and sharper tests."""
 
 from approxjac.stability.local import LocalStability, local_stability
 from approxjac.stability.lyapunov import LyapunovValue, lyapunov
+from approxjac.stability.region import JointBox, Region, RegularPart, SublevelSet, Tube
+from approxjac.stability.report import StabilityReport, stability_report
 from approxjac.stability.rollouts import Rollout, Rollouts, rollouts
+from approxjac.stability.tolerance import Tolerance, tolerance
 from approxjac.stability.uncertainty import Uncertainty
 
 __all__ = [
+    "JointBox",
     "LocalStability",
     "LyapunovValue",
+    "Region",
+    "RegularPart",
     "Rollout",
     "Rollouts",
+    "StabilityReport",
+    "SublevelSet",
+    "Tolerance",
+    "Tube",
     "Uncertainty",
     "local_stability",
     "lyapunov",
     "rollouts",
+    "stability_report",
+    "tolerance",
 ]
