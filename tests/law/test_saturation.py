@@ -106,3 +106,10 @@ def test_gamma_is_a_copy_and_may_be_a_list():
 
 def test_d_bar_at_zero_is_one():
     assert aj.Sine(0.1).d_bar(0.0) == aj.Tanh(0.1).d_bar(0.0) == aj.Linear().d_bar(0.0) == 1.0
+
+
+def test_the_sine_is_the_same_where_some_or_no_coordinates_saturate():
+    s = aj.Sine(np.array([0.1, 0.2, 0.3]))
+    for e in ([0.01, -0.02, 0.03], [0.1, -0.2, 0.3], [0.1, -5.0, 0.3], [9.0, 9.0, -9.0]):
+        u = np.clip(np.array(e) / s.gamma, -0.5 * np.pi, 0.5 * np.pi)
+        assert_allclose(s.s(np.array(e)), s.gamma * np.sin(u), rtol=1e-15)

@@ -28,6 +28,7 @@ class PositionTask(Task):
         self._rows = slice(0, 3) if axes == "xyz" else rows
         self._labels = tuple(axes)
         self._frame = FrameKinematics(robot, robot.tip_or(frame))
+        self._frame_jacobian = self._frame.compute_jacobian
         require_rows(len(axes), robot)
 
     @property
@@ -51,7 +52,7 @@ class PositionTask(Task):
         return self._frame.position(q)[self._rows]
 
     def compute_jacobian(self, q: Array) -> Array:
-        return self._frame.compute_jacobian(q)[self._rows]
+        return self._frame_jacobian(q)[self._rows]
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return self._frame.jacobian_dot(q, v)[self._rows]
