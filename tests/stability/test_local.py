@@ -235,6 +235,7 @@ def test_the_manifold_of_equilibria_is_recognised(panda):
         local = aj.local_stability(plant, controller, q, dt)
         assert (local.self_motion, local.unseen_parameters) == (4, unseen)
         assert len(local.eigenvalues) == 14 + regressor.p - 4 - unseen
+        assert (np.diff(local.eigenvalues.real) <= 0.0).all()  # the slowest first
         assert np.abs(local.eigenvalues).min() > 0.1
         assert not local.singular
 

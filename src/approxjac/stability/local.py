@@ -38,8 +38,8 @@ class LocalStability:
     eigenvalue is λ = ln(μ)/dt, so that all numbers mean the same with and without dt.
 
     Attributes:
-        eigenvalues: Complex λ [1/s], 2 n_v − (n_v − m) of them for law (6). Learnt parameters and
-            delays add to them; −∞ is a mode that is over after one sample.
+        eigenvalues: Complex λ [1/s], the slowest first, 2 n_v − (n_v − m) of them for law (6).
+            Learnt parameters and delays add to them; −∞ is a mode that is over after one sample.
         self_motion: Number n_v − m of eigenvalues left out because every posture of the
             self-motion attains the target.
         unseen_parameters: Number p − rank Z of eigenvalues left out because so many combinations
@@ -161,7 +161,7 @@ def local_stability(
     if timing is not None:
         values = _rates(values, timing.dt)
     return LocalStability(
-        values,
+        values[np.argsort(-values.real)],
         self_motion=plant.robot.nv - plant.sensor.m,
         unseen_parameters=unseen.shape[1],
         singular=_loses_rank(loop) or not is_manifold or _has_zero(values),
