@@ -22,7 +22,7 @@ SHORT = {"runs": 9, "duration": 1.5, "dt": 2e-3, "tolerance": 0.005}
 
 
 @dataclasses.dataclass(frozen=True)
-class Box:
+class Box(Region):
     """Joint positions between two bounds; `margin` is how far beyond them a run may go."""
 
     low: tuple
@@ -254,7 +254,7 @@ def test_refused_numbers(controller, uncertainty, options, text):
 
 def test_refused_parts(controller, uncertainty, panda):
     for region in (None, Box):
-        with pytest.raises(aj.InvalidInputError, match="region must have the methods sample and"):
+        with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):
             aj.rollouts(controller, uncertainty, region)
     for wrong in (aj.SetpointController, uncertainty):
         with pytest.raises(aj.InvalidInputError, match="controller must be a controller, such as"):

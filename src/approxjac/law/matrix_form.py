@@ -50,10 +50,11 @@ def cross_weight_pinv(J_hat: Array, dJ_hat: Array) -> tuple[Array, Array]:
         G, shape (…, n_v, m), and ∂G/∂q_k, shape (…, n_v, n_v, m), k first.
     """
     inverse = np.linalg.inv(J_hat @ _T(J_hat))
-    G = _T(J_hat) @ inverse
+    G: Array = _T(J_hat) @ inverse
     tail = _T(dJ_hat) @ inverse[..., None, :, :]
     many, J_many = G[..., None, :, :], J_hat[..., None, :, :]
-    return G, tail - many @ (J_many @ tail) - many @ (dJ_hat @ many)
+    dG: Array = tail - many @ (J_many @ tail) - many @ (dJ_hat @ many)
+    return G, dG
 
 
 def cross_weight_damped(D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> tuple[Array, Array]:
@@ -72,10 +73,10 @@ def cross_weight_damped(D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> tup
         G, shape (…, n_v, m), and ∂G/∂q_k, shape (…, n_v, n_v, m), k first.
     """
     weighted = kv[:, None] * J_hat
-    G = np.linalg.solve(D, _T(weighted))
+    G: Array = np.asarray(np.linalg.solve(D, _T(weighted)), dtype=np.float64)
     half = _T(dJ_hat) @ weighted[..., None, :, :]
     rhs = _T(kv[:, None] * dJ_hat) - (half + _T(half)) @ G[..., None, :, :]
-    return G, np.linalg.solve(D[..., None, :, :], rhs)
+    return G, np.asarray(np.linalg.solve(D[..., None, :, :], rhs), dtype=np.float64)
 
 
 def inertial_block(
@@ -98,10 +99,11 @@ def inertial_block(
     Returns:
         Shape (…, n_v, n_v).
     """
-    along = np.einsum("...kij,...k->...ij", dM, (G @ s[..., None])[..., 0])
+    along: Array = np.einsum("...kij,...k->...ij", dM, (G @ s[..., None])[..., 0])
     turning = _T((dG @ s[..., None, :, None])[..., 0])
     N = 0.5 * along + M @ (turning + G @ (slope[..., None] * J))
-    return 0.5 * (N + _T(N))
+    symmetric: Array = 0.5 * (N + _T(N))
+    return symmetric
 
 
 def decrease_matrix(

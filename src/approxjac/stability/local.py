@@ -149,6 +149,13 @@ def local_stability(
     q = plant.robot.configuration(q_target, "q_target")
     _require_law(controller)
     _require_gravity(plant, controller, q)
+    return linearised(plant, controller, q, timing)
+
+
+def linearised(
+    plant: Plant, controller: SetpointController, q: Array, timing: Timing | None = None
+) -> LocalStability:
+    """`local_stability` of what has been checked: gravity is taken as exact, or learnt."""
     loop = linear_loop(plant, controller, q)
     unseen = _null_space(loop.Z, float(np.linalg.norm(plant.robot.gravity)))
     still = equilibria(loop, unseen, timing)

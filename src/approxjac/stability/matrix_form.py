@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.checks import Array
-from approxjac.stability.scenarios import Scenarios
+from approxjac.stability.scenarios import Indices, Scenarios
 
 Family = Literal["paper", "free", "wide"]
 """Which Lyapunov functions are tried.
@@ -95,7 +94,7 @@ class MatrixForm:
         self._pinv = law.cross_weight_pinv(J_hat, dJ_hat)
         self._damped = law.cross_weight_damped(self._D, J_hat, dJ_hat, kv)
 
-    def take(self, which: Array) -> MatrixForm:
+    def take(self, which: Indices) -> MatrixForm:
         """The same at those scenarios of some indices."""
         return self._with(self.scenarios.take(which), lambda array, _: array[which], self)
 
@@ -226,7 +225,7 @@ class Best:
 
     weights: Weights
     margins: Array
-    active: NDArray[np.intp]
+    active: Indices
     unknowns: Array
 
 
@@ -307,10 +306,10 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
     return best, best_margin
 
 
-def _along(v: Array, A0: Array, A1: Array, which: tuple[Array, ...]) -> Array:
+def _along(v: Array, A0: Array, A1: Array, which: tuple[Indices, ...]) -> Array:
     """The affine functions vᵀA(y)v, constants first; shape (number of v, 1 + d)."""
-    constant = np.einsum("ci,cij,cj->c", v, A0[which], v)
-    slopes = np.einsum("ci,kcij,cj->ck", v, A1[(slice(None), *which)], v)
+    constant: Array = np.einsum("ci,cij,cj->c", v, A0[which], v)
+    slopes: Array = np.einsum("ci,kcij,cj->ck", v, A1[:, which[0], which[1]], v)
     return np.column_stack([constant, slopes])
 
 

@@ -9,113 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from approxjac import law
 from approxjac.checks import Array, require
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
-from approxjac.stability.attain import attain
-from approxjac.stability.matrix_form import (
-    Best,
-    Family,
-    MatrixForm,
-    Setting,
-    Weights,
-    best_weights,
+from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
+from approxjac.stability.loop import (
+    default_region,
+    gravity_error,
+    require_law,
+    setting_of,
+    true_plants,
 )
-from approxjac.stability.region import JointBox, Region, RegularPart
+from approxjac.stability.matrix_form import Family, MatrixForm, Weights
+from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
 from approxjac.stability.scenarios import Sampler, Scenarios
-from approxjac.stability.theorem1 import CONSTANTS, Theorem1, badness, constants, theorem1
+from approxjac.stability.targets import LocalTest, attaining, local_test
+from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.tasks.task import vanishing
 
-_REGULAR = 0.5  # times a tenth of the typical σ_max, below which postures are left out
-_REFINED = 6  # closer looks at the worst scenario, each from the worst of the last
-_NEAR = 40  # scenarios of a closer look
-_CLOSER = 0.15  # of the region's spread
-_NOTABLE = 1e-3  # margin
-_LOCAL = 1000  # postures at most that the local test takes as targets
-_STARTS = 20  # of the search for postures that attain a target
-_CONFIDENCE = 0.95
 _EXACT = 1e-5  # gravity torque [N m] that counts as none
-
-
-@dataclass(frozen=True, eq=False)
-class MatrixTest:
-    """What the matrix form says over a region with one family of Lyapunov functions.
-
-    Attributes:
-        family: Which functions were tried.
-        weights: The one with the largest margin.
-        margins: Its margin in each scenario that it was chosen on, shape (N,).
-        checked: In how many further scenarios, drawn independently, it was checked.
-        violations: In how many of them its margin is not positive.
-    """
-
-    family: Family
-    weights: Weights
-    margins: Array
-    checked: int
-    violations: int
-
-    @property
-    def margin(self) -> float:
-        """Share of the designed dissipation that is left in the worst scenario, at most 1."""
-        return float(self.margins.min())
-
-    @property
-    def worst(self) -> int:
-        """Index of the worst scenario."""
-        return int(self.margins.argmin())
-
-    @property
-    def share(self) -> float:
-        """Share of the scenarios with a positive margin under this one function."""
-        return float((self.margins > 0.0).mean())
-
-    @property
-    def certified(self) -> bool:
-        """Whether the function passed in every scenario it was chosen or checked on."""
-        return self.margin > 0.0 and self.violations == 0
-
-    @property
-    def violating_at_most(self) -> float:
-        """Share of the region that may violate, an exact upper bound at 95 % confidence."""
-        return _upper_bound(self.violations, self.checked)
-
-
-@dataclass(frozen=True, eq=False)
-class LocalTest:
-    """What the exact linearisation says with each posture taken as a target.
-
-    Attributes:
-        decay_rates: −max Re λ without the self-motion's zeros, shape (N,) [1/s].
-        damping_ratios: Smallest −Re λ/‖λ‖, shape (N,).
-        q: The postures, shape (N, nq).
-        truth: Which of the true robots, shape (N,).
-    """
-
-    decay_rates: Array
-    damping_ratios: Array
-    q: Array
-    truth: Array
-
-    @property
-    def share(self) -> float:
-        """Share of the postures that are stable."""
-        return float((self.decay_rates > 0.0).mean())
-
-    @property
-    def worst(self) -> int:
-        """Index of the posture with the slowest decay."""
-        return int(self.decay_rates.argmin())
-
-    @property
-    def stable(self) -> bool:
-        """Whether all are."""
-        return bool((self.decay_rates > 0.0).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,8 +238,8 @@ def stability_report(
         progress: Called with what is being done and the share of it.
 
     Raises:
-        InvalidInputError: Law (5) or a posture torque, an empty region, a target that no posture of a
-            true robot attains, or numbers out of range.
+        InvalidInputError: Law (5) or a posture torque, an empty region, a target that no posture
+            of a true robot attains, or numbers out of range.
     """
     require("controller", controller, SetpointController, "a SetpointController")
     require_law(controller)
@@ -352,12 +267,12 @@ def stability_report(
     fresh = sampler.draw(postures - half, rng, lambda k: tell("postures", (half + k) / postures))
     setting = setting_of(controller, plants[0])
 
-    scenarios = _refine_constants(sampler, scenarios, setting, rng)
+    scenarios = refine_constants(sampler, scenarios, setting, rng)
     form, check = MatrixForm(scenarios, setting), MatrixForm(fresh, setting)
     chosen: dict[Family, Weights] = {}
     for k, family in enumerate(setting.families):
         tell("matrix form", k / len(setting.families))
-        form, best = _refine(sampler, form, family, rng)
+        form, best = refine_weights(sampler, form, family, rng)
         chosen[family] = best.weights
     scenarios = form.scenarios
     matrix: dict[Family, MatrixTest] = {}
@@ -365,7 +280,7 @@ def stability_report(
         violations = int((check.margins(weights) <= 0.0).sum())
         matrix[family] = MatrixTest(family, weights, form.margins(weights), len(fresh), violations)
     tell("local", 0.0)
-    local = local_test(controller, scenarios if targets is None else targets, setting)
+    local = local_test(sampler, scenarios if targets is None else targets)
     outcome = None
     if runs:
         if uncertainty is None:
@@ -386,7 +301,7 @@ def stability_report(
         )
     return StabilityReport(
         controller,
-        truth if uncertainty is not None else plants[0],
+        plants[0] if uncertainty is None else uncertainty,
         region,
         x_d,
         scenarios,
@@ -398,172 +313,6 @@ def stability_report(
         gravity_error(controller, plants, scenarios.q[:: max(1, len(scenarios) // 20)]),
         seed,
     )
-
-
-def require_law(controller: SetpointController) -> None:
-    """Refuse controllers whose closed loop is neither eq. (9) nor that of (28), (29)."""
-    if controller.velocity is not None or controller.posture is not None:
-        raise InvalidInputError(
-            "the conditions are those of the laws (6) and (28) without a posture torque, got "
-            f"{controller!r} with velocity = {controller.velocity!r} and "
-            f"posture = {controller.posture!r}",
-            given=controller,
-        )
-
-
-def true_plants(
-    controller: SetpointController, truth: Plant | Robot | Uncertainty
-) -> tuple[Array, list[Plant]]:
-    """The corners (k, d) of a set of true robots and their plants; of a single one, that."""
-    if isinstance(truth, Uncertainty):
-        corners = truth.corners()
-        return corners, [truth.plant(values) for values in corners]
-    if isinstance(truth, Robot):
-        truth = Plant(truth, controller.task.on(truth))
-    require("truth", truth, Plant, "a Plant, a Robot or an Uncertainty")
-    return np.zeros((1, 0)), [truth]
-
-
-def default_region(controller: SetpointController) -> Region:
-    """The joint limits of the believed robot, without postures where Ĵ is near singular."""
-    task = controller.task
-    return RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))
-
-
-def setting_of(controller: SetpointController, plant: Plant) -> Setting:
-    """Gains and damping of a closed loop."""
-    kp, kv, damping = controller.diagonals
-    alpha = None if controller.adaptation is None else controller.adaptation.alpha
-    return Setting(kp, kv, damping + plant.friction, controller.saturation.c_bar, alpha)
-
-
-def local_test(controller: SetpointController, scenarios: Scenarios, setting: Setting) -> LocalTest:
-    """Eigenvalues of the closed loop with each posture (of the first thousand) as a target."""
-    few = scenarios.take(np.arange(min(len(scenarios), _LOCAL)))
-    n, m = few.J.shape[-1], few.J.shape[-2]
-    A = law.closed_loop_matrix(few.M, few.J, few.J_hat, setting.kp, setting.kv, setting.B)
-    still = np.full(len(few), n - m)
-    learning = controller.adaptation
-    if learning is not None:
-        Z = np.array([learning.regressor.Z(q) for q in few.q])
-        still += learning.regressor.p - np.linalg.matrix_rank(Z)
-        pinv, _ = law.cross_weight_pinv(few.J_hat, few.dJ_hat)
-        A = np.array(
-            [
-                law.adaptive_closed_loop_matrix(
-                    *at, setting.kp, setting.kv, setting.B, Z_at, learning.L, learning.alpha
-                )
-                for *at, Z_at in zip(few.M, few.J, few.J_hat, pinv, Z, strict=True)
-            ]
-        )
-    values = np.linalg.eigvals(A)
-    order = np.argsort(np.abs(values), axis=-1)
-    values = np.take_along_axis(values, order, axis=-1)
-    values[np.arange(values.shape[-1]) < still[:, None]] = -np.inf  # the equilibria's own zeros
-    moving = np.where(np.isfinite(values), values, -1.0)
-    ratios = -moving.real / np.maximum(np.abs(moving), 1e-300)
-    return LocalTest(-values.real.max(axis=-1), ratios.min(axis=-1), few.q, few.truth)
-
-
-def attaining(sampler: Sampler, rng: np.random.Generator) -> Scenarios:
-    """Postures that attain the target, for each true robot at least one.
-
-    Raises:
-        InvalidInputError: The target is out of reach of a true robot.
-    """
-    x_d = sampler.target
-    if x_d is None:
-        raise InvalidInputError("a target must be given", given=None)
-    found: list[tuple[int, Array]] = []
-    for index, plant in enumerate(sampler.plants):
-        starts = sampler.region.sample(_STARTS, rng)
-        postures = [attain(plant.sensor, x_d, q) for q in starts]
-        attained = [(index, q) for q in postures if q is not None]
-        within = [(index, q) for _, q in attained if sampler.region.contains(q)]
-        if not attained:
-            raise InvalidInputError(
-                f"target must be within reach of every true robot, got {x_d.tolist()}, which no "
-                f"posture of {plant.robot!r} was found to attain",
-                given=x_d,
-            )
-        if not within:
-            raise InvalidInputError(
-                f"target must be attained by a posture of the region for every true robot, got "
-                f"{x_d.tolist()}, which {plant.robot.name} attains outside {sampler.region!r} only",
-                given=x_d,
-            )
-        found += within
-    truths, postures_found = zip(*found, strict=True)
-    return sampler.at(np.array(truths), np.array(postures_found))
-
-
-def gravity_error(
-    controller: SetpointController, plants: Sequence[Plant], postures: Array
-) -> float:
-    """Largest gravity torque that the controller does not compensate, nor learn to [N m or N]."""
-    if controller.adaptation is not None:
-        regressor = controller.adaptation.regressor
-        worst = 0.0
-        for plant in plants:
-            residual = regressor.fit(plant.robot)[1]
-            worst = max(
-                worst, residual * max(float(np.abs(plant.dynamics.g(q)).max()) for q in postures)
-            )
-        return worst
-    gravity = controller.gravity
-    return max(
-        float(np.abs(gravity.torque(q) - plant.dynamics.g(q)).max())  # type: ignore[union-attr]
-        for plant in plants
-        for q in postures
-    )
-
-
-def _refine_constants(
-    sampler: Sampler, scenarios: Scenarios, setting: Setting, rng: np.random.Generator
-) -> Scenarios:
-    """Look closer around the worst scenario of each constant of Theorem 1."""
-    values = constants(scenarios, setting)
-    for name in CONSTANTS:
-        for _ in range(_REFINED):
-            k = int(badness(name, values[name]).argmax())
-            nearby = sampler.near(scenarios, k, _NEAR, _CLOSER, rng)
-            found = constants(nearby, setting)
-            worst = badness(name, found[name]).argmax(keepdims=True)
-            if badness(name, found[name])[worst] <= badness(name, values[name])[k]:
-                break
-            scenarios = scenarios.join(nearby.take(worst))
-            values = {key: np.append(values[key], found[key][worst]) for key in values}
-    return scenarios
-
-
-def _refine(
-    sampler: Sampler, form: MatrixForm, family: Family, rng: np.random.Generator
-) -> tuple[MatrixForm, Best]:
-    """Choose a Lyapunov function, with a closer look around its worst scenario."""
-    best = best_weights(form, family)
-    worst, k, least = form.scenarios, int(best.margins.argmin()), float(best.margins.min())
-    found = []
-    for _ in range(_REFINED):
-        worst = sampler.near(worst, k, _NEAR, _CLOSER, rng)
-        nearby = MatrixForm(worst, form.setting)
-        margins = nearby.margins(best.weights)
-        k = int(margins.argmin())
-        if margins[k] > least - _NOTABLE:
-            break
-        least = float(margins[k])
-        found.append(nearby.take(np.array([k])))
-    for nearby in found:
-        form = form.join(nearby)
-    return form, best_weights(form, family, best) if found else best
-
-
-def _upper_bound(violations: int, checked: int) -> float:
-    """Clopper–Pearson: one-sided upper bound of a share."""
-    from scipy.stats import beta
-
-    if violations >= checked:
-        return 1.0
-    return float(beta.ppf(_CONFIDENCE, violations + 1, checked - violations))
 
 
 def _number(value: float) -> float | None:

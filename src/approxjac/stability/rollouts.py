@@ -328,10 +328,7 @@ def _require_arguments(
     task = getattr(controller, "task", None)
     if isinstance(task, Task):
         uncertainty.plant(uncertainty.believed).require_task(task)
-    if isinstance(region, type) or not isinstance(region, Region):
-        raise InvalidInputError(
-            f"region must have the methods sample and contains, got {region!r}", given=region
-        )
+    require("region", region, Region, "a Region, such as JointBox(robot)")
     if executor is not None:
         require("executor", executor, Executor, "an executor of concurrent.futures or None")
     if progress is not None and not callable(progress):

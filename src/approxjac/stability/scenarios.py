@@ -6,11 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from approxjac.checks import Array
 from approxjac.controllers import SetpointController
 from approxjac.simulation import Plant
 from approxjac.stability.region import Region
+
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class Scenarios:
         slope: s'(e), shape (N, m).
     """
 
-    truth: Array
+    truth: Indices
     q: Array
     x_d: Array
     M: Array
@@ -46,7 +49,7 @@ class Scenarios:
     def __len__(self) -> int:
         return len(self.q)
 
-    def take(self, which: Array) -> Scenarios:
+    def take(self, which: Indices) -> Scenarios:
         """Those of some indices."""
         return Scenarios(*(getattr(self, f.name)[which] for f in fields(self)))
 
@@ -100,7 +103,7 @@ class Sampler:
         x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
         return self._evaluate(np.full(n, truth), postures, x_d, None)
 
-    def at(self, truths: Array, postures: Array) -> Scenarios:
+    def at(self, truths: Indices, postures: Array) -> Scenarios:
         """Scenarios of chosen true robots and postures, where there is one target."""
         if self.target is None:
             raise ValueError("no target")
@@ -109,7 +112,7 @@ class Sampler:
 
     def _evaluate(
         self,
-        truths: Array,
+        truths: Indices,
         postures: Array,
         x_d: Array,
         progress: Callable[[int], None] | None,

@@ -26,9 +26,6 @@ class Theorem1:
         lambda_2: Smallest λ_min[ĴᵀĴ + B/λ_max[K_v]], of eq. (23).
         c0: c₀ of eq. (15) [kg m²/s for a joint that turns].
         c1: c₁ of eq. (15).
-        alpha: The α that allows the largest p, or that gravity is learnt with [1/s].
-        alpha_max: The α that (14) allows [1/s].
-        allowed_p: The largest p that (14) and (22) allow, at `alpha`; negative if none.
         setting: Gains and damping.
         worst: Which scenario each constant comes from, by its name.
     """
@@ -45,10 +42,12 @@ class Theorem1:
 
     @property
     def alpha_max(self) -> float:
+        """The α that (14) allows [1/s]."""
         return law.largest_alpha(self.setting.kv, self.setting.c_bar, self.lambda_m)
 
     @property
     def alpha(self) -> float:
+        """The α that allows the largest p, or that gravity is learnt with [1/s]."""
         setting = self.setting
         if setting.fixed_alpha is not None:
             return setting.fixed_alpha
@@ -58,6 +57,7 @@ class Theorem1:
 
     @property
     def allowed_p(self) -> float:
+        """The largest p that (14) and (22) allow, at `alpha`; not positive if none."""
         if self.alpha > self.alpha_max:
             return 0.0
         return min(self._bounds(self.alpha))
@@ -139,4 +139,4 @@ def theorem1(scenarios: Scenarios, setting: Setting) -> Theorem1:
 
 def _norm(A: Array) -> Array:
     """Spectral norm of each matrix."""
-    return np.linalg.svd(A, compute_uv=False)[..., 0]
+    return np.asarray(np.linalg.svd(A, compute_uv=False)[..., 0], dtype=np.float64)

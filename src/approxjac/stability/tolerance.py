@@ -11,17 +11,11 @@ import numpy as np
 from approxjac.checks import Array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.stability.loop import default_region, require_law, setting_of, true_plants
 from approxjac.stability.matrix_form import MatrixForm, best_weights
 from approxjac.stability.region import Region
-from approxjac.stability.report import (
-    attaining,
-    default_region,
-    local_test,
-    require_law,
-    setting_of,
-    true_plants,
-)
 from approxjac.stability.scenarios import Sampler
+from approxjac.stability.targets import attaining, local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
 
@@ -185,7 +179,7 @@ def _failing(
     else:
         if x_d is not None:
             scenarios = attaining(sampler, rng)
-        local = local_test(controller, scenarios, setting)
+        local = local_test(sampler, scenarios)
         culprit = None if local.stable else local.truth[local.worst]
     return None if culprit is None else corners[int(culprit)]
 
