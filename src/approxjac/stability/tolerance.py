@@ -102,7 +102,7 @@ def tolerance(
     for test in tests:
         if test not in TESTS:
             raise UnknownNameError("test", test, "the tests", TESTS)
-    largest = _physical(uncertainty, as_number("largest", largest, above=0.0))
+    largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
     region = default_region(controller) if region is None else region
     found: dict[Test, Tolerance] = {}
@@ -178,21 +178,3 @@ def _failing(
         local = local_test(sampler, scenarios)
         culprit = None if local.stable else local.truth[local.worst]
     return None if culprit is None else corners[int(culprit)]
-
-
-def _physical(uncertainty: Uncertainty, largest: float) -> float:
-    """The largest scale, up to a bound, at which all robots of a set can exist."""
-    low, high = 0.0, largest
-    try:
-        uncertainty.scaled(largest)
-        return largest
-    except InvalidInputError:
-        pass
-    for _ in range(_STEPS):
-        middle = 0.5 * (low + high)
-        try:
-            uncertainty.scaled(middle)
-            low = middle
-        except InvalidInputError:
-            high = middle
-    return low
