@@ -49,7 +49,13 @@ def advice(result: StabilityResult) -> list[str]:
     if best.certified:
         lines.append(f"the matrix form certifies it with margin {best.margin:.3g}")
     else:
-        lines.append(f"the matrix form does not certify it: margin {best.margin:.3g}")
+        reason = f"margin {best.margin:.3g}"
+        if best.margin > 0.0:
+            reason = (
+                f"{reason} where it was chosen, but violated in {best.violations} of "
+                f"{best.checked} further postures (more postures may find a better function)"
+            )
+        lines.append(f"the matrix form does not certify it: {reason}")
         if result.raised_damping is not None:
             damping = result.raised_damping * case.controller.diagonals.damping
             lines.append(
@@ -57,7 +63,7 @@ def advice(result: StabilityResult) -> list[str]:
                 "to certify it"
             )
         matrix = result.tolerances.get("matrix")
-        if matrix is not None and matrix.scale > 0.0:
+        if matrix is not None and 0.0 < matrix.scale < 1.0:
             lines.append(f"as it is, certified are errors of {matrix.uncertainty.describe_box()}")
     if not report.local.stable:
         lines.append(
