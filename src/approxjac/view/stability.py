@@ -90,7 +90,8 @@ def plot_margins(
         reach = max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0)))
         dots = ax.scatter(
             positions[top, rows[0]], positions[top, rows[1]], s=9,
-            c=np.clip(margins[top], -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach, linewidths=0,
+            c=np.clip(margins[top], -reach, reach), cmap="RdYlBu", vmin=-reach,
+            vmax=reach, linewidths=0,
         )  # fmt: skip
         worst = positions[margins.argmin(), rows]
         ax.plot(*worst, "s", mfc="none", mec=COLORS[6], ms=9, mew=1.5,
