@@ -32,6 +32,7 @@ region = aj.JointBox.around(arm, HOME, 0.3)
 
 
 def controller_with(damping):
+    """The controller of the bare hand with some added damping [N m s/rad]."""
     return aj.SetpointController(task, aj.Gains(400.0, 80.0, damping), gravity=aj.NoGravity(arm))
 
 
