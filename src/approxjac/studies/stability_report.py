@@ -62,9 +62,9 @@ def advice(result: StabilityResult) -> list[str]:
                 f"raise damping to {_short(damping)}, {result.raised_damping:g} times what it is, "
                 "to certify it"
             )
-        matrix = result.tolerances.get("matrix")
-        if matrix is not None and 0.0 < matrix.scale < 1.0:
-            lines.append(f"as it is, certified are errors of {matrix.uncertainty.describe_box()}")
+        if result.certified_part is not None:
+            part = result.certified_part.describe_box()
+            lines.append(f"as it is, certified are errors of {part}")
     if not report.local.stable:
         lines.append(
             f"not stable near {100 * (1 - report.local.share):.3g} % of the targets, so no test "
@@ -170,6 +170,9 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             for test, each in result.tolerances.items()
         },
         "raised_damping": result.raised_damping,
+        "certified_part": None
+        if result.certified_part is None
+        else result.certified_part.describe_box(),
         "advice": advice(result),
         "gains": {
             name: value.tolist() for name, value in case.controller.diagonals._asdict().items()
