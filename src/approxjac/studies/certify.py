@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -23,9 +22,12 @@ from approxjac.studies.certify_cases import Case, Loop, build
 TESTS = ("theorem1", "paper", "free", "wide")
 """Test 1 and the families of test 2, all of which certify a region."""
 POSTURES = 500
-DAMPINGS = ((1.0, 1.0), (1.0, 4.0), (4.0, 4.0), (4.0, 16.0), (16.0, 16.0), (16.0, 64.0), (64.0, 64.0))
+DAMPINGS = (
+    (1.0, 1.0), (1.0, 4.0), (4.0, 4.0), (4.0, 16.0), (16.0, 16.0), (16.0, 64.0), (64.0, 64.0),
+    (64.0, 256.0),
+)  # fmt: skip
 """Factors of K_v and B_c that are tried in turn where damping may be chosen."""
-_TIME_CONSTANTS, _LONGEST, _EXTENSIONS = 12.0, 300.0, 3
+_TIME_CONSTANTS, _LONGEST, _EXTENSIONS = 12.0, 200.0, 2
 _UNSTABLE_RUN = 10.0  # [s]
 _CONVERGED = 1e-3  # of the error at the start
 _RECORDS = 300
@@ -52,6 +54,7 @@ class Outcome(NamedTuple):
         error_size: Of `Loop`.
         radius: Of `Loop` [rad].
         jacobian_error: p over the smallest singular value of Ĵ in the region.
+        singular: Whether Ĵ loses rank somewhere in the region, so that nothing certifies it.
         added_damping: Whether B_c > 0.
         saturated: Whether s(e) bends.
         margins: Margin of each of `TESTS`, by name.
@@ -75,6 +78,7 @@ class Outcome(NamedTuple):
     error_size: float
     radius: float
     jacobian_error: float
+    singular: bool
     added_damping: bool
     saturated: bool
     margins: Mapping[str, float]
@@ -128,6 +132,7 @@ def run_case(case: Case) -> Outcome:
         loop.error_size,
         loop.radius,
         first.p / float(weakest),
+        report.singular_q is not None,
         bool(loop.controller.diagonals.damping.any()),
         not isinstance(loop.controller.saturation, law.Linear),
         {"theorem1": first.margin} | {str(f): t.margin for f, t in report.matrix.items()},
@@ -139,7 +144,7 @@ def run_case(case: Case) -> Outcome:
         rises,
         unseen,
         near,
-        choose_damping(loop) if motion.converged else None,
+        choose_damping(loop, report) if motion.converged else None,
     )
 
 
@@ -169,6 +174,8 @@ def test(loop: Loop) -> StabilityReport:
 def functions(report: StabilityReport) -> dict[str, Weights]:
     """The Lyapunov functions with which a report certifies, by test."""
     first, found = report.theorem1, {}
+    if report.singular_q is not None:
+        return found
     if first.holds:
         kp, kv = first.setting.kp, first.setting.kv
         m = len(kp)
@@ -268,9 +275,7 @@ def near_rate(loop: Loop, rate: float) -> float:
     """
     rng = np.random.default_rng(0)
     plant, n = loop.plant, loop.plant.robot.nv
-    start = pin.integrate(
-        plant.robot.model, loop.q_target, _PERTURBATION * rng.standard_normal(n)
-    )
+    start = pin.integrate(plant.robot.model, loop.q_target, _PERTURBATION * rng.standard_normal(n))
     time = 3.0 / abs(rate)
     run = simulate(
         plant, loop.controller, loop.target, start, 2.0 * time, record_every=time / 400.0,
@@ -283,13 +288,25 @@ def near_rate(loop: Loop, rate: float) -> float:
     return 0.5 * math.log(early / late) / time
 
 
-def choose_damping(loop: Loop) -> tuple[float, float] | None:
-    """The first of `DAMPINGS` that test 2 certifies and with which the motion converges."""
-    for factors in DAMPINGS:
+def choose_damping(loop: Loop, report: StabilityReport) -> tuple[float, float] | None:
+    """The first of `DAMPINGS` that test 2 certifies and with which the motion converges.
+
+    Args:
+        loop: A loop that converges.
+        report: What the tests say of it, which is the first of `DAMPINGS`.
+    """
+    if report.singular_q is not None:  # whatever the damping
+        return None
+    if _certified_by_test_2(report):
+        return DAMPINGS[0]
+    for factors in DAMPINGS[1:]:
         damped = loop.with_damping(*factors)
-        if not any(result.certified for result in test(damped).matrix.values()):
-            continue
-        local = local_stability(damped.plant, damped.controller, damped.q_target)
-        if move(damped, local.decay_rate).converged:
-            return factors
+        if _certified_by_test_2(test(damped)):
+            local = local_stability(damped.plant, damped.controller, damped.q_target)
+            if move(damped, local.decay_rate).converged:
+                return factors
     return None
+
+
+def _certified_by_test_2(report: StabilityReport) -> bool:
+    return not {"paper", "free", "wide"}.isdisjoint(functions(report))

@@ -113,9 +113,7 @@ def build(case: Case) -> Loop:
         q_target = JointBox.around(robot, q, 0.5 * radius).sample(1, rng)[0]
     return Loop(
         Plant(robot, sensor),
-        SetpointController(
-            task, gains, gravity=NoGravity(task.robot), saturation=saturation
-        ),
+        SetpointController(task, gains, gravity=NoGravity(task.robot), saturation=saturation),
         JointBox.around(robot, q, radius),
         q_target,
         JointBox.around(robot, q, share * radius).sample(1, rng)[0],
@@ -190,9 +188,12 @@ def _gains(task: Task, rng: np.random.Generator) -> Gains:
     kp, kv, damping = 10.0 ** rng.uniform((-0.5, -0.5, -1.5), (0.5, 0.5, 1.0))
     if rng.random() < 0.4 and task.robot.nv == task.m:
         damping = 0.0
-    return Gains(*(k * np.asarray(g) for k, g in zip(
-        (kp, kv, damping), (gains.kp, gains.kv, gains.damping), strict=True
-    )))
+    return Gains(
+        *(
+            k * np.asarray(g)
+            for k, g in zip((kp, kv, damping), (gains.kp, gains.kv, gains.damping), strict=True)
+        )
+    )
 
 
 def _saturation(task: Task, q: Array, radius: float, rng: np.random.Generator) -> Saturation:
