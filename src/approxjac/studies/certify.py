@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.checks import Array
@@ -173,7 +174,8 @@ def test(loop: Loop) -> StabilityReport:
 
 def functions(report: StabilityReport) -> dict[str, Weights]:
     """The Lyapunov functions with which a report certifies, by test."""
-    first, found = report.theorem1, {}
+    first = report.theorem1
+    found: dict[str, Weights] = {}
     if report.singular_q is not None:
         return found
     if first.holds:
@@ -251,7 +253,7 @@ def lyapunov_values(
     setting: Setting,
     weights: Weights,
     piece: Trajectory,
-    kept: Array,
+    kept: NDArray[np.intp],
 ) -> Array:
     """V = ½q̇ᵀMq̇ + q̇ᵀMGs + Σ wᵢSᵢ at the recorded instants `kept`, shape (len(kept),)."""
     v, e = piece.v[kept], piece.error[kept]

@@ -33,7 +33,7 @@ class Case(NamedTuple):
 
     kind: str
     seed: int
-    index: int
+    number: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Loop:
         return self.plant.sensor.value(self.q_target)
 
     def with_damping(self, kv: float, damping: float) -> Loop:
-        """The same with K_v and B_c times a factor each; B_c is b of `default_gains` where it is 0."""
+        """The same with K_v and B_c times a factor each; a B_c of 0 is that of `default_gains`."""
         gains, task = self.controller.gains, self.controller.task
         added = np.asarray(gains.damping)
         if not added.any():
@@ -100,7 +100,7 @@ def cases(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> list[Case]:
 
 def build(case: Case) -> Loop:
     """Draw the closed loop of a case."""
-    rng = np.random.default_rng([case.seed, case.index])
+    rng = np.random.default_rng([case.seed, case.number])
     size = 2.0 * rng.uniform() ** 2
     sensor, task = _DRAW.get(case.kind, _arm)(case.kind, size, rng)
     q = _regular_posture(sensor, task, rng)

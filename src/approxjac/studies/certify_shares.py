@@ -8,7 +8,7 @@ with α and w counted in a, not on a either. Both are 1 below.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,7 +55,10 @@ def shares(length: float, beta: float, postures: int = 2000, seed: int = 0) -> S
     kv = np.ones(J.shape[-2])
     D = law.dissipation(J_hat, kv, np.full(J.shape[-1], beta))
     forced = np.linalg.solve(D, np.swapaxes(J_hat, -1, -2))
-    pinv, damped = _Family(D, J, J_hat, np.linalg.pinv(J_hat)), _Family(D, J, J_hat, forced)
+    pseudo_inverse: Array = np.swapaxes(
+        np.linalg.solve(J_hat @ np.swapaxes(J_hat, -1, -2), J_hat), -1, -2
+    )
+    pinv, damped = _Family(D, J, J_hat, pseudo_inverse), _Family(D, J, J_hat, forced)
     flow = J @ forced
     return Shares(
         length,
@@ -143,8 +146,3 @@ def table(rows: Sequence[Shares]) -> str:
     count = rows[0].postures
     lines += ["", f"{count} postures a row; sampling error up to {100 / count**0.5:.1f} % (2 σ)."]
     return "\n".join(lines) + "\n"
-
-
-def summary(rows: Sequence[Shares]) -> list[dict[str, Any]]:
-    """What goes into summary.json."""
-    return [row._asdict() for row in rows]
