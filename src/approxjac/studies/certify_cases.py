@@ -46,7 +46,7 @@ class Loop:
         region: Where the tests look.
         q_target: Posture that attains the target, shape (nq,).
         q0: Start, at rest, shape (nq,).
-        error_size: Size of the errors, from negligible 0 to gross 2.
+        error_size: Size of the errors, from negligible 0 to gross 3.
         radius: Half the width of the region [rad].
     """
 
@@ -101,7 +101,7 @@ def cases(count: int, seed: int = 0, kinds: Sequence[str] = ()) -> list[Case]:
 def build(case: Case) -> Loop:
     """Draw the closed loop of a case."""
     rng = np.random.default_rng([case.seed, case.number])
-    size = 2.0 * rng.uniform() ** 2
+    size = 3.0 * rng.uniform() ** 2
     sensor, task = _DRAW.get(case.kind, _arm)(case.kind, size, rng)
     q = _regular_posture(sensor, task, rng)
     radius = 0.05 * 10.0 ** rng.uniform(0.0, 1.0)

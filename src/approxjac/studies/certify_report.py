@@ -104,6 +104,8 @@ def _conservatism(outcomes: Sequence[Outcome]) -> list[str]:
 
 def _missed(o: Outcome) -> str:
     why = "Ĵ loses rank in the region" if o.singular else f"p/σ_min = {o.jacobian_error:.2g}"
+    if o.wrong_way:
+        why += f"; {100 * o.wrong_way:.2g} % of the postures are no stable targets"
     local = "" if o.stable else f"; unstable at the target's posture ({-o.rate:+.2g}/s)"
     left = "" if o.stayed else "; leaves the region"
     return f"{o.case.kind}, case {o.case.number}: {why}, half width {o.radius:.2f} rad{local}{left}"

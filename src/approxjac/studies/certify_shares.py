@@ -54,7 +54,7 @@ def shares(length: float, beta: float, postures: int = 2000, seed: int = 0) -> S
     J, J_hat = jacobians(length, postures, seed)
     kv = np.ones(J.shape[-2])
     D = law.dissipation(J_hat, kv, np.full(J.shape[-1], beta))
-    forced = np.linalg.solve(D, np.swapaxes(J_hat, -1, -2))
+    forced = np.asarray(np.linalg.solve(D, np.swapaxes(J_hat, -1, -2)), dtype=np.float64)
     pseudo_inverse: Array = np.swapaxes(
         np.linalg.solve(J_hat @ np.swapaxes(J_hat, -1, -2), J_hat), -1, -2
     )
