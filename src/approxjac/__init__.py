@@ -48,6 +48,7 @@ from approxjac.stability import (
     Rollouts,
     StabilityReport,
     SublevelSet,
+    Suggestion,
     Tolerance,
     Tube,
     Uncertainty,
@@ -55,6 +56,7 @@ from approxjac.stability import (
     lyapunov,
     rollouts,
     stability_report,
+    suggest_gains,
     tolerance,
 )
 from approxjac.tasks import (
@@ -112,6 +114,7 @@ __all__ = [
     "StackedTask",
     "Status",
     "SublevelSet",
+    "Suggestion",
     "Tanh",
     "Task",
     "Tolerance",
@@ -132,5 +135,6 @@ __all__ = [
     "rollouts",
     "simulate",
     "stability_report",
+    "suggest_gains",
     "tolerance",
 ]

@@ -13,6 +13,7 @@ from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.tasks import Task
 
 _POSTURES = 100
+_SETTLED = 4.0  # time constants until 2 % are left
 _REGULAR = 0.05  # postures with σ_min below this share of σ_max are left out
 _DAMPING_SHARE = 0.03
 _LEARNING_SPEED = 3.0
@@ -55,7 +56,7 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
             posture.
     """
     require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
-    rate = 4.0 / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
+    rate = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
     fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
     dynamics = Dynamics(task.robot)
     jacobians, inertias, inverses = [], [], []
@@ -79,7 +80,14 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
     damping = rate * np.median([np.diag(M) for M in inertias], axis=0) + quieting
     most = fastest / np.max([np.diag(inverse) for inverse in inverses], axis=0)
     damping = np.minimum(damping, most)
-    return Gains(kp=rate * (kv + _felt_damping(task, damping, jacobians)), kv=kv, damping=damping)
+    return Gains(kp=position_gains(task, kv, damping, settling_time), kv=kv, damping=damping)
+
+
+def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:
+    """K_p of `default_gains` for a K_v (m,) and a B_c (n_v,) of one's own, shape (m,)."""
+    jacobians = [J for _, J in _regular_postures(task)]
+    rate = _SETTLED / settling_time
+    return rate * (kv + _felt_damping(task, damping, jacobians))
 
 
 def default_adaptation(

@@ -5,6 +5,7 @@ from approxjac.stability.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.region import JointBox, Region, RegularPart, SublevelSet, Tube
 from approxjac.stability.report import StabilityReport, stability_report
 from approxjac.stability.rollouts import Rollout, Rollouts, rollouts
+from approxjac.stability.suggest import Suggestion, suggest_gains
 from approxjac.stability.tolerance import Tolerance, tolerance
 from approxjac.stability.uncertainty import Uncertainty
 
@@ -18,6 +19,7 @@ __all__ = [
     "Rollouts",
     "StabilityReport",
     "SublevelSet",
+    "Suggestion",
     "Tolerance",
     "Tube",
     "Uncertainty",
@@ -25,5 +27,6 @@ __all__ = [
     "lyapunov",
     "rollouts",
     "stability_report",
+    "suggest_gains",
     "tolerance",
 ]

@@ -18,6 +18,7 @@ from approxjac.tasks import Task
 
 _TRIES = 1000
 _THINNING = 5
+_BETWEEN = 4  # postures along a step that have to be in the set
 
 
 class Region(ABC):
@@ -242,8 +243,11 @@ class SublevelSet(Region):
 
     def _step(self, q: Array, size: float, rng: np.random.Generator) -> Array:
         motion = size * self.spread * rng.standard_normal(self.robot.nv)
-        moved = np.array(pin.integrate(self.robot.model, q, motion))
-        return moved if self.contains(moved) else q
+        for share in np.linspace(0.0, 1.0, _BETWEEN + 1)[1:]:  # no jumps to another part
+            moved = np.array(pin.integrate(self.robot.model, q, share * motion))
+            if not self.contains(moved):
+                return q
+        return moved
 
     def _at_rest(self, q: Array) -> float:
         """V(q, 0)."""

@@ -12,7 +12,7 @@ from approxjac.checks import Array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.loop import default_region, require_law, setting_of, true_plants
-from approxjac.stability.matrix_form import MatrixForm, best_weights
+from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.scenarios import Sampler
 from approxjac.stability.targets import attaining, local_test
@@ -170,11 +170,7 @@ def _failing(
         first = theorem1(scenarios, setting)
         culprit = None if first.holds else scenarios.truth[first.worst["p"]]
     elif test == "matrix":
-        form = MatrixForm(scenarios, setting)
-        margins = max(
-            (best_weights(form, family).margins for family in setting.families),
-            key=lambda values: float(values.min()),
-        )
+        margins = first_that_passes(MatrixForm(scenarios, setting)).margins
         culprit = None if margins.min() > 0.0 else scenarios.truth[margins.argmin()]
     else:
         if x_d is not None:

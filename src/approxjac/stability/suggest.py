@@ -1,0 +1,239 @@
+"""`suggest_gains`: gains that pass a test for a set of errors, or which demand to relax."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from approxjac.checks import Array, as_limits, as_number, require
+from approxjac.controllers import Gains, NoGravity, SetpointController, default_gains
+from approxjac.controllers.tuning import position_gains
+from approxjac.errors import UnknownNameError
+from approxjac.law import Saturation
+from approxjac.simulation import Plant
+from approxjac.stability.linear_loop import Timing
+from approxjac.stability.local import linearised
+from approxjac.stability.loop import default_region, setting_of, true_plants
+from approxjac.stability.matrix_form import MatrixForm, first_that_passes
+from approxjac.stability.region import Region
+from approxjac.stability.scenarios import Sampler, Scenarios
+from approxjac.stability.theorem1 import theorem1
+from approxjac.stability.tolerance import TESTS, Test, tolerance
+from approxjac.stability.uncertainty import Uncertainty
+
+_RATES = (1.0, 1.5, 2.5, 4.0)  # of the position gain, times what settles the believed arm
+_STIFFNESS = (1.0, 0.5, 2.0, 4.0)  # of K_v, times the default
+_DAMPING = (1.0, 2.0, 4.0, 8.0, 16.0)  # of B_c, times the default
+_TARGETS = 40  # postures that the settling time is taken over
+_SETTLED = 4.0  # time constants until 2 % are left
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Gains, and how they meet the three demands.
+
+    Attributes:
+        gains: K_p, K_v and B_c.
+        margin: Of the chosen test, positive if it passes; NaN where it was not asked, as neither
+            of the other demands is met.
+        torque_ratio: Largest torque at the start as a share of the limits.
+        settling_time: Until 2 % of a small error are left, in the worst case [s]; infinite where
+            the sampled loop is not stable.
+    """
+
+    gains: Gains
+    margin: float
+    torque_ratio: float
+    settling_time: float
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestion:
+    """What `suggest_gains` found.
+
+    Attributes:
+        test: The test that had to pass.
+        found: The gentlest gains that meet all demands; None if none do.
+        relax: What to relax if none do, in words, one line a demand; empty otherwise.
+        tried: All candidates that were tried.
+    """
+
+    test: Test
+    found: Candidate | None
+    relax: tuple[str, ...]
+    tried: tuple[Candidate, ...]
+
+    @property
+    def gains(self) -> Gains | None:
+        """The gains, or None if none meet all demands."""
+        return None if self.found is None else self.found.gains
+
+    def __str__(self) -> str:
+        if self.found is None:
+            return "\n".join(["no gains meet all demands:", *(f"- {line}" for line in self.relax)])
+        return f"{_in_words(self.found)} ({self.test} passes with margin {self.found.margin:.3g})"
+
+
+def suggest_gains(
+    uncertainty: Uncertainty,
+    region: Region | None = None,
+    *,
+    test: Test = "matrix",
+    settling_time: float = 1.0,
+    target: Sequence[float] | Array | None = None,
+    torque_limits: float | Sequence[float] | Array | None = None,
+    saturation: Saturation | None = None,
+    dt: float = 1e-3,
+    postures: int = 200,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Suggestion:
+    """Find gains of law (6) that pass a test for a set of errors.
+
+    Three demands: the test passes for every corner of the set and every posture drawn; the
+    torque of a start at rest, gravity compensated, is within the limits; and a small error
+    settles to 2 % in the wanted time with every true robot, sampled at dt. Tried are the default
+    gains and multiples of them, from gentle to strong, K_p along with K_v and the damping so that
+    the believed arm settles in time.
+
+    Args:
+        uncertainty: The errors.
+        region: Where starts and targets are; see `stability_report`.
+        test: The test to pass: "theorem1", "matrix" or "local".
+        settling_time: Wanted > 0 [s].
+        target: x_d, shape (n_x,); by default all targets within the region.
+        torque_limits: A number or shape (n_v,), infinite where there is none [N m or N]; the
+            arm's effort limits by default.
+        saturation: s(e); s(e) = e by default.
+        dt: Sampling time > 0 [s].
+        postures: How many to draw.
+        seed: Of the drawing.
+        progress: Called with the share that is done.
+
+    Raises:
+        InvalidInputError: Numbers out of range, or an empty region.
+        UnknownNameError: No such test.
+    """
+    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
+    if test not in TESTS:
+        raise UnknownNameError("test", test, "the tests", TESTS)
+    settling_time = as_number("settling_time", settling_time, unit="s", above=0.0)
+    dt = as_number("dt", dt, unit="s", above=0.0)
+    task = uncertainty.believed_task()
+    limits = task.robot.effort_limits if torque_limits is None else torque_limits
+    limits = as_limits("torque_limits", limits, task.robot.nv, unit="N m or N")
+
+    def controller_with(gains: Gains) -> SetpointController:
+        return SetpointController(task, gains, gravity=NoGravity(task.robot), saturation=saturation)
+
+    first = controller_with(default_gains(task, settling_time, 1.0 / dt))
+    region = default_region(first) if region is None else region
+    _, plants = true_plants(first, uncertainty)
+    x_d = None if target is None else plants[0].sensor.target(target)
+    rng = np.random.default_rng(seed)
+    scenarios = Sampler(first, plants, region, x_d).draw(
+        max(1, postures // len(plants)) * len(plants), rng
+    )
+    weight = np.array(
+        [plants[t].dynamics.g(q) for t, q in zip(scenarios.truth, scenarios.q, strict=True)]
+    )
+
+    def demands(gains: Gains) -> Candidate:
+        controller = controller_with(gains)
+        kp, _, _ = controller.diagonals
+        force = np.swapaxes(scenarios.J_hat, -1, -2) @ (kp * scenarios.s)[..., None]
+        ratio = float((np.abs(weight - force[..., 0]) / limits).max())
+        slowest = min(
+            linearised(plants[t], controller, q, Timing(dt)).decay_rate
+            for t, q in zip(scenarios.truth[:_TARGETS], scenarios.q[:_TARGETS], strict=True)
+        )
+        time = _SETTLED / slowest if slowest > 0.0 else np.inf
+        margin = np.nan  # of no use where both of the others are missed
+        if ratio <= 1.0 or time <= settling_time:
+            margin = _margin(controller, plants[0], scenarios, test, slowest)
+        return Candidate(gains, margin, ratio, time)
+
+    tried: list[Candidate] = []
+    grid = sorted(itertools.product(_RATES, _STIFFNESS, _DAMPING), key=_strength)
+    base = first.gains
+    for k, (rate, stiffness, damping) in enumerate(grid):
+        kv, added = stiffness * np.asarray(base.kv), damping * np.asarray(base.damping)
+        kp = rate * position_gains(task, kv, added, settling_time)
+        tried.append(demands(Gains(kp, kv, added)))
+        if progress is not None:
+            progress((k + 1) / len(grid))
+        if _met(tried[-1], settling_time) == (True, True, True):
+            return Suggestion(test, tried[-1], (), tuple(tried))
+
+    def tolerated(gains: Gains) -> float:
+        found = tolerance(
+            controller_with(gains), uncertainty, region,
+            tests=(test,), target=target, largest=1.0, postures=postures, seed=seed,
+        )  # fmt: skip
+        return found[test].scale
+
+    return Suggestion(test, None, _relaxations(tried, settling_time, tolerated), tuple(tried))
+
+
+def _strength(factors: tuple[float, float, float]) -> tuple[float, float]:
+    """Gentle gains first: by how far they are from the default ones together."""
+    rate, stiffness, damping = factors
+    return rate * max(stiffness, 1.0 / stiffness) * damping**0.5, rate
+
+
+def _margin(
+    controller: SetpointController,
+    plant: Plant,
+    scenarios: Scenarios,
+    test: Test,
+    slowest: float,
+) -> float:
+    if test == "local":
+        return slowest
+    setting = setting_of(controller, plant)
+    if test == "theorem1":
+        return theorem1(scenarios, setting).margin
+    return float(first_that_passes(MatrixForm(scenarios, setting)).margins.min())
+
+
+def _met(candidate: Candidate, settling_time: float) -> tuple[bool, bool, bool]:
+    """Whether the test, the torque and the time are as demanded."""
+    return (
+        candidate.margin > 0.0,
+        candidate.torque_ratio <= 1.0,
+        candidate.settling_time <= settling_time,
+    )
+
+
+def _relaxations(
+    tried: list[Candidate], settling_time: float, tolerated: Callable[[Gains], float]
+) -> tuple[str, ...]:
+    """For each demand what it would have to be if the two others are kept."""
+    met = [(_met(candidate, settling_time), candidate) for candidate in tried]
+    strict = {
+        index: [c for which, c in met if all(ok for i, ok in enumerate(which) if i != index)]
+        for index in range(3)
+    }
+    lines = []
+    if strict[0]:
+        best = max(strict[0], key=lambda c: c.margin)
+        lines.append(f"the errors: {tolerated(best.gains):.2g} of them pass with {_in_words(best)}")
+    if strict[1]:
+        best = min(strict[1], key=lambda c: c.torque_ratio)
+        lines.append(f"the torque limits: {best.torque_ratio:.3g} times them: {_in_words(best)}")
+    if strict[2]:
+        best = min(strict[2], key=lambda c: c.settling_time)
+        lines.append(f"the settling time: {best.settling_time:.3g} s: {_in_words(best)}")
+    if not lines:
+        lines.append("at least two of them: no gains tried meet any two demands together")
+    return tuple(lines)
+
+
+def _in_words(candidate: Candidate) -> str:
+    return (
+        f"{candidate.gains!r}: starts with {candidate.torque_ratio:.2g} of the torque limits, "
+        f"settles in {candidate.settling_time:.3g} s"
+    )

@@ -1,0 +1,166 @@
+"""V̇ = −zᵀQz with free weights, against finite differences along the closed loop."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac import law
+
+
+def closed_loop(name, saturation, seed=0):
+    """A true robot with a tool and a shifted joint, and a controller that knows of neither."""
+    rng = np.random.default_rng(seed)
+    arm = aj.load_robot(name)
+    axes = "xz" if arm.nv == 2 else "xyz"
+    truth = arm.with_object(0.2, 0.5)
+    belief = arm.with_object(0.0).with_kinematic_error({arm.joint_names[1]: (0.02, -0.03, 0.01)})
+    task = aj.PositionTask(belief, axes=axes)
+    plant = aj.Plant(truth, aj.PositionTask(truth, axes=axes), friction=0.3)
+    gains = aj.Gains(
+        rng.uniform(100.0, 500.0, task.m), rng.uniform(30.0, 90.0, task.m),
+        rng.uniform(0.5, 3.0, arm.nv),
+    )  # fmt: skip
+    controller = aj.SetpointController(
+        task, gains, gravity=aj.ModelGravity(truth), saturation=saturation
+    )
+    return plant, controller, rng
+
+
+def terms(plant, controller, q):
+    dynamics, task, units = plant.dynamics, controller.task, np.eye(plant.robot.nv)
+    dM = np.array([dynamics.M_dot(q, unit) for unit in units])
+    dJ_hat = np.array([task.jacobian_dot(q, unit) for unit in units])
+    return dynamics.M(q), dM, plant.sensor.jacobian(q), task.jacobian(q), dJ_hat
+
+
+def cross_weight(plant, controller, q, A1, A2):
+    _, kv, damping = controller.diagonals
+    _, _, _, J_hat, dJ_hat = terms(plant, controller, q)
+    D = law.dissipation(J_hat, kv, plant.friction + damping)
+    (G1, dG1), (G2, dG2) = (
+        law.cross_weight_pinv(J_hat, dJ_hat),
+        law.cross_weight_damped(D, J_hat, dJ_hat, kv),
+    )
+    return D, G1 @ A1 + G2 @ A2, dG1 @ A1 + dG2 @ A2
+
+
+def V(plant, controller, x_d, q, v, A1, A2, w):
+    e = plant.sensor.value(q) - x_d
+    _, G, _ = cross_weight(plant, controller, q, A1, A2)
+    M, s = plant.dynamics.M(q), controller.saturation.s(e)
+    return 0.5 * v @ M @ v + v @ M @ G @ s + w @ controller.saturation.S(e)
+
+
+def V_dot(plant, controller, x_d, q, v, A1, A2, w):
+    M, dM, J, J_hat, _ = terms(plant, controller, q)
+    e = plant.sensor.value(q) - x_d
+    s, slope = controller.saturation.s(e), controller.saturation.ds(e)
+    D, G, dG = cross_weight(plant, controller, q, A1, A2)
+    N = law.inertial_block(M, dM, J, G, dG, s, slope)
+    Q = law.decrease_matrix(D, N, J, J_hat, G, controller.diagonals.kp, w)
+    z = np.concatenate([v, s])
+    return -z @ Q @ z
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur5", "panda", "xarm7", "kinova"])
+@pytest.mark.parametrize("saturation", [None, aj.Sine(0.3), aj.Tanh(0.2)], ids=repr)
+def test_decrease_is_that_of_v_along_the_closed_loop(name, saturation):
+    plant, controller, rng = closed_loop(name, saturation)
+    m, n = controller.task.m, plant.robot.nv
+    for _ in range(3):
+        q = plant.robot.random_configuration(rng)
+        v = rng.normal(size=n)
+        x_d = plant.sensor.value(q) + rng.uniform(-0.4, 0.4, m)
+        A1, A2 = rng.normal(size=(2, m, m))
+        w = rng.uniform(100.0, 600.0, m)
+        torque = controller.evaluate(np.zeros(0), plant.measure(0.0, q, v), x_d).torque
+        a = plant.acceleration(q, v, torque)
+
+        def along(h, q=q, v=v, a=a, x_d=x_d, A1=A1, A2=A2, w=w):
+            moved = pin.integrate(plant.robot.model, q, h * v + 0.5 * h * h * a)
+            return V(plant, controller, x_d, moved, v + h * a, A1, A2, w)
+
+        h = 2e-5 / max(1.0, float(np.abs(a).max()) ** 0.5)
+        measured = (
+            8.0 * (along(h) - along(-h)) - (along(2.0 * h) - along(-2.0 * h))
+        ) / (12.0 * h)  # fmt: skip
+        told = V_dot(plant, controller, x_d, q, v, A1, A2, w)
+        assert_allclose(told, measured, rtol=2e-5, atol=1e-4)
+
+
+def test_the_papers_weights_give_the_papers_v_and_w(panda):
+    plant, controller, rng = closed_loop("panda", aj.Sine(0.3))
+    kp, kv, _ = controller.diagonals
+    for _ in range(5):
+        q, v = plant.robot.random_configuration(rng), rng.normal(size=7)
+        x_d = plant.sensor.value(q) + rng.uniform(-0.4, 0.4, 3)
+        alpha = rng.uniform(0.1, 5.0)
+        known = aj.lyapunov(plant, controller, q, v, x_d, alpha)
+        weights = (alpha * np.eye(3), np.zeros((3, 3)), kp + alpha * kv)
+        assert_allclose(V(plant, controller, x_d, q, v, *weights), known.V, rtol=1e-12)
+        assert_allclose(V_dot(plant, controller, x_d, q, v, *weights), -known.W, rtol=1e-9)
+
+
+def test_cross_weights_have_their_derivatives():
+    plant, controller, rng = closed_loop("panda", None)
+    q = plant.robot.random_configuration(rng)
+    for A1, A2 in ((np.eye(3), np.zeros((3, 3))), (np.zeros((3, 3)), np.eye(3))):
+        _, _, dG = cross_weight(plant, controller, q, A1, A2)
+        for k, unit in enumerate(np.eye(7)):
+            h = 1e-5
+            there, back = (
+                cross_weight(
+                    plant, controller, pin.integrate(plant.robot.model, q, d * unit), A1, A2
+                )[1]
+                for d in (h, -h)
+            )
+            assert_allclose(dG[k], (there - back) / (2.0 * h), atol=1e-6 * np.abs(dG).max())
+
+
+def test_damped_cross_weight_is_the_pseudo_inverse_without_damping():
+    plant, controller, rng = closed_loop("two_link", None)
+    q = plant.robot.random_configuration(rng)
+    _, _, _, J_hat, dJ_hat = terms(plant, controller, q)
+    kv = controller.diagonals.kv
+    D = law.dissipation(J_hat, kv, np.zeros(2))
+    pinv, damped = law.cross_weight_pinv(J_hat, dJ_hat), law.cross_weight_damped(
+        D, J_hat, dJ_hat, kv
+    )  # fmt: skip
+    assert_allclose(damped[0], pinv[0], rtol=1e-9)
+    assert_allclose(damped[1], pinv[1], rtol=1e-7)
+
+
+def test_damped_cross_weight_takes_damping_out_of_the_cross_block():
+    """D G = ĴᵀK_v, so with an exact Ĵ, A₂ = αI and w = k_p + αk_v the cross block vanishes."""
+    plant, controller, rng = closed_loop("panda", None)
+    q = plant.robot.random_configuration(rng)
+    kp, kv, _ = controller.diagonals
+    alpha = 0.7
+    D, G, _ = cross_weight(plant, controller, q, np.zeros((3, 3)), alpha * np.eye(3))
+    J_hat = controller.task.jacobian(q)
+    Q = law.decrease_matrix(D, np.zeros((7, 7)), J_hat, J_hat, G, kp, kp + alpha * kv)
+    assert_allclose(Q[:7, 7:], 0.0, atol=1e-10 * np.abs(Q).max())
+    assert_allclose(Q[7:, 7:], law.stiffness_block(J_hat, G, kp))
+    assert_allclose(Q[:7, :7], D)
+
+
+def test_stacks_are_evaluated_one_by_one():
+    plant, controller, rng = closed_loop("ur5", None)
+    _, kv, damping = controller.diagonals
+    many = [terms(plant, controller, plant.robot.random_configuration(rng)) for _ in range(3)]
+    M, dM, J, J_hat, dJ_hat = (np.stack(parts) for parts in zip(*many, strict=True))
+    s, slope = rng.normal(size=(2, 3, 3))
+    D = law.dissipation(J_hat, kv, damping)
+    G, dG = law.cross_weight_damped(D, J_hat, dJ_hat, kv)
+    N = law.inertial_block(M, dM, J, G, dG, s, slope)
+    for i in range(3):
+        G_i, dG_i = law.cross_weight_damped(
+            law.dissipation(J_hat[i], kv, damping), J_hat[i], dJ_hat[i], kv
+        )
+        N_i = law.inertial_block(M[i], dM[i], J[i], G_i, dG_i, s[i], slope[i])
+        assert_allclose(N[i], N_i, rtol=1e-10, atol=1e-12)
+        assert_allclose(
+            law.potential_matrix(M, G, kv, 0.5)[i], law.potential_matrix(M[i], G_i, kv, 0.5)
+        )

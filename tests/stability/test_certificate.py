@@ -1,0 +1,302 @@
+"""Tests 1 and 2: Theorem 1 and the matrix form, on single postures and over regions."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac import law
+from approxjac.stability.loop import setting_of
+from approxjac.stability.matrix_form import FAMILIES, MatrixForm, Setting, Weights, best_weights
+from approxjac.stability.scenarios import Sampler
+from approxjac.stability.theorem1 import theorem1
+from approxjac.studies import paper
+
+Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
+
+
+def at_target(figure):
+    """The scenario at the target of one of the paper's figures, and its setting."""
+    setup = paper.Setup()
+    plant, controller = paper.build(paper.EXPERIMENTS[figure], setup)
+    q = np.array(setup.target)
+    region = aj.JointBox.around(plant.robot, q, 0.0)
+    sampler = Sampler(controller, [plant], region, plant.sensor.value(q))
+    return sampler.draw(1, np.random.default_rng(0)), setting_of(controller, plant)
+
+
+def on_panda(length, damping, radius=0.3, n=300, gains=(400.0, 80.0), target=None):
+    arm = aj.load_robot("panda")
+    truth, belief = arm.with_object(length, 0.5), arm.with_object(0.0)
+    plant = aj.Plant(truth, aj.PositionTask(truth))
+    controller = aj.SetpointController(aj.PositionTask(belief), aj.Gains(*gains, damping))
+    sampler = Sampler(controller, [plant], aj.JointBox.around(arm, Q, radius), target)
+    return sampler.draw(n, np.random.default_rng(0)), setting_of(controller, plant)
+
+
+# -- Theorem 1 ------------------------------------------------------------------------------
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.floats(1.0, 1e4), min_size=2, max_size=2),
+    st.lists(st.floats(1.0, 1e4), min_size=2, max_size=2),
+    st.floats(1e-4, 10.0),
+    st.floats(0.0, 1e3),
+    st.floats(0.0, 1e3),
+    st.floats(1e-3, 1e4),
+)
+def test_best_alpha_allows_the_largest_p(kp, kv, lambda1, c0, c1, alpha_max):
+    """Against a scan over α: nowhere do both bounds of (22) allow more."""
+    kp, kv = np.array(kp), np.array(kv)
+    alpha = law.best_alpha(kp, kv, lambda1, c0, c1, alpha_max)
+    best = min(law.allowed_p(alpha, kp, kv, lambda1, c0, c1))
+    scan = [
+        min(law.allowed_p(a, kp, kv, lambda1, c0, c1))
+        for a in np.geomspace(1e-6 * alpha_max, alpha_max, 2000)
+    ]
+    if best > 0.0:
+        assert max(scan) <= best * (1.0 + 1e-9)
+        assert max(scan) >= 0.98 * best or alpha < 2e-6 * alpha_max
+    else:
+        assert max(scan) <= 0.0
+
+
+def test_large_gains_give_eq_24():
+    """With c₀ = c₁ = 0 and equal gains the crossing of (22) is that of (23), eq. (24)."""
+    lambda2, kp, kv = 0.04, np.full(3, 300.0), np.full(3, 100.0)
+    alpha = law.best_alpha(kp, kv, lambda2, 0.0, 0.0, math.inf)
+    assert_allclose(alpha, lambda2 * 100.0 / 300.0)
+    crossing = law.allowed_p_at_crossing(alpha, lambda2)
+    assert_allclose(law.allowed_p(alpha, kp, kv, lambda2, 0.0, 0.0), [crossing, crossing])
+
+
+def test_theorem_1_certifies_neither_figure_4_nor_5():
+    """THEORY.md section 6: (25) allows p ≤ 0.0113, p is 0.038."""
+    for figure in (4, 5):
+        found = theorem1(*at_target(figure))
+        assert not found.holds
+        assert found.margin < 0.0
+        assert round(found.p, 3) == 0.038
+        assert round(law.largest_allowed_p(found.lambda_2), 4) == 0.0113
+        assert 0.0 < found.allowed_p < 0.0113
+        assert np.isnan(found.alpha_range).all()
+
+
+def test_theorem_1_holds_for_small_errors_and_says_for_which_alpha():
+    scenarios, setting = on_panda(0.005, 5.0, radius=0.1)
+    found = theorem1(scenarios, setting)
+    assert found.holds
+    low, high = found.alpha_range
+    assert 0.0 < low < found.alpha < high <= found.alpha_max
+    for alpha, inside in ((1.01 * low, True), (0.99 * low, False), (0.99 * high, True)):
+        bounds = law.allowed_p(alpha, setting.kp, setting.kv, found.lambda_1, found.c0, found.c1)
+        assert (found.p < min(bounds)) == inside
+
+
+def test_theorem_1_is_weaker_than_its_matrix_form():
+    """Where Theorem 1 holds, Q and V are positive for its own α with the paper's weights."""
+    for length, damping in ((0.005, 5.0), (0.01, 10.0), (0.03, 20.0)):
+        scenarios, setting = on_panda(length, damping, radius=0.1)
+        found = theorem1(scenarios, setting)
+        assert found.holds
+        form = MatrixForm(scenarios, setting)
+        for alpha in (found.alpha, *found.alpha_range):
+            weights = Weights(alpha * np.eye(3), np.zeros((3, 3)), setting.kp + alpha * setting.kv)
+            assert (form.margins(weights) > 0.0).all()
+
+
+def test_constants_are_those_of_their_scenario():
+    scenarios, setting = on_panda(0.1, 5.0)
+    found = theorem1(scenarios, setting)
+    k = found.worst["p"]
+    assert found.p == law.jacobian_error(scenarios.J[k], scenarios.J_hat[k])
+    k = found.worst["b_J"]
+    assert_allclose(found.b_J, np.linalg.norm(scenarios.J[k], 2))
+    k = found.worst["lambda_2"]
+    assert_allclose(found.lambda_2, law.lambda_2(scenarios.J_hat[k], setting.B / 80.0))
+    k = found.worst["lambda_m"]
+    pinv = law.right_pinv(scenarios.J_hat[k])
+    assert_allclose(found.lambda_m, np.linalg.eigvalsh(pinv.T @ scenarios.M[k] @ pinv)[-1])
+
+
+def test_c0_and_c1_bound_what_eq_15_says(panda):
+    """|αs(e)ᵀĴ⁺ᵀ(…)q̇| ≤ αc₀‖q̇‖² + αc₁‖s‖² for random velocities: the last terms of W."""
+    scenarios, setting = on_panda(0.2, 5.0, n=50)
+    found = theorem1(scenarios, setting)
+    G, dG = law.cross_weight_pinv(scenarios.J_hat, scenarios.dJ_hat)
+    N = law.inertial_block(
+        scenarios.M, scenarios.dM, scenarios.J, G, dG, scenarios.s, scenarios.slope
+    )
+    rng = np.random.default_rng(0)
+    for i in range(50):
+        for v in rng.normal(size=(20, 7)) * rng.uniform(0.01, 5.0):
+            s = scenarios.s[i]
+            taken = s @ G[i].T @ (setting.B * v) - v @ N[i] @ v
+            assert abs(taken) <= found.c0 * v @ v + found.c1 * s @ s
+
+
+# -- the matrix form ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("figure", "certified"),
+    [
+        (3, {"paper": False, "free": False, "wide": False}),
+        (4, {"paper": False, "free": True, "wide": True}),
+        (5, {"paper": False, "free": False, "wide": True}),
+        (6, {"paper": True, "free": True, "wide": True}),
+        (7, {"paper": True, "free": True, "wide": True}),
+    ],
+)
+def test_the_papers_figures_at_their_target(figure, certified):
+    """THEORY.md section 6, and Figure 5, which the wider family adds; never the unstable 3."""
+    form = MatrixForm(*at_target(figure))
+    margins = {family: best_weights(form, family).margins.min() for family in FAMILIES}
+    assert {family: margin > 0.0 for family, margin in margins.items()} == certified
+
+
+def test_a_larger_family_has_a_larger_margin():
+    for length, damping in ((0.1, 2.0), (0.2, 5.0), (0.3, 20.0)):
+        form = MatrixForm(*on_panda(length, damping))
+        paper_, free, wide = (best_weights(form, family).margins.min() for family in FAMILIES)
+        assert paper_ <= free + 0.006
+        assert free <= wide + 0.006
+        assert wide > paper_ + 0.02
+
+
+def test_the_margin_is_what_its_name_says():
+    """V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + Σc̄wᵢsᵢ²) for random z, and tight."""
+    scenarios, setting = on_panda(0.2, 5.0, n=40)
+    form = MatrixForm(scenarios, setting)
+    best = best_weights(form, "wide")
+    X, Y = form.pencils(best.weights)
+    rng = np.random.default_rng(0)
+    for i in range(40):
+        lowest = np.inf
+        for part in range(2):
+            for z in rng.normal(size=(200, 10)):
+                assert z @ X[part, i] @ z >= (best.margins[i] - 1e-9) * (z @ Y[part, i] @ z)
+            inverse = np.linalg.inv(Y[part, i])
+            lowest = min(lowest, np.linalg.eigvals(inverse @ X[part, i]).real.min())
+        assert_allclose(best.margins[i], lowest, rtol=1e-6, atol=1e-9)
+
+
+def test_cutting_planes_find_the_optimum_of_a_scan():
+    """With one unknown, α, a scan tells the largest margin that there is."""
+    scenarios, setting = on_panda(0.15, 5.0, n=100)
+    form = MatrixForm(scenarios, setting)
+    found = best_weights(form, "paper").margins.min()
+    scan = max(
+        form.margins(
+            Weights(alpha * np.eye(3), np.zeros((3, 3)), setting.kp + alpha * setting.kv)
+        ).min()
+        for alpha in np.geomspace(0.01, 30.0, 400)
+    )
+    assert scan - 0.006 <= found <= scan + 1e-3
+
+
+def test_a_general_optimiser_finds_nothing_better():
+    from scipy.optimize import minimize
+
+    scenarios, setting = on_panda(0.2, 5.0, n=60)
+    form = MatrixForm(scenarios, setting)
+    found = best_weights(form, "free")
+
+    def negative(y):
+        alpha, *w = np.exp(y)
+        return -form.margins(Weights(alpha * np.eye(3), np.zeros((3, 3)), np.array(w))).min()
+
+    start = np.log([found.weights.A1[0, 0], *found.weights.w])
+    for shift in (0.0, 0.3):
+        answer = minimize(negative, start + shift, method="Nelder-Mead", options={"maxiter": 600})
+        assert -answer.fun <= found.margins.min() + 0.01
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6))
+def test_no_unstable_target_is_certified(seed):
+    """At a target Q ≻ 0 and V ≻ 0 are sufficient for the eigenvalues: a Lyapunov argument."""
+    rng = np.random.default_rng(seed)
+    n, m = 4, 2
+    A = rng.normal(size=(n, n))
+    M = A @ A.T + 0.1 * np.eye(n)
+    J_hat = rng.normal(size=(1, m, n))
+    J = J_hat + rng.normal(size=(1, m, n)) * 10.0 ** rng.uniform(-2.0, 0.7)
+    kp, kv = rng.uniform(1.0, 20.0, (2, m))
+    B = 10.0 ** rng.uniform(-1.0, 1.5, n)
+    from approxjac.stability.scenarios import Scenarios
+
+    scenarios = Scenarios(
+        np.zeros(1, dtype=int), np.zeros((1, n)), np.zeros((1, m)), M[None],
+        np.zeros((1, n, n, n)), J, J, J_hat, np.zeros((1, n, m, n)), np.zeros((1, m)),
+        np.ones((1, m)),
+    )  # fmt: skip
+    form = MatrixForm(scenarios, Setting(kp, kv, B, 0.5))
+    values = np.linalg.eigvals(law.closed_loop_matrix(M, J[0], J_hat[0], kp, kv, B))
+    slowest = np.sort(values.real[np.argsort(np.abs(values))[n - m :]])[-1]
+    for family in FAMILIES:
+        if best_weights(form, family).margins.min() > 0.0:
+            assert slowest < 0.0
+
+
+def test_a_camera_roll_costs_what_theory_says():
+    """Large gains, J = R(δ)Ĵ: the paper's weights reach 60°, free ones 90°, the exact limit."""
+
+    def passes(roll, family):
+        camera = aj.PlanarCamera(0.05, 3.0)
+        rolled = aj.PlanarCamera(0.05, 3.0, roll=roll)
+        arm = paper.build_arm()
+        plant = aj.Plant(arm, aj.ImageTask(arm, camera))
+        controller = aj.SetpointController(
+            aj.ImageTask(arm, rolled), aj.Gains(5000.0, 10000.0), gravity=aj.ModelGravity(arm)
+        )
+        q = np.radians([90.0, 90.0])
+        region = aj.JointBox.around(arm, q, 0.0)
+        scenarios = Sampler(controller, [plant], region, plant.sensor.value(q)).draw(
+            1, np.random.default_rng(0)
+        )
+        kp, kv, _ = controller.diagonals
+        setting = Setting(kp, kv, np.zeros(2), 0.5, large_gains=True)
+        return best_weights(MatrixForm(scenarios, setting), family).margins.min() > 0.0
+
+    for degrees, expected in (
+        (58.0, {"paper": True, "free": True, "wide": True}),
+        (62.0, {"paper": False, "free": True, "wide": True}),
+        (88.0, {"paper": False, "free": True, "wide": True}),
+        (92.0, {"paper": False, "free": False, "wide": False}),
+    ):
+        found = {family: passes(math.radians(degrees), family) for family in FAMILIES}
+        assert found == expected, degrees
+
+
+def test_learnt_gravity_fixes_alpha():
+    """(29) learns along q̇ + αĴ⁺s, so V's cross term must have that α, and no wider family."""
+    arm = aj.load_robot("panda")
+    truth, belief = arm.with_object(0.1, 0.5), arm.with_object(0.0)
+    plant = aj.Plant(truth, aj.PositionTask(truth))
+    gravity = aj.AdaptiveGravity(aj.GravityRegressor(belief), L=0.5, alpha=1.5)
+    controller = aj.SetpointController(
+        aj.PositionTask(belief), aj.Gains(400.0, 80.0, 5.0), gravity=gravity
+    )
+    setting = setting_of(controller, plant)
+    assert setting.fixed_alpha == setting.alpha == 1.5
+    assert setting.families == ("paper", "free")
+    sampler = Sampler(controller, [plant], aj.JointBox.around(arm, Q, 0.2), None)
+    scenarios = sampler.draw(50, np.random.default_rng(0))
+    form = MatrixForm(scenarios, setting)
+    for family in setting.families:
+        weights = best_weights(form, family).weights
+        assert_allclose(weights.A1, 1.5 * np.eye(3))
+    assert theorem1(scenarios, setting).alpha == 1.5
+
+
+def test_weights_that_are_none_have_no_margin():
+    form = MatrixForm(*on_panda(0.1, 5.0, n=5))
+    none = np.zeros((3, 3))
+    for A, w in ((np.eye(3), np.array([1.0, -1.0, 1.0])), (-np.eye(3), np.ones(3))):
+        assert (form.margins(Weights(A, none, w)) == -np.inf).all()

@@ -1,0 +1,322 @@
+"""The report, tolerance and suggested gains, put together from the four tests."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac.stability.suggest import Candidate, _relaxations
+from approxjac.stability.targets import attain
+from approxjac.studies import paper
+
+Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
+
+
+@pytest.fixture(scope="module")
+def weightless():
+    return aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def tools(weightless):
+    return aj.Uncertainty(weightless, object_length=(0.0, 0.2), object_mass=(0.0, 0.5))
+
+
+@pytest.fixture(scope="module")
+def box(weightless):
+    return aj.JointBox.around(weightless, Q, 0.3)
+
+
+def controller_of(uncertainty, gains=None, **options):
+    return aj.SetpointController(
+        uncertainty.believed_task(), aj.Gains(400.0, 80.0, 10.0) if gains is None else gains,
+        **options,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def report(tools, box):
+    return aj.stability_report(controller_of(tools), tools, box, postures=400)
+
+
+def test_report_says_what_each_test_says(report):
+    assert not report.theorem1.holds
+    assert report.certified_by == "matrix"
+    assert all(report.matrix[family].certified for family in ("paper", "free", "wide"))
+    assert report.matrix["wide"].margin > report.matrix["paper"].margin
+    assert report.local.stable
+    assert report.local.decay_rates.min() > 0.5
+    text = str(report)
+    assert "1 Theorem 1                     not certified  p = 0.346 >= 0.0" in text
+    assert "worst p with object_length 0.200 m" in text
+    assert "2 matrix form, paper's weights  certified      margin 0.1" in text
+    assert "at most 1.5 % of the region violates it" in text  # 1 − 0.05^(1/200)
+    assert "3 local                         stable" in text
+
+
+def test_what_was_chosen_is_checked_elsewhere(report):
+    for test in report.matrix.values():
+        assert test.checked == 200
+        assert test.violations == 0
+        assert_allclose(test.violating_at_most, 1.0 - 0.05 ** (1.0 / 200.0))
+
+
+def test_report_repeats_bit_by_bit(tools, box, report):
+    again = aj.stability_report(controller_of(tools), tools, box, postures=400)
+    assert again.summary() == report.summary()
+    assert str(again) == str(report)
+    other = aj.stability_report(controller_of(tools), tools, box, postures=400, seed=1)
+    assert other.summary() != report.summary()
+
+
+def test_summary_is_json_and_complete(report):
+    summary = json.loads(json.dumps(report.summary()))
+    assert summary["certified_by"] == "matrix"
+    assert summary["theorem1"]["holds"] is False
+    assert summary["theorem1"]["alpha_range"] == [None, None]
+    assert set(summary["matrix"]) == {"paper", "free", "wide"}
+    assert len(summary["matrix"]["wide"]["worst_q"]) == 7
+    assert summary["local"]["stable"] is True
+
+
+def test_a_certified_controller_reaches_its_target(tools, box, report):
+    outcome = aj.rollouts(report.controller, tools, box, runs=6, duration=8.0, seed=3)
+    assert outcome.n_converged == 6
+
+
+def test_a_single_robot_and_a_plant_say_the_same(weightless):
+    truth, belief = weightless.with_object(0.2, 0.5), weightless.with_object(0.0)
+    controller = aj.SetpointController(aj.PositionTask(belief), aj.Gains(400.0, 80.0, 10.0))
+    region = aj.JointBox.around(weightless, Q, 0.2)
+    reports = [
+        aj.stability_report(controller, truth=each, region=region, postures=100)
+        for each in (truth, aj.Plant(truth, aj.PositionTask(truth)))
+    ]
+    assert reports[0].summary() == reports[1].summary()
+    assert "the true robot" in str(reports[0])
+
+
+def test_default_region_leaves_singular_postures_out(weightless):
+    truth, belief = weightless.with_object(0.05), weightless.with_object(0.0)
+    controller = aj.SetpointController(aj.PositionTask(belief))
+    found = aj.stability_report(controller, truth, postures=60)
+    values = np.linalg.svd(found.scenarios.J_hat, compute_uv=False)[:, -1]
+    assert values.min() >= found.region.sigma_min > 0.0
+
+
+def test_a_target_is_looked_at_where_it_is_attained(tools, box):
+    controller = controller_of(tools)
+    target = tools.plant([0.1, 0.2]).sensor.value(Q)
+    found = aj.stability_report(controller, tools, box, target=target, postures=100)
+    assert_array_equal(found.target, target)
+    for t, q in zip(found.local.truth, found.local.q, strict=True):
+        sensor = tools.plant(found.corners[t]).sensor
+        assert_allclose(sensor.value(q), target, atol=1e-8)
+    assert set(found.local.truth) == {0, 1, 2, 3}
+
+
+def test_pose_task_is_certified_with_its_own_error_jacobian(weightless):
+    """At errors of a rotation, ∂e/∂q is not J; V̇ = −zᵀQz holds with it, see Scenarios.J_e."""
+    truth, belief = weightless.with_object(0.05), weightless.with_object(0.0)
+    controller = aj.SetpointController(aj.PoseTask(belief), aj.Gains(400.0, 80.0, 5.0))
+    region = aj.JointBox.around(weightless, Q, 0.2)
+    found = aj.stability_report(controller, truth, region, postures=60)
+    assert np.abs(found.scenarios.J - found.scenarios.J_e).max() > 0.01
+    assert found.local.stable
+
+
+def test_gravity_that_is_not_exact_certifies_nothing():
+    arm = aj.load_robot("panda")
+    tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 0.5))
+    region = aj.JointBox.around(arm, Q, 0.1)
+    known = aj.stability_report(controller_of(tools), tools, region, postures=60)
+    assert not known.gravity_is_exact
+    assert known.certified_by is None
+    assert "0 gravity" in str(known)
+    assert "unless gravity is learnt (AdaptiveGravity)" in str(known)
+    regressor = aj.GravityRegressor(tools.belief())
+    learnt = aj.stability_report(
+        controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)),
+        tools, region, postures=60,
+    )  # fmt: skip
+    assert learnt.gravity_is_exact
+    assert learnt.certified_by == "matrix"
+    assert set(learnt.matrix) == {"paper", "free"}
+    assert learnt.local.stable
+
+
+def test_rollouts_join_the_report(tools, box):
+    found = aj.stability_report(controller_of(tools), tools, box, postures=40, runs=2)
+    assert found.rollouts.n == 2
+    assert "4 rollouts" in str(found)
+
+
+def test_progress_tells_what_is_being_done(tools, box):
+    seen = []
+    aj.stability_report(
+        controller_of(tools), tools, box, postures=200,
+        progress=lambda what, share: seen.append((what, share)),
+    )  # fmt: skip
+    assert {"postures", "matrix form", "local"} <= {what for what, _ in seen}
+    assert all(0.0 <= share <= 1.0 for _, share in seen)
+
+
+def test_bad_input_is_named(tools, box, weightless):
+    controller = controller_of(tools)
+    far = np.array([5.0, 0.0, 0.0])
+    with pytest.raises(aj.InvalidInputError, match="target must be within reach of every true rob"):
+        aj.stability_report(controller, tools, box, target=far, postures=40)
+    elsewhere = tools.plant([0.1, 0.2]).sensor.value(-Q)
+    with pytest.raises(aj.InvalidInputError, match="target must be attained by a posture of the r"):
+        aj.stability_report(controller, tools, box, target=elsewhere, postures=40)
+    with pytest.raises(aj.InvalidInputError, match="postures must be an integer >= 20, got 3"):
+        aj.stability_report(controller, tools, box, postures=3)
+    with pytest.raises(aj.InvalidInputError, match="seed must be an integer >= 0, got -1"):
+        aj.stability_report(controller, tools, box, seed=-1)
+    with pytest.raises(aj.InvalidInputError, match="runs needs truth to be an Uncertainty"):
+        aj.stability_report(controller, weightless.with_object(0.1), box, postures=40, runs=5)
+    with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):
+        aj.stability_report(controller, tools, region=3)
+    with pytest.raises(aj.InvalidInputError, match="truth must be a Plant, a Robot or an Uncert"):
+        aj.stability_report(controller, truth="panda")
+    law_5 = controller_of(tools, velocity=aj.DifferentiatedVelocity())
+    with pytest.raises(aj.InvalidInputError, match=r"the laws \(6\) and \(28\) without a posture"):
+        aj.stability_report(law_5, tools, box)
+    with pytest.raises(aj.InvalidInputError, match="kp must be > 0"):
+        aj.stability_report(controller_of(tools, aj.Gains(0.0, 1.0, 1.0)), tools, box)
+    with pytest.raises(aj.InvalidInputError, match=r"object_mass must be .*>= 0"):
+        aj.Uncertainty(weightless, object_mass=(-1.0, 1.0))
+
+
+# -- tolerance ------------------------------------------------------------------------------
+
+
+def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
+    found = aj.tolerance(controller_of(tools), tools, box, postures=200)
+    scales = [found[test].scale for test in ("theorem1", "matrix", "local")]
+    assert 0.05 < scales[0] < 0.3 < 1.5 < scales[1] < scales[2] < 10.0
+    for each in found.values():
+        assert each.scale < each.fails_at <= 1.03 * each.scale
+        assert "passes up to scale" in str(each)
+        assert each.worst_text in str(each)
+    assert "object_length" in found["matrix"].worst_text
+
+
+def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
+    """Two-link with Figure 4's gains: beyond the told angle the exact linearisation is unstable."""
+    arm = paper.build_arm().with_gravity((0.0, 0.0, 0.0))
+    errors = aj.Uncertainty(arm, camera=paper.CAMERA, roll=(-math.pi / 3, math.pi / 3))
+    controller = aj.SetpointController(errors.believed_task(), aj.Gains(5000.0, 10000.0))
+    target = errors.believed_task().value(np.radians([90.0, 90.0]))
+    found = aj.tolerance(
+        controller, errors, aj.JointBox(arm), tests=("local",), target=target,
+        postures=4, precision=0.002, largest=2.9,
+    )["local"]  # fmt: skip
+    angle = found.scale * math.pi / 3
+
+    def all_stable(roll):
+        verdicts = []
+        for sign in (-1.0, 1.0):
+            plant = errors.plant([sign * roll])
+            starts = aj.JointBox(arm).sample(20, np.random.default_rng(5))
+            postures = [attain(plant.sensor, target, q) for q in starts]
+            verdicts += [
+                aj.local_stability(plant, controller, q).stable for q in postures if q is not None
+            ]
+        assert len(verdicts) > 20
+        return all(verdicts)
+
+    assert all_stable(0.98 * angle)
+    assert not all_stable(1.02 * angle)
+    assert math.degrees(abs(found.worst[0])) == pytest.approx(math.degrees(angle), rel=0.01)
+
+
+def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
+    errors = aj.Uncertainty(weightless, object_length=(0.0, 0.2), believed_length=0.1)
+    found = aj.tolerance(controller_of(errors), errors, box, tests=("local",), postures=20)
+    assert_allclose(found["local"].scale, 1.0, rtol=1e-4)  # a length below 0 is none
+    assert found["local"].fails_at == math.inf
+    assert "passes up to the largest scale tried" in str(found["local"])
+
+
+def test_tolerance_of_a_controller_that_never_passes(tools, box):
+    weak = controller_of(tools, aj.Gains(1.0, 80.0, 100.0))  # k_p < c₁, which damping makes large
+    found = aj.tolerance(weak, tools, box, tests=("theorem1",), postures=40)["theorem1"]
+    assert found.scale == 0.0
+    assert found.fails_at == 0.0
+
+
+def test_tolerance_refuses(tools, box, weightless):
+    controller = controller_of(tools)
+    with pytest.raises(aj.UnknownNameError, match="test 'theorem' not in the tests"):
+        aj.tolerance(controller, tools, box, tests=("theorem",))
+    with pytest.raises(aj.InvalidInputError, match="largest must be a finite number > 0"):
+        aj.tolerance(controller, tools, box, largest=0.0)
+    certain = aj.Uncertainty(weightless)
+    with pytest.raises(aj.InvalidInputError, match="uncertainty must have a range to scale"):
+        aj.tolerance(controller_of(certain), certain, box)
+
+
+# -- suggested gains ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def small_box(weightless):
+    return aj.JointBox.around(weightless, Q, 0.05)
+
+
+def test_suggested_gains_meet_what_was_asked(tools, small_box):
+    found = aj.suggest_gains(tools, small_box, settling_time=2.0, postures=60)
+    assert found.gains is not None
+    assert found.relax == ()
+    best = found.found
+    assert best.margin > 0.0
+    assert best.torque_ratio <= 1.0
+    assert best.settling_time <= 2.0
+    again = aj.stability_report(controller_of(tools, found.gains), tools, small_box, postures=200)
+    assert again.certified_by in ("theorem1", "matrix")
+    outcome = aj.rollouts(
+        controller_of(tools, found.gains), tools, small_box, runs=4, duration=6.0, tolerance=2e-3
+    )
+    assert outcome.n_converged == 4
+    assert max(run.settling_time for run in outcome.runs) < 4.0
+
+
+def test_where_no_gains_do_it_says_what_to_relax(tools, small_box):
+    found = aj.suggest_gains(
+        tools, small_box, settling_time=0.8, postures=20, torque_limits=8.0, test="local"
+    )
+    assert found.gains is None
+    text = str(found)
+    assert text.startswith("no gains meet all demands:")
+    assert "the torque limits: " in text
+    assert "the settling time: " in text
+
+
+def test_relaxations_keep_the_other_demands():
+    gains = aj.Gains(1.0, 1.0, 1.0)
+    tried = [
+        Candidate(gains, -0.2, 0.5, 0.9),  # only the test is missed
+        Candidate(gains, -0.1, 0.9, 1.0),
+        Candidate(gains, 0.3, 2.0, 0.5),  # only the torque
+        Candidate(gains, 0.3, 0.5, 3.0),  # only the time
+        Candidate(gains, math.nan, 2.0, 3.0),
+    ]
+    errors, torque, time = _relaxations(tried, 1.0, lambda gains: 0.6)
+    assert errors.startswith("the errors: 0.6 of them pass with Gains(")
+    assert torque.startswith("the torque limits: 2 times them: ")
+    assert time.startswith("the settling time: 3 s: ")
+    (line,) = _relaxations(tried[-1:], 1.0, lambda gains: 0.0)
+    assert line == "at least two of them: no gains tried meet any two demands together"
+
+
+def test_suggest_refuses(tools, small_box):
+    with pytest.raises(aj.UnknownNameError, match="test 'lyapunov' not in the tests"):
+        aj.suggest_gains(tools, small_box, test="lyapunov")
+    with pytest.raises(aj.InvalidInputError, match="settling_time must be a finite number > 0"):
+        aj.suggest_gains(tools, small_box, settling_time=0.0)
+    with pytest.raises(aj.InvalidInputError, match="torque_limits must be numbers > 0"):
+        aj.suggest_gains(tools, small_box, torque_limits=-1.0)
