@@ -20,8 +20,10 @@ from tqdm import tqdm
 import approxjac
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.studies.reach import Settings
+from approxjac.studies.stability import StabilitySettings
 
 app = tyro.extras.SubcommandApp()
+_SHARE = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}"
 _DESCRIPTION = (
     "Torque control of any URDF arm whose kinematics are not exactly known. "
     "--version prints the version."
@@ -219,6 +221,47 @@ def certify(
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     print(f"{', '.join(tables)} and summary.json are in {out}")
     return 0 if summary["verdict"] == "ok" else 1
+
+
+@app.command(name="stability")
+def stability(
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")],
+    settings: Annotated[StabilitySettings, tyro.conf.OmitArgPrefixes],
+    jobs: int = 1,
+    out: Path = Path("results/stability"),
+) -> int:
+    """Tell whether a controller is stable before anything moves, by how much, and what to change.
+
+    Exit code 0 if Theorem 1 or the matrix form certifies the region, 1 if not.
+
+    Args:
+        robot: Name of an arm, or a .urdf file.
+        settings: What to look at.
+        jobs: Processes that share the rollouts.
+        out: Folder for figure1, workspace and map as .png and .svg, and summary.json.
+    """
+    from concurrent.futures import ProcessPoolExecutor
+    from contextlib import nullcontext
+
+    from approxjac.studies import stability as study
+    from approxjac.studies import stability_report as report
+
+    if jobs < 1:
+        raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
+    case = study.prepare(robot, settings)
+    _make_folder(out)
+    pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
+    with pool as executor, tqdm(total=1.0, disable=None, bar_format=_SHARE) as bar:
+
+        def tell(what: str, share: float) -> None:
+            bar.set_description(what, refresh=False)
+            bar.update(share - bar.n)
+
+        result = study.run(case, executor, tell)
+    report.write(result, out)
+    print(report.text(result))
+    print(f"\nPictures and summary.json are in {out}")
+    return 0 if result.report.certified_by is not None else 1
 
 
 def main(arguments: list[str] | None = None) -> int:

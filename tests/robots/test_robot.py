@@ -462,3 +462,27 @@ def test_bad_locks_are_refused(panda):
         panda.with_locked_joints({"panda_joint8": 0.0})
     with pytest.raises(aj.InvalidInputError, match="position of panda_joint3 must be a finite"):
         panda.with_locked_joints({"panda_joint3": np.nan})
+
+
+PENDULUM = """<robot name="pendulum"><link name="base"/><link name="tip"/>
+<link name="arm"><inertial><origin xyz="0.5 0 0"/><mass value="1"/>
+<inertia ixx="0.01" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="50" velocity="10"/></joint>
+<joint name="t" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="1 0 0"/></joint>
+</robot>"""
+
+
+@pytest.mark.parametrize("learnt", [False, True])
+def test_an_arm_of_one_joint_reaches_its_target(learnt):
+    """Pinocchio's Jacobian and regressor of one joint have one axis less; ours have not."""
+    robot = aj.Robot(PENDULUM)
+    task = aj.PositionTask(robot, axes="z")
+    assert task.jacobian(np.array([0.3])).shape == (1, 1)
+    assert task.jacobian_dot(np.array([0.3]), np.ones(1)).shape == (1, 1)
+    regressor = aj.GravityRegressor(robot)
+    gravity = aj.AdaptiveGravity(regressor, theta0=np.zeros(regressor.p)) if learnt else None
+    controller = aj.SetpointController(task, gravity=gravity)
+    plant = aj.Plant(robot, aj.PositionTask(robot, axes="z"))
+    run = aj.simulate(plant, controller, (0.2,), (0.3,), 8.0, dt=1e-3)
+    assert abs(run.error[-1, 0]) < 1e-3

@@ -52,6 +52,7 @@ def test_report_says_what_each_test_says(report):
     text = str(report)
     assert "1 Theorem 1                     not certified  p = 0.346 >= 0.0" in text
     assert "worst p with object_length 0.200 m" in text
+    assert " at q = [" in text
     assert "2 matrix form, paper's weights  certified      margin 0.1" in text
     assert "at most 1.5 % of the region violates it" in text  # 1 − 0.05^(1/200)
     assert "3 local                         stable" in text
@@ -232,6 +233,20 @@ def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
     assert all_stable(0.98 * angle)
     assert not all_stable(1.02 * angle)
     assert math.degrees(abs(found.worst[0])) == pytest.approx(math.degrees(angle), rel=0.01)
+
+
+def test_tolerance_by_rollouts(weightless):
+    """A camera beyond a right angle sends the arm the wrong way: no run gets there."""
+    arm = paper.build_arm().with_gravity((0.0, 0.0, 0.0))
+    errors = aj.Uncertainty(arm, camera=paper.CAMERA, roll=(0.0, math.pi / 2))
+    controller = aj.SetpointController(errors.believed_task(), aj.Gains(2e5, 2e5, 1.0))
+    region = aj.JointBox.around(arm, (1.5, 1.5), 0.1)
+    found = aj.tolerance(
+        controller, errors, region, tests=("rollouts",), runs=3, duration=5.0, largest=1.9,
+        precision=0.2,
+    )["rollouts"]  # fmt: skip
+    assert 0.0 < found.scale < found.fails_at < 1.9
+    assert "camera roll" in found.worst_text
 
 
 def test_tolerance_stops_where_robots_cannot_exist(weightless, box):

@@ -55,6 +55,15 @@ class Dynamics:
         C = self.C(q, v)
         return C + C.T
 
+    def M_gradient(self, q: Array) -> Array:
+        """∂M/∂q_k, shape (n_v, n_v, n_v), k first: `M_dot` along each joint."""
+        q_all, n = self._coupling.q(self._q(q)), len(self._zero)
+        dM = np.empty((n, n, n))
+        for k, unit in enumerate(np.eye(n)):
+            C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, self._coupling.v(unit))
+            dM[k] = self._coupling.rows(self._coupling.columns(C))
+        return dM + np.swapaxes(dM, 1, 2)
+
     def coriolis(self, q: Array, v: Array) -> Array:
         """C(q, q̇)q̇ = (½Ṁ + S)q̇, shape (n_v,) [N m or N]."""
         return self.inverse(q, v, self._zero) - self.g(q)

@@ -155,6 +155,8 @@ class GravityRegressor:
         regressor: Array = pin.computeJointTorqueRegressor(
             self._model, self._data, coupling.q(q), self._zero, self._zero
         )
+        if regressor.ndim == 1:  # of one joint Pinocchio's regressor has lost an axis
+            regressor = regressor[np.newaxis]
         return coupling.rows(regressor)
 
     def __repr__(self) -> str:

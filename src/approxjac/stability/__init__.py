@@ -2,6 +2,7 @@
 
 from approxjac.stability.local import LocalStability, local_stability
 from approxjac.stability.lyapunov import LyapunovValue, lyapunov
+from approxjac.stability.map import StabilityMap, stability_map
 from approxjac.stability.region import JointBox, Region, RegularPart, SublevelSet, Tube
 from approxjac.stability.report import StabilityReport, stability_report
 from approxjac.stability.rollouts import Rollout, Rollouts, rollouts
@@ -17,6 +18,7 @@ __all__ = [
     "RegularPart",
     "Rollout",
     "Rollouts",
+    "StabilityMap",
     "StabilityReport",
     "SublevelSet",
     "Suggestion",
@@ -26,6 +28,7 @@ __all__ = [
     "local_stability",
     "lyapunov",
     "rollouts",
+    "stability_map",
     "stability_report",
     "suggest_gains",
     "tolerance",

@@ -94,6 +94,11 @@ class StabilityReport:
             return self.truth.describe(self.corners[index])
         return "the true robot"
 
+    def _case(self, among: Scenarios | LocalTest, index: int) -> str:
+        """One of the cases in words: the true robot and the posture."""
+        posture = ", ".join(f"{value + 0.0:.2f}" for value in among.q[index])
+        return f"{self.describe_truth(int(among.truth[index]))} at q = [{posture}]"
+
     def lines(self) -> list[tuple[str, str, str]]:
         """The table: test, verdict, and the figures it rests on."""
         first, checked = self.theorem1, next(iter(self.matrix.values())).checked
@@ -125,12 +130,12 @@ class StabilityReport:
                 verdict,
                 f"p = {first.p:.3g} {sign} {max(first.allowed_p, 0.0):.3g} allowed at "
                 f"alpha = {first.alpha:.3g}/s; worst p with "
-                f"{self.describe_truth(int(self.scenarios.truth[first.worst['p']]))}",
+                f"{self._case(self.scenarios, first.worst['p'])}",
             )
         ]
         titles = {"paper": "paper's weights", "free": "free potential", "wide": "widened"}
         for family, test in self.matrix.items():
-            worst = self.describe_truth(int(self.scenarios.truth[test.worst]))
+            worst = self._case(self.scenarios, test.worst)
             if test.certified:
                 text = f"at most {100 * test.violating_at_most:.2g} % of the region violates it"
             else:
@@ -151,7 +156,7 @@ class StabilityReport:
                 "stable" if local.stable else "not stable",
                 f"at {100 * local.share:.4g} % of {len(local.q)} postures; slowest decay "
                 f"{local.decay_rates.min():.3g}/s, damping ratio {local.damping_ratios.min():.2g}; "
-                f"worst with {self.describe_truth(int(local.truth[local.worst]))}",
+                f"worst with {self._case(local, local.worst)}",
             )
         )
         if self.rollouts is not None:

@@ -119,7 +119,6 @@ class Sampler:
     ) -> Scenarios:
         task, saturation = self.controller.task, self.controller.saturation
         N, n, m = len(postures), task.robot.nv, task.m
-        units = np.eye(n)
         M, dM = np.empty((N, n, n)), np.empty((N, n, n, n))
         J, J_e, J_hat = np.empty((N, m, n)), np.empty((N, m, n)), np.empty((N, m, n))
         dJ_hat, e = np.empty((N, n, m, n)), np.empty((N, m))
@@ -132,9 +131,8 @@ class Sampler:
             if not sensor.subtracts:
                 J_e[i] = np.array([sensor.error_rate(e[i], column) for column in J[i].T]).T
             J_hat[i] = task.jacobian(q)
-            for k, unit in enumerate(units):
-                dM[i, k] = dynamics.M_dot(q, unit)
-                dJ_hat[i, k] = task.jacobian_dot(q, unit)
+            dM[i] = dynamics.M_gradient(q)
+            dJ_hat[i] = task.jacobian_gradient(q)
             if progress is not None and i % 100 == 99:
                 progress(i + 1)
         return Scenarios(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -14,13 +14,15 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.loop import default_region, require_law, setting_of, true_plants
 from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
+from approxjac.stability.rollouts import rollouts
 from approxjac.stability.scenarios import Sampler
 from approxjac.stability.targets import attaining, local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
 
-Test = Literal["theorem1", "matrix", "local"]
+Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
+"""The tests that need no simulation."""
 _STEPS = 20  # of bisection
 
 
@@ -67,6 +69,8 @@ def tolerance(
     largest: float = 10.0,
     precision: float = 0.02,
     postures: int = 400,
+    runs: int = 20,
+    duration: float = 10.0,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> dict[Test, Tolerance]:
@@ -80,11 +84,14 @@ def tolerance(
         controller: The controller.
         uncertainty: The errors at scale 1.
         region: Where to look; see `stability_report`.
-        tests: Which tests.
+        tests: Which tests: "theorem1", "matrix", "local", and "rollouts", which passes if all
+            runs converge.
         target: x_d, shape (n_x,); see `stability_report`.
         largest: Scale at most > 0; less where robots beyond it cannot exist.
         precision: Of the scale, relative, > 0.
         postures: How many to draw.
+        runs: Rollouts at each scale, if they are asked for.
+        duration: Of a rollout [s].
         seed: Of the drawing.
         progress: Called with the share that is done.
 
@@ -100,18 +107,23 @@ def tolerance(
             f"uncertainty must have a range to scale, got {uncertainty!r}", given=uncertainty
         )
     for test in tests:
-        if test not in TESTS:
-            raise UnknownNameError("test", test, "the tests", TESTS)
-    largest = _physical(uncertainty, as_number("largest", largest, above=0.0))
+        if test not in get_args(Test):
+            raise UnknownNameError("test", test, "the tests", get_args(Test))
+    largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
     region = default_region(controller) if region is None else region
     found: dict[Test, Tolerance] = {}
     for k, test in enumerate(tests):
 
         def failing(scale: float, test: Test = test) -> Array | None:
-            return _failing(
-                controller, uncertainty.scaled(scale), region, test, target, postures, seed
-            )
+            errors = uncertainty.scaled(scale)
+            if test == "rollouts":
+                outcome = rollouts(
+                    controller, errors, region, target=target, runs=runs, duration=duration,
+                    seed=seed,
+                )  # fmt: skip
+                return None if outcome.share == 1.0 else outcome.worst.values
+            return _failing(controller, errors, region, test, target, postures, seed)
 
         def tell(share: float, k: int = k) -> None:
             if progress is not None:
@@ -178,21 +190,3 @@ def _failing(
         local = local_test(sampler, scenarios)
         culprit = None if local.stable else local.truth[local.worst]
     return None if culprit is None else corners[int(culprit)]
-
-
-def _physical(uncertainty: Uncertainty, largest: float) -> float:
-    """The largest scale, up to a bound, at which all robots of a set can exist."""
-    low, high = 0.0, largest
-    try:
-        uncertainty.scaled(largest)
-        return largest
-    except InvalidInputError:
-        pass
-    for _ in range(_STEPS):
-        middle = 0.5 * (low + high)
-        try:
-            uncertainty.scaled(middle)
-            low = middle
-        except InvalidInputError:
-            high = middle
-    return low

@@ -18,6 +18,7 @@ from approxjac.simulation import Plant
 from approxjac.tasks import ImageTask, PlanarCamera, PositionTask, Task
 
 _CORNER_SEED = 0
+_HALVINGS = 20
 
 
 class _Coordinate(NamedTuple):
@@ -155,6 +156,20 @@ class Uncertainty:
         """
         factor = as_number("factor", factor, minimum=0.0)
         return replace(self, factor=self.factor * factor)
+
+    def largest_scale(self, bound: float) -> float:
+        """The largest factor up to a bound > 0 for which all robots of `scaled` can exist."""
+        low, high, factor = 0.0, bound, bound
+        for _ in range(_HALVINGS):
+            try:
+                self.scaled(factor)
+                if factor == bound:
+                    return bound
+                low = factor
+            except InvalidInputError:
+                high = factor
+            factor = 0.5 * (low + high)
+        return low
 
     def corners(self, limit: int = 64) -> Array:
         """Return the corners of the box, or a selection where they are many; shape (k, d).

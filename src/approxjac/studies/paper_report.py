@@ -7,19 +7,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.studies.paper import JacobianBound, Result, Setup
 from approxjac.view import (
     new_figure,
+    plot_allowed_error,
     plot_error,
     plot_parameters,
     plot_path,
     plot_torque,
     save_figure,
 )
-from approxjac.view.style import COLORS, TARGET, legend_below, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,25 +44,13 @@ def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
 def draw_bound(bound: JacobianBound) -> Figure:
     """Return Figure 1: the allowed p against a, its two curves and their crossing."""
     figure, (ax,) = new_figure(size=(6.5, 4.8))
-    with style():
-        allowed = np.minimum(bound.velocity, bound.position)
-        ax.fill_between(bound.a, allowed, color=COLORS[2], alpha=0.15, label="p allowed by (23)")
-        ax.plot(bound.a, bound.velocity, color=COLORS[0], label="2λ₂/(a + α)")
-        ax.plot(bound.a, bound.position, color=COLORS[1], label="2aα/(a + α)")
-        if bound.alpha > 0.0:
-            crossing = bound.lambda2 / bound.alpha
-            label = f"crossing: a = λ₂/α = {crossing:.4f}, p = √λ₂ = {bound.largest:.4f}"
-            ax.plot([crossing], [bound.largest], "o", color=COLORS[6], ms=5, label=label)
-        label = f"‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target: {bound.p:.4f}"
-        ax.axhline(bound.p, color=TARGET, linestyle="--", label=label)
-        ax.set(
-            xlabel="a = k_p / k_v [1/s]",
-            ylabel="allowed p [m/rad on the sensor]",
-            title=f"Figure 1: allowed Jacobian error (α = √λ₂ = {bound.alpha:.4f} 1/s)",
-            ylim=(0.0, 1.25 * max(bound.p, float(bound.velocity.max()))),
-            xlim=(0.0, float(bound.a[-1])),
-        )
-        legend_below(ax)
+    plot_allowed_error(
+        bound.lambda2,
+        bound.p,
+        unit="m/rad on the sensor",
+        p_label="‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target",
+        ax=ax,
+    )
     return figure
 
 

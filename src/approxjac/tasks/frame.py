@@ -33,6 +33,7 @@ class FrameKinematics:
         self._id = robot.frame_id(frame)
         self._model = robot.model
         self._data = self._model.createData()
+        self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
         self._all = robot.coupling.model
         self._all_data = self._data if self._all is self._model else self._all.createData()
@@ -56,7 +57,7 @@ class FrameKinematics:
     def compute_jacobian(self, q: Array) -> Array:
         """`jacobian` at a q that has been checked already, for loops."""
         J: Array = pin.computeFrameJacobian(self._model, self._data, q, self._id, _LWA)
-        return J
+        return J if self._many else J.reshape(6, 1)
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Time derivative of `jacobian` along q̇, shape (6, n_v)."""
@@ -67,7 +68,7 @@ class FrameKinematics:
         )
         pin.updateFramePlacement(self._all, self._all_data, frame)
         J_dot: Array = pin.getFrameJacobianTimeVariation(self._all, self._all_data, frame, _LWA)
-        return coupling.columns(J_dot)
+        return coupling.columns(J_dot.reshape(6, -1))
 
     def _placement(self, q: Array) -> pin.SE3:
         pin.forwardKinematics(self._model, self._data, self.robot.configuration(q))

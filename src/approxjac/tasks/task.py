@@ -73,6 +73,10 @@ class Task(ABC):
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """d/dt of `jacobian` along q̇, shape (m, n_v)."""
 
+    def jacobian_gradient(self, q: Array) -> Array:
+        """∂J/∂q_k, shape (n_v, m, n_v), k first: `jacobian_dot` along each joint."""
+        return np.array([self.jacobian_dot(q, unit) for unit in np.eye(self.robot.nv)])
+
     def error(self, x: Array, x_d: Array) -> Array:
         """Error e of a value x to a target, both of shape (n_x,); shape (m,), NaN if x is lost."""
         return x - x_d

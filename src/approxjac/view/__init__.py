@@ -1,13 +1,17 @@
-"""Plots of runs."""
+"""Plots of runs and of stability."""
 
 from approxjac.view.plots import plot_error, plot_parameters, plot_path, plot_run, plot_torque
+from approxjac.view.stability import plot_allowed_error, plot_map, plot_margins
 from approxjac.view.style import COLORS, legend_below, new_figure, save_figure, style
 
 __all__ = [
     "COLORS",
     "legend_below",
     "new_figure",
+    "plot_allowed_error",
     "plot_error",
+    "plot_map",
+    "plot_margins",
     "plot_parameters",
     "plot_path",
     "plot_run",

@@ -1,0 +1,246 @@
+"""`stability_map`: where in the plane of two parameters each of the four tests passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from approxjac.checks import Array, as_array, require
+from approxjac.controllers import Gains, SetpointController
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.stability.local import linearised
+from approxjac.stability.loop import default_region, require_law, setting_of, true_plants
+from approxjac.stability.matrix_form import MatrixForm, first_that_passes
+from approxjac.stability.region import Region
+from approxjac.stability.rollouts import rollouts
+from approxjac.stability.scenarios import Sampler, Scenarios
+from approxjac.stability.targets import attaining
+from approxjac.stability.theorem1 import theorem1
+from approxjac.stability.uncertainty import Uncertainty
+
+PARAMETERS: Mapping[str, str] = MappingProxyType(
+    {
+        "error": "scale of the errors",
+        "a": "gain ratio k_p / k_v [1/s], k_v kept",
+        "kv": "K_v and K_p, times the controller's",
+        "damping": "added damping B_c, times the controller's",
+    }
+)
+"""What a map can have along its axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """What the tests say over a grid of two parameters.
+
+    Attributes:
+        names: Of the two parameters, along x and y.
+        x: Values of the first, shape (N_x,).
+        y: Values of the second, shape (N_y,).
+        decay_rate: Test 3: slowest decay over all targets and true robots, shape (N_y, N_x) [1/s].
+        coarse_x: Values where the tests 2 and 4 were made, shape (n_x,).
+        coarse_y: Shape (n_y,).
+        theorem1: Test 1: margin, shape (N_y, N_x), at least −1; NaN where it was not made.
+        matrix: Test 2: margin, shape (n_y, n_x), at least −1.
+        rollouts: Test 4: share of the runs that converge, shape (n_y, n_x); NaN where none were
+            made.
+    """
+
+    names: tuple[str, str]
+    x: Array
+    y: Array
+    decay_rate: Array
+    coarse_x: Array
+    coarse_y: Array
+    theorem1: Array
+    matrix: Array
+    rollouts: Array
+
+
+def stability_map(
+    controller: SetpointController,
+    uncertainty: Uncertainty,
+    region: Region | None = None,
+    *,
+    names: tuple[str, str],
+    x: Sequence[float] | Array,
+    y: Sequence[float] | Array,
+    target: Sequence[float] | Array | None = None,
+    targets: int = 8,
+    coarse: int = 8,
+    postures: int = 100,
+    runs: int = 0,
+    duration: float = 10.0,
+    seed: int = 0,
+    executor: Executor | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> StabilityMap:
+    """Make the four tests over a grid of two parameters.
+
+    Tests 1 and 3 at every point of the grid, the others at every point of a coarser one with the
+    same ends.
+
+    Args:
+        controller: The controller, whose gains the parameters change.
+        uncertainty: The errors at scale 1.
+        region: Where to look; see `stability_report`.
+        names: The two parameters, of `PARAMETERS`.
+        x: Values of the first: numbers that grow, > 0 (≥ 0 of "error").
+        y: Values of the second, alike.
+        target: x_d, shape (n_x,); see `stability_report`.
+        targets: Postures that test 3 takes as targets, ≥ 1, the true robots in turn.
+        coarse: Values of each parameter where tests 2 and 4 are made, ≥ 2; 0 makes test 3 alone.
+        postures: Postures for tests 1 and 2.
+        runs: Rollouts at each coarse point.
+        duration: Of a rollout [s].
+        seed: Of all drawing.
+        executor: Where the rollouts run; see `rollouts`.
+        progress: Called with the share that is done.
+
+    Raises:
+        InvalidInputError: Values that are no growing numbers > 0 (≥ 0 of "error"), twice the same
+            parameter, or what `stability_report` refuses.
+        UnknownNameError: No such parameter.
+    """
+    require("controller", controller, SetpointController, "a SetpointController")
+    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
+    require_law(controller)
+    for name in names:
+        if name not in PARAMETERS:
+            raise UnknownNameError("parameter", name, "the map", PARAMETERS)
+    if len(set(names)) != 2:
+        raise InvalidInputError(f"names must be two parameters, got {names}", given=names)
+    region = default_region(controller) if region is None else region
+    grid = _Grid(controller, uncertainty, region, target, seed)
+    xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
+    few_x, few_y = (np.interp(np.linspace(0, 1, coarse), np.linspace(0, 1, len(v)), v)
+                    for v in (xs, ys))  # fmt: skip
+    fine = len(xs) * len(ys)
+    costs = {"local": 1, "theorem1": 1, "matrix": 60, "rollouts": 60 * runs}  # roughly, in ms
+    total = fine + (fine + coarse**2 * (costs["matrix"] + costs["rollouts"]) if coarse else 0)
+    done = 0
+
+    def over(
+        first: Array, second: Array, kind: str, test: Callable[[Mapping[str, float]], float]
+    ) -> Array:
+        nonlocal done
+        found = np.full((len(second), len(first)), np.nan)
+        # the true robots change with "error" only: keep it in the outer loop
+        for i, j in grid.order(names, len(first), len(second)):
+            found[j, i] = test({names[0]: float(first[i]), names[1]: float(second[j])})
+            done += costs[kind]
+            if progress is not None:
+                progress(done / total)
+        return found
+
+    decay = over(xs, ys, "local", lambda at: grid.decay_rate(at, targets))
+    first = np.full_like(decay, np.nan)
+    if coarse:
+        first = over(xs, ys, "theorem1", lambda at: grid.theorem1(at, postures))
+    second = over(few_x, few_y, "matrix", lambda at: grid.matrix(at, postures))
+    shares = np.full_like(second, np.nan)
+    if runs:
+        shares = over(
+            few_x, few_y, "rollouts", lambda at: grid.converging(at, runs, duration, executor)
+        )
+    return StabilityMap(names, xs, ys, decay, few_x, few_y, first, second, shares)
+
+
+class _Grid:
+    """The closed loops of a map, with the true robots of one scale of the errors kept."""
+
+    def __init__(
+        self,
+        controller: SetpointController,
+        uncertainty: Uncertainty,
+        region: Region,
+        target: Sequence[float] | Array | None,
+        seed: int,
+    ) -> None:
+        self._base, self._errors, self._region, self._seed = controller, uncertainty, region, seed
+        self._target = None if target is None else controller.task.target(target)
+        self._kept: tuple[object, Scenarios, Sampler] | None = None
+
+    def order(self, names: tuple[str, str], nx: int, ny: int) -> list[tuple[int, int]]:
+        """All pairs of indices, those of "error" in the outer loop."""
+        if names[0] == "error":
+            return [(i, j) for i in range(nx) for j in range(ny)]
+        return [(i, j) for j in range(ny) for i in range(nx)]
+
+    def decay_rate(self, at: Mapping[str, float], targets: int) -> float:
+        """The slowest decay over targets and true robots [1/s]."""
+        controller = self._controller(at)
+        scenarios, sampler = self._scenarios(at, targets, as_targets=True)
+        rates = [
+            linearised(sampler.plants[t], controller, q)
+            for t, q in zip(scenarios.truth, scenarios.q, strict=True)
+        ]
+        return min(0.0 if each.singular else each.decay_rate for each in rates)
+
+    def theorem1(self, at: Mapping[str, float], postures: int) -> float:
+        """Margin of test 1, at least −1."""
+        scenarios, sampler = self._scenarios(at, postures)
+        setting = setting_of(self._controller(at), sampler.plants[0])
+        return max(-1.0, theorem1(scenarios, setting).margin)
+
+    def matrix(self, at: Mapping[str, float], postures: int) -> float:
+        """Margin of test 2, at least −1."""
+        scenarios, sampler = self._scenarios(at, postures)
+        setting = setting_of(self._controller(at), sampler.plants[0])
+        return max(-1.0, float(first_that_passes(MatrixForm(scenarios, setting)).margins.min()))
+
+    def converging(
+        self, at: Mapping[str, float], runs: int, duration: float, executor: Executor | None
+    ) -> float:
+        """Share of the rollouts that converge."""
+        return rollouts(
+            self._controller(at), self._scaled(at), self._region, target=self._target,
+            runs=runs, duration=duration, seed=self._seed, executor=executor,
+        ).share  # fmt: skip
+
+    def _scaled(self, at: Mapping[str, float]) -> Uncertainty:
+        return self._errors.scaled(at.get("error", 1.0))
+
+    def _controller(self, at: Mapping[str, float]) -> SetpointController:
+        base = self._base
+        kp, kv, damping = base.diagonals
+        factor = at.get("kv", 1.0)
+        kv = factor * kv
+        kp = at["a"] * kv if "a" in at else factor * kp
+        return SetpointController(
+            base.task, Gains(kp, kv, at.get("damping", 1.0) * damping), gravity=base.gravity,
+            saturation=base.saturation,
+        )  # fmt: skip
+
+    def _scenarios(
+        self, at: Mapping[str, float], n: int, *, as_targets: bool = False
+    ) -> tuple[Scenarios, Sampler]:
+        key = (at.get("error", 1.0), n, as_targets)
+        if self._kept is None or self._kept[0] != key:
+            corners, plants = true_plants(self._base, self._scaled(at))
+            sampler = Sampler(self._base, plants, self._region, self._target)
+            rng = np.random.default_rng(self._seed)
+            rounds = -(-n // len(corners)) * len(corners)  # every corner as often
+            if as_targets and self._target is not None:
+                scenarios = attaining(sampler, rng)
+            else:
+                scenarios = sampler.draw(rounds, rng)
+            self._kept = (key, scenarios, sampler)
+        return self._kept[1], self._kept[2]
+
+
+def _values(name: str, given: Sequence[float] | Array) -> Array:
+    values = as_array(f"values of {name}", given, (np.size(given),))
+    low = 0.0 if name == "error" else np.nextafter(0.0, 1.0)
+    if len(values) < 2 or values[0] < low or not (np.diff(values) > 0.0).all():
+        wanted = ">= 0" if name == "error" else "> 0"
+        raise InvalidInputError(
+            f"values of {name} must be at least two growing numbers {wanted}, got "
+            f"{values.tolist()}",
+            given=given,
+        )
+    return values

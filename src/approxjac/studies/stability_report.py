@@ -1,0 +1,213 @@
+"""The stability of an arm in words and pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from approxjac.checks import Array
+from approxjac.stability.map import PARAMETERS
+from approxjac.studies.stability import StabilityResult
+from approxjac.tasks import FrameKinematics
+from approxjac.view import new_figure, plot_allowed_error, plot_map, plot_margins, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def text(result: StabilityResult) -> str:
+    """The table of the four tests, what each tolerates, and what to do."""
+    case = result.case
+    lines = [
+        f"{case.uncertainty!r}",
+        f"{result.report}",
+    ]
+    if result.tolerances:
+        lines += ["", "how far the errors may be scaled", *_tolerated(result)]
+    return "\n".join([*lines, "", *advice(result)])
+
+
+def advice(result: StabilityResult) -> list[str]:
+    """What follows, as sentences that a person can act on."""
+    report, case = result.report, result.case
+    errors = case.uncertainty.describe_box()
+    if not report.gravity_is_exact:
+        return ["not certified: gravity is neither known nor can it be learnt (wrong joint axes)"]
+    first = report.theorem1
+    sign = "<" if first.holds else ">="
+    lines = [
+        f"Theorem 1 {'certifies' if first.holds else 'does not certify'} {errors}: "
+        f"p = {first.p:.3g} {sign} {max(first.allowed_p, 0.0):.3g}"
+    ]
+    best = max(report.matrix.values(), key=lambda test: (test.certified, test.margin))
+    if best.certified:
+        lines.append(f"the matrix form certifies it with margin {best.margin:.3g}")
+    else:
+        reason = f"margin {best.margin:.3g}"
+        if best.margin > 0.0:
+            reason = (
+                f"{reason} where it was chosen, but violated in {best.violations} of "
+                f"{best.checked} further postures (more postures may find a better function)"
+            )
+        lines.append(f"the matrix form does not certify it: {reason}")
+        if result.raised_damping is not None:
+            damping = result.raised_damping * case.controller.diagonals.damping
+            lines.append(
+                f"raise damping to {_short(damping)}, {result.raised_damping:g} times what it is, "
+                "to certify it"
+            )
+        matrix = result.tolerances.get("matrix")
+        if matrix is not None and 0.0 < matrix.scale < 1.0:
+            lines.append(f"as it is, certified are errors of {matrix.uncertainty.describe_box()}")
+    if not report.local.stable:
+        lines.append(
+            f"not stable near {100 * (1 - report.local.share):.3g} % of the targets, so no test "
+            "can certify the region: smaller errors, another region or a smaller a = k_p/k_v may"
+        )
+    return lines
+
+
+def draw_figure_1(result: StabilityResult) -> Figure:
+    """Figure 1 for this arm and its errors."""
+    first, controller = result.report.theorem1, result.case.controller
+    kp, kv, _ = controller.diagonals
+    figure, (ax,) = new_figure(size=(6.5, 4.8))
+    plot_allowed_error(
+        first.lambda_2,
+        first.p,
+        unit=f"{controller.task.unit}/rad",
+        p_label="p of the errors, the largest ‖Jᵀ − Ĵᵀ‖",
+        own_a=float(kp.max() / kv.max()),
+        ax=ax,
+    )
+    return figure
+
+
+def draw_workspace(result: StabilityResult) -> Figure:
+    """Margin of the matrix form over the workspace, in two planes of the world."""
+    report = result.report
+    best = max(report.matrix.values(), key=lambda test: test.margin)
+    robot = result.case.controller.task.robot
+    tip = FrameKinematics(robot, robot.tip_or(None))
+    positions = np.array([tip.position(q) for q in report.scenarios.q])
+    figure, axes = new_figure(
+        2, title=f"{robot.name}: margin of the matrix form where the believed tip is"
+    )
+    for ax, plane in zip(axes, ("xz", "xy"), strict=True):
+        plot_margins(positions, best.margins, plane, ax, title=f"{plane[0]}-{plane[1]} plane")
+    return figure
+
+
+def draw_map(result: StabilityResult) -> Figure | None:
+    """The stability map, or None if none was made."""
+    found = result.map
+    if found is None:
+        return None
+    boundaries = [
+        ("test 1, Theorem 1", found.x, found.y, found.theorem1),
+        ("test 2, matrix form", found.coarse_x, found.coarse_y, found.matrix),
+    ]
+    if np.isfinite(found.rollouts).any():
+        # half way between all runs and the next smaller share
+        share = found.rollouts - 1.0 + 0.5 / max(1, result.case.settings.map_runs)
+        boundaries.append(
+            ("test 4, rollouts reach 1 mm in 10 s", found.coarse_x, found.coarse_y, share)
+        )
+    figure, (ax,) = new_figure(size=(7.0, 5.8))
+    plot_map(
+        found.x,
+        found.y,
+        found.decay_rate,
+        boundaries,
+        labels=(PARAMETERS[found.names[0]], PARAMETERS[found.names[1]]),
+        own=(_own(result, found.names[0]), _own(result, found.names[1])),
+        ax=ax,
+        title=textwrap.fill(
+            f"{result.case.controller.task.robot.name}: errors of scale 1 are "
+            f"{result.case.uncertainty.describe_box()}",
+            70,
+        ),
+    )
+    return figure
+
+
+def summary(result: StabilityResult) -> dict[str, Any]:
+    """What goes into summary.json."""
+    case, found = result.case, result.map
+    return {
+        **result.report.summary(),
+        "rollouts": None
+        if result.report.rollouts is None
+        else {
+            "runs": result.report.rollouts.n,
+            "converged": result.report.rollouts.n_converged,
+            "interval": list(result.report.rollouts.interval),
+        },
+        "tolerance": {
+            test: {
+                "scale": each.scale,
+                "fails_at": each.fails_at if math.isfinite(each.fails_at) else None,
+                "errors": each.uncertainty.describe_box(),
+                "worst": each.worst_text,
+            }
+            for test, each in result.tolerances.items()
+        },
+        "raised_damping": result.raised_damping,
+        "advice": advice(result),
+        "gains": {
+            name: value.tolist() for name, value in case.controller.diagonals._asdict().items()
+        },
+        "map": None
+        if found is None
+        else {
+            field.name: _plain(getattr(found, field.name)) for field in dataclasses.fields(found)
+        },
+        "settings": dataclasses.asdict(case.settings),
+    }
+
+
+def write(result: StabilityResult, out: Path) -> None:
+    """Write the pictures and summary.json into a folder."""
+    save_figure(draw_figure_1(result), out / "figure1")
+    save_figure(draw_workspace(result), out / "workspace")
+    drawn = draw_map(result)
+    if drawn is not None:
+        save_figure(drawn, out / "map")
+    (out / "summary.json").write_text(json.dumps(summary(result), indent=2) + "\n", "utf-8")
+
+
+def _tolerated(result: StabilityResult) -> list[str]:
+    names = {"theorem1": "1 Theorem 1", "matrix": "2 matrix form", "local": "3 local"}
+    lines = []
+    for test, each in result.tolerances.items():
+        fails = f"; fails with {each.worst_text}" if each.worst_text else ""
+        lines.append(
+            f"{names[test]:<14} to {each.scale:<6.3g} {each.uncertainty.describe_box()}{fails}"
+        )
+    return lines
+
+
+def _own(result: StabilityResult, name: str) -> float:
+    """Where the controller and its errors are on an axis of the map."""
+    kp, kv, _ = result.case.controller.diagonals
+    return float(np.mean(kp / kv)) if name == "a" else 1.0
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, with None for what is not finite."""
+    if isinstance(value, np.ndarray):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def _short(values: Array) -> str:
+    numbers = [f"{value:.3g}" for value in values]
+    return numbers[0] if len(set(numbers)) == 1 else f"[{', '.join(numbers)}]"

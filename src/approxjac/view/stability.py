@@ -1,0 +1,160 @@
+"""Plots of what the stability tests say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from approxjac import law
+from approxjac.checks import Array, axis_rows
+from approxjac.view.style import COLORS, TARGET, legend_below, new_figure, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def plot_allowed_error(
+    lambda2: float,
+    p: float,
+    *,
+    unit: str,
+    p_label: str,
+    own_a: float | None = None,
+    ax: Axes | None = None,
+    title: str = "Figure 1: allowed Jacobian error",
+) -> Axes:
+    """Draw Figure 1: the p that (23) allows against a, its two curves and their crossing.
+
+    α is √λ₂, which allows the largest p.
+
+    Args:
+        lambda2: λ₂ of (23).
+        p: ‖Jᵀ − Ĵᵀ‖, drawn dashed.
+        unit: Of p.
+        p_label: What p is of.
+        own_a: The controller's own a = k_p/k_v, marked if given [1/s].
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+    """
+    alpha = float(np.sqrt(lambda2))
+    right = max(4.0 * alpha, 1e-12, 1.3 * (own_a or 0.0))
+    a = np.linspace(0.0, right, 600)[1:]
+    velocity = law.allowed_p_velocity(a, alpha, lambda2)
+    position = law.allowed_p_position(a, alpha)
+    with style():
+        ax = new_figure(size=(6.5, 4.8))[1][0] if ax is None else ax
+        allowed = np.minimum(velocity, position)
+        ax.fill_between(a, allowed, color=COLORS[2], alpha=0.15, label="p allowed by (23)")
+        ax.plot(a, velocity, color=COLORS[0], label="2λ₂/(a + α)")
+        ax.plot(a, position, color=COLORS[1], label="2aα/(a + α)")
+        if alpha > 0.0:
+            label = f"crossing: a = λ₂/α = {alpha:.4f}, p = √λ₂ = {alpha:.4f}"
+            ax.plot([alpha], [alpha], "o", color=COLORS[6], ms=5, label=label)
+        ax.axhline(p, color=TARGET, linestyle="--", label=f"{p_label}: {p:.4f}")
+        if own_a is not None:
+            ax.axvline(own_a, color=COLORS[3], label=f"the controller's own a = {own_a:.3g}")
+        ax.set(
+            xlabel="a = k_p / k_v [1/s]",
+            ylabel=f"allowed p [{unit}]",
+            title=f"{title} (α = √λ₂ = {alpha:.4f} 1/s)",
+            ylim=(0.0, 1.25 * max(p, float(velocity.max()))),
+            xlim=(0.0, right),
+        )
+        legend_below(ax)
+    return ax
+
+
+def plot_margins(
+    positions: Array,
+    margins: Array,
+    plane: str = "xz",
+    ax: Axes | None = None,
+    *,
+    title: str = "Margin over the workspace",
+) -> Axes:
+    """Draw the margin of each posture where its tip is, the smallest on top.
+
+    Args:
+        positions: Where the tip is in each posture, shape (N, 3) [m].
+        margins: Shape (N,).
+        plane: Two world axes, such as "xz".
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+    """
+    rows = axis_rows("plane", plane)
+    top = np.argsort(-margins)
+    with style():
+        ax = new_figure()[1][0] if ax is None else ax
+        reach = max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0)))
+        dots = ax.scatter(
+            positions[top, rows[0]], positions[top, rows[1]], s=9,
+            c=np.clip(margins[top], -reach, reach), cmap="RdYlBu", vmin=-reach,
+            vmax=reach, linewidths=0,
+        )  # fmt: skip
+        worst = positions[margins.argmin(), rows]
+        ax.plot(*worst, "s", mfc="none", mec=COLORS[6], ms=9, mew=1.5,
+                label=f"worst: {margins.min():.3g}")  # fmt: skip
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title=title)
+        ax.figure.colorbar(dots, ax=ax, label="margin (positive: certified)", shrink=0.8)
+        legend_below(ax)
+    return ax
+
+
+def plot_map(
+    x: Array,
+    y: Array,
+    decay_rate: Array,
+    boundaries: Sequence[tuple[str, Array, Array, Array]],
+    *,
+    labels: tuple[str, str],
+    own: tuple[float, float] | None = None,
+    ax: Axes | None = None,
+    title: str = "Stability map",
+) -> Axes:
+    """Draw the decay rate over two parameters, and where each test stops to pass.
+
+    Args:
+        x: Values of the first parameter, shape (N_x,).
+        y: Values of the second, shape (N_y,).
+        decay_rate: Shape (N_y, N_x) [1/s]; its zero is drawn as test 3's boundary.
+        boundaries: Of further tests: name, x (n_x,), y (n_y,) and a value (n_y, n_x) that is
+            positive where the test passes.
+        labels: Of the axes.
+        own: Where the controller and its errors are.
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+    """
+    with style():
+        ax = new_figure(size=(7.0, 5.6))[1][0] if ax is None else ax
+        reach = float(np.quantile(np.abs(decay_rate), 0.95)) or 1.0
+        shown = ax.pcolormesh(
+            x, y, np.clip(decay_rate, -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
+            shading="nearest", rasterized=True,
+        )  # fmt: skip
+        ax.figure.colorbar(shown, ax=ax, label="slowest decay [1/s] (negative: grows)")
+        tests = [("test 3, local", x, y, decay_rate), *boundaries]
+        for k, (name, at_x, at_y, value) in enumerate(tests):
+            color, line = COLORS[6] if k == 0 else COLORS[k], ("-", "-", "--", ":")[k % 4]
+            passes = np.nan_to_num(value, nan=-1.0) > 0.0
+            where = ""
+            if passes.all():
+                where = ": passes everywhere"
+            elif not passes.any():
+                where = ": passes nowhere"
+            else:
+                ax.contour(at_x, at_y, value, levels=[0.0], colors=[color], linestyles=[line],
+                           linewidths=2.0)  # fmt: skip
+            ax.plot([], [], line, color=color, linewidth=2.0, label=name + where)
+        if own is not None:
+            ax.plot(*own, "*", color=COLORS[6], mec="white", ms=14, label="as given")
+        if y[0] > 0.0 and y[-1] / y[0] > 20.0:
+            ax.set_yscale("log")
+        if x[0] > 0.0 and x[-1] / x[0] > 20.0:
+            ax.set_xscale("log")
+        ax.set(xlabel=labels[0], ylabel=labels[1], title=title)
+        ax.grid(visible=False)
+        legend_below(ax)
+    return ax

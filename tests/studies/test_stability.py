@@ -1,0 +1,164 @@
+"""`approxjac stability`: what it prints, draws and writes, and what it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+from approxjac.cli import main
+from approxjac.studies import stability as study
+from approxjac.studies import stability_report as report
+from approxjac.studies.stability import StabilitySettings
+
+AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
+QUICK = ["--postures", "60", "--runs", "1", "--map-points", "3", "--map-runs", "0"]
+
+
+def stability(tmp_path, *options):
+    return main(["stability", *options, "--out", str(tmp_path)])
+
+
+@pytest.fixture(scope="module")
+def certified(tmp_path_factory):
+    """A small tool on a Panda; the code, and the folder that was written."""
+    out = tmp_path_factory.mktemp("stability")
+    code = stability(
+        out, "panda", "--object-length", "0", "0.1", "--around", *AROUND, "--radius", "0.1", *QUICK
+    )
+    return code, out
+
+
+def test_a_certified_set(certified):
+    code, out = certified
+    assert code == 0
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert summary["certified_by"] == "matrix"
+    assert summary["raised_damping"] is None
+    assert set(summary["tolerance"]) == {"theorem1", "matrix", "local"}
+    scales = [summary["tolerance"][test]["scale"] for test in ("theorem1", "matrix", "local")]
+    assert scales == sorted(scales)
+    assert scales[0] < 0.2 < 1.0 < scales[1]
+    assert summary["rollouts"]["runs"] == 1
+    assert np.array(summary["map"]["decay_rate"]).shape == (3, 3)
+    assert summary["settings"]["object_length"] == [0.0, 0.1]
+    assert summary["advice"][0].startswith("Theorem 1 does not certify object_length 0.00 m to 0.1")
+    assert summary["advice"][1].startswith("the matrix form certifies it with margin 0.")
+
+
+def test_pictures_are_drawn(certified):
+    from matplotlib.image import imread
+
+    _, out = certified
+    for name in ("figure1", "workspace", "map"):
+        assert (out / f"{name}.svg").stat().st_size > 5000
+        picture = imread(out / f"{name}.png")[..., :3]
+        assert picture.std() > 0.05  # something is on it
+
+
+def test_it_repeats_bit_by_bit(certified, tmp_path):
+    _, out = certified
+    stability(
+        tmp_path, "panda", "--object-length", "0", "0.1", "--around", *AROUND, "--radius", "0.1",
+        *QUICK,
+    )  # fmt: skip
+    for name in ("summary.json", "map.svg", "figure1.png", "workspace.png"):
+        assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
+
+
+def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
+    code = stability(
+        tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
+        "--damping", "0.1", "--kp", "400", "--kv", "80", "--postures", "30", "--runs", "0",
+        "--map-points", "0",
+    )  # fmt: skip
+    shown = capsys.readouterr().out
+    assert code == 1
+    assert "the matrix form does not certify it" in shown
+    assert "raise damping to " in shown
+    assert "to certify it" in shown
+    assert "as it is, certified are errors of object_length 0.00 m to 0." in shown
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    factor = summary["raised_damping"]
+    assert not (tmp_path / "map.png").exists()
+    # and what it says is true
+    again = stability(
+        tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
+        "--damping", f"{0.1 * factor}", "--kp", "400", "--kv", "80", "--postures", "30",
+        "--runs", "0", "--map-points", "0",
+    )  # fmt: skip
+    assert again == 0
+
+
+def test_camera_of_the_two_link_arm(tmp_path):
+    case = study.prepare(
+        "two_link",
+        StabilitySettings(
+            camera=(0.05, 3.0, 0.0), roll=(-0.5, 0.5), distance=(2.5, 3.5), kp=(5000.0,),
+            kv=(10000.0,), damping=(1.0,), around=(1.5, 1.5), radius=0.1, postures=40, runs=0,
+            map=("error", "damping"), map_points=2, map_runs=0,
+        ),
+    )  # fmt: skip
+    result = study.run(case)
+    assert case.controller.task.unit == "m"
+    assert result.tolerances["local"].scale > result.tolerances["theorem1"].scale
+    assert "camera roll" in report.text(result)
+    assert report.draw_map(result) is not None
+
+
+def test_gravity_may_be_learnt_or_not_be_felt():
+    settings = StabilitySettings(object_length=(0.0, 0.1), gravity="learnt")
+    assert study.prepare("panda", settings).controller.adaptation is not None
+    exact = study.prepare("panda", StabilitySettings(object_length=(0.0, 0.1)))
+    assert not exact.uncertainty.arm.gravity.any()
+
+
+def test_regions(tmp_path):
+    arm = aj.load_robot("panda")
+    joints = tuple(float(q) for q in AROUND)
+    start = aj.PositionTask(arm).value(np.array(joints))
+    near = StabilitySettings(reach_from=joints, target=tuple(start + [0.02, 0.0, 0.02]))
+    assert isinstance(study.prepare("panda", near).region, aj.SublevelSet)
+    run = aj.simulate(
+        aj.Plant(arm, aj.PositionTask(arm)), aj.SetpointController(aj.PositionTask(arm)),
+        start + 0.02, joints, 0.1, dt=1e-3,
+    )  # fmt: skip
+    run.save(tmp_path / "run.npz")
+    tube = study.prepare("panda", StabilitySettings(run=str(tmp_path / "run.npz"), radius=0.1))
+    assert isinstance(tube.region, aj.Tube)
+    assert isinstance(study.prepare("panda", StabilitySettings()).region, aj.RegularPart)
+    regular = study.prepare("panda", StabilitySettings(around=joints, sigma_min=0.1))
+    assert isinstance(regular.region, aj.RegularPart)
+    assert isinstance(regular.region.region, aj.JointBox)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--kp", "0"], "kp must be > 0"),
+        (["--object-length", "0.3", "0.1"], "object_length"),
+        (["--object-mass", "-1", "1"], "object_mass"),
+        (["--sigma-min", "50"], "the region is empty"),
+        (["--target", "9", "9", "9"], "target must be within reach of every true robot"),
+        (["--around", "0", "0"], "lower must have shape"),
+        (["--around", *AROUND, "--run", "x.npz"], "one region must be given, got around and run"),
+        (["--reach-from", *AROUND], "reach_from needs a target, got none"),
+        (["--map", "error", "b"], "parameter 'b' not in the map"),
+        (["--map-points", "1"], "map_points must be 0 or >= 2, got 1"),
+        (["--postures", "3"], "postures must be an integer >= 20, got 3"),
+        (["--jobs", "0"], "jobs must be >= 1, got 0"),
+        (["--radius", "0"], "radius must be a finite number > 0"),
+        (["--roll", "-0.1", "0.1"], "camera"),
+        (["--camera", "0.05", "3", "0", "--axes", "xz"], "axes are those of a position task"),
+    ],
+)
+def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):
+    given = options if "--object-length" in options else ["--object-length", "0", "0.1", *options]
+    quick = [word for word in ("--runs", "0") if "--runs" not in options]
+    if "--postures" not in options:
+        quick += ["--postures", "20"]
+    assert stability(tmp_path, "panda", *given, *quick) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("approxjac: ")
+    assert error.count("\n") == 1
+    assert text in error
