@@ -111,7 +111,7 @@ def test_the_lyapunov_function_that_is_watched_falls_as_its_matrix_says(case):
 
 def test_a_function_that_does_not_certify_is_seen_to_rise():
     loop = certify_cases.build(CASES[0])
-    report = certify.test(loop)
+    report = certify.assess(loop)
     weights = report.matrix["free"].weights
     wrong = {"free": replace(weights, w=weights.w * np.array([0.02, 1.0]))}
     motion = certify.move(loop, 1.0)

@@ -119,7 +119,7 @@ class Outcome(NamedTuple):
 def run_case(case: Case) -> Outcome:
     """Test a case, run it, and hold one against the other."""
     loop = build(case)
-    report = test(loop)
+    report = assess(loop)
     local = local_stability(loop.plant, loop.controller, loop.q_target)
     motion = move(loop, local.decay_rate)
     chosen = functions(report)
@@ -167,7 +167,7 @@ def run(
         return [future.result() for future in waiting]
 
 
-def test(loop: Loop, postures: int = POSTURES) -> StabilityReport:
+def assess(loop: Loop, postures: int = POSTURES) -> StabilityReport:
     """What the tests say before anything moves."""
     return stability_report(
         loop.controller, loop.plant, loop.region, target=loop.target, postures=postures
@@ -321,7 +321,7 @@ def choose_damping(loop: Loop, report: StabilityReport) -> tuple[float, float] |
     for factors in DAMPINGS[1:]:
         damped = loop.with_damping(*factors)
         # most fail, and few postures tell
-        if _certified_by_test_2(test(damped, _FEW)) and _certified_by_test_2(test(damped)):
+        if _certified_by_test_2(assess(damped, _FEW)) and _certified_by_test_2(assess(damped)):
             local = local_stability(damped.plant, damped.controller, damped.q_target)
             if move(damped, local.decay_rate).converged:
                 return factors

@@ -98,7 +98,16 @@ def _conservatism(outcomes: Sequence[Outcome]) -> list[str]:
     if singular:
         lines.append(_row(["Ĵ loses rank in the region", len(singular), *_shares(singular)]))
     missed = [o for o in converging if o.damping is None]
-    lines += ["", f"Not certified with any damping although it converges: {len(missed)}."]
+    singular = [o for o in missed if o.singular]
+    wrong_way = [o for o in missed if o.wrong_way and not o.singular]
+    lines += [
+        "",
+        f"Not certified with any damping although they converge: {len(missed)}. In {len(singular)} "
+        f"Ĵ loses rank in the region; in {len(wrong_way)} the region holds postures that are no "
+        f"stable targets, so no function could do; {len(missed) - len(singular) - len(wrong_way)} "
+        "are left.",
+        "",
+    ]
     return lines + [f"- {_missed(outcome)}" for outcome in missed]
 
 
