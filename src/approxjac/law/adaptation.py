@@ -7,7 +7,7 @@ import numpy as np
 from approxjac.checks import Array
 
 
-def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float) -> Array:
+def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:
     """y = q̇ + α Ĵ⁺ s(e): the output along which the closed loop is passive.
 
     Implements Eq. (10).
