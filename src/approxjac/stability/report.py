@@ -26,6 +26,7 @@ from approxjac.stability.matrix_form import Family, MatrixForm, Weights
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
 from approxjac.stability.scenarios import Sampler, Scenarios
+from approxjac.stability.singular import singular_posture
 from approxjac.stability.targets import LocalTest, attaining, local_test
 from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.uncertainty import Uncertainty
@@ -54,6 +55,8 @@ class StabilityReport:
         corners: Values of the uncertain coordinates of each true robot, shape (k, d).
         gravity_error: Largest gravity torque in the region that the controller neither
             compensates nor can learn [N m or N]. All tests but the rollouts take it as zero.
+        singular_q: A posture of the region where Ĵ loses rank, shape (nq,), with which nothing
+            certifies the region; None if none was found.
         seed: Of all drawing.
     """
 
@@ -68,6 +71,7 @@ class StabilityReport:
     rollouts: Rollouts | None
     corners: Array
     gravity_error: float
+    singular_q: Array | None
     seed: int
 
     @property
@@ -78,7 +82,7 @@ class StabilityReport:
     @property
     def certified_by(self) -> str | None:
         """The strongest test that certifies the region: "theorem1", "matrix", or None."""
-        if not self.gravity_is_exact:
+        if not self.gravity_is_exact or self.singular_q is not None:
             return None
         if self.theorem1.holds:
             return "theorem1"
@@ -108,6 +112,16 @@ class StabilityReport:
                     "not exact",
                     f"off by up to {self.gravity_error:.3g} N m: the error does not go to 0 but to "
                     "where K_p makes up for it, unless gravity is learnt (AdaptiveGravity)",
+                )
+            )
+        if self.singular_q is not None:
+            rows.append(
+                (
+                    "0 rank",
+                    "not regular",
+                    "the estimated Jacobian loses rank in the region, where the arm may stand "
+                    f"still away from its target: at q = {self.singular_q.round(3).tolist()}; "
+                    "nothing below holds there; RegularPart leaves such postures out",
                 )
             )
         rows += [
@@ -171,6 +185,7 @@ class StabilityReport:
             "postures": len(self.scenarios),
             "seed": self.seed,
             "certified_by": self.certified_by,
+            "singular_q": None if self.singular_q is None else self.singular_q.tolist(),
             "theorem1": {
                 "holds": first.holds,
                 "margin": _number(first.margin),
@@ -316,6 +331,7 @@ def stability_report(
         outcome,
         corners,
         gravity_error(controller, plants, scenarios.q[:: max(1, len(scenarios) // 20)]),
+        singular_posture(region, controller.task, scenarios),
         seed,
     )
 

@@ -1,0 +1,61 @@
+"""Regions that hold a posture where Ĵ loses rank: no test may certify them."""
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+from approxjac.controllers import NoGravity
+from approxjac.stability import JointBox, RegularPart, stability_report
+
+
+@pytest.fixture(scope="module")
+def straight():
+    """An exact model, a target that bends the arm, and a start where it points at the target."""
+    arm = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
+    task = aj.PositionTask(arm, axes="xz")
+    controller = aj.SetpointController(task, aj.Gains(kp=100.0, kv=50.0), gravity=NoGravity(arm))
+    q_target = np.array([0.3, 0.4])
+    q0 = np.array([q_target[0] + 0.5 * q_target[1], 0.0])  # links of one length
+    return aj.Plant(arm, task), controller, task.value(q_target), q0
+
+
+def test_an_arm_stands_still_where_the_jacobian_is_singular(straight):
+    plant, controller, target, q0 = straight
+    run = aj.simulate(plant, controller, target, q0, duration=5.0)
+    assert run.error_norm[-1] == pytest.approx(run.error_norm[0], rel=1e-6)
+    assert np.abs(run.q - q0).max() < 1e-6
+
+
+@pytest.mark.parametrize("postures", [100, 600])
+def test_so_no_test_certifies_a_region_with_such_a_posture(straight, postures):
+    plant, controller, target, q0 = straight
+    box = JointBox.around(plant.robot, q0, 0.45)
+    report = stability_report(controller, plant, box, target=target, postures=postures)
+    # samples alone do not tell: none is exactly there
+    assert np.linalg.svd(report.scenarios.J_hat)[1][:, -1].min() > 1e-6
+    assert report.singular_q is not None
+    assert box.contains(report.singular_q)
+    assert report.singular_q[1] == pytest.approx(0.0, abs=1e-3)
+    assert report.certified_by is None
+    assert "0 rank" in str(report)
+    assert report.summary()["singular_q"] == report.singular_q.tolist()
+
+
+def test_the_regular_part_of_the_region_is_certified(straight):
+    plant, controller, target, q0 = straight
+    box = JointBox.around(plant.robot, q0, 0.45)
+    regular = RegularPart(box, controller.task, 0.05)
+    report = stability_report(controller, plant, regular, target=target, postures=100)
+    assert report.singular_q is None
+    assert report.certified_by is not None
+
+
+def test_a_redundant_arm_is_singular_in_fewer_postures():
+    arm = aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
+    task = aj.PositionTask(arm)
+    controller = aj.SetpointController(task, gravity=NoGravity(arm))
+    q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.8])
+    report = stability_report(
+        controller, arm, JointBox.around(arm, q, 0.2), target=task.value(q), postures=60
+    )
+    assert report.singular_q is None
