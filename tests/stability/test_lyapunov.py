@@ -217,11 +217,7 @@ def states_with_large_orientation_errors(plant, controller, target, samples):
 @pytest.mark.parametrize("name", ["panda", "xarm7"])
 @pytest.mark.parametrize("rotational", [(40.0, 40.0, 40.0), (40.0, 60.0, 20.0)])
 def test_a_pose_with_a_large_orientation_error(name, rotational):
-    """Eq. (13) holds for orientation, far away too, if and only if the rotational gains are equal.
-
-    With equal ones the potential's rate is φᵀφ̇ = φᵀω; with others Σ k φᵢφ̇ᵢ ≠ Σ k φᵢωᵢ, except
-    near the target.
-    """
+    """Eq. (13) holds for orientation, far away too, with ∂e/∂q for J; also where gains differ."""
     truth, belief = unknown_tool(name)
     plant = aj.Plant(truth, aj.PoseTask(truth), friction=0.3)
     kp = np.array([400.0, 300.0, 500.0, *rotational])
@@ -232,31 +228,7 @@ def test_a_pose_with_a_large_orientation_error(name, rotational):
     for q, v in states_with_large_orientation_errors(plant, controller, target, 6):
         W = value(q, v, np.zeros(0)).W
         misses.append(abs(v_dot(value, step, q, v, np.zeros(0), 5e-7) + W) / abs(W))
-    if len(set(rotational)) == 1:
-        assert max(misses) < 1e-6
-    else:
-        assert min(misses) > 1e-4
-
-
-def test_a_pose_near_the_target_with_unequal_rotational_gains():
-    """What unequal gains miss is of third order in the error: 0.1 % of W at 0.01 rad, not 1 %."""
-    truth, belief = unknown_tool("panda")
-    plant = aj.Plant(truth, aj.PoseTask(truth), friction=0.3)
-    kp = np.array([400.0, 300.0, 500.0, 40.0, 60.0, 20.0])
-    controller = controller_of(truth, aj.PoseTask(belief), aj.Gains(kp, 0.2 * kp, damping=1.0))
-    rng = np.random.default_rng(9)
-    q = np.array([0.0, -0.4, 0.3, -1.9, 0.2, 1.6, 0.4])
-    motion, velocity = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 7)
-    misses = []
-    for size in (0.04, 0.02, 0.01):
-        target = plant.sensor.value(q - size * motion)
-        value, step = flow_V(plant, controller, target, 0.5, None)
-        v = size * velocity
-        W = value(q, v, np.zeros(0)).W
-        misses.append(abs(v_dot(value, step, q, v, np.zeros(0), 1e-4) + W))
-    # V̇ + W = k φ × ω and the like: cubic, where W itself is quadratic
-    assert misses[0] / misses[1] == pytest.approx(8.0, rel=0.2)
-    assert misses[1] / misses[2] == pytest.approx(8.0, rel=0.2)
+    assert max(misses) < 1e-6
 
 
 @pytest.mark.parametrize("name", ["panda", "xarm7"])

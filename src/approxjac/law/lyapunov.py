@@ -67,7 +67,7 @@ def W(
         v: Joint velocity q̇, shape (n_v,).
         s: Saturated error s(e), shape (m,).
         s_dot: ds/dt = s'(e) J q̇, shape (m,).
-        J: True task Jacobian, shape (m, n_v).
+        J: True ∂e/∂q, the task Jacobian where e = x − x_d, shape (m, n_v).
         J_hat: Estimated task Jacobian, shape (m, n_v).
         J_hat_pinv: Ĵ⁺, shape (n_v, m).
         J_hat_pinv_dot: d/dt Ĵ⁺, shape (n_v, m).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from approxjac.stability.matrix_form import (
     Weights,
     best_weights,
 )
+from approxjac.stability.rollouts import clopper_pearson
 from approxjac.stability.scenarios import Sampler, Scenarios
 from approxjac.stability.theorem1 import CONSTANTS, badness, constants
 
@@ -22,7 +24,7 @@ _REFINED = 6  # closer looks at the worst scenario, each from the worst of the l
 _NEAR = 40  # scenarios of a closer look
 _CLOSER = 0.15  # of the region's spread
 _NOTABLE = 1e-3  # margin
-_CONFIDENCE = 0.95
+_MISSED = 0.05 / 3  # three families share the 5 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,7 @@ class MatrixTest:
         margins: Its margin in each scenario that it was chosen on, shape (N,).
         checked: In how many further scenarios, drawn independently, it was checked.
         violations: In how many of them its margin is not positive.
+        independent: Whether postures were drawn independently of each other.
     """
 
     family: Family
@@ -42,6 +45,7 @@ class MatrixTest:
     margins: Array
     checked: int
     violations: int
+    independent: bool
 
     @property
     def margin(self) -> float:
@@ -65,8 +69,15 @@ class MatrixTest:
 
     @property
     def violating_at_most(self) -> float:
-        """Share of the region that may violate, an exact upper bound at 95 % confidence."""
-        return _upper_bound(self.violations, self.checked)
+        """Share of the combinations drawn (posture, target, true robot) that may violate.
+
+        An exact upper bound, at 95 % confidence for all families together; NaN where postures
+        are not drawn independently.
+        """
+        if not self.independent:
+            return math.nan
+        # of a two-sided interval the upper end is missed half as often
+        return clopper_pearson(self.violations, self.checked, 1.0 - 2.0 * _MISSED)[1]
 
 
 def refine_constants(
@@ -106,12 +117,3 @@ def refine_weights(
     for nearby in found:
         form = form.join(nearby)
     return form, best_weights(form, family, best) if found else best
-
-
-def _upper_bound(violations: int, checked: int) -> float:
-    """Clopper–Pearson: one-sided upper bound of a share."""
-    from scipy.stats import beta
-
-    if violations >= checked:
-        return 1.0
-    return float(beta.ppf(_CONFIDENCE, violations + 1, checked - violations))

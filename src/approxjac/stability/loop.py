@@ -16,6 +16,8 @@ from approxjac.stability.region import JointBox, Region, RegularPart
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.tasks.task import vanishing
 
+EXACT_GRAVITY = 1e-5
+"""Gravity torque that counts as none [N m or N]."""
 _REGULAR = 0.5  # times a tenth of the typical σ_max, below which postures are left out
 
 
@@ -30,13 +32,30 @@ def require_law(controller: SetpointController) -> None:
         )
 
 
+def require_gravity(
+    controller: SetpointController, uncertainty: Uncertainty, region: Region
+) -> None:
+    """Refuse gravity that is neither exact nor can be learnt on the true robots of a set."""
+    _, plants = true_plants(controller, uncertainty)
+    error = gravity_error(controller, plants, region.sample(5, np.random.default_rng(0)))
+    if error > EXACT_GRAVITY:
+        raise InvalidInputError(
+            f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} N m; "
+            "AdaptiveGravity learns it, and robots with_gravity((0, 0, 0)) take it as compensated",
+            given=controller,
+        )
+
+
 def true_plants(
     controller: SetpointController, truth: Plant | Robot | Uncertainty
 ) -> tuple[Array, list[Plant]]:
     """The corners (k, d) of a set of true robots and their plants; of a single one, that."""
     if isinstance(truth, Uncertainty):
         corners = truth.corners()
-        return corners, [truth.plant(values) for values in corners]
+        plants = [truth.plant(values) for values in corners]
+        for plant in plants:
+            plant.require_task(controller.task)
+        return corners, plants
     if isinstance(truth, Robot):
         truth = Plant(truth, controller.task.on(truth))
     require("truth", truth, Plant, "a Plant, a Robot or an Uncertainty")

@@ -67,7 +67,7 @@ def lyapunov(
     kp, kv, damping = controller.diagonals
     e = sensor.error(sensor.value(q), target)
     s = controller.saturation.s(e)
-    J, J_hat = sensor.jacobian(q), task.jacobian(q)
+    J_e, J_hat = sensor.error_jacobian(e, sensor.jacobian(q)), task.jacobian(q)
     sigma_min, sigma_max = law.extreme_singular_values(J_hat)
     if sigma_min <= 1e-7 * sigma_max:
         raise InvalidInputError(
@@ -92,8 +92,8 @@ def lyapunov(
     W = law.W(
         v,
         s,
-        controller.saturation.ds(e) * sensor.error_rate(e, J @ v),
-        J,
+        controller.saturation.ds(e) * (J_e @ v),
+        J_e,
         J_hat,
         J_hat_pinv,
         law.right_pinv_dot(J_hat, task.jacobian_dot(q, v)),

@@ -12,12 +12,18 @@ import numpy as np
 from approxjac.checks import Array, as_array, require
 from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.stability.loop import default_region, require_law, setting_of, true_plants
+from approxjac.stability.loop import (
+    default_region,
+    require_gravity,
+    require_law,
+    setting_of,
+    true_plants,
+)
 from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.scenarios import Sampler, Scenarios
-from approxjac.stability.targets import attaining, local_test
+from approxjac.stability.scenarios import Sampler, Scenarios, UnattainedError
+from approxjac.stability.targets import local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
 
@@ -120,6 +126,8 @@ def stability_map(
     if len(set(names)) != 2:
         raise InvalidInputError(f"names must be two parameters, got {names}", given=names)
     region = default_region(controller) if region is None else region
+    require("region", region, Region, "a Region, such as JointBox(robot)")
+    require_gravity(controller, uncertainty, region)
     grid = _Grid(controller, uncertainty, region, target, seed)
     xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
     few_x, few_y = (np.interp(np.linspace(0, 1, coarse), np.linspace(0, 1, len(v)), v)
@@ -136,7 +144,12 @@ def stability_map(
         found = np.full((len(second), len(first)), np.nan)
         # the true robots change with "error" only: keep it in the outer loop
         for i, j in grid.order(names, len(first), len(second)):
-            found[j, i] = test({names[0]: float(first[i]), names[1]: float(second[j])})
+            at = {names[0]: float(first[i]), names[1]: float(second[j])}
+            try:
+                found[j, i] = test(at)
+            except UnattainedError:
+                if at.get("error", 1.0) <= 1.0:
+                    raise  # grown errors may put the target out of reach, the given ones not
             done += costs[kind]
             if progress is not None:
                 progress(done / total)
@@ -228,15 +241,11 @@ class _Grid:
     ) -> tuple[Scenarios, Sampler]:
         key = (at.get("error", 1.0), n, as_targets)
         if self._kept is None or self._kept[0] != key:
-            corners, plants = true_plants(self._base, self._scaled(at))
+            _, plants = true_plants(self._base, self._scaled(at))
             sampler = Sampler(self._base, plants, self._region, self._target)
             rng = np.random.default_rng(self._seed)
-            if as_targets and self._target is not None:
-                scenarios = attaining(sampler, rng)
-            else:
-                wanted = max(n, _POOL) if as_targets else n
-                # every corner as often
-                scenarios = sampler.draw(-(-wanted // len(corners)) * len(corners), rng)
+            wanted = max(n, _POOL) if as_targets else n
+            scenarios = (sampler.targets if as_targets else sampler.draw)(wanted, rng)
             if as_targets:
                 rates = local_test(sampler, scenarios).decay_rates
                 hard = np.argsort(rates, kind="stable")[: n // 2]

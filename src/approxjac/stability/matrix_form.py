@@ -263,7 +263,7 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
 def first_that_passes(form: MatrixForm) -> Best:
     """The function of the smallest family that passes everywhere, or the best of all."""
     found = []
-    for family in form.setting.families[1:]:  # "free" holds "paper"
+    for family in form.setting.families:
         found.append(best_weights(form, family))
         if found[-1].margins.min() > 0.0:
             return found[-1]

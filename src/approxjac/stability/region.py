@@ -17,7 +17,8 @@ from approxjac.simulation import Plant
 from approxjac.tasks import Task
 
 _TRIES = 1000
-_THINNING = 5
+_THINNING = 25
+_BURN_IN = 100  # steps until a walk has left its start
 _BETWEEN = 4  # postures along a step that have to be in the set
 
 
@@ -27,10 +28,12 @@ class Region(ABC):
     Attributes:
         robot: A robot with the joints that the postures are of.
         spread: Typical width along each joint, shape (n_v,) [rad or m].
+        independent: Whether postures are drawn independently of each other, uniformly.
     """
 
     robot: Robot
     spread: Array
+    independent: bool = True
 
     @abstractmethod
     def sample(self, n: int, rng: np.random.Generator) -> Array:
@@ -99,6 +102,10 @@ class JointBox(Region):
                 f"{self.lower.tolist()} and {self.upper.tolist()}",
                 given=(lower, upper),
             )
+        # about its middle: differences of continuous joints go half a turn to either side
+        middle = 0.5 * (self.lower + self.upper)
+        self.center = np.array(pin.integrate(robot.model, self.center, middle))
+        self.lower, self.upper = self.lower - middle, self.upper - middle
         self.spread = self.upper - self.lower
 
     @classmethod
@@ -185,7 +192,8 @@ class SublevelSet(Region):
     """Postures that V lets the arm reach from a start, {q : V(q, q̇) ≤ V(q₀, 0) for some q̇}.
 
     With V of eq. (12) and the paper's weights. It is the part connected with the start, drawn from
-    by a random walk. A motion that starts at rest in q₀ and along which V falls stays in it.
+    by a random walk, so that its postures are not independent. A motion of this plant that starts
+    at rest in q₀ and along which this V falls stays in it; another true robot may leave it.
 
     Args:
         plant: The true robot.
@@ -198,6 +206,8 @@ class SublevelSet(Region):
     Raises:
         InvalidInputError: A start outside `within`, or wrong shapes.
     """
+
+    independent = False
 
     def __init__(
         self,
@@ -227,10 +237,10 @@ class SublevelSet(Region):
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         q, drawn = self.start, []
-        for k in range(n * _THINNING):
+        for k in range(_BURN_IN + n * _THINNING):
             size = 10.0 ** rng.uniform(-2.5, -0.5)  # a symmetric step: the walk is uniform
             q = self._step(q, size, rng)
-            if k % _THINNING == _THINNING - 1:
+            if k >= _BURN_IN and (k - _BURN_IN) % _THINNING == _THINNING - 1:
                 drawn.append(q)
         return np.array(drawn)
 
@@ -283,6 +293,7 @@ class RegularPart(Region):
         require("region", region, Region, "a Region, such as JointBox(robot)")
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         self.robot, self.spread = region.robot, region.spread
+        self.independent = region.independent
         self.region, self.task = region, task
         self.sigma_min = as_number("sigma_min", sigma_min, minimum=0.0)
 
@@ -295,7 +306,7 @@ class RegularPart(Region):
             J = np.array([self.task.jacobian(q) for q in batch])
             regular = np.linalg.svd(J, compute_uv=False)[:, -1] >= self.sigma_min
             drawn.extend(batch[regular])
-            if len(drawn) * _TRIES < tried:
+            if tried > _TRIES * (len(drawn) + 1):
                 raise InvalidInputError(
                     f"the region is empty: of {tried} postures of {self.region!r} {len(drawn)} "
                     f"have sigma_min >= {self.sigma_min:g}; give a smaller bound or another region",

@@ -16,6 +16,7 @@ from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
 from approxjac.stability.loop import (
+    EXACT_GRAVITY,
     default_region,
     gravity_error,
     require_law,
@@ -27,11 +28,9 @@ from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
 from approxjac.stability.scenarios import Sampler, Scenarios
 from approxjac.stability.singular import singular_posture
-from approxjac.stability.targets import LocalTest, attaining, local_test
+from approxjac.stability.targets import LocalTest, local_test
 from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.uncertainty import Uncertainty
-
-_EXACT = 1e-5  # gravity torque [N m] that counts as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,8 @@ class StabilityReport:
         truth: The true robot, or the set of them.
         region: Where it was looked.
         target: x_d, or None for the values of other postures of the region.
-        scenarios: What the tests 1 and 2 were evaluated on.
+        scenarios: What the tests 1 and 2 were evaluated on; those that the Lyapunov functions
+            were chosen on come first.
         theorem1: Test 1.
         matrix: Test 2 by family.
         local: Test 3.
@@ -77,12 +77,12 @@ class StabilityReport:
     @property
     def gravity_is_exact(self) -> bool:
         """Whether gravity is compensated, or can be learnt, to within 1e-5 N m."""
-        return self.gravity_error <= _EXACT
+        return self.gravity_error <= EXACT_GRAVITY
 
     @property
     def certified_by(self) -> str | None:
         """The strongest test that certifies the region: "theorem1", "matrix", or None."""
-        if not self.gravity_is_exact or self.singular_q is not None:
+        if not self.gravity_is_exact or self.singular_q is not None or not self.local.stable:
             return None
         if self.theorem1.holds:
             return "theorem1"
@@ -94,6 +94,13 @@ class StabilityReport:
             return self.truth.describe(self.corners[index])
         return "the true robot"
 
+    def _verdict(self, holds: bool) -> str:
+        """Of a sufficient condition, which says nothing where gravity or rank are missing."""
+        if not holds:
+            return "not certified"
+        assumed = self.gravity_is_exact and self.singular_q is None
+        return "certified" if assumed else "would certify"
+
     def _case(self, among: Scenarios | LocalTest, index: int) -> str:
         """One of the cases in words: the true robot and the posture."""
         posture = ", ".join(f"{value + 0.0:.2f}" for value in among.q[index])
@@ -102,7 +109,7 @@ class StabilityReport:
     def lines(self) -> list[tuple[str, str, str]]:
         """The table: test, verdict, and the figures it rests on."""
         first, checked = self.theorem1, next(iter(self.matrix.values())).checked
-        verdict = "certified" if first.holds else "not certified"
+        verdict = self._verdict(first.holds)
         sign = "<" if first.holds else ">="
         rows = []
         if not self.gravity_is_exact:
@@ -137,7 +144,9 @@ class StabilityReport:
         for family, test in self.matrix.items():
             worst = self._case(self.scenarios, test.worst)
             if test.certified:
-                text = f"at most {100 * test.violating_at_most:.2g} % of the region violates it"
+                text = f"none of {checked} further ones violates it"
+                if test.independent:
+                    text += f", at most {100 * test.violating_at_most:.2g} % of all do (95 %)"
             else:
                 text = f"holds in {100 * test.share:.3g} % of the postures"
             if test.margin > 0.0 and test.violations:
@@ -145,7 +154,7 @@ class StabilityReport:
             rows.append(
                 (
                     f"2 matrix form, {titles[family]}",
-                    "certified" if test.certified else "not certified",
+                    self._verdict(test.certified),
                     f"margin {test.margin:.3g}; {text}; worst with {worst}",
                 )
             )
@@ -171,7 +180,7 @@ class StabilityReport:
         )
         checked = next(iter(self.matrix.values())).checked
         return (
-            f"{self.controller!r}\non {self.region!r}: {len(self.scenarios)} postures, "
+            f"{self.controller!r}\non {self.region!r}: {len(self.scenarios) - checked} postures, "
             f"{checked} further ones to check, seed {self.seed}\n{table}"
         )
 
@@ -182,7 +191,7 @@ class StabilityReport:
         return {
             "robot": self.controller.task.robot.name,
             "region": repr(self.region),
-            "postures": len(self.scenarios),
+            "postures": len(self.scenarios) - next(iter(self.matrix.values())).checked,
             "seed": self.seed,
             "certified_by": self.certified_by,
             "singular_q": None if self.singular_q is None else self.singular_q.tolist(),
@@ -281,7 +290,6 @@ def stability_report(
     rng = np.random.default_rng(seed)
     tell = progress or (lambda what, share: None)
     sampler = Sampler(controller, plants, region, x_d)
-    targets = None if x_d is None else attaining(sampler, rng)
     half = postures // 2
     scenarios = sampler.draw(half, rng, lambda k: tell("postures", k / postures))
     fresh = sampler.draw(postures - half, rng, lambda k: tell("postures", (half + k) / postures))
@@ -294,13 +302,20 @@ def stability_report(
         tell("matrix form", k / len(setting.families))
         form, best = refine_weights(sampler, form, family, rng)
         chosen[family] = best.weights
+        if k > 0:  # a family holds those before it, whatever the search for it has found
+            before = chosen[setting.families[k - 1]]
+            if form.margins(before).min() > best.margins.min():
+                chosen[family] = before
     scenarios = form.scenarios
     matrix: dict[Family, MatrixTest] = {}
     for family, weights in chosen.items():
         violations = int((check.margins(weights) <= 0.0).sum())
-        matrix[family] = MatrixTest(family, weights, form.margins(weights), len(fresh), violations)
+        matrix[family] = MatrixTest(
+            family, weights, form.margins(weights), len(fresh), violations, region.independent
+        )
     tell("local", 0.0)
-    local = local_test(sampler, scenarios if targets is None else targets)
+    local = local_test(sampler, scenarios if x_d is None else sampler.targets(0, rng))
+    everywhere = scenarios.join(fresh)
     outcome = None
     if runs:
         if uncertainty is None:
@@ -324,8 +339,8 @@ def stability_report(
         plants[0] if uncertainty is None else uncertainty,
         region,
         x_d,
-        scenarios,
-        theorem1(scenarios, setting),
+        everywhere,
+        theorem1(everywhere, setting),
         matrix,
         local,
         outcome,

@@ -6,14 +6,32 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from approxjac.checks import Array
 from approxjac.controllers import SetpointController
+from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
+from approxjac.stability.attain import attain
 from approxjac.stability.region import Region
 
 Indices = NDArray[np.intp]
+_STARTS = 20  # of the search for postures that attain a target
+_DECADES = 6.0  # of the sizes of small errors
+_SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
+
+
+class UnattainedError(InvalidInputError):
+    """A target that a true robot does not attain within the region.
+
+    Attributes:
+        truth: Index of the true robot.
+    """
+
+    def __init__(self, message: str, *, given: object, truth: int) -> None:
+        super().__init__(message, given=given)
+        self.truth = truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +96,55 @@ class Sampler:
         target: Array | None,
     ) -> None:
         self.controller, self.plants, self.region, self.target = controller, plants, region, target
+        self._attained: list[list[Array]] | None = None
 
     def draw(
         self, n: int, rng: np.random.Generator, progress: Callable[[int], None] | None = None
     ) -> Scenarios:
-        """Draw n scenarios, the true robots in turn."""
-        truths = np.arange(n) % len(self.plants)
-        postures = self.region.sample(n, rng)
-        if self.target is not None:
-            x_d = np.repeat(self.target[None], n, axis=0)
-        else:
+        """Draw n scenarios, or more to have every true robot as often.
+
+        A third of them have e = 0, where every motion is to end, a third small errors of all
+        sizes, and a third those between two postures of the region. Without the first two a
+        saturated s(e) would be looked at where it is flat only.
+        """
+        truths = np.arange(-(-n // len(self.plants)) * len(self.plants)) % len(self.plants)
+        postures = self.region.sample(len(truths), rng)
+        away = self._away(len(truths), rng)
+        model = self.region.robot.model
+        if self.target is None:
+            others = self.region.sample(len(truths), rng)
+            ends = [
+                pin.interpolate(model, q, other, share)
+                for q, other, share in zip(postures, others, away, strict=True)
+            ]
             sensors = [plant.sensor for plant in self.plants]
-            others = self.region.sample(n, rng)
-            x_d = np.array([sensors[t].value(q) for t, q in zip(truths, others, strict=True)])
-        return self._evaluate(truths, postures, x_d, progress)
+            x_d = np.array([sensors[t].value(q) for t, q in zip(truths, ends, strict=True)])
+            return self._evaluate(truths, postures, x_d, progress)
+        known = self.attained(rng)
+        for i, (t, share) in enumerate(zip(truths, away, strict=True)):
+            end = known[t][rng.integers(len(known[t]))]
+            nearer = np.array(pin.interpolate(model, end, postures[i], share))
+            if self.region.contains(nearer):
+                postures[i] = nearer
+        return self._evaluate(truths, postures, self._targets(len(truths)), progress)
+
+    def attained(self, rng: np.random.Generator) -> list[list[Array]]:
+        """Postures of the region that attain the target, for each true robot at least one.
+
+        Raises:
+            UnattainedError: There is none for one of them.
+        """
+        if self._attained is None:
+            self._attained = [self._attaining(index, rng) for index in range(len(self.plants))]
+        return self._attained
+
+    def targets(self, n: int, rng: np.random.Generator) -> Scenarios:
+        """What may be targets: postures that attain the one target, or n drawn ones."""
+        if self.target is None:
+            return self.draw(n, rng)
+        known = self.attained(rng)
+        truths = np.repeat(np.arange(len(known)), [len(postures) for postures in known])
+        return self.at(truths, np.concatenate(known))
 
     def near(
         self, known: Scenarios, k: int, n: int, size: float, rng: np.random.Generator
@@ -104,11 +157,41 @@ class Sampler:
         return self._evaluate(np.full(n, truth), postures, x_d, None)
 
     def at(self, truths: Indices, postures: Array) -> Scenarios:
-        """Scenarios of chosen true robots and postures, where there is one target."""
-        if self.target is None:
-            raise ValueError("no target")
-        x_d = np.repeat(self.target[None], len(postures), axis=0)
-        return self._evaluate(truths, postures, x_d, None)
+        """Scenarios of chosen true robots and postures, with the one target."""
+        return self._evaluate(truths, postures, self._targets(len(postures)), None)
+
+    def _targets(self, n: int) -> Array:
+        """The target n times; of a sampler that has one."""
+        return np.repeat(np.asarray(self.target)[None], n, axis=0)
+
+    @staticmethod
+    def _away(n: int, rng: np.random.Generator) -> Array:
+        """How far from the target, as a share of the way to another posture, shape (n,)."""
+        kinds = rng.integers(3, size=n)
+        sizes = 10.0 ** rng.uniform(-_DECADES, 0.0, n)
+        return np.choose(kinds, [np.zeros(n), sizes, np.ones(n)])
+
+    def _attaining(self, index: int, rng: np.random.Generator) -> list[Array]:
+        sensor, target = self.plants[index].sensor, self._targets(1)[0]
+        starts = self.region.sample(_STARTS, rng)
+        attained = [q for q in (attain(sensor, target, start) for start in starts) if q is not None]
+        if not attained:
+            raise UnattainedError(
+                f"target must be within reach of every true robot, got {target.tolist()}, which "
+                f"no posture of {sensor.robot!r} was found to attain",
+                given=target,
+                truth=index,
+            )
+        within = [q for q in attained if self.region.contains(q)]
+        if not within:
+            raise UnattainedError(
+                f"target must be attained by a posture of the region for every true robot, got "
+                f"{target.tolist()}, which {sensor.robot.name} attains outside {self.region!r} "
+                "only",
+                given=target,
+                truth=index,
+            )
+        return within
 
     def _evaluate(
         self,
@@ -127,14 +210,27 @@ class Sampler:
             dynamics, sensor = plant.dynamics, plant.sensor
             M[i] = dynamics.M(q)
             e[i] = sensor.error(sensor.value(q), x_d[i])
-            J[i] = J_e[i] = sensor.jacobian(q)
-            if not sensor.subtracts:
-                J_e[i] = np.array([sensor.error_rate(e[i], column) for column in J[i].T]).T
+            J[i] = sensor.jacobian(q)
+            J_e[i] = sensor.error_jacobian(e[i], J[i])
             J_hat[i] = task.jacobian(q)
             dM[i] = dynamics.M_gradient(q)
             dJ_hat[i] = task.jacobian_gradient(q)
             if progress is not None and i % 100 == 99:
                 progress(i + 1)
+        _require_regular(J_hat, postures)
         return Scenarios(
             truths, postures, x_d, M, dM, J, J_e, J_hat, dJ_hat, saturation.s(e), saturation.ds(e)
+        )
+
+
+def _require_regular(J_hat: Array, postures: Array) -> None:
+    """Refuse postures where Ĵ⁺ does not exist."""
+    values = np.linalg.svd(J_hat, compute_uv=False)
+    singular = values[:, -1] <= _SINGULAR * values[:, 0]
+    if singular.any():
+        raise InvalidInputError(
+            "the region must hold no posture where the estimated Jacobian loses rank, got q = "
+            f"{postures[singular.argmax()].tolist()}; RegularPart(region, task, sigma_min) leaves "
+            "them out",
+            given=postures,
         )

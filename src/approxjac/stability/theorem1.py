@@ -19,12 +19,12 @@ class Theorem1:
     """The constants of Theorem 1 over a region, and what they allow.
 
     Attributes:
-        p: Largest ‖Jᵀ − Ĵᵀ‖, eq. (7).
+        p: Largest ‖Jᵀ − Ĵᵀ‖, eq. (7), with ∂e/∂q for J where e is not x − x_d.
         b_J: Largest ‖J‖.
         lambda_m: Largest λ_max[Ĵ⁺ᵀ M Ĵ⁺], of eq. (14).
         lambda_1: Smallest λ_min[ĴᵀK_vĴ + B] / λ_max[K_v], of eq. (21).
         lambda_2: Smallest λ_min[ĴᵀĴ + B/λ_max[K_v]], of eq. (23).
-        c0: c₀ of eq. (15) [kg m²/s for a joint that turns].
+        c0: c₀ of eq. (15); it mixes units as (18) does.
         c1: c₁ of eq. (15).
         setting: Gains and damping.
         worst: Which scenario each constant comes from, by its name.
@@ -52,13 +52,13 @@ class Theorem1:
         if setting.fixed_alpha is not None:
             return setting.fixed_alpha
         return law.best_alpha(
-            setting.kp, setting.kv, self.lambda_1, self.c0, self.c1, self.alpha_max
+            setting.kp, setting.kv, self.lambda_1, self.c0, self.c1, _BELOW * self.alpha_max
         )
 
     @property
     def allowed_p(self) -> float:
         """The largest p that (14) and (22) allow, at `alpha`; not positive if none."""
-        if self.alpha > self.alpha_max:
+        if self.setting.fixed_alpha is not None and self.alpha >= self.alpha_max:
             return 0.0
         return min(self._bounds(self.alpha))
 
@@ -85,6 +85,8 @@ class Theorem1:
         """Smallest and largest α for which (14) and (22) hold [1/s]; NaN if there is none."""
         if not self.holds:
             return np.nan, np.nan
+        if self.setting.fixed_alpha is not None:
+            return self.alpha, self.alpha
         kp, k = self.setting.kp, float(self.setting.kv.max())
         pull = 0.5 * self.p
         lowest = pull * float(kp.max()) / (float(kp.min()) - self.c1 - pull * k)
@@ -97,6 +99,7 @@ class Theorem1:
 
 
 CONSTANTS = ("p", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")
+_BELOW = 0.999  # (14) is strict
 _SMALLEST = ("lambda_1", "lambda_2")
 
 
@@ -113,7 +116,7 @@ def constants(scenarios: Scenarios, setting: Setting) -> dict[str, Array]:
     c1 = 0.5 * _norm(B[:, None] * G)
     uniform = law.dissipation(J_hat, np.ones_like(kv), B / float(kv.max()))
     return {
-        "p": _norm(J - J_hat),
+        "p": _norm(scenarios.J_e - J_hat),
         "b_J": _norm(J),
         "lambda_m": np.linalg.eigvalsh(metric)[:, -1],
         "lambda_1": np.maximum(np.linalg.eigvalsh(D)[:, 0], 0.0) / float(kv.max()),

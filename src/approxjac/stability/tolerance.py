@@ -11,12 +11,18 @@ import numpy as np
 from approxjac.checks import Array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.stability.loop import default_region, require_law, setting_of, true_plants
+from approxjac.stability.loop import (
+    default_region,
+    require_gravity,
+    require_law,
+    setting_of,
+    true_plants,
+)
 from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.scenarios import Sampler
-from approxjac.stability.targets import attaining, local_test
+from approxjac.stability.scenarios import Sampler, UnattainedError
+from approxjac.stability.targets import local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
 
@@ -112,6 +118,8 @@ def tolerance(
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
     region = default_region(controller) if region is None else region
+    require("region", region, Region, "a Region, such as JointBox(robot)")
+    require_gravity(controller, uncertainty, region)
     found: dict[Test, Tolerance] = {}
     for k, test in enumerate(tests):
 
@@ -122,8 +130,11 @@ def tolerance(
                     controller, errors, region, target=target, runs=runs, duration=duration,
                     seed=seed,
                 )  # fmt: skip
-                return None if outcome.share == 1.0 else outcome.worst.values
-            return _failing(controller, errors, region, test, target, postures, seed)
+                failed = [run for run in outcome.runs if not run.converged]
+                return max(failed, key=lambda run: run.final_error).values if failed else None
+            return _failing(
+                controller, errors, region, test, target, postures, seed, uncertainty.factor
+            )
 
         def tell(share: float, k: int = k) -> None:
             if progress is not None:
@@ -169,14 +180,19 @@ def _failing(
     target: Sequence[float] | Array | None,
     postures: int,
     seed: int,
+    least_factor: float,
 ) -> Array | None:
     """The true values with which a test fails on a set, or None if it passes."""
     corners, plants = true_plants(controller, uncertainty)
     rng = np.random.default_rng(seed)
     x_d = None if target is None else plants[0].sensor.target(target)
     sampler = Sampler(controller, plants, region, x_d)
-    # whole rounds of the corners, so that every one is seen by as many postures
-    scenarios = sampler.draw(max(1, postures // len(corners)) * len(corners), rng)
+    try:
+        scenarios = (sampler.targets if test == "local" else sampler.draw)(postures, rng)
+    except UnattainedError as error:
+        if uncertainty.factor <= least_factor:
+            raise
+        return np.array(corners[error.truth])  # grown errors have put the target out of reach
     setting = setting_of(controller, plants[0])
     if test == "theorem1":
         first = theorem1(scenarios, setting)
@@ -185,8 +201,6 @@ def _failing(
         margins = first_that_passes(MatrixForm(scenarios, setting)).margins
         culprit = None if margins.min() > 0.0 else scenarios.truth[margins.argmin()]
     else:
-        if x_d is not None:
-            scenarios = attaining(sampler, rng)
         local = local_test(sampler, scenarios)
         culprit = None if local.stable else local.truth[local.worst]
     return None if culprit is None else corners[int(culprit)]

@@ -95,7 +95,7 @@ def draw_workspace(result: StabilityResult) -> Figure:
     best = max(report.matrix.values(), key=lambda test: test.margin)
     robot = result.case.controller.task.robot
     tip = FrameKinematics(robot, robot.tip_or(None))
-    positions = np.array([tip.position(q) for q in report.scenarios.q])
+    positions = np.array([tip.position(q) for q in report.scenarios.q[: len(best.margins)]])
     planes = [name for name in ("xz", "xy") if _spreads(positions, name)] or ["xz"]
     between = " " if len(planes) > 1 else "\n"
     figure, axes = new_figure(
@@ -197,7 +197,12 @@ def write(result: StabilityResult, out: Path) -> None:
 
 
 def _tolerated(result: StabilityResult) -> list[str]:
-    names = {"theorem1": "1 Theorem 1", "matrix": "2 matrix form", "local": "3 local"}
+    names = {
+        "theorem1": "1 Theorem 1",
+        "matrix": "2 matrix form",
+        "local": "3 local",
+        "rollouts": "4 rollouts",
+    }
     lines = []
     for test, each in result.tolerances.items():
         fails = f"; fails with {each.worst_text}" if each.worst_text else ""

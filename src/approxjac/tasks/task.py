@@ -107,6 +107,12 @@ class Task(ABC):
         """ė where the error is e and the Jacobian gives J q̇; shape (m,)."""
         return Jv
 
+    def error_jacobian(self, e: Array, J: Array) -> Array:
+        """∂e/∂q where the error is e and the Jacobian is J; shape (m, n_v)."""
+        if self.subtracts:
+            return J
+        return np.array([self.error_rate(e, column) for column in J.T]).T
+
     def target(self, x_d: object) -> Array:
         """Return a target as a read-only array of shape (n_x,).
 

@@ -149,7 +149,7 @@ def plot_map(
 
     with style():
         ax = new_figure(size=(7.0, 5.6))[1][0] if ax is None else ax
-        reach = float(np.quantile(np.abs(decay_rate), 0.95)) or 1.0
+        reach = float(np.nanquantile(np.abs(decay_rate), 0.95)) or 1.0
         shown = ax.pcolormesh(
             x, y, np.clip(decay_rate, -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
             shading="nearest", rasterized=True,

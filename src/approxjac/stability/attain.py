@@ -1,0 +1,34 @@
+"""Postures that attain a target: inverse kinematics of a true robot, for analysis only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array
+from approxjac.tasks import Task
+
+_STEPS = 200
+_EXACT = 1e-10  # error that counts as none, relative to the size of the Jacobian
+_LONGEST = 0.3  # step [rad or m]
+
+
+def attain(sensor: Task, x_d: Array, q0: Array) -> Array | None:
+    """A posture whose task value is x_d, from a start (nq,); None if the search finds none.
+
+    Damped Gauss–Newton steps, which also end at rest where the target is out of reach.
+    """
+    q = np.array(q0)
+    for _ in range(_STEPS):
+        e, J = sensor.error(sensor.value(q), x_d), sensor.jacobian(q)
+        size = float(np.linalg.norm(J, 2))
+        error = float(np.linalg.norm(e))
+        if error <= _EXACT * size:
+            return q
+        if size == 0.0:  # no way to move the task
+            return None
+        damping = (1e-3 * size) ** 2 * min(1.0, error / size)
+        step = -J.T @ np.linalg.solve(J @ J.T + damping * np.eye(len(e)), e)
+        shorter = max(1.0, float(np.abs(step).max()) / _LONGEST)
+        q = np.array(pin.integrate(sensor.robot.model, q, step / shorter))
+    return None
