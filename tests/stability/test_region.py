@@ -157,3 +157,12 @@ def test_they_say_what_they_are(panda):
     assert repr(found["tube"]) == "Tube('panda', 20 postures)"
     assert repr(found["regular"]).endswith("sigma_min >= 0.2)")
     assert repr(found["sublevel"]).startswith("SublevelSet('panda', V <= ")
+
+
+def test_a_box_says_where_it_is():
+    arm = aj.load_robot("panda")
+    assert repr(aj.JointBox(arm, -0.3, 0.3)) == "JointBox('panda', -0.3, 0.3)"
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    assert repr(aj.JointBox.around(arm, q, 0.3)) == (
+        "JointBox('panda', -0.3, 0.3, center=[0, -0.5, 0, -2, 0, 1.6, 0.7])"
+    )

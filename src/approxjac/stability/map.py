@@ -12,13 +12,12 @@ import numpy as np
 from approxjac.checks import Array, as_array, require
 from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.stability.local import linearised
 from approxjac.stability.loop import default_region, require_law, setting_of, true_plants
 from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
 from approxjac.stability.scenarios import Sampler, Scenarios
-from approxjac.stability.targets import attaining
+from approxjac.stability.targets import attaining, local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
 
@@ -32,6 +31,8 @@ PARAMETERS: Mapping[str, str] = MappingProxyType(
 )
 """What a map can have along its axes."""
 
+_POOL = 200  # targets that the hard ones are chosen from
+
 
 @dataclass(frozen=True, eq=False)
 class StabilityMap:
@@ -41,7 +42,9 @@ class StabilityMap:
         names: Of the two parameters, along x and y.
         x: Values of the first, shape (N_x,).
         y: Values of the second, shape (N_y,).
-        decay_rate: Test 3: slowest decay over all targets and true robots, shape (N_y, N_x) [1/s].
+        decay_rate: Test 3: slowest decay over some targets, hard ones among them, and the true
+            robots, shape (N_y, N_x) [1/s].
+        targets: How many targets that were.
         coarse_x: Values where the tests 2 and 4 were made, shape (n_x,).
         coarse_y: Shape (n_y,).
         theorem1: Test 1: margin, shape (N_y, N_x), at least −1; NaN where it was not made.
@@ -54,6 +57,7 @@ class StabilityMap:
     x: Array
     y: Array
     decay_rate: Array
+    targets: int
     coarse_x: Array
     coarse_y: Array
     theorem1: Array
@@ -70,7 +74,7 @@ def stability_map(
     x: Sequence[float] | Array,
     y: Sequence[float] | Array,
     target: Sequence[float] | Array | None = None,
-    targets: int = 8,
+    targets: int = 16,
     coarse: int = 8,
     postures: int = 100,
     runs: int = 0,
@@ -92,7 +96,8 @@ def stability_map(
         x: Values of the first: numbers that grow, > 0 (≥ 0 of "error").
         y: Values of the second, alike.
         target: x_d, shape (n_x,); see `stability_report`.
-        targets: Postures that test 3 takes as targets, ≥ 1, the true robots in turn.
+        targets: Postures that test 3 takes as targets, ≥ 2: half of them the worst of 200 with the
+            controller's own gains, the true robots in turn.
         coarse: Values of each parameter where tests 2 and 4 are made, ≥ 2; 0 makes test 3 alone.
         postures: Postures for tests 1 and 2.
         runs: Rollouts at each coarse point.
@@ -147,7 +152,7 @@ def stability_map(
         shares = over(
             few_x, few_y, "rollouts", lambda at: grid.converging(at, runs, duration, executor)
         )
-    return StabilityMap(names, xs, ys, decay, few_x, few_y, first, second, shares)
+    return StabilityMap(names, xs, ys, decay, targets, few_x, few_y, first, second, shares)
 
 
 class _Grid:
@@ -164,6 +169,7 @@ class _Grid:
         self._base, self._errors, self._region, self._seed = controller, uncertainty, region, seed
         self._target = None if target is None else controller.task.target(target)
         self._kept: tuple[object, Scenarios, Sampler] | None = None
+        self._controllers: dict[tuple[float | None, ...], SetpointController] = {}
 
     def order(self, names: tuple[str, str], nx: int, ny: int) -> list[tuple[int, int]]:
         """All pairs of indices, those of "error" in the outer loop."""
@@ -173,13 +179,8 @@ class _Grid:
 
     def decay_rate(self, at: Mapping[str, float], targets: int) -> float:
         """The slowest decay over targets and true robots [1/s]."""
-        controller = self._controller(at)
         scenarios, sampler = self._scenarios(at, targets, as_targets=True)
-        rates = [
-            linearised(sampler.plants[t], controller, q)
-            for t, q in zip(scenarios.truth, scenarios.q, strict=True)
-        ]
-        return min(0.0 if each.singular else each.decay_rate for each in rates)
+        return float(local_test(sampler, scenarios, self._controller(at)).decay_rates.min())
 
     def theorem1(self, at: Mapping[str, float], postures: int) -> float:
         """Margin of test 1, at least −1."""
@@ -206,6 +207,12 @@ class _Grid:
         return self._errors.scaled(at.get("error", 1.0))
 
     def _controller(self, at: Mapping[str, float]) -> SetpointController:
+        key = tuple(at.get(name) for name in ("a", "kv", "damping"))
+        if key not in self._controllers:
+            self._controllers[key] = self._changed(at)
+        return self._controllers[key]
+
+    def _changed(self, at: Mapping[str, float]) -> SetpointController:
         base = self._base
         kp, kv, damping = base.diagonals
         factor = at.get("kv", 1.0)
@@ -224,11 +231,17 @@ class _Grid:
             corners, plants = true_plants(self._base, self._scaled(at))
             sampler = Sampler(self._base, plants, self._region, self._target)
             rng = np.random.default_rng(self._seed)
-            rounds = -(-n // len(corners)) * len(corners)  # every corner as often
             if as_targets and self._target is not None:
                 scenarios = attaining(sampler, rng)
             else:
-                scenarios = sampler.draw(rounds, rng)
+                wanted = max(n, _POOL) if as_targets else n
+                # every corner as often
+                scenarios = sampler.draw(-(-wanted // len(corners)) * len(corners), rng)
+            if as_targets:
+                rates = local_test(sampler, scenarios).decay_rates
+                hard = np.argsort(rates, kind="stable")[: n // 2]
+                others = np.setdiff1d(np.arange(len(rates)), hard)
+                scenarios = scenarios.take(np.concatenate([hard, others[: n - n // 2]]))
             self._kept = (key, scenarios, sampler)
         return self._kept[1], self._kept[2]
 

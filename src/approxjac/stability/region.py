@@ -123,7 +123,10 @@ class JointBox(Region):
         return bool((self.lower - 1e-12 <= motion).all() and (motion <= self.upper + 1e-12).all())
 
     def __repr__(self) -> str:
-        return f"JointBox({self.robot.name!r}, {self.lower.tolist()}, {self.upper.tolist()})"
+        bounds = f"{self.robot.name!r}, {_text(self.lower)}, {_text(self.upper)}"
+        away = np.abs(pin.difference(self.robot.model, self.robot.neutral(), self.center)).max()
+        center = f", center={_text(self.center)}" if away > 0.0 else ""
+        return f"JointBox({bounds}{center})"
 
 
 class Tube(Region):
@@ -306,3 +309,9 @@ class RegularPart(Region):
 
     def __repr__(self) -> str:
         return f"RegularPart({self.region!r}, sigma_min >= {self.sigma_min:g})"
+
+
+def _text(values: Array) -> str:
+    """Numbers to four digits, as one only where they are all the same."""
+    shown = [f"{value:.4g}" for value in values]
+    return shown[0] if len(set(shown)) == 1 else f"[{', '.join(shown)}]"

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.checks import Array
+from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.stability.local import linearised
 from approxjac.stability.scenarios import Indices, Sampler, Scenarios
@@ -53,11 +54,19 @@ class LocalTest:
         return bool((self.decay_rates > 0.0).all())
 
 
-def local_test(sampler: Sampler, scenarios: Scenarios) -> LocalTest:
-    """Linearise the closed loop with each posture (of the first thousand) as a target."""
+def local_test(
+    sampler: Sampler, scenarios: Scenarios, controller: SetpointController | None = None
+) -> LocalTest:
+    """Linearise the closed loop with each posture (of the first thousand) as a target.
+
+    Args:
+        sampler: Of the scenarios, with their true robots.
+        scenarios: The postures.
+        controller: Another one than the sampler's, of the same task.
+    """
     few = scenarios.take(np.arange(min(len(scenarios), _LOCAL)))
     at = [
-        linearised(sampler.plants[t], sampler.controller, q)
+        linearised(sampler.plants[t], controller or sampler.controller, q)
         for t, q in zip(few.truth, few.q, strict=True)
     ]
     return LocalTest(

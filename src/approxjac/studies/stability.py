@@ -42,6 +42,7 @@ from approxjac.stability.tolerance import Test
 from approxjac.studies.reach import best_axes, outward_axis
 from approxjac.tasks import PlanarCamera, PositionTask
 
+_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of what `tolerance` finds, that is certified in full
 _RAISED = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)  # damping that is tried as advice
 
 Progress = Callable[[str, float], None]
@@ -146,8 +147,10 @@ class StabilityResult:
         case: What was looked at.
         report: The four tests.
         tolerances: How far the errors may be scaled for each test; nothing if none are given.
-        raised_damping: The smallest damping tried, times the given one, with which the matrix form
-            certifies all errors; None if they are certified already, or not with any.
+        raised_damping: The smallest damping tried, times the given one, with which a report on as
+            many postures certifies all errors; None if they are certified already, or not with any.
+        certified_part: The errors, scaled down, that a report on as many postures certifies as it
+            is; None if they are certified as a whole, or no part tried is.
         map: The stability map, or None.
     """
 
@@ -155,6 +158,7 @@ class StabilityResult:
     report: StabilityReport
     tolerances: dict[Test, Tolerance]
     raised_damping: float | None
+    certified_part: Uncertainty | None
     map: StabilityMap | None
 
 
@@ -202,7 +206,7 @@ def run(
         executor=executor, progress=tell,
     )  # fmt: skip
     tolerances: dict[Test, Tolerance] = {}
-    raised, drawn = None, None
+    raised, part, drawn = None, None, None
     if case.uncertainty.d > 0:
         tolerances = tolerance(
             case.controller, case.uncertainty, case.region, target=case.target,
@@ -210,9 +214,10 @@ def run(
         )  # fmt: skip
         if report.certified_by is None:
             raised = _raised_damping(case, tell)
+            part = _certified_part(case, min(1.0, tolerances["matrix"].scale), tell)
         if settings.map_points:
             drawn = _map(case, executor, tell)
-    return StabilityResult(case, report, tolerances, raised, drawn)
+    return StabilityResult(case, report, tolerances, raised, part, drawn)
 
 
 def _require_map(settings: StabilitySettings) -> None:
@@ -306,7 +311,7 @@ def _posture(robot: Robot, joints: tuple[float, ...]) -> Array:
 
 
 def _raised_damping(case: Case, tell: Progress) -> float | None:
-    """The smallest factor of the damping tried with which the matrix form certifies the errors."""
+    """The smallest factor of the damping tried with which a report certifies the errors."""
     kp, kv, damping = case.controller.diagonals
     for k, factor in enumerate(_RAISED):
         tell("more damping", k / len(_RAISED))
@@ -314,13 +319,27 @@ def _raised_damping(case: Case, tell: Progress) -> float | None:
             case.controller.task, Gains(kp, kv, factor * damping),
             gravity=case.controller.gravity, saturation=case.controller.saturation,
         )  # fmt: skip
-        found = tolerance(
-            controller, case.uncertainty, case.region, tests=("matrix",), target=case.target,
-            largest=1.0, seed=case.settings.seed,
-        )["matrix"]  # fmt: skip
-        if found.scale == 1.0:
+        if _certified(case, controller, case.uncertainty):
             return factor
     return None
+
+
+def _certified_part(case: Case, largest: float, tell: Progress) -> Uncertainty | None:
+    """The errors up to a scale that a report certifies: more than `tolerance` asks for."""
+    for k, share in enumerate(_SHARES):
+        tell("smaller errors", k / len(_SHARES))
+        errors = case.uncertainty.scaled(share * largest)
+        if largest > 0.0 and _certified(case, case.controller, errors):
+            return errors
+    return None
+
+
+def _certified(case: Case, controller: SetpointController, errors: Uncertainty) -> bool:
+    report = stability_report(
+        controller, errors, case.region, target=case.target,
+        postures=case.settings.postures, seed=case.settings.seed,
+    )  # fmt: skip
+    return report.certified_by is not None
 
 
 def _map(case: Case, executor: Executor | None, tell: Progress) -> StabilityMap:

@@ -62,9 +62,9 @@ def advice(result: StabilityResult) -> list[str]:
                 f"raise damping to {_short(damping)}, {result.raised_damping:g} times what it is, "
                 "to certify it"
             )
-        matrix = result.tolerances.get("matrix")
-        if matrix is not None and 0.0 < matrix.scale < 1.0:
-            lines.append(f"as it is, certified are errors of {matrix.uncertainty.describe_box()}")
+        if result.certified_part is not None:
+            part = result.certified_part.describe_box()
+            lines.append(f"as it is, certified are errors of {part}")
     if not report.local.stable:
         lines.append(
             f"not stable near {100 * (1 - report.local.share):.3g} % of the targets, so no test "
@@ -96,12 +96,22 @@ def draw_workspace(result: StabilityResult) -> Figure:
     robot = result.case.controller.task.robot
     tip = FrameKinematics(robot, robot.tip_or(None))
     positions = np.array([tip.position(q) for q in report.scenarios.q])
+    planes = [name for name in ("xz", "xy") if _spreads(positions, name)] or ["xz"]
+    between = " " if len(planes) > 1 else "\n"
     figure, axes = new_figure(
-        2, title=f"{robot.name}: margin of the matrix form where the believed tip is"
+        len(planes),
+        size=(5.2 * len(planes), 4.6),
+        title=f"{robot.name}: margin of the matrix form{between}where the believed tip is",
     )
-    for ax, plane in zip(axes, ("xz", "xy"), strict=True):
+    for ax, plane in zip(axes, planes, strict=True):
         plot_margins(positions, best.margins, plane, ax, title=f"{plane[0]}-{plane[1]} plane")
     return figure
+
+
+def _spreads(positions: Array, plane: str) -> bool:
+    """Whether positions (N, 3) fill a plane of the world, and are not on a line in it."""
+    widths = np.ptp(positions[:, ["xyz".index(axis) for axis in plane]], axis=0)
+    return bool(widths.min() > 0.01 * widths.max())
 
 
 def draw_map(result: StabilityResult) -> Figure | None:
@@ -126,12 +136,13 @@ def draw_map(result: StabilityResult) -> Figure | None:
         found.decay_rate,
         boundaries,
         labels=(PARAMETERS[found.names[0]], PARAMETERS[found.names[1]]),
+        local=f"test 3, local ({found.targets} targets)",
         own=(_own(result, found.names[0]), _own(result, found.names[1])),
         ax=ax,
         title=textwrap.fill(
-            f"{result.case.controller.task.robot.name}: errors of scale 1 are "
-            f"{result.case.uncertainty.describe_box()}",
-            70,
+            f"{result.case.controller.task.robot.name}: where each test passes; "
+            f"errors of scale 1 are {result.case.uncertainty.describe_box()}",
+            64,
         ),
     )
     return figure
@@ -159,6 +170,9 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             for test, each in result.tolerances.items()
         },
         "raised_damping": result.raised_damping,
+        "certified_part": None
+        if result.certified_part is None
+        else result.certified_part.describe_box(),
         "advice": advice(result),
         "gains": {
             name: value.tolist() for name, value in case.controller.diagonals._asdict().items()

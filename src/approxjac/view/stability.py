@@ -34,13 +34,16 @@ def plot_allowed_error(
         p: ‖Jᵀ − Ĵᵀ‖, drawn dashed.
         unit: Of p.
         p_label: What p is of.
-        own_a: The controller's own a = k_p/k_v, marked if given [1/s].
+        own_a: The controller's own a = k_p/k_v, marked if given [1/s]; the axis is logarithmic
+            where it is far from the crossing.
         ax: Axes to draw into; new ones by default.
         title: Of the axes.
     """
     alpha = float(np.sqrt(lambda2))
-    right = max(4.0 * alpha, 1e-12, 1.3 * (own_a or 0.0))
-    a = np.linspace(0.0, right, 600)[1:]
+    wide = own_a is not None and alpha > 0.0 and not 0.05 < own_a / alpha < 20.0
+    right = max(4.0 * alpha, 1e-12, (3.0 if wide else 1.3) * (own_a or 0.0))
+    left = min(alpha, own_a or alpha) / 10.0 if wide else 0.0
+    a = np.geomspace(left, right, 600) if wide else np.linspace(left, right, 600)[1:]
     velocity = law.allowed_p_velocity(a, alpha, lambda2)
     position = law.allowed_p_position(a, alpha)
     with style():
@@ -54,14 +57,19 @@ def plot_allowed_error(
             ax.plot([alpha], [alpha], "o", color=COLORS[6], ms=5, label=label)
         ax.axhline(p, color=TARGET, linestyle="--", label=f"{p_label}: {p:.4f}")
         if own_a is not None:
-            ax.axvline(own_a, color=COLORS[3], label=f"the controller's own a = {own_a:.3g}")
+            at = np.array(own_a)
+            bounds = law.allowed_p_velocity(at, alpha, lambda2), law.allowed_p_position(at, alpha)
+            label = f"the controller's own a = {own_a:.3g} allows p = {min(bounds):.3g}"
+            ax.axvline(own_a, color=COLORS[3], label=label)
         ax.set(
             xlabel="a = k_p / k_v [1/s]",
             ylabel=f"allowed p [{unit}]",
             title=f"{title} (α = √λ₂ = {alpha:.4f} 1/s)",
             ylim=(0.0, 1.25 * max(p, float(velocity.max()))),
-            xlim=(0.0, right),
+            xlim=(left, right),
         )
+        if wide:
+            ax.set_xscale("log")
         legend_below(ax)
     return ax
 
@@ -74,7 +82,7 @@ def plot_margins(
     *,
     title: str = "Margin over the workspace",
 ) -> Axes:
-    """Draw the margin of each posture where its tip is, the smallest on top.
+    """Draw the margin of each posture where its tip is, the smallest on top, crosses below zero.
 
     Args:
         positions: Where the tip is in each posture, shape (N, 3) [m].
@@ -88,17 +96,23 @@ def plot_margins(
     with style():
         ax = new_figure()[1][0] if ax is None else ax
         reach = max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0)))
-        dots = ax.scatter(
-            positions[top, rows[0]], positions[top, rows[1]], s=9,
-            c=np.clip(margins[top], -reach, reach), cmap="RdYlBu", vmin=-reach,
-            vmax=reach, linewidths=0,
-        )  # fmt: skip
+        for passes, marker, name in ((True, "o", "certified"), (False, "x", "not certified")):
+            chosen = top[(margins[top] > 0.0) == passes]
+            if len(chosen) == 0:
+                continue
+            dots = ax.scatter(
+                positions[chosen, rows[0]], positions[chosen, rows[1]], marker=marker,
+                s=9 if passes else 14, linewidths=0.0 if passes else 1.2,
+                c=np.clip(margins[chosen], -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
+            )  # fmt: skip
+            label = f"{name}: {len(chosen)} of {len(margins)} postures"
+            ax.plot([], [], marker, ms=4, color="0.4", label=label)
         worst = positions[margins.argmin(), rows]
         ax.plot(*worst, "s", mfc="none", mec=COLORS[6], ms=9, mew=1.5,
                 label=f"worst: {margins.min():.3g}")  # fmt: skip
         ax.set_aspect("equal", adjustable="datalim")
         ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title=title)
-        ax.figure.colorbar(dots, ax=ax, label="margin (positive: certified)", shrink=0.8)
+        ax.figure.colorbar(dots, ax=ax, label="margin", shrink=0.8)
         legend_below(ax)
     return ax
 
@@ -110,11 +124,14 @@ def plot_map(
     boundaries: Sequence[tuple[str, Array, Array, Array]],
     *,
     labels: tuple[str, str],
+    local: str = "test 3, local",
     own: tuple[float, float] | None = None,
     ax: Axes | None = None,
     title: str = "Stability map",
 ) -> Axes:
     """Draw the decay rate over two parameters, and where each test stops to pass.
+
+    The boundaries have ticks on the side where the test fails.
 
     Args:
         x: Values of the first parameter, shape (N_x,).
@@ -123,10 +140,13 @@ def plot_map(
         boundaries: Of further tests: name, x (n_x,), y (n_y,) and a value (n_y, n_x) that is
             positive where the test passes.
         labels: Of the axes.
+        local: Name of test 3.
         own: Where the controller and its errors are.
         ax: Axes to draw into; new ones by default.
         title: Of the axes.
     """
+    from matplotlib.patheffects import Normal, TickedStroke
+
     with style():
         ax = new_figure(size=(7.0, 5.6))[1][0] if ax is None else ax
         reach = float(np.quantile(np.abs(decay_rate), 0.95)) or 1.0
@@ -135,7 +155,7 @@ def plot_map(
             shading="nearest", rasterized=True,
         )  # fmt: skip
         ax.figure.colorbar(shown, ax=ax, label="slowest decay [1/s] (negative: grows)")
-        tests = [("test 3, local", x, y, decay_rate), *boundaries]
+        tests = [(local, x, y, decay_rate), *boundaries]
         for k, (name, at_x, at_y, value) in enumerate(tests):
             color, line = COLORS[6] if k == 0 else COLORS[k], ("-", "-", "--", ":")[k % 4]
             passes = np.nan_to_num(value, nan=-1.0) > 0.0
@@ -145,8 +165,10 @@ def plot_map(
             elif not passes.any():
                 where = ": passes nowhere"
             else:
-                ax.contour(at_x, at_y, value, levels=[0.0], colors=[color], linestyles=[line],
-                           linewidths=2.0)  # fmt: skip
+                drawn = ax.contour(at_x, at_y, value, levels=[0.0], colors=[color],
+                                   linestyles=[line], linewidths=2.0)  # fmt: skip
+                drawn.set(path_effects=[Normal(), TickedStroke(angle=-90, length=0.6, spacing=12)])
+                where = " (ticks: fails)"
             ax.plot([], [], line, color=color, linewidth=2.0, label=name + where)
         if own is not None:
             ax.plot(*own, "*", color=COLORS[6], mec="white", ms=14, label="as given")

@@ -1,0 +1,66 @@
+"""How long may an unknown tool be? A Panda's stability, told before anything moves.
+
+You will see: what Theorem 1, the matrix form and the linearisation say of tools of up to 30 cm
+that the controller believes absent, around one posture; and how long a tool each of them lets
+pass, with more and more joint damping. Theorem 1 gives up after millimetres to centimetres, the
+matrix form after decimetres, and the arm itself where the linearisation does.
+
+    python examples/07_how_wrong_may_the_tool_be.py --out results/examples
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import approxjac as aj
+from approxjac import view
+
+arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+arguments.add_argument("--out", type=Path, default=Path("results/examples"))
+out = arguments.parse_args().out
+out.mkdir(parents=True, exist_ok=True)
+
+HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+DAMPING = (0.5, 2.0, 8.0)
+
+# without gravity in truth and belief: the closed loop of a controller that knows gravity, eq. (9)
+arm = aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
+tools = aj.Uncertainty(arm, object_length=(0.0, 0.30), object_axis="x")
+task = tools.believed_task()
+region = aj.JointBox.around(arm, HOME, 0.3)
+
+
+def controller_with(damping):
+    """The controller of the bare hand with some added damping [N m s/rad]."""
+    return aj.SetpointController(task, aj.Gains(400.0, 80.0, damping), gravity=aj.NoGravity(arm))
+
+
+print(aj.stability_report(controller_with(8.0), tools, region, postures=200))
+
+tolerated = {"theorem1": [], "matrix": [], "local": []}
+for damping in DAMPING:
+    found = aj.tolerance(
+        controller_with(damping), tools, region, largest=6.0, precision=0.1, postures=40
+    )
+    for test, each in found.items():
+        tolerated[test].append(each.uncertainty.high[0])  # the longest tool at that scale
+    lengths = ", ".join(f"{each[-1]:.2g} m ({test})" for test, each in tolerated.items())
+    print(f"damping {damping:g} N m s/rad tolerates tools of up to {lengths}")
+
+figure, (ax,) = view.new_figure(size=(6.5, 4.5))
+NAMES = {"theorem1": "Theorem 1", "matrix": "matrix form", "local": "local test, tried to 1.8 m"}
+with view.style():
+    for (test, lengths), color, marker in zip(tolerated.items(), view.COLORS, "os^", strict=False):
+        ax.loglog(DAMPING, lengths, color=color, marker=marker, label=NAMES[test])
+    ax.axhline(0.30, color="0.4", linestyle="--", label="the tools of up to 30 cm")
+    ax.set_xticks(DAMPING, [f"{damping:g}" for damping in DAMPING])
+    ax.set_xticks([], minor=True)
+    ax.set(
+        xlabel="added joint damping B_c [N m s/rad]",
+        ylabel="tolerated length [m]",
+        title="Panda: the longest unknown tool that each test lets pass",
+    )
+view.legend_below(ax)
+for path in view.save_figure(figure, out / "tolerated_tools"):
+    print(path)
