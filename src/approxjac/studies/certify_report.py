@@ -100,12 +100,12 @@ def _conservatism(outcomes: Sequence[Outcome]) -> list[str]:
     missed = [o for o in converging if o.damping is None]
     singular = [o for o in missed if o.singular]
     wrong_way = [o for o in missed if o.wrong_way and not o.singular]
+    left = len(missed) - len(singular) - len(wrong_way)
     lines += [
         "",
         f"Not certified with any damping although they converge: {len(missed)}. In {len(singular)} "
         f"Ĵ loses rank in the region; in {len(wrong_way)} the region holds postures that would "
-        f"be unstable targets in the limit of large gains; {len(missed) - len(singular) - len(wrong_way)} "
-        "are left.",
+        f"be unstable targets in the limit of large gains; {left} are left.",
         "",
     ]
     return lines + [f"- {_missed(outcome)}" for outcome in missed]
