@@ -100,12 +100,12 @@ def _conservatism(outcomes: Sequence[Outcome]) -> list[str]:
     missed = [o for o in converging if o.damping is None]
     singular = [o for o in missed if o.singular]
     wrong_way = [o for o in missed if o.wrong_way and not o.singular]
+    left = len(missed) - len(singular) - len(wrong_way)
     lines += [
         "",
         f"Not certified with any damping although they converge: {len(missed)}. In {len(singular)} "
-        f"Ĵ loses rank in the region; in {len(wrong_way)} the region holds postures that are no "
-        f"stable targets, so no function could do; {len(missed) - len(singular) - len(wrong_way)} "
-        "are left.",
+        f"Ĵ loses rank in the region; in {len(wrong_way)} the region holds postures that would "
+        f"be unstable targets in the limit of large gains; {left} are left.",
         "",
     ]
     return lines + [f"- {_missed(outcome)}" for outcome in missed]
@@ -114,7 +114,7 @@ def _conservatism(outcomes: Sequence[Outcome]) -> list[str]:
 def _missed(o: Outcome) -> str:
     why = "Ĵ loses rank in the region" if o.singular else f"p/σ_min = {o.jacobian_error:.2g}"
     if o.wrong_way:
-        why += f"; {100 * o.wrong_way:.2g} % of the postures are no stable targets"
+        why += f"; {100 * o.wrong_way:.2g} % of the postures are unstable targets"
     local = "" if o.stable else f"; unstable at the target's posture ({-o.rate:+.2g}/s)"
     left = "" if o.stayed else "; leaves the region"
     return f"{o.case.kind}, case {o.case.number}: {why}, half width {o.radius:.2f} rad{local}{left}"
