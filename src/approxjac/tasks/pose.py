@@ -26,8 +26,8 @@ class PoseTask(Task):
 
     The Jacobian is the geometric one (velocity and angular velocity, world axes). With it
     d/dt ½‖φ‖² = φᵀω holds exactly for every φ below 180°, so the paper's potential and proof carry
-    over there, where the three rotational gains are equal and s(φ) = φ. With other gains they
-    hold near the target only.
+    over there, where the three rotational gains are equal and s(φ) = φ. With other gains V̇ = −W
+    holds with ∂e/∂q in place of J, which then counts as a part of the Jacobian's error.
 
     Args:
         robot: The robot, true or believed.
