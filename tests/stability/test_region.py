@@ -166,3 +166,20 @@ def test_a_box_says_where_it_is():
     assert repr(aj.JointBox.around(arm, q, 0.3)) == (
         "JointBox('panda', -0.3, 0.3, center=[0, -0.5, 0, -2, 0, 1.6, 0.7])"
     )
+
+
+def test_boxes_of_continuous_joints_hold_what_they_draw():
+    """Differences of continuous joints go half a turn either way: a box has to count from its
+    middle."""
+    kinova = aj.load_robot("kinova")
+    lower, upper = np.full(6, -0.2), np.full(6, 0.2)
+    lower[0], upper[0] = 2.5, 4.5
+    box = aj.JointBox(kinova, lower, upper)
+    drawn = box.sample(100, np.random.default_rng(0))
+    assert all(box.contains(q) for q in drawn)
+
+
+def test_regular_part_does_not_give_up_at_once(panda):
+    task = aj.PositionTask(panda)
+    region = aj.RegularPart(aj.JointBox(panda), task, 0.3)
+    assert all(len(region.sample(1, np.random.default_rng(seed))) == 1 for seed in range(100))

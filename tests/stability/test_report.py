@@ -336,3 +336,74 @@ def test_suggest_refuses(tools, small_box):
         aj.suggest_gains(tools, small_box, settling_time=0.0)
     with pytest.raises(aj.InvalidInputError, match="torque_limits must be numbers > 0"):
         aj.suggest_gains(tools, small_box, torque_limits=-1.0)
+
+
+# -- what a saturated error hides -----------------------------------------------------------
+
+
+def test_a_saturated_error_is_looked_at_where_it_is_not():
+    """With a small γ, drawn errors are all beyond it, where s is flat; motions end where it is not.
+
+    The camera is rolled so far that the loop is unstable at many targets.
+    """
+    arm = paper.build_arm().with_gravity((0.0, 0.0, 0.0))
+    errors = aj.Uncertainty(arm, camera=paper.CAMERA, roll=(-math.pi / 3, 0.0))
+    controller = aj.SetpointController(
+        errors.believed_task(), aj.Gains(5000.0, 5000.0), saturation=aj.Sine(1e-5)
+    )
+    region = aj.JointBox.around(arm, (1.57, 1.57), 0.3)
+    found = aj.stability_report(controller, errors, region, postures=400)
+    slopes = found.scenarios.slope
+    assert (slopes > 0.5).all(axis=1).mean() > 0.25
+    assert (slopes == 0.0).all(axis=1).mean() > 0.25
+    assert not found.local.stable
+    assert found.certified_by is None
+    assert not any(test.certified for test in found.matrix.values())
+    scales = aj.tolerance(controller, errors, region, tests=("matrix", "local"), postures=200)
+    assert scales["matrix"].scale < scales["local"].scale
+
+
+def test_pose_gains_that_differ_count_in_theorem_1(weightless):
+    """With an exact model, p is what ∂e/∂q differs from J by; without it Theorem 1 would hold."""
+    task = aj.PoseTask(weightless)
+    kp = (4e4, 4e4, 4e4, 4e4, 4e3, 4e2)
+    controller = aj.SetpointController(task, aj.Gains(kp, 8000.0, 20.0))
+    region = aj.JointBox.around(weightless, Q, 0.3)
+    found = aj.stability_report(controller, weightless, region, postures=60)
+    assert found.theorem1.p > 0.01
+    assert not found.theorem1.holds
+
+
+def test_tolerance_takes_no_gravity_for_granted():
+    arm = aj.load_robot("panda")
+    tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 1.0))
+    region = aj.JointBox.around(arm, Q, 0.1)
+    with pytest.raises(aj.InvalidInputError, match="gravity must be compensated exactly or be lea"):
+        aj.tolerance(controller_of(tools), tools, region, postures=20)
+
+
+def test_a_target_that_grown_errors_put_out_of_reach_is_where_tolerance_ends(weightless):
+    tools = aj.Uncertainty(weightless, object_length=(0.0, 0.05))
+    region = aj.JointBox.around(weightless, Q, 0.3)
+    target = tools.plant([0.02]).sensor.value(Q)
+    found = aj.tolerance(
+        controller_of(tools), tools, region, tests=("local",), target=target, postures=4,
+        largest=60.0,
+    )["local"]  # fmt: skip
+    assert 1.0 < found.scale < found.fails_at < 60.0
+    grown = aj.stability_map(
+        controller_of(tools), tools, region, names=("error", "a"), x=(1.0, 60.0), y=(4.0, 5.0),
+        target=target, coarse=0,
+    )  # fmt: skip
+    assert np.isfinite(grown.decay_rate[:, 0]).all()
+    assert np.isnan(grown.decay_rate[:, 1]).all()
+
+
+def test_every_corner_is_drawn_as_often(weightless):
+    shifts = dict.fromkeys(weightless.joint_names[:4], (0.01, 0.0, 0.0))
+    many = aj.Uncertainty(weightless, joint_shifts=shifts)
+    found = aj.stability_report(
+        controller_of(many), many, aj.JointBox.around(weightless, Q, 0.1), postures=20
+    )
+    counts = np.bincount(found.scenarios.truth, minlength=16)
+    assert counts.min() >= 2

@@ -1,5 +1,7 @@
 """Regions that hold a posture where Ĵ loses rank: no test may certify them."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -59,3 +61,30 @@ def test_a_redundant_arm_is_singular_in_fewer_postures():
         controller, arm, JointBox.around(arm, q, 0.2), target=task.value(q), postures=60
     )
     assert report.singular_q is None
+
+
+def test_nor_does_tolerance_a_map_or_a_suggestion(straight):
+    plant, controller, _, q0 = straight
+    errors = aj.Uncertainty(
+        plant.robot, functools.partial(aj.PositionTask, axes="xz"),
+        joint_shifts={"joint2": (0.01, 0.0, 0.0)},
+    )  # fmt: skip
+    box = JointBox.around(plant.robot, q0, 0.45)
+    tests = ("theorem1", "matrix")
+    found = aj.tolerance(controller, errors, box, tests=tests, postures=40)
+    assert [found[test].scale for test in tests] == [0.0, 0.0]
+    drawn = aj.stability_map(
+        controller, errors, box, names=("error", "a"), x=(0.0, 1.0), y=(1.0, 2.0), coarse=2,
+        postures=40,
+    )  # fmt: skip
+    assert (drawn.theorem1 == -1.0).all()
+    assert (drawn.matrix == -1.0).all()
+    suggestion = aj.suggest_gains(errors, box, settling_time=5.0, postures=40)
+    assert suggestion.gains is None
+
+
+def test_a_drawn_posture_where_the_rank_is_lost_is_named(straight):
+    plant, controller, _target, q0 = straight
+    point = JointBox.around(plant.robot, q0, 0.0)
+    with pytest.raises(aj.InvalidInputError, match="where the estimated Jacobian loses rank, got"):
+        stability_report(controller, plant, point, postures=20)

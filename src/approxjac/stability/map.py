@@ -23,6 +23,7 @@ from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
 from approxjac.stability.scenarios import Sampler, Scenarios, UnattainedError
+from approxjac.stability.singular import singular_posture
 from approxjac.stability.targets import local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
@@ -182,6 +183,7 @@ class _Grid:
         self._base, self._errors, self._region, self._seed = controller, uncertainty, region, seed
         self._target = None if target is None else controller.task.target(target)
         self._kept: tuple[object, Scenarios, Sampler] | None = None
+        self._singular: bool | None = None
         self._controllers: dict[tuple[float | None, ...], SetpointController] = {}
 
     def order(self, names: tuple[str, str], nx: int, ny: int) -> list[tuple[int, int]]:
@@ -198,12 +200,16 @@ class _Grid:
     def theorem1(self, at: Mapping[str, float], postures: int) -> float:
         """Margin of test 1, at least −1."""
         scenarios, sampler = self._scenarios(at, postures)
+        if self._is_singular(scenarios):
+            return -1.0
         setting = setting_of(self._controller(at), sampler.plants[0])
         return max(-1.0, theorem1(scenarios, setting).margin)
 
     def matrix(self, at: Mapping[str, float], postures: int) -> float:
         """Margin of test 2, at least −1."""
         scenarios, sampler = self._scenarios(at, postures)
+        if self._is_singular(scenarios):
+            return -1.0
         setting = setting_of(self._controller(at), sampler.plants[0])
         return max(-1.0, float(first_that_passes(MatrixForm(scenarios, setting)).margins.min()))
 
@@ -215,6 +221,13 @@ class _Grid:
             self._controller(at), self._scaled(at), self._region, target=self._target,
             runs=runs, duration=duration, seed=self._seed, executor=executor,
         ).share  # fmt: skip
+
+    def _is_singular(self, scenarios: Scenarios) -> bool:
+        """Whether Ĵ loses rank in the region, which no parameter of the map changes."""
+        if self._singular is None:
+            task = self._base.task
+            self._singular = singular_posture(self._region, task, scenarios) is not None
+        return self._singular
 
     def _scaled(self, at: Mapping[str, float]) -> Uncertainty:
         return self._errors.scaled(at.get("error", 1.0))

@@ -20,6 +20,7 @@ from approxjac.stability.loop import default_region, setting_of, true_plants
 from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.scenarios import Sampler, Scenarios
+from approxjac.stability.singular import singular_posture
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.tolerance import TESTS, Test, tolerance
 from approxjac.stability.uncertainty import Uncertainty
@@ -140,6 +141,7 @@ def suggest_gains(
     require("region", region, Region, "a Region, such as JointBox(robot)")
     sampler = Sampler(first, plants, region, x_d)
     scenarios, targets = sampler.draw(postures, rng), sampler.targets(_TARGETS, rng)
+    singular = singular_posture(region, task, scenarios) is not None
     _, weighing = true_plants(first, heavy)
     weight = np.array(
         [weighing[t].dynamics.g(q) for t, q in zip(scenarios.truth, scenarios.q, strict=True)]
@@ -157,7 +159,9 @@ def suggest_gains(
         slowest = min(0.0 if each.singular else each.decay_rate for each in sampled)
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         margin = np.nan  # of no use where both of the others are missed
-        if ratio <= 1.0 or time <= settling_time:
+        if test != "local" and singular:
+            margin = -np.inf  # whatever the gains: the arm may stand still there
+        elif ratio <= 1.0 or time <= settling_time:
             margin = _margin(controller, plants[0], scenarios, test, slowest)
         return Candidate(gains, margin, ratio, time)
 

@@ -22,6 +22,7 @@ from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
 from approxjac.stability.scenarios import Sampler, UnattainedError
+from approxjac.stability.singular import singular_posture
 from approxjac.stability.targets import local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
@@ -81,6 +82,8 @@ def tolerance(
     progress: Callable[[float], None] | None = None,
 ) -> dict[Test, Tolerance]:
     """Find the largest scaling of a set of errors for which each test still passes.
+
+    A region with a posture where Ĵ loses rank passes neither of the first two tests, at any scale.
 
     By bisection, with the same postures at every scale. Sets grow with their scale, so for the
     first two tests whatever passes at one scale passes at all smaller ones (as far as corners and
@@ -193,6 +196,8 @@ def _failing(
         if uncertainty.factor <= least_factor:
             raise
         return np.array(corners[error.truth])  # grown errors have put the target out of reach
+    if test != "local" and singular_posture(region, controller.task, scenarios) is not None:
+        return np.array(corners[0])  # whatever the errors: the arm may stand still there
     setting = setting_of(controller, plants[0])
     if test == "theorem1":
         first = theorem1(scenarios, setting)
