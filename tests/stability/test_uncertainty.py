@@ -340,3 +340,7 @@ def test_refused_values_and_limits(arm):
     for limit in (0, 1.5, True):
         with pytest.raises(aj.InvalidInputError, match="limit must be an integer >= 1, got"):
             uncertainty.corners(limit)
+
+
+def test_a_box_without_a_range_is_no_error():
+    assert aj.Uncertainty(aj.load_robot("panda")).describe_box() == "no error"

@@ -241,12 +241,14 @@ class Uncertainty:
 
     def describe_box(self) -> str:
         """Return the ranges in words, such as "object_length 0.00 m to 0.300 m"."""
+        if self.d == 0:
+            return "no error"
         lows, highs = self.describe(self.low).split(", "), self.describe(self.high).split(", ")
         shown = [
             f"{low} to {high.removeprefix(name).strip()}"
             for name, low, high in zip(self.names, lows, highs, strict=True)
         ]
-        return ", ".join(shown) or "no error"
+        return ", ".join(shown)
 
     def _by_name(self, values: Sequence[float] | Array) -> dict[str, float]:
         array = as_array("values", values, (self.d,), ", ".join(self.units))
