@@ -1,8 +1,8 @@
 """Time of a stability report and of a map, in seconds and as ratios to Pinocchio's own work.
 
-A report over 10 000 Panda postures on one core, and a map of 40 x 40 points by test 3. The ratios are
-to what Pinocchio alone takes, for 10 000 postures, for the terms that the conditions are made of
-(M, n times C for its gradient, J, and n times dJ/dt).
+A report over 10 000 Panda postures on one core, and a map of 40 x 40 points by test 3. The ratios
+are to what Pinocchio alone takes, for 10 000 postures, for the terms that the conditions are made
+of (M, n times C for its gradient, J, and n times dJ/dt).
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python tests/benchmarks/stability_report.py
 """

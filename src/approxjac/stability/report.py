@@ -286,6 +286,12 @@ def stability_report(
         )
     if type(seed) is not int or seed < 0:
         raise InvalidInputError(f"seed must be an integer >= 0, got {seed!r}", given=seed)
+    if runs and uncertainty is None:
+        raise InvalidInputError(
+            "runs needs truth to be an Uncertainty, from which rollouts draw true robots, "
+            f"got {truth!r}",
+            given=truth,
+        )
     x_d = None if target is None else plants[0].sensor.target(target)
     rng = np.random.default_rng(seed)
     tell = progress or (lambda what, share: None)
@@ -317,13 +323,7 @@ def stability_report(
     local = local_test(sampler, scenarios if x_d is None else sampler.targets(0, rng))
     everywhere = scenarios.join(fresh)
     outcome = None
-    if runs:
-        if uncertainty is None:
-            raise InvalidInputError(
-                "runs needs truth to be an Uncertainty, from which rollouts draw true robots, "
-                f"got {truth!r}",
-                given=truth,
-            )
+    if runs and uncertainty is not None:
         outcome = rollouts(
             controller,
             uncertainty,

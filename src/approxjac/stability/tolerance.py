@@ -11,6 +11,7 @@ import numpy as np
 from approxjac.checks import Array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.stability.certificate import refine_constants, refine_weights
 from approxjac.stability.loop import (
     default_region,
     require_gravity,
@@ -18,7 +19,7 @@ from approxjac.stability.loop import (
     setting_of,
     true_plants,
 )
-from approxjac.stability.matrix_form import MatrixForm, first_that_passes
+from approxjac.stability.matrix_form import MatrixForm
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
 from approxjac.stability.scenarios import Sampler, UnattainedError
@@ -200,11 +201,16 @@ def _failing(
         return np.array(corners[0])  # whatever the errors: the arm may stand still there
     setting = setting_of(controller, plants[0])
     if test == "theorem1":
+        scenarios = refine_constants(sampler, scenarios, setting, rng)
         first = theorem1(scenarios, setting)
         culprit = None if first.holds else scenarios.truth[first.worst["p"]]
     elif test == "matrix":
-        margins = first_that_passes(MatrixForm(scenarios, setting)).margins
-        culprit = None if margins.min() > 0.0 else scenarios.truth[margins.argmin()]
+        form = MatrixForm(scenarios, setting)
+        for family in setting.families:
+            form, best = refine_weights(sampler, form, family, rng)
+            if best.margins.min() > 0.0:
+                return None
+        culprit = form.scenarios.truth[best.margins.argmin()]
     else:
         local = local_test(sampler, scenarios)
         culprit = None if local.stable else local.truth[local.worst]
