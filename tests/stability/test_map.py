@@ -114,7 +114,7 @@ def test_progress_grows_to_one(controller, tools, box):
     ("names", "x", "text"),
     [
         (("error", "b"), (0.0, 1.0), "parameter 'b' not in the map"),
-        (("a", "a"), (1.0, 2.0), "names must be two parameters"),
+        (("a", "a"), (1.0, 2.0), "names must be two different parameters"),
         (("a", "kv"), (0.0, 1.0), "values of a must be at least two growing numbers > 0"),
         (("error", "kv"), (-1.0, 1.0), "values of error must be at least two growing numbers >= 0"),
         (("error", "kv"), (1.0, 1.0), "values of error must be at least two growing numbers"),

@@ -151,7 +151,7 @@ def test_what_became_of_them(controller, uncertainty, serial):
     assert serial.n == 9
     assert serial.share == serial.n_converged / 9
     assert serial.worst.final_error == max(run.final_error for run in serial.runs)
-    assert str(serial).startswith(f"{serial.n_converged} of 9 runs converged to within 0.005 m: ")
+    assert str(serial).startswith(f"{serial.n_converged} of 9 runs converged to within 0.005 m ")
     assert f"run {serial.worst.index}, ended" in str(serial)
     assert f"with {uncertainty.describe(serial.worst.values)}" in repr(serial)
     narrow = dataclasses.replace(REGION, margin=-0.1)

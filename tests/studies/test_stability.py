@@ -169,3 +169,24 @@ def test_without_errors_there_is_nothing_to_scale(tmp_path, capsys):
     assert stability(tmp_path, "panda", *quick) == 0
     assert "certifies no error" in capsys.readouterr().out
     assert not (tmp_path / "map.png").exists()
+
+
+def test_a_region_without_full_rank_is_never_said_to_be_certified(tmp_path, capsys):
+    code = stability(
+        tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.3", "0.1", "--radius",
+        "0.3", "--postures", "40", "--runs", "0", "--map-points", "0",
+    )  # fmt: skip
+    shown = capsys.readouterr().out
+    assert code == 1
+    assert "0 rank" in shown
+    assert "not certified: the estimated Jacobian loses rank in the region" in shown
+    assert "certifies it" not in shown
+
+
+def test_no_map_of_another_run_stays(tmp_path):
+    (tmp_path / "map.png").write_bytes(b"of another arm")
+    stability(
+        tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius",
+        "0.1", "--postures", "20", "--runs", "0", "--map-points", "0",
+    )  # fmt: skip
+    assert not (tmp_path / "map.png").exists()

@@ -99,7 +99,7 @@ def stability_map(
         controller: The controller, whose gains the parameters change.
         uncertainty: The errors at scale 1.
         region: Where to look; see `stability_report`.
-        names: The two parameters, of `PARAMETERS`.
+        names: The two parameters, of "error", "a", "kv" and "damping" (see `PARAMETERS`).
         x: Values of the first: numbers that grow, > 0 (≥ 0 of "error").
         y: Values of the second, alike.
         target: x_d, shape (n_x,); see `stability_report`.
@@ -125,7 +125,7 @@ def stability_map(
         if name not in PARAMETERS:
             raise UnknownNameError("parameter", name, "the map", PARAMETERS)
     if len(set(names)) != 2:
-        raise InvalidInputError(f"names must be two parameters, got {names}", given=names)
+        raise InvalidInputError(f"names must be two different parameters, got {names}", given=names)
     region = default_region(controller) if region is None else region
     require("region", region, Region, "a Region, such as JointBox(robot)")
     require_gravity(controller, uncertainty, region)

@@ -107,7 +107,8 @@ class Rollouts:
         worst, unit = self.worst, self.uncertainty.believed_task().unit
         ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
         return (
-            f"{self.n_converged} of {self.n} runs converged to within {self.tolerance:g} {unit}: "
+            f"{self.n_converged} of {self.n} runs converged to within {self.tolerance:g} {unit} "
+            f"throughout their last tenth: "
             f"{100 * self.share:.1f} %, with {100 * self.confidence:g} % confidence "
             f"{100 * low:.1f} to {100 * high:.1f} %; {self.n_diverged} diverged, {self.n_left} "
             f"others left the region; the worst, run {worst.index}, {ended} "

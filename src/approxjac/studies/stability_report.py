@@ -39,6 +39,11 @@ def advice(result: StabilityResult) -> list[str]:
     errors = case.uncertainty.describe_box()
     if not report.gravity_is_exact:
         return ["not certified: gravity is neither known nor can it be learnt (wrong joint axes)"]
+    if report.singular_q is not None:
+        return [
+            "not certified: the estimated Jacobian loses rank in the region, where the arm may "
+            "stand still away from its target; --sigma-min leaves such postures out"
+        ]
     first = report.theorem1
     sign = "<" if first.holds else ">="
     lines = [
@@ -46,7 +51,14 @@ def advice(result: StabilityResult) -> list[str]:
         f"p = {first.p:.3g} {sign} {max(first.allowed_p, 0.0):.3g}"
     ]
     best = max(report.matrix.values(), key=lambda test: (test.certified, test.margin))
-    if best.certified:
+    if not report.local.stable:
+        unstable = 100 * (1 - report.local.share)
+        lines = [
+            f"with all of these errors not stable near {unstable:.3g} % of the targets, so no "
+            "test can certify the region: smaller errors, another region or a smaller a = k_p/k_v "
+            "may"
+        ]
+    elif best.certified:
         lines.append(f"the matrix form certifies it with margin {best.margin:.3g}")
     else:
         reason = f"margin {best.margin:.3g}"
@@ -56,20 +68,15 @@ def advice(result: StabilityResult) -> list[str]:
                 f"{best.checked} further postures (more postures may find a better function)"
             )
         lines.append(f"the matrix form does not certify it: {reason}")
-        if result.raised_damping is not None:
-            damping = result.raised_damping * case.controller.diagonals.damping
-            lines.append(
-                f"raise damping to {_short(damping)}, {result.raised_damping:g} times what it is, "
-                "to certify it"
-            )
-        if result.certified_part is not None:
-            part = result.certified_part.describe_box()
-            lines.append(f"as it is, certified are errors of {part}")
-    if not report.local.stable:
+    if result.raised_damping is not None:
+        damping = result.raised_damping * case.controller.diagonals.damping
         lines.append(
-            f"not stable near {100 * (1 - report.local.share):.3g} % of the targets, so no test "
-            "can certify the region: smaller errors, another region or a smaller a = k_p/k_v may"
+            f"raise damping to {_short(damping)}, {result.raised_damping:g} times what it is, "
+            "to certify it"
         )
+    if result.certified_part is not None:
+        part = result.certified_part.describe_box()
+        lines.append(f"as it is, certified are errors of {part}")
     return lines
 
 
@@ -121,7 +128,12 @@ def draw_map(result: StabilityResult) -> Figure | None:
         return None
     boundaries = [
         ("test 1, Theorem 1", found.x, found.y, found.theorem1),
-        ("test 2, matrix form", found.coarse_x, found.coarse_y, found.matrix),
+        (
+            "test 2, matrix form (a sketch: 100 postures)",
+            found.coarse_x,
+            found.coarse_y,
+            found.matrix,
+        ),
     ]
     if np.isfinite(found.rollouts).any():
         # half way between all runs and the next smaller share
@@ -193,6 +205,9 @@ def write(result: StabilityResult, out: Path) -> None:
     drawn = draw_map(result)
     if drawn is not None:
         save_figure(drawn, out / "map")
+    else:  # no map of another run beside the other files
+        for ending in ("png", "svg"):
+            (out / f"map.{ending}").unlink(missing_ok=True)
     (out / "summary.json").write_text(json.dumps(summary(result), indent=2) + "\n", "utf-8")
 
 

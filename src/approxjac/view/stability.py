@@ -95,8 +95,9 @@ def plot_margins(
     top = np.argsort(-margins)
     with style():
         ax = new_figure()[1][0] if ax is None else ax
-        reach = max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0)))
-        for passes, marker, name in ((True, "o", "certified"), (False, "x", "not certified")):
+        # one that is far below zero would leave all others without colour
+        reach = min(1.0, max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0))))
+        for passes, marker, name in ((True, "o", "holds in"), (False, "x", "fails in")):
             chosen = top[(margins[top] > 0.0) == passes]
             if len(chosen) == 0:
                 continue
@@ -105,7 +106,7 @@ def plot_margins(
                 s=9 if passes else 14, linewidths=0.0 if passes else 1.2,
                 c=np.clip(margins[chosen], -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
             )  # fmt: skip
-            label = f"{name}: {len(chosen)} of {len(margins)} postures"
+            label = f"{name} {len(chosen)} of {len(margins)} postures"
             ax.plot([], [], marker, ms=4, color="0.4", label=label)
         worst = positions[margins.argmin(), rows]
         ax.plot(*worst, "s", mfc="none", mec=COLORS[6], ms=9, mew=1.5,
