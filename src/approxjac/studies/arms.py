@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from approxjac.checks import as_number
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.robots import load_robot, robot_names
 from approxjac.studies import reach
+from approxjac.studies.processes import run_in_processes
 
 LENGTH, MASS = 0.20, 0.5
 _LARGEST_SHARE = 0.15  # of the arm's moving mass that an object may have
@@ -107,14 +107,7 @@ def run(
     progress: Callable[[], None] | None = None,
 ) -> list[Outcome]:
     """Run cases in several processes, and return their outcomes in the order of the cases."""
-    if jobs is not None and jobs < 1:
-        raise InvalidInputError(f"jobs must be at least 1, got {jobs}", given=jobs)
-    with ProcessPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(run_case, case) for case in cases]
-        for _ in as_completed(waiting):
-            if progress is not None:
-                progress()
-        return [future.result() for future in waiting]
+    return run_in_processes(run_case, cases, jobs, progress)
 
 
 def table(outcomes: Sequence[Outcome]) -> str:

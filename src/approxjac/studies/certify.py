@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +12,13 @@ from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.checks import Array
-from approxjac.errors import InvalidInputError, SimulationError
+from approxjac.errors import SimulationError
 from approxjac.simulation import Trajectory, simulate
 from approxjac.stability import StabilityReport, local_stability, stability_report
 from approxjac.stability.matrix_form import MatrixForm, Setting, Weights
 from approxjac.stability.scenarios import Sampler, Scenarios
 from approxjac.studies.certify_cases import Case, Loop, build
+from approxjac.studies.processes import run_in_processes
 
 TESTS = ("theorem1", "paper", "free", "wide")
 """Test 1 and the families of test 2, all of which certify a region."""
@@ -157,14 +157,7 @@ def run(
     progress: Callable[[], None] | None = None,
 ) -> list[Outcome]:
     """Run cases in several processes, and return their outcomes in the order of the cases."""
-    if jobs is not None and jobs < 1:
-        raise InvalidInputError(f"jobs must be at least 1, got {jobs}", given=jobs)
-    with ProcessPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(run_case, case) for case in cases]
-        for _ in as_completed(waiting):
-            if progress is not None:
-                progress()
-        return [future.result() for future in waiting]
+    return run_in_processes(run_case, cases, jobs, progress)
 
 
 def assess(loop: Loop, postures: int = POSTURES) -> StabilityReport:
