@@ -9,11 +9,13 @@ from approxjac.controllers import (
     AdaptiveGravity,
     DifferentiatedVelocity,
     Gains,
+    Limits,
     ModelGravity,
     NoGravity,
     Posture,
     RegressorGravity,
     SetpointController,
+    TorqueLimited,
     default_adaptation,
     default_gains,
 )
@@ -26,7 +28,7 @@ from approxjac.errors import (
     UnknownNameError,
     UrdfError,
 )
-from approxjac.interface import Controller, Evaluation, Measurement, Status
+from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement, Status
 from approxjac.law import Linear, Sine, Tanh
 from approxjac.robots import (
     Dynamics,
@@ -88,6 +90,8 @@ __all__ = [
     "ImageTask",
     "InvalidInputError",
     "JointBox",
+    "LimitStatus",
+    "Limits",
     "Linear",
     "LocalStability",
     "LyapunovValue",
@@ -121,6 +125,7 @@ __all__ = [
     "Tanh",
     "Task",
     "Tolerance",
+    "TorqueLimited",
     "Trajectory",
     "TrajectoryFileError",
     "Tube",

@@ -49,6 +49,48 @@ _MESSAGES: Mapping[Status, str] = {
 }
 
 
+class LimitStatus(enum.IntEnum):
+    """What became of the torque that a law asks for, in one evaluation of a controller.
+
+    The proof is that of Theorem 1: V̇ ≤ −W, which any torque with yᵀ(τ − τ*) ≤ 0 keeps.
+    """
+
+    UNLIMITED = 0
+    FREE = 1
+    LIMITED = 2
+    PROOF_KEPT = 3
+    PROOF_GIVEN_UP = 4
+    INFEASIBLE = 5
+    SOLVER_FAILED = 6
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def message(self) -> str:
+        """A sentence a person can act on."""
+        return _LIMIT_MESSAGES[self]
+
+
+_LIMIT_MESSAGES: Mapping[LimitStatus, str] = {
+    LimitStatus.UNLIMITED: "the controller knows no limits",
+    LimitStatus.FREE: "the torque of the law is within all limits",
+    LimitStatus.LIMITED: "the torque was brought within the limits; nothing was asked of the proof",
+    LimitStatus.PROOF_KEPT: "the torque was brought within the limits such that V̇ ≤ −W still holds",
+    LimitStatus.PROOF_GIVEN_UP: (
+        "the limits leave no torque with V̇ ≤ −W: V̇ may exceed −W by the slack, at most"
+    ),
+    LimitStatus.INFEASIBLE: (
+        "no torque keeps all limits at once: gravity compensation and damping within the torque "
+        "limits"
+    ),
+    LimitStatus.SOLVER_FAILED: (
+        "the solver gave no usable torque in time: gravity compensation and damping within the "
+        "torque limits"
+    ),
+}
+
+
 class Measurement(NamedTuple):
     """All that a controller may know about the true robot at one instant.
 
@@ -74,6 +116,8 @@ class Evaluation(NamedTuple):
         status: What happened.
         e: Task error, shape (m,) [unit of the task].
         J_hat: Estimated Jacobian Ĵ, shape (m, n_v); None from controllers that have none.
+        limit_status: What limits did to the torque.
+        slack: σ ≥ 0, by which V̇ may exceed −W because of limits [W]; NaN where it is not known.
     """
 
     torque: Array
@@ -81,6 +125,8 @@ class Evaluation(NamedTuple):
     status: Status
     e: Array
     J_hat: Array | None = None
+    limit_status: LimitStatus = LimitStatus.UNLIMITED
+    slack: float = 0.0
 
     @property
     def sigma_min(self) -> float:

@@ -9,6 +9,8 @@ from approxjac.controllers.gravity import (
     NoGravity,
     RegressorGravity,
 )
+from approxjac.controllers.limited import TorqueLimited
+from approxjac.controllers.limits import Limits
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
 from approxjac.controllers.tuning import default_adaptation, default_gains
@@ -19,11 +21,13 @@ __all__ = [
     "DifferentiatedVelocity",
     "Gains",
     "Gravity",
+    "Limits",
     "ModelGravity",
     "NoGravity",
     "Posture",
     "RegressorGravity",
     "SetpointController",
+    "TorqueLimited",
     "default_adaptation",
     "default_gains",
 ]

@@ -162,6 +162,40 @@ class SetpointController:
         """θ̂ from one state (n_state,) or a series of them (…, n_state); shape (…, p)."""
         return state[..., : self._p]
 
+    def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
+        """y = q̇ + αĴ⁺s(e), eq. (10), where this controller gave an answer.
+
+        Args:
+            answer: The answer.
+            v: The joint velocity that it was given for, shape (n_v,).
+            alpha: α [1/s].
+
+        Returns:
+            Shape (n_v,) [rad/s or m/s]; q̇ where x was lost.
+        """
+        s, J_hat = self.saturation.s(answer.e), answer.J_hat
+        if J_hat is None or not math.isfinite(s.dot(s)):
+            return v
+        w, _ = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=self._scale)
+        return law.passive_output(v, w.dot(J_hat), alpha)
+
+    def gravity_torque(self, state: Array, q: Array) -> Array:
+        """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
+        if self.adaptation is not None:
+            return law.gravity(self.adaptation.regressor.compute_Z(q), state[: self._p])
+        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
+
+    def with_gravity(self, gravity: Gravity) -> SetpointController:
+        """Return this controller with another source of gravity."""
+        return type(self)(
+            self.task,
+            self.gains,
+            gravity=gravity,
+            saturation=self.saturation,
+            velocity=self.velocity,
+            posture=self.posture,
+        )
+
     def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
         """Torque for one measurement.
 

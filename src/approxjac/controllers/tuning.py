@@ -9,7 +9,7 @@ import numpy as np
 from approxjac.checks import Array, as_number, require
 from approxjac.controllers.gains import Diagonals, Gains
 from approxjac.errors import InvalidInputError
-from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import Task
 
 _POSTURES = 100
@@ -115,8 +115,7 @@ def default_adaptation(
         The diagonal of L, shape (p,), and α [1/s].
     """
     postures = _regular_postures(task)
-    felt = _felt_damping(task, gains.damping, [J for _, J in postures])
-    slow = float((gains.kp / (gains.kv + felt)).min())
+    slow = slow_rate(task, gains, [J for _, J in postures])
     alpha = slow if alpha is None else alpha
     dynamics = Dynamics(task.robot)
     columns = [regressor.Z(q) for q, _ in postures]
@@ -130,6 +129,21 @@ def default_adaptation(
         accelerations.append((Z * np.linalg.solve(dynamics.M(q), Z)).sum(axis=0))
     L = _LEARNING_SPEED * slow / float(np.median(rates)) * D
     return np.minimum(L, (_FASTEST_LEARNING * slow) ** 2 / np.max(accelerations, axis=0)), alpha
+
+
+def slow_rate(task: Task, gains: Diagonals, jacobians: list[Array] | None = None) -> float:
+    """Rate of the task's slow pole, min k_p / (k_v + K_b) with the K_b of `default_gains` [1/s]."""
+    if jacobians is None:
+        jacobians = [J for _, J in _regular_postures(task)]
+    felt = _felt_damping(task, gains.damping, jacobians)
+    return float((gains.kp / (gains.kv + felt)).min())
+
+
+def usual_inertia(robot: Robot) -> Array:
+    """Mᵢᵢ of each joint, the median over seeded postures, shape (n_v,) [kg m² or kg]."""
+    rng, dynamics = np.random.default_rng(0), Dynamics(robot)
+    diagonals = [np.diag(dynamics.M(robot.random_configuration(rng))) for _ in range(_POSTURES)]
+    return np.asarray(np.median(diagonals, axis=0))
 
 
 def _felt_damping(task: Task, damping: Array, jacobians: list[Array]) -> Array:

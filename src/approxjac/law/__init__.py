@@ -45,6 +45,7 @@ from approxjac.law.torque import (
     learnt_gravity_torque,
     measured_velocity_torque,
 )
+from approxjac.law.torque_limits import limited_torque
 
 __all__ = [
     "SINGULAR_RATIO",
@@ -77,6 +78,7 @@ __all__ = [
     "largest_alpha",
     "learning_gain",
     "learnt_gravity_torque",
+    "limited_torque",
     "measured_velocity_torque",
     "parameter_potential",
     "passive_output",

@@ -146,6 +146,13 @@ class Robot:
         return limits
 
     @property
+    def velocity_limits(self) -> Array:
+        """Speed limits, shape (n_v,) [rad/s or m/s]; infinite where none is known."""
+        limits = np.array(self._model.upperVelocityLimit, dtype=np.float64)
+        limits[limits <= 0.0] = np.inf
+        return limits
+
+    @property
     def position_limits(self) -> tuple[Array, Array]:
         """Lower and upper joint limits, each of shape (n_v,) [rad or m].
 

@@ -1,0 +1,321 @@
+"""`TorqueLimited`: torque, rate and joint limits by a QP that keeps the proof where it can."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac import law
+from approxjac.checks import Array, as_diagonal, as_number, require
+from approxjac.controllers.limiter import Limiter
+from approxjac.controllers.limits import (
+    Limits,
+    acceleration_bounds,
+    acceleration_rows,
+    position_bounds,
+    proof_row,
+    velocity_bounds,
+)
+from approxjac.controllers.quadratic import QuadraticProgram, Verdict, as_solver
+from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.tuning import slow_rate, usual_inertia
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.interface import Evaluation, LimitStatus, Measurement
+from approxjac.robots import Dynamics
+
+Weight = Literal["joint inertia", "inertia", "identity", "task force"]
+_WEIGHTS = ("joint inertia", "inertia", "identity", "task force")
+_FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
+_KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
+_TASK_FORCE_KEPT = 100.0  # how much dearer it is to turn the task force than to reduce it
+_ROUND_OFF = 1e-10
+_ALPHA_SHARE = 0.3
+
+
+class TorqueLimited(Limiter):
+    """A controller whose torque keeps limits, and the proof where limits leave room for it.
+
+    Replacing the law's τ* by τ changes V̇ by yᵀ(τ − τ*) with y = q̇ + αĴ⁺s(e), so that any τ with
+    yᵀ(τ − τ*) ≤ 0 keeps V̇ ≤ −W. In each step
+
+        min ½(τ − τ*)ᵀR(τ − τ*) + ρσ   subject to   yᵀ(τ − τ*) ≤ σ,  σ ≥ 0
+
+    and to the limits: |τ| and its rate; and |q̇| and q, whose next step the believed dynamics
+    predict. A slack σ > 0 is reported, never hidden. The multiplier of the proof's row acts as
+    damping added along y, λR⁻¹ with λ ≤ ρ, so ρ is chosen such that this damping is not faster
+    than `braking`.
+
+    Where R is diagonal and no limit of speed or position is near, the minimum is known in closed
+    form and no solver is called. Where no torque keeps all limits, and where the solver fails, the
+    torque is gravity compensation less `braking` times the joints' inertia times q̇, within the
+    torque limits.
+
+    Immutable, but it owns scratch memory: one instance a thread.
+
+    Args:
+        controller: The controller whose torque to limit.
+        limits: What to keep; those of the believed robot's URDF by default.
+        weight: R: "joint inertia", diagonal with the believed robot's usual 1/Mᵢᵢ; "inertia",
+            M̂(q)⁻¹, so that accelerations change least; "identity"; "task force", which reduces the
+            force on the task rather than turns it; or a diagonal of one's own, shape (n_v,).
+        proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
+        alpha: α of y [1/s]; that of the adaptation where gravity is learnt. By default 0.3 of the
+            rate of the task's slow pole: with a small α it is q̇ that counts, and the proof can be
+            kept more often.
+        dt: Sampling time [s].
+        braking: How fast damping may be [1/s], at most 1/dt; 0.05/dt by default.
+        approach: κ of `position_bounds` [1/s], at most `braking`; a fifth of it by default.
+        solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
+            `QuadraticProgram` and returns its minimum.
+        time_budget: For the solver [s]; half of dt by default.
+
+    Raises:
+        InvalidInputError: Numbers out of range, limits of another number of joints, or another α
+            than that of the adaptation.
+        UnknownNameError: No such weight or solver.
+    """
+
+    def __init__(
+        self,
+        controller: SetpointController,
+        limits: Limits | None = None,
+        *,
+        weight: Weight | Sequence[float] | Array = "joint inertia",
+        proof: bool = True,
+        alpha: float | None = None,
+        dt: float = 1e-3,
+        braking: float | None = None,
+        approach: float | None = None,
+        solver: str | Callable[[QuadraticProgram], Array | None] = "daqp",
+        time_budget: float | None = None,
+    ) -> None:
+        super().__init__(controller, limits, dt=dt)
+        require("proof", proof, bool, "True or False")
+        robot = controller.task.robot
+        self.proof = proof
+        self.alpha = self._resolved_alpha(alpha)
+        self.braking = self._share_of("braking", braking, 1.0 / self._step, 0.05)
+        self.approach = self._share_of("approach", approach, self.braking, 0.2)
+        budget = 0.5 * dt if time_budget is None else time_budget
+        self.time_budget = as_number("time_budget", budget, unit="s", above=0.0)
+        self.weight = weight
+        self._solver = as_solver(solver, self.time_budget)
+        self._options_given = {
+            "weight": weight,
+            "proof": proof,
+            "alpha": alpha,
+            "braking": braking,
+            "approach": approach,
+            "solver": solver,
+            "time_budget": time_budget,
+        }
+        self._inertia = usual_inertia(robot)
+        self._diagonal = self._resolved_weight(weight)
+        self._rho = self._most_damping()
+        # gravity is what the controller takes it for, which may be learnt or none
+        self._dynamics = Dynamics(robot.with_gravity((0.0, 0.0, 0.0)))
+        self._neutral = robot.neutral()
+        lower, upper = self.limits.position  # type: ignore[misc]
+        self._position = (np.asarray(lower), np.asarray(upper))
+        self._velocity = velocity_bounds(np.asarray(self.limits.velocity))
+        self._has_joint_limits = bool(
+            np.isfinite([*self._position, *self._velocity]).any()
+        )
+
+    @property
+    def dt(self) -> float | None:
+        """Sampling time that control has to have [s], or None where any will do."""
+        return self._step if self._has_rate or self._has_joint_limits else None
+
+    def _limit(
+        self,
+        answer: Evaluation,
+        state: Array,
+        measurement: Measurement,
+        target: Array,
+        lower: Array,
+        upper: Array,
+    ) -> tuple[Array, LimitStatus, float]:
+        wanted, v = answer.torque, measurement.v
+        torque: Array = np.minimum(np.maximum(wanted, lower), upper)
+        free = torque.tolist() == wanted.tolist()
+        if free and not self._has_joint_limits:
+            return torque, _FREE, 0.0
+        y = None
+        if not free and self._diagonal is not None and self.proof:
+            y = self.controller.passive_output(answer, v, self.alpha)
+            torque = law.limited_torque(wanted, y, lower, upper, self._diagonal, self._rho)
+        accelerations = None
+        if self._has_joint_limits:
+            accelerations = self._acceleration_bounds(measurement)
+            g = self._law.gravity_torque(state, measurement.q)
+            q_dd = self._dynamics.forward(measurement.q, v, torque - g)
+            keeps = _is_within(q_dd, *accelerations)
+        else:
+            keeps = True
+        if keeps and (free or self._diagonal is not None):
+            # the minimum without rows that it keeps is the minimum with them
+            return (torque, _FREE, 0.0) if free else (torque, *self._judged(torque, wanted, y))
+        if y is None:
+            y = self.controller.passive_output(answer, v, self.alpha)
+        g = self._law.gravity_torque(state, measurement.q)
+        R, rows = self._weight_and_rows(answer, measurement, g, accelerations)
+        # σ is eliminated: the minimum has σ > 0 only where it is that with ρyᵀτ in the cost, and
+        # where that one has none to spare, the row with σ = 0 has a multiplier of ρ at most
+        f = -R.dot(wanted)
+        dearest = f + self._rho * y if self.proof else f
+        problem = QuadraticProgram(R, dearest, lower, upper, *rows)
+        found, verdict = self._solver.solve(problem)
+        if found is not None and self.proof and float(y.dot(found - wanted)) < 0.0:
+            problem = QuadraticProgram(R, f, lower, upper, *_with_row(rows, *proof_row(wanted, y)))
+            found, verdict = self._solver.solve(problem)
+        if found is None:
+            infeasible = verdict is Verdict.INFEASIBLE
+            status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
+            hold = g - self.braking * self._inertia * v
+            torque = np.minimum(np.maximum(hold, lower), upper)
+            return torque, status, self._slack(torque, wanted, y)
+        return (found, *self._judged(found, wanted, y))
+
+    def _judged(
+        self, torque: Array, wanted: Array, y: Array | None
+    ) -> tuple[LimitStatus, float]:
+        """Status and slack of a torque that keeps the limits."""
+        if not self.proof or y is None:
+            return _LIMITED, math.nan
+        slack = self._slack(torque, wanted, y)
+        return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
+
+    def _slack(self, torque: Array, wanted: Array, y: Array) -> float:
+        """σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
+        change = torque - wanted
+        power = float(y.dot(change))
+        if power <= 0.0:
+            return 0.0
+        return power if power > _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted)))) else 0.0
+
+    def _acceleration_bounds(self, measurement: Measurement) -> tuple[Array, Array]:
+        """Accelerations within which the joints keep their limits."""
+        slowest, fastest = self._velocity
+        robot, q = self.task.robot, measurement.q
+        motion = q if robot.nq == robot.nv else pin.difference(robot.model, self._neutral, q)
+        near, far = position_bounds(motion, self._position, self.approach)
+        # a joint far beyond its limit comes back no faster than it may move
+        return acceleration_bounds(
+            measurement.v,
+            np.minimum(np.maximum(near, slowest), fastest),
+            np.minimum(np.maximum(far, slowest), fastest),
+            self.braking,
+        )
+
+    def _weight_and_rows(
+        self,
+        answer: Evaluation,
+        measurement: Measurement,
+        g: Array,
+        accelerations: tuple[Array, Array] | None,
+    ) -> tuple[Array, tuple[Array, Array, Array]]:
+        """R, and the rows that the believed dynamics need to keep the joints' limits."""
+        n = len(answer.torque)
+        M_inv = None
+        if accelerations is not None or self.weight == "inertia":
+            M_inv = np.linalg.inv(self._dynamics.M(measurement.q))
+        if self._diagonal is not None:
+            R = np.diag(self._diagonal)
+        elif self.weight == "inertia":
+            R = M_inv
+        else:
+            R = _task_force_weight(answer, g)
+        if accelerations is None:
+            return R, (np.zeros((0, n)), np.zeros(0), np.zeros(0))
+        bias = self._dynamics.inverse(measurement.q, measurement.v, np.zeros(n)) + g
+        return R, acceleration_rows(M_inv, bias, *accelerations)
+
+    def _resolved_alpha(self, alpha: float | None) -> float:
+        learning = self.controller.adaptation
+        if alpha is None:
+            if learning is not None:
+                return learning.alpha
+            return _ALPHA_SHARE * slow_rate(self.task, self.controller.diagonals)
+        alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
+        if learning is not None and alpha != learning.alpha:
+            raise InvalidInputError(
+                f"alpha must be that of the adaptation, {learning.alpha:g} [1/s], got {alpha:g}",
+                given=alpha,
+            )
+        return alpha
+
+    def _share_of(self, name: str, value: float | None, most: float, share: float) -> float:
+        """A rate that was given, at most `most`, or a share of it."""
+        if value is None:
+            return share * most
+        rate = as_number(name, value, unit="1/s", above=0.0)
+        if rate > most * (1.0 + 1e-9):
+            raise InvalidInputError(
+                f"{name} must be at most {most:g} [1/s], got {rate:g}", given=value
+            )
+        return rate
+
+    def _resolved_weight(self, weight: Any) -> Array | None:
+        """Diagonal of R, or None where it is no diagonal."""
+        nv = self.task.robot.nv
+        if not isinstance(weight, str):
+            return as_diagonal("weight", weight, nv)
+        if weight not in _WEIGHTS:
+            raise UnknownNameError("weight", weight, "the weights", _WEIGHTS)
+        if weight == "joint inertia":
+            return 1.0 / self._inertia
+        return np.ones(nv) if weight == "identity" else None
+
+    def _most_damping(self) -> float:
+        """ρ with which λR⁻¹ ≤ ρR⁻¹ is no faster damping than `braking`."""
+        if self.weight == "inertia":
+            return self.braking
+        weight = 1.0 if self._diagonal is None else self._diagonal  # R of the task force is ≥ I
+        return float(self.braking * (self._inertia * weight).min())
+
+    def _options(self) -> dict[str, Any]:
+        return {**super()._options(), **self._options_given}
+
+    def __repr__(self) -> str:
+        return f"TorqueLimited({self.controller!r}, solver={self._solver.name})"
+
+
+def _task_force_weight(answer: Evaluation, g: Array) -> Array:
+    """R that makes it dear to turn the force on the task, shape (n_v, n_v).
+
+    R = I + w N P N with P = Ĵᵀ(ĴĴᵀ)⁻¹Ĵ, onto the joint torques that act on the task, and
+    N = I − uuᵀ, u the direction of the law's own τ* − g.
+    """
+    force = answer.torque - g
+    size, J_hat = math.hypot(*force.tolist()), answer.J_hat
+    if size == 0.0 or J_hat is None:
+        return np.eye(len(force))
+    u = force / size
+    squares, U = np.linalg.eigh(J_hat.dot(J_hat.T))
+    regular = squares > law.SINGULAR_RATIO**2 * squares[-1]
+    basis = (U[:, regular] / np.sqrt(squares[regular])).T.dot(J_hat)
+    across = basis - np.outer(basis.dot(u), u)
+    return np.eye(len(force)) + _TASK_FORCE_KEPT * across.T.dot(across)
+
+
+def _with_row(
+    rows: tuple[Array, Array, Array], row: Array, upper: float
+) -> tuple[Array, Array, Array]:
+    """Rows and one more with an upper bound, scaled to the length one."""
+    A, row_lower, row_upper = rows
+    size = math.hypot(*row.tolist())
+    return (
+        np.vstack([A, row / size]),
+        np.append(row_lower, -np.inf),
+        np.append(row_upper, upper / size),
+    )
+
+
+def _is_within(values: Array, lower: Array, upper: Array) -> bool:
+    clipped: Array = np.minimum(np.maximum(values, lower), upper)
+    return clipped.tolist() == values.tolist()

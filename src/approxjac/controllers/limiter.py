@@ -1,0 +1,183 @@
+"""What all limiters of a controller's torque share: limits, the torque before, learning."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import numpy as np
+
+from approxjac.checks import Array, as_number, require
+from approxjac.controllers.gravity import AdaptiveGravity
+from approxjac.controllers.limits import Limits, effort_bounds, rate_bounds
+from approxjac.controllers.setpoint import SetpointController
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Evaluation, LimitStatus, Measurement
+from approxjac.tasks import Task
+
+_FREE, _KEPT = LimitStatus.FREE, LimitStatus.PROOF_KEPT  # members of an enum are slow to look up
+
+
+class Limiter(abc.ABC):
+    """A controller whose torque is brought within limits.
+
+    Its state is that of the controller, followed by the torque of the step before where the rate
+    of torques is limited; the first step starts from the torque that holds the arm.
+
+    Learning by eq. (29) goes on where the torque is free, or limited such that V̇ ≤ −W holds: the
+    parameters are part of that V, and it needs them to move. Otherwise θ̂ stands still. This takes
+    the place of `AdaptiveGravity.torque_limits`.
+
+    Args:
+        controller: The controller whose torque to limit.
+        limits: What to keep; those of the believed robot's URDF by default.
+        dt: Sampling time [s].
+
+    Attributes:
+        controller: The controller.
+        limits: The limits with an entry for each joint.
+        dt: Sampling time that control has to have, or None where any will do.
+    """
+
+    def __init__(
+        self, controller: SetpointController, limits: Limits | None = None, *, dt: float = 1e-3
+    ) -> None:
+        require("controller", controller, SetpointController, "a SetpointController")
+        if limits is not None:
+            require("limits", limits, Limits, "Limits(effort=...), Limits.of(robot) or None")
+        self.controller = controller
+        self._given_limits = limits
+        self._step = as_number("dt", dt, unit="s", above=0.0)
+        robot = controller.task.robot
+        given = Limits.of(robot) if limits is None else limits
+        self.limits = given.for_joints(robot.nv)
+        self._law = _always_learning(controller)
+        self._lower, self._upper = effort_bounds(np.asarray(self.limits.effort))
+        self._rate = np.asarray(self.limits.rate)
+        self._has_rate = bool(np.isfinite(self._rate).any())
+        self._p = 0 if controller.adaptation is None else controller.adaptation.regressor.p
+        self._n_inner = controller.n_state
+
+    @property
+    def task(self) -> Task:
+        """The task of the believed robot."""
+        return self.controller.task
+
+    @property
+    def dt(self) -> float | None:
+        """Sampling time that control has to have [s], or None where any will do."""
+        return self._step if self._has_rate else None
+
+    @property
+    def n_state(self) -> int:
+        """Length of the controller's state, plus n_v where the rate of torques is limited."""
+        return self._n_inner + (self.task.robot.nv if self._has_rate else 0)
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """State before the first evaluation.
+
+        Raises:
+            InvalidInputError: A measurement of the wrong shapes.
+            MeasurementError: Law (5), and the first x is lost.
+        """
+        state = self._law.initial_state(measurement)
+        if not self._has_rate:
+            return state
+        hold = self._law.gravity_torque(state, measurement.q)
+        return np.concatenate([state, np.clip(hold, self._lower, self._upper)])
+
+    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
+        """Torque within the limits for one measurement.
+
+        Args:
+            state: Controller state, shape (n_state,).
+            measurement: t, q, v and the measured x.
+            target: x_d, shape (n_x,) [unit of the task].
+
+        Raises:
+            MeasurementError: As the controller.
+            InvalidInputError: As the controller.
+        """
+        if not self._has_rate:
+            answer = self._law.evaluate(state, measurement, target)
+            lower, upper = self._lower, self._upper
+        else:
+            state, before = self._split(state)
+            answer = self._law.evaluate(state, measurement, target)
+            lower, upper = rate_bounds(before, self._rate, self._step, self._lower, self._upper)
+        torque, status, slack = self._limit(answer, state, measurement, target, lower, upper)
+        state_rate = answer.state_rate
+        if self._p and status is not _FREE and status is not _KEPT:
+            state_rate = state_rate.copy()
+            state_rate[: self._p] = 0.0
+        if self._has_rate:
+            state_rate = np.concatenate([state_rate, (torque - before) / self._step])
+        return Evaluation(
+            torque, state_rate, answer.status, answer.e, answer.J_hat, status, slack
+        )
+
+    @abc.abstractmethod
+    def _limit(
+        self,
+        answer: Evaluation,
+        state: Array,
+        measurement: Measurement,
+        target: Array,
+        lower: Array,
+        upper: Array,
+    ) -> tuple[Array, LimitStatus, float]:
+        """Torque within [lower, upper], what was done to it, and the slack.
+
+        Args:
+            answer: What the controller asks for.
+            state: Its state.
+            measurement: What was measured.
+            target: x_d.
+            lower: Smallest torques, shape (n_v,).
+            upper: Largest torques, shape (n_v,).
+        """
+
+    def _split(self, state: Array) -> tuple[Array, Array]:
+        """State of the controller, and the torque before, brought within the effort limits."""
+        wanted = (self.n_state,)
+        if not isinstance(state, np.ndarray) or state.shape != wanted:
+            given = state.shape if isinstance(state, np.ndarray) else type(state).__name__
+            raise InvalidInputError(
+                f"state must be an array of shape {wanted}, got {given}", given=state
+            )
+        before = state[self._n_inner :]
+        if not np.isfinite(before).all():
+            raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
+        return state[: self._n_inner], np.minimum(np.maximum(before, self._lower), self._upper)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # a copy has scratch memory of its own, down to that of its controller
+        return _with_options, (type(self), self.controller, self._options())
+
+    def _options(self) -> dict[str, Any]:
+        return {"limits": self._given_limits, "dt": self._step}
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.controller!r})"
+
+
+def _with_options(
+    kind: type[Limiter], controller: SetpointController, options: dict[str, Any]
+) -> Limiter:
+    return kind(controller, **options)
+
+
+def _always_learning(controller: SetpointController) -> SetpointController:
+    """Return a controller that learns whatever the torque; the limiter decides when not to."""
+    learning = controller.adaptation
+    if learning is None:
+        return controller
+    gravity = AdaptiveGravity(
+        learning.regressor,
+        learning.L,
+        learning.alpha,
+        learning.theta0,
+        learning.bounds,
+        torque_limits=np.inf,
+    )
+    return controller.with_gravity(gravity)

@@ -1,0 +1,188 @@
+"""What torques and joints must keep, and the bounds and rows that say so for one control step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from approxjac.checks import Array, as_limits, as_number, require, shape_of
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits of the motors and joints of an arm. Each is off where it is None, or infinite.
+
+    `Limits.of(robot)` takes those of the URDF; `dataclasses.replace` changes one.
+
+    Attributes:
+        effort: Largest |τ|, a number or shape (n_v,) [N m or N].
+        rate: Largest change of τ in time, a number or shape (n_v,) [N m/s or N/s].
+        position: Smallest and largest joint positions, each shape (n_v,) [rad or m].
+        velocity: Largest |q̇|, a number or shape (n_v,) [rad/s or m/s].
+
+    Raises:
+        InvalidInputError: Limits that are not positive, not numbers, or reversed.
+    """
+
+    effort: float | Sequence[float] | Array | None = None
+    rate: float | Sequence[float] | Array | None = None
+    position: tuple[Sequence[float] | Array, Sequence[float] | Array] | None = None
+    velocity: float | Sequence[float] | Array | None = None
+
+    def __post_init__(self) -> None:
+        units = {"effort": "N m or N", "rate": "N m/s or N/s", "velocity": "rad/s or m/s"}
+        for name, unit in units.items():
+            value = getattr(self, name)
+            if value is not None:
+                size = shape_of(value)
+                limits = as_limits(name, value, size[0] if size else 1, unit=unit)
+                object.__setattr__(self, name, limits if size else float(limits[0]))
+        if self.position is not None:
+            object.__setattr__(self, "position", _range(self.position))
+
+    @classmethod
+    def of(cls, robot: Robot, scale: float = 1.0) -> Limits:
+        """Effort, position and velocity limits of a robot's URDF; it knows no torque rates.
+
+        Args:
+            robot: The believed robot.
+            scale: Share of the effort limits that may be used, > 0.
+        """
+        require("robot", robot, Robot, "a Robot")
+        scale = as_number("scale", scale, above=0.0)
+        return cls(
+            effort=scale * robot.effort_limits,
+            position=robot.position_limits,
+            velocity=robot.velocity_limits,
+        )
+
+    def for_joints(self, nv: int) -> Limits:
+        """Return these limits with an entry for each of n_v joints, infinite where there is none.
+
+        Raises:
+            InvalidInputError: Limits of another number of joints.
+        """
+        filled = {
+            name: as_limits(name, np.inf if value is None else value, nv, unit="one a joint")
+            for name, value in (
+                ("effort", self.effort),
+                ("rate", self.rate),
+                ("velocity", self.velocity),
+            )
+        }
+        lower, upper = (-np.inf, np.inf) if self.position is None else self.position
+        if self.position is not None and len(lower) != nv:  # type: ignore[arg-type]
+            raise InvalidInputError(
+                f"position must hold a range for each of {nv} joints, got {len(lower)}",  # type: ignore[arg-type]
+                given=self.position,
+            )
+        ranges = np.broadcast_to(np.array([lower, upper]).reshape(2, -1), (2, nv)).copy()
+        return Limits(position=(ranges[0], ranges[1]), **filled)
+
+
+def effort_bounds(effort: Array) -> tuple[Array, Array]:
+    """Smallest and largest torques that the motors deliver, shape (n_v,) each [N m or N]."""
+    return -effort, effort
+
+
+def rate_bounds(
+    before: Array, rate: Array, dt: float, lower: Array, upper: Array
+) -> tuple[Array, Array]:
+    """Bounds that are also within reach of the torque before in one step.
+
+    Args:
+        before: Torque of the step before, shape (n_v,), within `lower` and `upper`.
+        rate: Largest change, shape (n_v,) [N m/s or N/s].
+        dt: Sampling time [s].
+        lower: Smallest torques, shape (n_v,).
+        upper: Largest torques, shape (n_v,).
+    """
+    return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
+
+
+def velocity_bounds(velocity: Array) -> tuple[Array, Array]:
+    """Smallest and largest speeds, shape (n_v,) each [rad/s or m/s]."""
+    return -velocity, velocity
+
+
+def position_bounds(
+    motion: Array, position: tuple[Array, Array], approach: float
+) -> tuple[Array, Array]:
+    """Speeds with which a joint comes to its limit ever more slowly, shape (n_v,) each.
+
+    A joint at a distance d from its limit may move towards it at κd at most, so it gets there as
+    exp(−κt) and needs no sudden stop. One beyond its limit has to come back.
+
+    Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
+    manipulators with a high number of degrees of freedom", ICRA 1987.
+
+    Args:
+        motion: Joint positions, shape (n_v,) [rad or m].
+        position: Their smallest and largest.
+        approach: κ [1/s].
+    """
+    return approach * (position[0] - motion), approach * (position[1] - motion)
+
+
+def acceleration_bounds(
+    v: Array, slowest: Array, fastest: Array, braking: float
+) -> tuple[Array, Array]:
+    """Accelerations that lead speeds into their bounds, shape (n_v,) each [rad/s² or m/s²].
+
+    Over the next step q̇ goes at most the share r dt of what is left to its bound, and at least
+    that share of the way back from beyond it. A share well below one keeps the joints quiet
+    although the believed inertia, which predicts the step, is wrong.
+
+    Args:
+        v: Joint velocity q̇, shape (n_v,).
+        slowest: Smallest speeds, shape (n_v,), may be −∞.
+        fastest: Largest speeds, shape (n_v,), may be ∞.
+        braking: r [1/s], at most 1/dt.
+    """
+    return braking * (slowest - v), braking * (fastest - v)
+
+
+def acceleration_rows(
+    M_inv: Array, bias: Array, slowest: Array, fastest: Array
+) -> tuple[Array, Array, Array]:
+    """Rows A, b₋, b₊ with b₋ ≤ Aτ ≤ b₊ where q̈ = M⁻¹(τ − h) is within its bounds.
+
+    Args:
+        M_inv: M̂(q)⁻¹ of the believed robot, shape (n_v, n_v).
+        bias: h = Ĉq̇ + ĝ of the believed robot, shape (n_v,).
+        slowest: Smallest accelerations, shape (n_v,).
+        fastest: Largest accelerations, shape (n_v,).
+    """
+    free = M_inv.dot(bias)
+    return M_inv, slowest + free, fastest + free
+
+
+def proof_row(torque: Array, y: Array) -> tuple[Array, float]:
+    """Row a and bound b with aᵀτ ≤ b + σ where yᵀ(τ − τ*) ≤ σ, so that V̇ ≤ −W + σ.
+
+    Args:
+        torque: τ* of the law, shape (n_v,).
+        y: Passive output, eq. (10), shape (n_v,).
+    """
+    return y, float(y.dot(torque))
+
+
+def _range(position: object) -> tuple[Array, Array]:
+    """Check a range of joint positions, and return it as two arrays."""
+    try:
+        lower, upper = (np.array(side, dtype=np.float64) for side in position)  # type: ignore[attr-defined]
+        fits = lower.shape == upper.shape and lower.ndim == 1 and bool((lower < upper).all())
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise InvalidInputError(
+            "position must be the smallest and the largest position of each joint [rad or m], "
+            f"got {position!r}",
+            given=position,
+        )
+    lower.flags.writeable = upper.flags.writeable = False
+    return lower, upper

@@ -1,0 +1,73 @@
+"""Torque limits that keep the decrease of V: any τ with yᵀ(τ − τ*) ≤ 0 does.
+
+Replacing the law's τ* by another τ changes V̇ by yᵀ(τ − τ*), with the passive output y of eq. (10).
+The paper has no torque limits; this is what its proof leaves room for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from approxjac.checks import Array
+
+
+def limited_torque(
+    torque: Array, y: Array, lower: Array, upper: Array, weight: Array, rho: float
+) -> Array:
+    """Torque nearest to τ* within limits that keeps V̇ ≤ −W, or gives up as little as it can.
+
+    Minimises ½ Σ rᵢ(τᵢ − τ*ᵢ)² + ρσ subject to τ within its limits, yᵀ(τ − τ*) ≤ σ and σ ≥ 0.
+    The minimum is τ = τ* − λ R⁻¹y brought inside the limits, with the smallest λ from 0 to ρ that
+    makes σ = 0, or λ = ρ where none does: the proof is bought with extra damping along y, at
+    most ρ R⁻¹. The power yᵀ(τ − τ*) falls with λ along a line that is broken where a joint
+    reaches or leaves its limit, so λ is found exactly by walking along these breaks.
+
+    Args:
+        torque: τ* of the law, shape (n_v,) [N m or N].
+        y: Passive output, eq. (10), shape (n_v,) [rad/s or m/s].
+        lower: Smallest torques, shape (n_v,).
+        upper: Largest torques, shape (n_v,), not below `lower`.
+        weight: Diagonal of R > 0, shape (n_v,).
+        rho: ρ ≥ 0, the most that λ may be.
+
+    Returns:
+        τ within the limits, shape (n_v,).
+    """
+    clipped: Array = np.minimum(np.maximum(torque, lower), upper)
+    power = float(y.dot(clipped - torque))
+    if power <= 0.0:
+        return clipped
+    step = y / weight
+    most: Array = np.minimum(np.maximum(torque - rho * step, lower), upper)
+    if float(y.dot(most - torque)) >= 0.0:
+        return most
+    multiplier = _root(power, torque, y, lower, upper, weight)
+    root: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
+    return root
+
+
+def _root(
+    power: float, torque: Array, y: Array, lower: Array, upper: Array, weight: Array
+) -> float:
+    """λ > 0 where the power, positive at λ = 0, falls to zero; there must be one."""
+    breaks = []
+    for tau, rate, low, high, r in zip(
+        torque.tolist(), y.tolist(), lower.tolist(), upper.tolist(), weight.tolist(), strict=True
+    ):
+        if rate == 0.0:
+            continue
+        # from the λ at which −λ rate / r meets the nearer limit to that at which it meets the other
+        near, far = (high, low) if rate > 0.0 else (low, high)
+        scale, slope = r / rate, rate * rate / r
+        start, end = (tau - near) * scale, (tau - far) * scale
+        if end > 0.0:
+            breaks.append((max(start, 0.0), -slope))
+            breaks.append((end, slope))
+    breaks.sort()
+    here, slope = 0.0, 0.0
+    for there, change in breaks:
+        ahead = power + slope * (there - here)
+        if ahead <= 0.0:
+            break
+        power, here, slope = ahead, there, slope + change
+    return here - power / slope if slope < 0.0 else here
