@@ -1,5 +1,6 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
+from approxjac.controllers.clipped import TaskTorqueScaled, TorqueClipped
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -10,6 +11,7 @@ from approxjac.controllers.gravity import (
     RegressorGravity,
 )
 from approxjac.controllers.limited import TorqueLimited
+from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
@@ -21,12 +23,15 @@ __all__ = [
     "DifferentiatedVelocity",
     "Gains",
     "Gravity",
+    "Limiter",
     "Limits",
     "ModelGravity",
     "NoGravity",
     "Posture",
     "RegressorGravity",
     "SetpointController",
+    "TaskTorqueScaled",
+    "TorqueClipped",
     "TorqueLimited",
     "default_adaptation",
     "default_gains",

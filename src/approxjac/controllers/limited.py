@@ -122,9 +122,7 @@ class TorqueLimited(Limiter):
         lower, upper = self.limits.position  # type: ignore[misc]
         self._position = (np.asarray(lower), np.asarray(upper))
         self._velocity = velocity_bounds(np.asarray(self.limits.velocity))
-        self._has_joint_limits = bool(
-            np.isfinite([*self._position, *self._velocity]).any()
-        )
+        self._has_joint_limits = bool(np.isfinite([*self._position, *self._velocity]).any())
 
     @property
     def dt(self) -> float | None:
@@ -136,7 +134,6 @@ class TorqueLimited(Limiter):
         answer: Evaluation,
         state: Array,
         measurement: Measurement,
-        target: Array,
         lower: Array,
         upper: Array,
     ) -> tuple[Array, LimitStatus, float]:
@@ -181,9 +178,7 @@ class TorqueLimited(Limiter):
             return torque, status, self._slack(torque, wanted, y)
         return (found, *self._judged(found, wanted, y))
 
-    def _judged(
-        self, torque: Array, wanted: Array, y: Array | None
-    ) -> tuple[LimitStatus, float]:
+    def _judged(self, torque: Array, wanted: Array, y: Array | None) -> tuple[LimitStatus, float]:
         """Status and slack of a torque that keeps the limits."""
         if not self.proof or y is None:
             return _LIMITED, math.nan

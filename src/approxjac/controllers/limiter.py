@@ -105,16 +105,14 @@ class Limiter(abc.ABC):
             state, before = self._split(state)
             answer = self._law.evaluate(state, measurement, target)
             lower, upper = rate_bounds(before, self._rate, self._step, self._lower, self._upper)
-        torque, status, slack = self._limit(answer, state, measurement, target, lower, upper)
+        torque, status, slack = self._limit(answer, state, measurement, lower, upper)
         state_rate = answer.state_rate
         if self._p and status is not _FREE and status is not _KEPT:
             state_rate = state_rate.copy()
             state_rate[: self._p] = 0.0
         if self._has_rate:
             state_rate = np.concatenate([state_rate, (torque - before) / self._step])
-        return Evaluation(
-            torque, state_rate, answer.status, answer.e, answer.J_hat, status, slack
-        )
+        return Evaluation(torque, state_rate, answer.status, answer.e, answer.J_hat, status, slack)
 
     @abc.abstractmethod
     def _limit(
@@ -122,7 +120,6 @@ class Limiter(abc.ABC):
         answer: Evaluation,
         state: Array,
         measurement: Measurement,
-        target: Array,
         lower: Array,
         upper: Array,
     ) -> tuple[Array, LimitStatus, float]:
@@ -132,7 +129,6 @@ class Limiter(abc.ABC):
             answer: What the controller asks for.
             state: Its state.
             measurement: What was measured.
-            target: x_d.
             lower: Smallest torques, shape (n_v,).
             upper: Largest torques, shape (n_v,).
         """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 
@@ -47,6 +48,7 @@ def simulate(
         duration: > 0 [s].
         dt: Sampling time [s]: torques are held over it, as a robot does. None integrates
             (q, v, controller state) as one differential equation with LSODA, as the paper does.
+            A controller that limits rates or speeds has a `dt` of its own, which it must be.
         v0: Start velocity, shape (n_v,); at rest by default.
         record_every: Time between recorded instants [s]: dt, or duration/1000 where dt is None.
             A whole number of them fits into duration where dt is None; it is a whole number of dt
@@ -87,6 +89,13 @@ def simulate(
     if progress is not None and not callable(progress):
         raise InvalidInputError(
             f"progress must be a function of the time reached [s], got {progress!r}", given=progress
+        )
+    wanted = getattr(controller, "dt", None)
+    if wanted is not None and (dt is None or not math.isclose(dt, wanted)):
+        raise InvalidInputError(
+            f"dt must be that of the controller, {wanted:g} [s], which limits rates or joints for "
+            f"it, got {dt!r}",
+            given=dt,
         )
     if dt is None:
         if plant.needs_sampling:
@@ -137,6 +146,8 @@ def _trajectory(
         tau=np.array([e.torque for e in evaluations]),
         state=states,
         status=np.array([int(e.status) for e in evaluations], dtype=np.int64),
+        limit_status=np.array([int(e.limit_status) for e in evaluations], dtype=np.int64),
+        slack=np.array([e.slack for e in evaluations]),
         sigma_min=np.array([e.sigma_min for e in evaluations]),
         target=x_d,
         robot_name=robot.name,

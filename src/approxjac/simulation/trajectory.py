@@ -14,7 +14,7 @@ import numpy as np
 
 from approxjac.checks import Array, as_number, require
 from approxjac.errors import InvalidInputError, TrajectoryFileError
-from approxjac.interface import Status
+from approxjac.interface import LimitStatus, Status
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,6 +31,9 @@ class Trajectory:
         tau: Torque, shape (N, n_v).
         state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
         status: `Status` at these instants, shape (N,).
+        limit_status: `LimitStatus` at these instants, shape (N,).
+        slack: σ, by which V̇ may exceed −W because of limits, NaN where it is not known,
+            shape (N,) [W].
         sigma_min: Smallest singular value of Ĵ, shape (N,).
         target: x_d, shape (n_x,).
         robot_name: Name of the true robot.
@@ -49,6 +52,8 @@ class Trajectory:
     tau: Array
     state: Array
     status: np.ndarray[Any, np.dtype[np.int64]]
+    limit_status: np.ndarray[Any, np.dtype[np.int64]]
+    slack: Array
     sigma_min: Array
     target: Array
     robot_name: str
@@ -75,6 +80,7 @@ class Trajectory:
             "x": task,
             "error": task,
             "tau": " or ".join(torque[kind] for kind in kinds),
+            "slack": "W",
             "sigma_min": " or ".join(f"{task}/{kind}" for kind in kinds),
             "target": task,
         }
@@ -104,6 +110,11 @@ class Trajectory:
         """At how many recorded instants each status held."""
         values, counts = np.unique(self.status, return_counts=True)
         return {Status(int(s)): int(n) for s, n in zip(values, counts, strict=True)}
+
+    def limit_status_counts(self) -> dict[LimitStatus, int]:
+        """At how many recorded instants each status of the limits held."""
+        values, counts = np.unique(self.limit_status, return_counts=True)
+        return {LimitStatus(int(s)): int(n) for s, n in zip(values, counts, strict=True)}
 
     def save(self, path: str | Path) -> Path:
         """Write the run to a .npz file that `Trajectory.load` and `numpy.load` read.
@@ -159,7 +170,8 @@ class Trajectory:
         n, joints, m = len(self.t), len(self.joint_names), len(self.task_labels)
         shapes: dict[str, tuple[int, ...]]
         shapes = {"v": (n, joints), "tau": (n, joints), "error": (n, m)}
-        shapes |= {"t": (n,), "status": (n,), "sigma_min": (n,), "target": self.target.shape[:1]}
+        shapes |= dict.fromkeys(("t", "status", "limit_status", "slack", "sigma_min"), (n,))
+        shapes |= {"target": self.target.shape[:1]}
         shapes |= dict.fromkeys(("x", "x_measured"), (n, *self.target.shape))
         # of these the second length is not known here, but they must have one
         shapes |= {name: (n, getattr(self, name).shape[-1]) for name in ("q", "state")}
@@ -167,7 +179,9 @@ class Trajectory:
             array = getattr(self, name)
             if array.shape != shape or array.dtype.kind not in "if":
                 raise ValueError(f"{name} must be numbers of shape {shape}, got {array.shape}")
-        if n == 0 or not set(np.unique(self.status)) <= set(Status):
+        known = set(np.unique(self.status)) <= set(Status)
+        known &= set(np.unique(self.limit_status)) <= set(LimitStatus)
+        if n == 0 or not known:
             raise ValueError("it is empty or has an unknown status")
         if not (np.isfinite(self.t).all() and (np.diff(self.t) > 0.0).all()):
             raise ValueError("its times do not increase")

@@ -1,0 +1,76 @@
+"""What is usually done with a torque beyond its limits; to compare `TorqueLimited` with."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from approxjac.checks import Array
+from approxjac.controllers.limiter import Limiter
+from approxjac.interface import Evaluation, LimitStatus, Measurement
+
+_FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
+
+
+class TorqueClipped(Limiter):
+    """A controller whose torque is clipped, joint by joint; the direction of its force turns.
+
+    It keeps limits of effort and rate; those of joint positions and velocities it cannot.
+    Gravity is learnt only while nothing is clipped.
+
+    Args:
+        controller: The controller whose torque to limit.
+        limits: What to keep; those of the believed robot's URDF by default.
+        dt: Sampling time [s].
+    """
+
+    def _limit(
+        self,
+        answer: Evaluation,
+        state: Array,
+        measurement: Measurement,
+        lower: Array,
+        upper: Array,
+    ) -> tuple[Array, LimitStatus, float]:
+        wanted = answer.torque
+        torque: Array = np.minimum(np.maximum(wanted, lower), upper)
+        if torque.tolist() == wanted.tolist():
+            return torque, _FREE, 0.0
+        return torque, _LIMITED, math.nan
+
+
+class TaskTorqueScaled(Limiter):
+    """A controller whose torque beyond gravity is scaled down until no joint is beyond a limit.
+
+    τ = g + c(τ* − g) with the largest c ≤ 1 within the limits, so that the direction of the force
+    stays. Where gravity alone is beyond a limit, it is clipped and c = 0. It keeps limits of
+    effort and rate; those of joint positions and velocities it cannot. Gravity is learnt only
+    while nothing is scaled.
+
+    Args:
+        controller: The controller whose torque to limit.
+        limits: What to keep; those of the believed robot's URDF by default.
+        dt: Sampling time [s].
+    """
+
+    def _limit(
+        self,
+        answer: Evaluation,
+        state: Array,
+        measurement: Measurement,
+        lower: Array,
+        upper: Array,
+    ) -> tuple[Array, LimitStatus, float]:
+        wanted = answer.torque
+        torque: Array = np.minimum(np.maximum(wanted, lower), upper)
+        if torque.tolist() == wanted.tolist():
+            return torque, _FREE, 0.0
+        g = self._law.gravity_torque(state, measurement.q)
+        hold = np.minimum(np.maximum(g, lower), upper)
+        change = wanted - hold
+        room = np.where(change > 0.0, upper - hold, lower - hold)
+        moves = change != 0.0
+        share = np.min(room[moves] / change[moves], initial=1.0)
+        torque = hold + share * change
+        return np.minimum(np.maximum(torque, lower), upper), _LIMITED, math.nan
