@@ -28,6 +28,7 @@ from approxjac.interface import Evaluation, LimitStatus, Measurement
 from approxjac.robots import Dynamics
 
 Weight = Literal["joint inertia", "inertia", "identity", "task force"]
+Rows = tuple[Array, Array, Array]
 _WEIGHTS = ("joint inertia", "inertia", "identity", "task force")
 _FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
@@ -115,14 +116,20 @@ class TorqueLimited(Limiter):
         }
         self._inertia = usual_inertia(robot)
         self._diagonal = self._resolved_weight(weight)
+        self._R = None if self._diagonal is None else np.diag(self._diagonal)
         self._rho = self._most_damping()
+        self._brakes = self.braking * self._inertia
         # gravity is what the controller takes it for, which may be learnt or none
         self._dynamics = Dynamics(robot.with_gravity((0.0, 0.0, 0.0)))
-        self._neutral = robot.neutral()
-        lower, upper = self.limits.position  # type: ignore[misc]
-        self._position = (np.asarray(lower), np.asarray(upper))
-        self._velocity = velocity_bounds(np.asarray(self.limits.velocity))
-        self._has_joint_limits = bool(np.isfinite([*self._position, *self._velocity]).any())
+        self._model = robot.model
+        self._neutral = None if robot.nq == robot.nv else robot.neutral()
+        # arrays, which NumPy multiplies with in a third of the time of numbers
+        self._braking, self._approach = np.array(self.braking), np.array(self.approach)
+        self._position = np.array(self.limits.position)
+        self._slowest, self._fastest = velocity_bounds(np.asarray(self.limits.velocity))
+        bounds = (*self._position, self._slowest, self._fastest)
+        self._has_joint_limits = bool(np.isfinite(bounds).any())
+        self._no_rows = np.zeros((0, robot.nv)), np.zeros(0), np.zeros(0)
 
     @property
     def dt(self) -> float | None:
@@ -137,46 +144,71 @@ class TorqueLimited(Limiter):
         lower: Array,
         upper: Array,
     ) -> tuple[Array, LimitStatus, float]:
-        wanted, v = answer.torque, measurement.v
+        wanted, q, v = answer.torque, measurement.q, measurement.v
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
         free = torque.tolist() == wanted.tolist()
         if free and not self._has_joint_limits:
             return torque, _FREE, 0.0
         y = None
-        if not free and self._diagonal is not None and self.proof:
+        if not free and self.proof:
             y = self.controller.passive_output(answer, v, self.alpha)
-            torque = law.limited_torque(wanted, y, lower, upper, self._diagonal, self._rho)
-        accelerations = None
+            if self._diagonal is not None:
+                torque = law.limited_torque(wanted, y, lower, upper, self._diagonal, self._rho)
+        g = accelerations = None
+        keeps = True
         if self._has_joint_limits:
-            accelerations = self._acceleration_bounds(measurement)
-            g = self._law.gravity_torque(state, measurement.q)
-            q_dd = self._dynamics.forward(measurement.q, v, torque - g)
+            accelerations = self._acceleration_bounds(q, v)
+            g = self._law.gravity_torque(state, q)
+            q_dd = self._dynamics.compute_forward(q, v, torque - g)
             keeps = _is_within(q_dd, *accelerations)
-        else:
-            keeps = True
-        if keeps and (free or self._diagonal is not None):
-            # the minimum without rows that it keeps is the minimum with them
-            return (torque, _FREE, 0.0) if free else (torque, *self._judged(torque, wanted, y))
+        # the minimum without rows that it keeps is the minimum with them
+        if keeps and free:
+            return torque, _FREE, 0.0
+        if keeps and self._diagonal is not None:
+            return (torque, *self._judged(torque, wanted, y))
+
         if y is None:
             y = self.controller.passive_output(answer, v, self.alpha)
-        g = self._law.gravity_torque(state, measurement.q)
-        R, rows = self._weight_and_rows(answer, measurement, g, accelerations)
-        # σ is eliminated: the minimum has σ > 0 only where it is that with ρyᵀτ in the cost, and
-        # where that one has none to spare, the row with σ = 0 has a multiplier of ρ at most
+        if g is None:
+            g = self._law.gravity_torque(state, q)
+        M_inv = rows = None
+        if accelerations is not None or self.weight == "inertia":
+            M_inv = self._dynamics.compute_M_inv(q)
+        if accelerations is not None:
+            rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), accelerations)
+        found, verdict = self._solve(self._weight(answer, g, M_inv), wanted, y, lower, upper, rows)
+        if found is not None:
+            return (found, *self._judged(found, wanted, y))
+        infeasible = verdict is Verdict.INFEASIBLE
+        status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
+        torque = np.minimum(np.maximum(g - self._brakes * v, lower), upper)
+        return torque, status, self._slack(torque, wanted, y)
+
+    def _solve(
+        self,
+        R: Array,
+        wanted: Array,
+        y: Array,
+        lower: Array,
+        upper: Array,
+        rows: Rows | None,
+    ) -> tuple[Array | None, Verdict]:
+        """Minimum of the QP over τ, its slack eliminated.
+
+        The minimum has σ > 0 only where it is that with ρyᵀτ in the cost instead of the row. Where
+        that one has yᵀ(τ − τ*) < 0, the row with σ = 0 has a multiplier of ρ at most.
+        """
         f = -R.dot(wanted)
-        dearest = f + self._rho * y if self.proof else f
-        problem = QuadraticProgram(R, dearest, lower, upper, *rows)
-        found, verdict = self._solver.solve(problem)
-        if found is not None and self.proof and float(y.dot(found - wanted)) < 0.0:
-            problem = QuadraticProgram(R, f, lower, upper, *_with_row(rows, *proof_row(wanted, y)))
-            found, verdict = self._solver.solve(problem)
-        if found is None:
-            infeasible = verdict is Verdict.INFEASIBLE
-            status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
-            hold = g - self.braking * self._inertia * v
-            torque = np.minimum(np.maximum(hold, lower), upper)
-            return torque, status, self._slack(torque, wanted, y)
-        return (found, *self._judged(found, wanted, y))
+        if rows is None:
+            rows = self._no_rows
+        if not self.proof:
+            return self._solver.solve(QuadraticProgram(R, f, lower, upper, *rows))
+        dearest = QuadraticProgram(R, f + self._rho * y, lower, upper, *rows)
+        found, verdict = self._solver.solve(dearest)
+        if found is None or float(y.dot(found - wanted)) >= 0.0:
+            return found, verdict
+        rows = _with_row(rows, *proof_row(wanted, y))
+        return self._solver.solve(QuadraticProgram(R, f, lower, upper, *rows))
 
     def _judged(self, torque: Array, wanted: Array, y: Array | None) -> tuple[LimitStatus, float]:
         """Status and slack of a torque that keeps the limits."""
@@ -193,42 +225,19 @@ class TorqueLimited(Limiter):
             return 0.0
         return power if power > _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted)))) else 0.0
 
-    def _acceleration_bounds(self, measurement: Measurement) -> tuple[Array, Array]:
-        """Accelerations within which the joints keep their limits."""
-        slowest, fastest = self._velocity
-        robot, q = self.task.robot, measurement.q
-        motion = q if robot.nq == robot.nv else pin.difference(robot.model, self._neutral, q)
-        near, far = position_bounds(motion, self._position, self.approach)
+    def _acceleration_bounds(self, q: Array, v: Array) -> Array:
+        """Accelerations within which the joints keep their limits, shape (2, n_v)."""
+        motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
+        speeds = position_bounds(motion, self._position, self._approach)
         # a joint far beyond its limit comes back no faster than it may move
-        return acceleration_bounds(
-            measurement.v,
-            np.minimum(np.maximum(near, slowest), fastest),
-            np.minimum(np.maximum(far, slowest), fastest),
-            self.braking,
-        )
+        speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
+        return acceleration_bounds(v, speeds, self._braking)
 
-    def _weight_and_rows(
-        self,
-        answer: Evaluation,
-        measurement: Measurement,
-        g: Array,
-        accelerations: tuple[Array, Array] | None,
-    ) -> tuple[Array, tuple[Array, Array, Array]]:
-        """R, and the rows that the believed dynamics need to keep the joints' limits."""
-        n = len(answer.torque)
-        M_inv = None
-        if accelerations is not None or self.weight == "inertia":
-            M_inv = np.linalg.inv(self._dynamics.M(measurement.q))
-        if self._diagonal is not None:
-            R = np.diag(self._diagonal)
-        elif self.weight == "inertia":
-            R = M_inv
-        else:
-            R = _task_force_weight(answer, g)
-        if accelerations is None:
-            return R, (np.zeros((0, n)), np.zeros(0), np.zeros(0))
-        bias = self._dynamics.inverse(measurement.q, measurement.v, np.zeros(n)) + g
-        return R, acceleration_rows(M_inv, bias, *accelerations)
+    def _weight(self, answer: Evaluation, g: Array, M_inv: Array | None) -> Array:
+        """R, shape (n_v, n_v)."""
+        if self._R is not None:
+            return self._R
+        return _task_force_weight(answer, g) if self.weight == "task force" else np.asarray(M_inv)
 
     def _resolved_alpha(self, alpha: float | None) -> float:
         learning = self.controller.adaptation
@@ -298,9 +307,7 @@ def _task_force_weight(answer: Evaluation, g: Array) -> Array:
     return np.eye(len(force)) + _TASK_FORCE_KEPT * across.T.dot(across)
 
 
-def _with_row(
-    rows: tuple[Array, Array, Array], row: Array, upper: float
-) -> tuple[Array, Array, Array]:
+def _with_row(rows: Rows, row: Array, upper: float) -> Rows:
     """Rows and one more with an upper bound, scaled to the length one."""
     A, row_lower, row_upper = rows
     size = math.hypot(*row.tolist())

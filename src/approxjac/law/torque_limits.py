@@ -6,9 +6,13 @@ The paper has no torque limits; this is what its proof leaves room for.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from approxjac.checks import Array
+
+_ROUND_OFF = 1e-12
 
 
 def limited_torque(
@@ -37,11 +41,15 @@ def limited_torque(
     power = float(y.dot(clipped - torque))
     if power <= 0.0:
         return clipped
+    # where no joint reaches or leaves a limit on the way, the first guess is exact
     step = y / weight
-    most: Array = np.minimum(np.maximum(torque - rho * step, lower), upper)
-    if float(y.dot(most - torque)) >= 0.0:
-        return most
-    multiplier = _root(power, torque, y, lower, upper, weight)
+    slope = float((y * step).dot(clipped == torque))
+    multiplier = min(power / slope, rho) if slope > 0.0 else rho
+    guess: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
+    left = float(y.dot(guess - torque))
+    if abs(left) <= _ROUND_OFF * power or (left > 0.0 and multiplier == rho):
+        return guess
+    multiplier = min(_root(power, torque, y, lower, upper, weight), rho)
     root: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
     return root
 
@@ -49,7 +57,7 @@ def limited_torque(
 def _root(
     power: float, torque: Array, y: Array, lower: Array, upper: Array, weight: Array
 ) -> float:
-    """λ > 0 where the power, positive at λ = 0, falls to zero; there must be one."""
+    """λ > 0 where the power, positive at λ = 0, falls to zero; infinite where it does not."""
     breaks = []
     for tau, rate, low, high, r in zip(
         torque.tolist(), y.tolist(), lower.tolist(), upper.tolist(), weight.tolist(), strict=True
@@ -68,6 +76,6 @@ def _root(
     for there, change in breaks:
         ahead = power + slope * (there - here)
         if ahead <= 0.0:
-            break
+            return here - power / slope
         power, here, slope = ahead, there, slope + change
-    return here - power / slope if slope < 0.0 else here
+    return math.inf
