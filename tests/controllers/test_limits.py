@@ -114,4 +114,8 @@ def test_unchecked_dynamics_are_the_checked_ones(arm, rng):
     M = dynamics.M(q)
     assert_array_equal(M, M.T)
     assert_allclose(dynamics.compute_M_inv(q) @ M, np.eye(arm.nv), atol=1e-8 * np.linalg.cond(M))
-    assert_allclose(pin.rnea(arm.model, arm.model.createData(), q, v, dynamics.forward(q, v, tau)), tau, atol=1e-6)
+    assert_allclose(
+        pin.rnea(arm.model, arm.model.createData(), q, v, dynamics.forward(q, v, tau)),
+        tau,
+        atol=1e-6,
+    )
