@@ -160,7 +160,7 @@ def test_a_joint_driven_into_its_limit_stops_at_it_without_chatter(panda, tool):
 
 
 def test_a_joint_beyond_its_limit_comes_back(panda):
-    low, high = panda.position_limits
+    _, high = panda.position_limits
     limited = aj.TorqueLimited(law_of(panda))
     plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -449,7 +449,9 @@ def test_a_run_needs_the_limiters_own_dt(panda):
     plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
     q0 = panda.neutral() + [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
     for dt in (None, 2e-3):
-        with pytest.raises(aj.InvalidInputError, match="dt must be that of the controller, 0.001"):
+        with pytest.raises(
+            aj.InvalidInputError, match=r"dt must be that of the controller, 0\.001"
+        ):
             aj.simulate(plant, limited, plant.sensor.value(q0), q0, 0.1, dt=dt)
 
 

@@ -31,9 +31,10 @@ def cost(tau, torque, y, weight, rho):
 def test_it_is_within_limits_and_of_the_form_that_optimality_asks_for(problem):
     """τ = [τ* − λR⁻¹y] within limits, with 0 ≤ λ ≤ ρ, and σ > 0 only for λ = ρ."""
     torque, y, lower, upper, weight, rho = problem
-    tau = law.limited_torque(*problem)
+    tau, slack = law.limited_torque(*problem)
     assert ((lower <= tau) & (tau <= upper)).all()
     power = y @ (tau - torque)
+    assert slack == pytest.approx(max(power, 0.0), abs=1e-9 * (1.0 + np.abs(y) @ np.abs(torque)))
     scale = np.abs(y) @ (np.abs(torque) + np.abs(tau)) + 1.0
 
     def within(multiplier):
@@ -55,7 +56,7 @@ def test_it_is_within_limits_and_of_the_form_that_optimality_asks_for(problem):
 @given(problems(), st.integers(0, 2**32 - 1))
 def test_no_other_torque_costs_less(problem, seed):
     torque, y, lower, upper, weight, rho = problem
-    tau = law.limited_torque(*problem)
+    tau, _ = law.limited_torque(*problem)
     best = cost(tau, torque, y, weight, rho)
     rng = np.random.default_rng(seed)
     for size in (1e-3, 0.1, 3.0):
@@ -72,7 +73,7 @@ def test_against_a_solver(rng):
         torque, y = 3.0 * rng.normal(size=n), rng.normal(size=n)
         lower, upper = -np.abs(rng.normal(size=n)), np.abs(rng.normal(size=n))
         weight, rho = np.exp(rng.normal(size=n)), float(np.exp(rng.normal()))
-        tau = law.limited_torque(torque, y, lower, upper, weight, rho)
+        tau, slack = law.limited_torque(torque, y, lower, upper, weight, rho)
         # a little of σ² makes the Hessian definite, too little to show
         H = np.diag([*weight, 1e-8])
         f = np.array([*(-weight * torque), rho])
@@ -87,27 +88,31 @@ def test_against_a_solver(rng):
             primal_tol=1e-10,
         )
         assert_allclose(tau, z[:n], atol=1e-5)
+        assert slack == pytest.approx(z[n], abs=1e-5)
         kept += (y @ (np.clip(torque, lower, upper) - torque) > 0) and z[-1] < 1e-9
     assert kept > 10
 
 
 @pytest.mark.parametrize("rho", [0.0, 5.0])
 def test_no_speed_and_no_error_means_clipping(rho):
-    tau = law.limited_torque(
+    tau, slack = law.limited_torque(
         np.array([3.0, -0.5]), np.zeros(2), -np.ones(2), np.ones(2), np.ones(2), rho
     )
     assert_allclose(tau, [1.0, -0.5], atol=0.0)
+    assert slack == 0.0
 
 
 def test_a_clipped_brake_is_made_up_for_by_the_other_joint():
     """Joint 0 may brake with 1 of 3 N m, so joint 1 brakes with 2 more."""
-    tau = law.limited_torque(
+    tau, slack = law.limited_torque(
         np.array([-3.0, 0.0]), np.ones(2), -np.array([1.0, 9.0]), np.full(2, 9.0), np.ones(2), 10.0
     )
     assert_allclose(tau, [-1.0, -2.0])
+    assert slack == 0.0
 
 
 def test_more_than_rho_is_not_paid():
     arguments = np.array([-3.0, 0.0]), np.ones(2), -np.array([1.0, 9.0]), np.full(2, 9.0)
-    tau = law.limited_torque(*arguments, np.ones(2), 0.5)
+    tau, slack = law.limited_torque(*arguments, np.ones(2), 0.5)
     assert_allclose(tau, [-1.0, -0.5])
+    assert slack == 1.5

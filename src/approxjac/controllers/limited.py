@@ -35,6 +35,7 @@ _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
 _TASK_FORCE_KEPT = 100.0  # how much dearer it is to turn the task force than to reduce it
 _ROUND_OFF = 1e-10
 _ALPHA_SHARE = 0.3
+_NO_LOWER, _NO_UPPER = np.array([-np.inf]), np.array([np.inf])
 
 
 class TorqueLimited(Limiter):
@@ -125,6 +126,7 @@ class TorqueLimited(Limiter):
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         # arrays, which NumPy multiplies with in a third of the time of numbers
         self._braking, self._approach = np.array(self.braking), np.array(self.approach)
+        self._alpha = np.array(self.alpha)
         self._position = np.array(self.limits.position)
         self._slowest, self._fastest = velocity_bounds(np.asarray(self.limits.velocity))
         bounds = (*self._position, self._slowest, self._fastest)
@@ -149,40 +151,40 @@ class TorqueLimited(Limiter):
         free = torque.tolist() == wanted.tolist()
         if free and not self._has_joint_limits:
             return torque, _FREE, 0.0
-        y = None
+        y, slack = None, math.nan
         if not free and self.proof:
-            y = self.controller.passive_output(answer, v, self.alpha)
+            y = self.controller.passive_output(answer, v, self._alpha)
             if self._diagonal is not None:
-                torque = law.limited_torque(wanted, y, lower, upper, self._diagonal, self._rho)
-        g = accelerations = None
-        keeps = True
-        if self._has_joint_limits:
-            accelerations = self._acceleration_bounds(q, v)
-            g = self._law.gravity_torque(state, q)
-            q_dd = self._dynamics.compute_forward(q, v, torque - g)
-            keeps = _is_within(q_dd, *accelerations)
+                torque, slack = law.limited_torque(
+                    wanted, y, lower, upper, self._diagonal, self._rho
+                )
+        predicted = self._predicted(state, q, v, torque) if self._has_joint_limits else None
         # the minimum without rows that it keeps is the minimum with them
-        if keeps and free:
-            return torque, _FREE, 0.0
-        if keeps and self._diagonal is not None:
-            return (torque, *self._judged(torque, wanted, y))
+        if predicted is None or _is_within(*predicted):
+            if free:
+                return torque, _FREE, 0.0
+            if self._diagonal is not None:
+                return torque, self._status(slack), slack
 
         if y is None:
-            y = self.controller.passive_output(answer, v, self.alpha)
-        if g is None:
-            g = self._law.gravity_torque(state, q)
-        M_inv = rows = None
-        if accelerations is not None or self.weight == "inertia":
-            M_inv = self._dynamics.compute_M_inv(q)
-        if accelerations is not None:
-            rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), accelerations)
-        found, verdict = self._solve(self._weight(answer, g, M_inv), wanted, y, lower, upper, rows)
+            y = self.controller.passive_output(answer, v, self._alpha)
+        M_inv, rows = self._dynamics.compute_M_inv(q), self._no_rows
+        if predicted is not None:
+            q_dd, bounds = predicted
+            rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), bounds)
+        R = self._R
+        if R is None:
+            inertia = self.weight == "inertia"
+            R = M_inv if inertia else _task_force_weight(answer, self._law.gravity_torque(state, q))
+        found, verdict = self._solve(R, wanted, y, lower, upper, rows)
         if found is not None:
-            return (found, *self._judged(found, wanted, y))
+            slack = _slack(found, wanted, y) if self.proof else math.nan
+            return found, self._status(slack), slack
         infeasible = verdict is Verdict.INFEASIBLE
         status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
-        torque = np.minimum(np.maximum(g - self._brakes * v, lower), upper)
-        return torque, status, self._slack(torque, wanted, y)
+        hold = self._law.gravity_torque(state, q) - self._brakes * v
+        torque = np.minimum(np.maximum(hold, lower), upper)
+        return torque, status, _slack(torque, wanted, y)
 
     def _solve(
         self,
@@ -191,7 +193,7 @@ class TorqueLimited(Limiter):
         y: Array,
         lower: Array,
         upper: Array,
-        rows: Rows | None,
+        rows: Rows,
     ) -> tuple[Array | None, Verdict]:
         """Minimum of the QP over τ, its slack eliminated.
 
@@ -199,45 +201,35 @@ class TorqueLimited(Limiter):
         that one has yᵀ(τ − τ*) < 0, the row with σ = 0 has a multiplier of ρ at most.
         """
         f = -R.dot(wanted)
-        if rows is None:
-            rows = self._no_rows
         if not self.proof:
             return self._solver.solve(QuadraticProgram(R, f, lower, upper, *rows))
-        dearest = QuadraticProgram(R, f + self._rho * y, lower, upper, *rows)
-        found, verdict = self._solver.solve(dearest)
+        row, bound = proof_row(wanted, y)
+        size = math.hypot(*row.tolist()) or 1.0  # of length one, solvers do better
+        A = np.concatenate([rows[0], (row / size)[np.newaxis]])
+        row_lower = np.concatenate([rows[1], _NO_LOWER])
+        row_upper = np.concatenate([rows[2], _NO_UPPER])
+        problem = QuadraticProgram(R, f + self._rho * y, lower, upper, A, row_lower, row_upper)
+        found, verdict = self._solver.solve(problem)
         if found is None or float(y.dot(found - wanted)) >= 0.0:
             return found, verdict
-        rows = _with_row(rows, *proof_row(wanted, y))
-        return self._solver.solve(QuadraticProgram(R, f, lower, upper, *rows))
+        row_upper[-1] = bound / size
+        return self._solver.solve(problem._replace(f=f))
 
-    def _judged(self, torque: Array, wanted: Array, y: Array | None) -> tuple[LimitStatus, float]:
-        """Status and slack of a torque that keeps the limits."""
-        if not self.proof or y is None:
-            return _LIMITED, math.nan
-        slack = self._slack(torque, wanted, y)
-        return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
+    def _status(self, slack: float) -> LimitStatus:
+        """Status of a torque that was limited and keeps the limits."""
+        if not self.proof:
+            return _LIMITED
+        return _KEPT if slack == 0.0 else _GIVEN_UP
 
-    def _slack(self, torque: Array, wanted: Array, y: Array) -> float:
-        """σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
-        change = torque - wanted
-        power = float(y.dot(change))
-        if power <= 0.0:
-            return 0.0
-        return power if power > _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted)))) else 0.0
-
-    def _acceleration_bounds(self, q: Array, v: Array) -> Array:
-        """Accelerations within which the joints keep their limits, shape (2, n_v)."""
+    def _predicted(self, state: Array, q: Array, v: Array, torque: Array) -> tuple[Array, Array]:
+        """q̈ that the believed dynamics predict, and its bounds, shapes (n_v,) and (2, n_v)."""
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
         speeds = position_bounds(motion, self._position, self._approach)
         # a joint far beyond its limit comes back no faster than it may move
         speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
-        return acceleration_bounds(v, speeds, self._braking)
-
-    def _weight(self, answer: Evaluation, g: Array, M_inv: Array | None) -> Array:
-        """R, shape (n_v, n_v)."""
-        if self._R is not None:
-            return self._R
-        return _task_force_weight(answer, g) if self.weight == "task force" else np.asarray(M_inv)
+        moving = torque - self._law.gravity_torque(state, q)
+        q_dd = self._dynamics.compute_forward(q, v, moving)
+        return q_dd, acceleration_bounds(v, speeds, self._braking)
 
     def _resolved_alpha(self, alpha: float | None) -> float:
         learning = self.controller.adaptation
@@ -304,20 +296,17 @@ def _task_force_weight(answer: Evaluation, g: Array) -> Array:
     regular = squares > law.SINGULAR_RATIO**2 * squares[-1]
     basis = (U[:, regular] / np.sqrt(squares[regular])).T.dot(J_hat)
     across = basis - np.outer(basis.dot(u), u)
-    return np.eye(len(force)) + _TASK_FORCE_KEPT * across.T.dot(across)
+    R: Array = np.eye(len(force)) + _TASK_FORCE_KEPT * across.T.dot(across)
+    return R
 
 
-def _with_row(rows: Rows, row: Array, upper: float) -> Rows:
-    """Rows and one more with an upper bound, scaled to the length one."""
-    A, row_lower, row_upper = rows
-    size = math.hypot(*row.tolist())
-    return (
-        np.vstack([A, row / size]),
-        np.append(row_lower, -np.inf),
-        np.append(row_upper, upper / size),
-    )
+def _slack(torque: Array, wanted: Array, y: Array) -> float:
+    """σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
+    power = float(y.dot(torque - wanted))
+    round_off = _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted))))
+    return power if power > round_off else 0.0
 
 
-def _is_within(values: Array, lower: Array, upper: Array) -> bool:
-    clipped: Array = np.minimum(np.maximum(values, lower), upper)
-    return clipped.tolist() == values.tolist()
+def _is_within(values: Array, bounds: Array) -> bool:
+    clipped: Array = np.minimum(np.maximum(values, bounds[0]), bounds[1])
+    return bool(clipped.tolist() == values.tolist())

@@ -17,7 +17,7 @@ _ROUND_OFF = 1e-12
 
 def limited_torque(
     torque: Array, y: Array, lower: Array, upper: Array, weight: Array, rho: float
-) -> Array:
+) -> tuple[Array, float]:
     """Torque nearest to τ* within limits that keeps V̇ ≤ −W, or gives up as little as it can.
 
     Minimises ½ Σ rᵢ(τᵢ − τ*ᵢ)² + ρσ subject to τ within its limits, yᵀ(τ − τ*) ≤ σ and σ ≥ 0.
@@ -35,23 +35,25 @@ def limited_torque(
         rho: ρ ≥ 0, the most that λ may be.
 
     Returns:
-        τ within the limits, shape (n_v,).
+        τ within the limits, shape (n_v,), and σ [W].
     """
     clipped: Array = np.minimum(np.maximum(torque, lower), upper)
     power = float(y.dot(clipped - torque))
     if power <= 0.0:
-        return clipped
+        return clipped, 0.0
     # where no joint reaches or leaves a limit on the way, the first guess is exact
     step = y / weight
     slope = float((y * step).dot(clipped == torque))
     multiplier = min(power / slope, rho) if slope > 0.0 else rho
     guess: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
     left = float(y.dot(guess - torque))
-    if abs(left) <= _ROUND_OFF * power or (left > 0.0 and multiplier == rho):
-        return guess
-    multiplier = min(_root(power, torque, y, lower, upper, weight), rho)
-    root: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
-    return root
+    if abs(left) <= _ROUND_OFF * power:
+        return guess, 0.0
+    if left > 0.0 and multiplier == rho:
+        return guess, left
+    root = _root(power, torque, y, lower, upper, weight)
+    least: Array = np.minimum(np.maximum(torque - min(root, rho) * step, lower), upper)
+    return least, 0.0 if root <= rho else float(y.dot(least - torque))
 
 
 def _root(
@@ -76,6 +78,6 @@ def _root(
     for there, change in breaks:
         ahead = power + slope * (there - here)
         if ahead <= 0.0:
-            return here - power / slope
+            return float(here - power / slope)
         power, here, slope = ahead, there, slope + change
     return math.inf
