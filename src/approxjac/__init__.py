@@ -7,6 +7,8 @@ pass between them. Import as `import approxjac as aj`.
 from approxjac import law
 from approxjac.controllers import (
     AdaptiveGravity,
+    BoundedController,
+    BoundedGains,
     DifferentiatedVelocity,
     Gains,
     ModelGravity,
@@ -14,6 +16,7 @@ from approxjac.controllers import (
     Posture,
     RegressorGravity,
     SetpointController,
+    bounded_gains,
     default_adaptation,
     default_gains,
 )
@@ -77,6 +80,8 @@ __version__ = "0.1.0"
 __all__ = [
     "AdaptiveGravity",
     "ApproxJacError",
+    "BoundedController",
+    "BoundedGains",
     "Camera",
     "Controller",
     "DifferentiatedVelocity",
@@ -127,6 +132,7 @@ __all__ = [
     "Uncertainty",
     "UnknownNameError",
     "UrdfError",
+    "bounded_gains",
     "default_adaptation",
     "default_gains",
     "excitation",

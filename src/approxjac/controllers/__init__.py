@@ -1,5 +1,7 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
+from approxjac.controllers.bounded import BoundedController
+from approxjac.controllers.bounded_gains import BoundedGains, bounded_gains
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -16,6 +18,8 @@ from approxjac.controllers.tuning import default_adaptation, default_gains
 __all__ = [
     "Adaptation",
     "AdaptiveGravity",
+    "BoundedController",
+    "BoundedGains",
     "DifferentiatedVelocity",
     "Gains",
     "Gravity",
@@ -24,6 +28,7 @@ __all__ = [
     "Posture",
     "RegressorGravity",
     "SetpointController",
+    "bounded_gains",
     "default_adaptation",
     "default_gains",
 ]
