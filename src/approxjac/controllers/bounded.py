@@ -31,8 +31,8 @@ class BoundedController(CheckedController):
     """Brings a measured task value to a fixed target with torques that never pass their limits.
 
     τ = −Ĵᵀ K_p s(e) − K_d tanh(q̇/v₀) + g(q) with s(e) = γ tanh(e/γ): whatever e and q̇ are,
-    |τᵢ| ≤ Σⱼ |Ĵⱼᵢ(q)| k_pj γⱼ + k_di + |gᵢ(q)|, which is `torque_bound`. When it is built, that
-    bound is held below the limits over a whole range of the joints.
+    abs(τᵢ) ≤ Σⱼ abs(Ĵⱼᵢ(q)) k_pj γⱼ + k_di + abs(gᵢ(q)), which is `torque_bound`. When it is
+    built, that bound is held below the limits over a whole range of the joints.
 
     The regulator with fixed estimates after W. E. Dixon, "Adaptive regulation of amplitude limited
     robot manipulators with uncertain kinematics and dynamics" (IEEE TAC 52(3), 2007), for
@@ -123,7 +123,7 @@ class BoundedController(CheckedController):
         return np.zeros(0)
 
     def torque_bound(self, q: Array) -> Array:
-        """What no |τᵢ| of the law exceeds at q, whatever e and q̇ are; shape (n_v,) [N m or N].
+        """What no abs(τᵢ) of the law exceeds at q, whatever e and q̇ are; shape (n_v,) [N m or N].
 
         Raises:
             InvalidInputError: A q of the wrong length or not finite.

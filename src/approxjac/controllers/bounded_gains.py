@@ -40,6 +40,7 @@ JointRangeLike = tuple[float | Sequence[float] | Array, float | Sequence[float] 
 
 _POSTURES = 2000  # drawn where no bound of a Jacobian is known
 _DRAWN_MARGIN = 1.1
+_SHARE = 0.45  # below a half: see `bounded_gains`
 _NOTHING = 1e-3  # share of a limit that counts as nothing left
 _ROUNDING = 1e-9
 _SMALLEST = 1e-60
@@ -113,24 +114,25 @@ def bounded_gains(
     joint_range: JointRangeLike | None = None,
     settling_time: float = 1.0,
     bandwidth: float = 1000.0,
-    task_share: float = 0.5,
+    task_share: float = _SHARE,
 ) -> BoundedGains:
     """Gains with which the bounded law stays within torque limits over a range of the joints.
 
-    With ḡᵢ the largest gravity torque of joint i over the range, and L̄ᵢ the largest Σⱼ|Ĵⱼᵢ|,
+    With ḡᵢ the largest gravity torque of joint i over the range, and L̄ᵢ the largest Σⱼabs(Ĵⱼᵢ),
 
         f = share · minᵢ (limitᵢ − ḡᵢ) / L̄ᵢ,   k_di = limitᵢ − ḡᵢ − f L̄ᵢ,
 
-    so that |τᵢ| ≤ ḡᵢ + f L̄ᵢ + k_di = limitᵢ. The force f along every coordinate is K_p γ, and
+    so that abs(τᵢ) ≤ ḡᵢ + f L̄ᵢ + k_di = limitᵢ. The force f along every coordinate is K_p γ, and
     coordinates of each unit get an equal part of the share. Of what gravity leaves, damping gets
-    at least the other 1 − share. With a share of ½ the task's torque is never above a joint's
-    largest damping torque, so it cannot accelerate a joint for ever. A joint without a limit gets
-    the largest v₀ of the others.
+    at least the other 1 − share. With a share below ½ the task's torque is at most
+    share / (1 − share) of each joint's largest damping torque, so that no joint is accelerated
+    for ever, however wrong Ĵ is. A joint without a limit gets the largest v₀ of the others, or
+    more if that ratio asks for it.
 
     Slopes come from the settling time: B = K_d/v₀ has the diagonal of ĴᵀK_vĴ + B_c of
     `default_gains`, and K_p = r K_b as it has it without K_v. So γ = f/K_p and v₀ = k_d/B.
 
-    ḡ and L̄ are guaranteed bounds, ḡ a few per cent and L̄ up to a half above what can be found, for
+    ḡ and L̄ are guaranteed bounds, up to a tenth (L̄: a fifth) above what can be found, for
     positions, poses, images of a `PlanarCamera` and stacks of these. For other tasks L̄ is 1.1
     times the largest of 2000 seeded postures.
 
@@ -163,7 +165,7 @@ def shared_out(
     limits: Array,
     settling_time: float = 1.0,
     bandwidth: float = 1000.0,
-    share: float = 0.5,
+    share: float = _SHARE,
 ) -> BoundedGains:
     """`bounded_gains` for extremes that are known already."""
     task, room = extremes.task, extremes.room(limits)
@@ -188,7 +190,8 @@ def shared_out(
     kd = (room - taken) * (1.0 - _ROUNDING)
     v0 = kd / slope
     unlimited = ~np.isfinite(v0)
-    v0[unlimited] = v0[~unlimited].max()
+    usual = v0[~unlimited].max()
+    v0[unlimited] = np.maximum(usual, (1.0 - share) / share * taken / slope)[unlimited]
     kd[unlimited] = (slope * v0)[unlimited]
     return BoundedGains(kp=kp, gamma=force / kp, kd=kd, v0=v0)
 
@@ -237,7 +240,7 @@ class Extremes:
         return where.largest([where.own_weight()])
 
     def task_torque(self, force: Array) -> Array:
-        """Bound of Σⱼ |Ĵⱼᵢ| fⱼ for forces f ≥ 0 along the coordinates, shape (n_v,)."""
+        """Bound of Σⱼ abs(Ĵⱼᵢ) fⱼ for forces f ≥ 0 along the coordinates, shape (n_v,)."""
         loads = _loads(self.task, force, self._range)
         if loads is not None:
             return self._range.largest(loads)

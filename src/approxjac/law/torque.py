@@ -98,7 +98,7 @@ def bounded_torque(
 
     No equation of the paper: the regulator with fixed estimates after W. E. Dixon, "Adaptive
     regulation of amplitude limited robot manipulators with uncertain kinematics and dynamics", IEEE
-    Trans. Automatic Control 52(3), 2007. Whatever e and q̇ are, |τᵢ| is at most
+    Trans. Automatic Control 52(3), 2007. Whatever e and q̇ are, abs(τᵢ) is at most
     `bounded_torque_bound`.
 
     Args:
@@ -118,7 +118,7 @@ def bounded_torque(
 
 
 def bounded_torque_bound(J_hat: Array, kp: Array, gamma: Array, kd: Array, g: Array) -> Array:
-    """Σⱼ |Ĵⱼᵢ| k_pj γⱼ + k_di + |gᵢ|: what no |τᵢ| of `bounded_torque` exceeds at a posture.
+    """Σⱼ abs(Ĵⱼᵢ) k_pj γⱼ + k_di + abs(gᵢ), which no abs(τᵢ) of `bounded_torque` exceeds.
 
     Args:
         J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).

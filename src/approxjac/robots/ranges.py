@@ -80,13 +80,21 @@ class _Boxes:
 class _Ball:
     """For each box a ball that holds a vector: centre (N, 3), and each joint's share of the radius.
 
-    For a moment also the mass that it is of, and whether there is anything.
+    For a moment also a bound of its length (N,), which is a sum of link lengths where the ball is
+    wide, the mass that it is of, and whether there is anything.
     """
 
     centre: Array
     shares: Array
+    reach: Array
     mass: float = 0.0
     loaded: bool = True
+
+    @property
+    def length(self) -> Array:
+        """The smaller bound of the vector's length, shape (N,)."""
+        outermost = np.linalg.norm(self.centre, axis=1) + self.shares.sum(axis=1)
+        return np.asarray(np.minimum(self.reach, outermost))
 
 
 class JointRange:
@@ -153,7 +161,8 @@ class JointRange:
         every = np.array([self._largest_of(i, loads) for i in range(self.n)])
         G = self.robot.coupling.G
         bounds: Array = every if G is None else np.abs(G).T.dot(every)
-        return bounds + _ROUNDING * (bounds + bounds.max())
+        rounded: Array = bounds + _ROUNDING * (bounds + bounds.max())
+        return rounded
 
     def _largest_of(self, joint: int, loads: Sequence[Load]) -> float:
         boxes = self._box
@@ -218,7 +227,7 @@ class JointRange:
             length = np.linalg.norm(np.cross(axis, d.centre), axis=1) + d.shares.sum(axis=1)
             across = np.maximum(across, np.minimum(length, np.linalg.norm(corner)))
             turns = np.maximum(turns, d.shares)
-        separate = (lever + radius) * across
+        separate = np.minimum(lever + radius, ball.length) * across
         total += np.minimum(product, separate)
         # a turn of the pulls matters to the second bound only once it is small
         other = across[:, np.newaxis] * ball.shares + _LATER * (lever + radius)[:, np.newaxis] * (
@@ -248,22 +257,32 @@ class JointRange:
     def _carried(self, joint: int, load: Load, boxes: _Boxes) -> _Ball | None:
         """What a joint carries of a load: its moment in the link's frame; None if nothing."""
         balls = {
-            i: _Ball(np.tile(load.moments[i], (len(boxes.middle), 1)), np.zeros_like(boxes.half),
-                     float(load.masses[i]), bool(load.masses[i] or load.moments[i].any()))
+            i: _Ball(
+                np.tile(load.moments[i], (len(boxes.middle), 1)),
+                np.zeros_like(boxes.half),
+                np.full(len(boxes.middle), np.linalg.norm(load.moments[i])),
+                float(load.masses[i]),
+                bool(load.masses[i] or load.moments[i].any()),
+            )
             for i in range(joint, self.n)
-        }  # fmt: skip
+        }
         for i in range(self.n - 1, joint, -1):
             ball, parent = balls[i], balls.get(self.parents[i])
             if parent is None or not ball.loaded:
                 continue
+            reach = ball.length + abs(ball.mass) * float(np.linalg.norm(self._shifts[i]))
             if self.slides[i]:
+                reach += abs(ball.mass) * (np.abs(boxes.middle[:, i]) + boxes.half[:, i])
                 centre = ball.centre + ball.mass * boxes.middle[:, [i]] * self._axes[i]
                 ball.shares[:, i] += abs(ball.mass) * boxes.half[:, i]
             else:
                 centre, ball.shares[:, i] = _turned(ball.centre, self._axes[i], boxes, i, 1.0)
             centre = centre @ self._rotations[i].T + ball.mass * self._shifts[i]
             balls[self.parents[i]] = _Ball(
-                parent.centre + centre, parent.shares + ball.shares, parent.mass + ball.mass, True
+                parent.centre + centre,
+                parent.shares + ball.shares,
+                parent.length + reach,
+                parent.mass + ball.mass,
             )
         return balls[joint] if balls[joint].loaded else None
 
@@ -280,7 +299,7 @@ class JointRange:
             centre = centre @ self._rotations[i]
             if not self.slides[i] and (turned or i != joint):
                 centre, shares[:, i] = _turned(centre, self._axes[i], boxes, i, -1.0)
-        return _Ball(centre, shares)
+        return _Ball(centre, shares, np.full(len(centre), np.linalg.norm(direction)))
 
 
 def _corners(directions: Array) -> Array:
