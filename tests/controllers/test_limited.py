@@ -556,3 +556,16 @@ def test_where_gravity_is_too_much_scaling_leaves_it_clipped(panda, rng):
     answer = scaled.evaluate(np.zeros(0), aj.Measurement(0.0, q, np.zeros(7), x), x + 0.5)
     g = aj.Dynamics(panda).g(q)
     assert_allclose(answer.torque, np.clip(g, -1.0, 1.0), atol=1e-12)
+
+
+def test_another_law_is_limited_without_a_proof(panda):
+    law = aj.BoundedController(aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match="proof must be False for BoundedController"):
+        aj.TorqueLimited(law)
+    limited = aj.TorqueLimited(law, proof=False)
+    measurement, target = infeasible_state(panda)
+    measurement = measurement._replace(v=2.0 * measurement.v)
+    answer = limited.evaluate(np.zeros(0), measurement, target)
+    assert answer.limit_status is aj.LimitStatus.LIMITED
+    assert (np.abs(answer.torque) <= panda.effort_limits).all()
+    assert answer.torque[0] < law.evaluate(np.zeros(0), measurement, target).torque[0]

@@ -47,7 +47,7 @@ def test_it_is_within_limits_and_of_the_form_that_optimality_asks_for(problem):
     else:  # the row is active: the multiplier follows from any joint that is off its limits
         assert abs(power) <= 1e-9 * scale
         off = (tau > lower) & (tau < upper) & (np.abs(y) > 1e-6)
-        multipliers = (weight * (torque - tau) / y)[off]
+        multipliers = (weight * (torque - tau))[off] / y[off]
         if len(multipliers):
             assert_allclose(tau, within(multipliers[0]), atol=1e-6)
             assert -1e-9 <= multipliers[0] <= rho * (1.0 + 1e-9) + 1e-9

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.checks import Array, as_diagonal, as_number, require
+from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import (
     Limits,
@@ -83,7 +84,7 @@ class TorqueLimited(Limiter):
 
     def __init__(
         self,
-        controller: SetpointController,
+        controller: CheckedController,
         limits: Limits | None = None,
         *,
         weight: Weight | Sequence[float] | Array = "joint inertia",
@@ -98,6 +99,12 @@ class TorqueLimited(Limiter):
         super().__init__(controller, limits, dt=dt)
         require("proof", proof, bool, "True or False")
         robot = controller.task.robot
+        if proof and not isinstance(controller, SetpointController):
+            raise InvalidInputError(
+                f"proof must be False for {controller!r}: the proof is that of the laws of "
+                "SetpointController",
+                given=controller,
+            )
         self.proof = proof
         self.alpha = self._resolved_alpha(alpha)
         self.braking = self._share_of("braking", braking, 1.0 / self._step, 0.05)
@@ -153,7 +160,7 @@ class TorqueLimited(Limiter):
             return torque, _FREE, 0.0
         y, slack = None, math.nan
         if not free and self.proof:
-            y = self.controller.passive_output(answer, v, self._alpha)
+            y = self._passive_output(answer, v)
             if self._diagonal is not None:
                 torque, slack = law.limited_torque(
                     wanted, y, lower, upper, self._diagonal, self._rho
@@ -167,7 +174,7 @@ class TorqueLimited(Limiter):
                 return torque, self._status(slack), slack
 
         if y is None:
-            y = self.controller.passive_output(answer, v, self._alpha)
+            y = self._passive_output(answer, v)
         M_inv, rows = self._dynamics.compute_M_inv(q), self._no_rows
         if predicted is not None:
             q_dd, bounds = predicted
@@ -231,12 +238,21 @@ class TorqueLimited(Limiter):
         q_dd = self._dynamics.compute_forward(q, v, moving)
         return q_dd, acceleration_bounds(v, speeds, self._braking)
 
+    def _passive_output(self, answer: Evaluation, v: Array) -> Array:
+        """y of the proof, or q̇ for a controller that is under none, shape (n_v,)."""
+        if isinstance(self.controller, SetpointController):
+            return self.controller.passive_output(answer, v, self._alpha)
+        return v
+
     def _resolved_alpha(self, alpha: float | None) -> float:
-        learning = self.controller.adaptation
+        controller = self.controller
+        if not isinstance(controller, SetpointController):
+            return 0.0 if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
+        learning = controller.adaptation
         if alpha is None:
             if learning is not None:
                 return learning.alpha
-            return _ALPHA_SHARE * slow_rate(self.task, self.controller.diagonals)
+            return _ALPHA_SHARE * slow_rate(self.task, controller.diagonals)
         alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
         if learning is not None and alpha != learning.alpha:
             raise InvalidInputError(
