@@ -568,4 +568,13 @@ def test_another_law_is_limited_without_a_proof(panda):
     answer = limited.evaluate(np.zeros(0), measurement, target)
     assert answer.limit_status is aj.LimitStatus.LIMITED
     assert (np.abs(answer.torque) <= panda.effort_limits).all()
-    assert answer.torque[0] < law.evaluate(np.zeros(0), measurement, target).torque[0]
+    # the speeds that the next steps tend to are within their limits, as those of the law are not
+    wanted = law.evaluate(np.zeros(0), measurement, target)
+    tends = [
+        measurement.v + aj.Dynamics(panda).forward(measurement.q, measurement.v, tau) / 50.0
+        for tau in (answer.torque, wanted.torque)
+    ]
+    _, high = panda.position_limits
+    fastest = np.minimum(panda.velocity_limits, 10.0 * (high - measurement.q))
+    assert (tends[0] <= fastest + 1e-9).all()
+    assert not ((tends[1] <= fastest) & (tends[1] >= -panda.velocity_limits)).all()
