@@ -325,7 +325,7 @@ def test_the_torque_is_the_minimum_of_the_QP_with_its_slack(panda, rng, weight):
         wanted = law.evaluate(np.zeros(0), measurement, target).torque
         rho = (seen[0].f + R @ wanted) @ y / (y @ y)
         H = np.zeros((8, 8))
-        H[:7, :7], H[7, 7] = R, 1e-6  # definite, and too little to count
+        H[:7, :7], H[7, 7] = R, 1e-8  # definite, and too little to count
         z = qpsolvers.solve_qp(
             H,
             np.append(-R @ wanted, rho),
@@ -481,7 +481,7 @@ def test_options_survive_a_copy(panda):
         ({"weight": "mass"}, aj.UnknownNameError, "weight 'mass'"),
         ({"weight": [1.0, 2.0]}, aj.InvalidInputError, "weight must have shape (7,)"),
         ({"braking": 2000.0}, aj.InvalidInputError, "braking must be at most 1000 [1/s]"),
-        ({"approach": 60.0}, aj.InvalidInputError, "approach must be at most 50 [1/s]"),
+        ({"approach": 160.0}, aj.InvalidInputError, "approach must be at most 100 [1/s]"),
         ({"alpha": -1.0}, aj.InvalidInputError, "alpha must be a finite number > 0 [1/s]"),
         ({"dt": 0.0}, aj.InvalidInputError, "dt must be a finite number > 0 [s]"),
         ({"solver": "nosuch"}, aj.UnknownNameError, "nosuch"),
@@ -571,7 +571,7 @@ def test_another_law_is_limited_without_a_proof(panda):
     # the speeds that the next steps tend to are within their limits, as those of the law are not
     wanted = law.evaluate(np.zeros(0), measurement, target)
     tends = [
-        measurement.v + aj.Dynamics(panda).forward(measurement.q, measurement.v, tau) / 50.0
+        measurement.v + aj.Dynamics(panda).forward(measurement.q, measurement.v, tau) / 100.0
         for tau in (answer.torque, wanted.torque)
     ]
     _, high = panda.position_limits

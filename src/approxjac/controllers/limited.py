@@ -70,8 +70,8 @@ class TorqueLimited(Limiter):
             rate of the task's slow pole: with a small α it is q̇ that counts, and the proof can be
             kept more often.
         dt: Sampling time [s].
-        braking: How fast damping may be [1/s], at most 1/dt; 0.05/dt by default.
-        approach: κ of `position_bounds` [1/s], at most `braking`; a fifth of it by default.
+        braking: How fast damping may be [1/s], at most 1/dt; 0.1/dt by default.
+        approach: κ of `position_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
             `QuadraticProgram` and returns its minimum.
         time_budget: For the solver [s]; half of dt by default.
@@ -107,8 +107,8 @@ class TorqueLimited(Limiter):
             )
         self.proof = proof
         self.alpha = self._resolved_alpha(alpha)
-        self.braking = self._share_of("braking", braking, 1.0 / self._step, 0.05)
-        self.approach = self._share_of("approach", approach, self.braking, 0.2)
+        self.braking = self._share_of("braking", braking, 1.0 / self._step, 0.1)
+        self.approach = self._share_of("approach", approach, self.braking, 0.1)
         budget = 0.5 * dt if time_budget is None else time_budget
         self.time_budget = as_number("time_budget", budget, unit="s", above=0.0)
         self.weight = weight
