@@ -1,8 +1,9 @@
 """A Panda whose motors deliver half, and whose joints have limits, reaches with an unknown tool.
 
 You will see: the same law, the same start and target, with its torque clipped and with the torque
-limited by a QP. Clipping lets the joints run several times too fast and beyond where they end;
-the QP keeps all limits, and says in which steps the theorem's decrease of V was kept.
+limited by a QP. Clipping lets the joints run ten times too fast and far beyond where they end.
+The QP keeps torques and positions within their limits, and speeds as well as the believed inertia
+(without the tool) predicts them; it says in which steps the theorem's decrease of V was kept.
 
     python examples/08_half_the_torque.py --out results/examples
 """
@@ -50,8 +51,10 @@ for row, (name, limiter) in enumerate(
     )
     view.plot_error(run, axes[3 * row], title=f"Task error: {name}")
     view.plot_torque(run, axes[3 * row + 1], limits=limits.effort, title="Torque")
-    axes[3 * row + 2].plot(run.t, np.abs(run.v) / arm.velocity_limits)
-    axes[3 * row + 2].axhline(1.0, color="#555555", linestyle="--")
-    axes[3 * row + 2].set(xlabel="time [s]", ylabel="speed / limit", title="Speed of each joint")
+    with view.style():
+        speeds = axes[3 * row + 2]
+        speeds.plot(run.t, np.abs(run.v) / arm.velocity_limits)
+        speeds.axhline(1.0, color="#555555", linestyle="--")
+        speeds.set(xlabel="time [s]", ylabel="speed / limit", title="Speed of each joint")
 for path in view.save_figure(figure, out / "half_the_torque"):
     print(path)
