@@ -52,7 +52,8 @@ _MESSAGES: Mapping[Status, str] = {
 class LimitStatus(enum.IntEnum):
     """What became of the torque that a law asks for, in one evaluation of a controller.
 
-    The proof is that of Theorem 1: V̇ ≤ −W, which any torque with yᵀ(τ − τ*) ≤ 0 keeps.
+    The proof is that of Theorem 1: V̇ ≤ −W, which any torque with yᵀ(τ − τ*) ≤ 0 keeps. Where
+    gravity is learnt, and stands still, V̇ has −yᵀZ(θ − θ̂) besides the slack.
     """
 
     UNLIMITED = 0
@@ -75,10 +76,17 @@ class LimitStatus(enum.IntEnum):
 _LIMIT_MESSAGES: Mapping[LimitStatus, str] = {
     LimitStatus.UNLIMITED: "the controller knows no limits",
     LimitStatus.FREE: "the torque of the law is within all limits",
-    LimitStatus.LIMITED: "the torque was brought within the limits; nothing was asked of the proof",
-    LimitStatus.PROOF_KEPT: "the torque was brought within the limits such that V̇ ≤ −W still holds",
+    LimitStatus.LIMITED: (
+        "the torque was brought within the limits; nothing is said of the proof, which was not "
+        "asked for, or x is lost, or the estimated Jacobian near a singular pose"
+    ),
+    LimitStatus.PROOF_KEPT: (
+        "the torque was brought within the limits such that V falls no slower than with the law's "
+        "own torque: V̇ ≤ −W still holds where it held"
+    ),
     LimitStatus.PROOF_GIVEN_UP: (
-        "the limits leave no torque with V̇ ≤ −W: V̇ may exceed −W by the slack, at most"
+        "the torque was brought within the limits, which adds the slack to V̇; what is learnt "
+        "stands still"
     ),
     LimitStatus.INFEASIBLE: (
         "no torque keeps all limits at once: gravity compensation and damping within the torque "
@@ -117,7 +125,7 @@ class Evaluation(NamedTuple):
         e: Task error, shape (m,) [unit of the task].
         J_hat: Estimated Jacobian Ĵ, shape (m, n_v); None from controllers that have none.
         limit_status: What limits did to the torque.
-        slack: σ ≥ 0, by which V̇ may exceed −W because of limits [W]; NaN where it is not known.
+        slack: σ ≥ 0, what limits add to V̇ [W]; NaN where it is not known.
     """
 
     torque: Array

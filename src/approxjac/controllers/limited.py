@@ -23,18 +23,21 @@ from approxjac.controllers.limits import (
 )
 from approxjac.controllers.quadratic import QuadraticProgram, Verdict, as_solver
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.tuning import slow_rate, usual_inertia
+from approxjac.controllers.tuning import slow_rate, usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.interface import Evaluation, LimitStatus, Measurement
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status
 from approxjac.robots import Dynamics
 
 Weight = Literal["joint inertia", "inertia", "identity", "task force"]
 Rows = tuple[Array, Array, Array]
 _WEIGHTS = ("joint inertia", "inertia", "identity", "task force")
+_OK = Status.OK
 _FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
 _TASK_FORCE_KEPT = 100.0  # how much dearer it is to turn the task force than to reduce it
 _ROUND_OFF = 1e-10
+_MARGIN = 1e-6
+_HUGE = 1e30  # below it nothing overflows
 _ALPHA_SHARE = 0.3
 _NO_LOWER, _NO_UPPER = np.array([-np.inf]), np.array([np.inf])
 
@@ -62,7 +65,7 @@ class TorqueLimited(Limiter):
     Args:
         controller: The controller whose torque to limit.
         limits: What to keep; those of the believed robot's URDF by default.
-        weight: R: "joint inertia", diagonal with the believed robot's usual 1/Mᵢᵢ; "inertia",
+        weight: R: "joint inertia", diagonal, the largest (M̂⁻¹)ᵢᵢ over usual postures; "inertia",
             M̂(q)⁻¹, so that accelerations change least; "identity"; "task force", which reduces the
             force on the task rather than turns it; or a diagonal of one's own, shape (n_v,).
         proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
@@ -111,10 +114,13 @@ class TorqueLimited(Limiter):
         self.approach = self._share_of("approach", approach, self.braking, 0.1)
         budget = 0.5 * dt if time_budget is None else time_budget
         self.time_budget = as_number("time_budget", budget, unit="s", above=0.0)
-        self.weight = weight
-        self._solver = as_solver(solver, self.time_budget)
+        # with a proof to keep there are up to two problems in a step
+        self._solver = as_solver(solver, self.time_budget / (2.0 if proof else 1.0))
+        inertias = usual_inertias(robot)
+        self._diagonal = self._resolved_weight(weight, inertias)
+        self.weight = weight if isinstance(weight, str) else self._diagonal
         self._options_given = {
-            "weight": weight,
+            "weight": self.weight,
             "proof": proof,
             "alpha": alpha,
             "braking": braking,
@@ -122,11 +128,17 @@ class TorqueLimited(Limiter):
             "solver": solver,
             "time_budget": time_budget,
         }
-        self._inertia = usual_inertia(robot)
-        self._diagonal = self._resolved_weight(weight)
         self._R = None if self._diagonal is None else np.diag(self._diagonal)
-        self._rho = self._most_damping()
-        self._brakes = self.braking * self._inertia
+        self._is_inertia = isinstance(weight, str) and weight == "inertia"
+        self._rho = self.braking
+        if not self._is_inertia:  # R of the task force is I at least
+            diagonal = np.ones(robot.nv) if self._diagonal is None else self._diagonal
+            self._rho = self.braking / _quickest(inertias, 1.0 / diagonal)
+        light = _light(inertias)
+        self._brakes = self.braking / _quickest(inertias, light) * light
+        usual = np.median([np.diag(M) for M in inertias], axis=0)
+        self._ramp = self._rate * usual if self._has_rate else None
+        self._jerk = self._rate / usual if self._has_rate else None
         # gravity is what the controller takes it for, which may be learnt or none
         self._dynamics = Dynamics(robot.with_gravity((0.0, 0.0, 0.0)))
         self._model = robot.model
@@ -136,6 +148,7 @@ class TorqueLimited(Limiter):
         self._alpha = np.array(self.alpha)
         self._position = np.array(self.limits.position)
         self._slowest, self._fastest = velocity_bounds(np.asarray(self.limits.velocity))
+        self._per_speed = 1.0 / self._fastest
         bounds = (*self._position, self._slowest, self._fastest)
         self._has_joint_limits = bool(np.isfinite(bounds).any())
         self._no_rows = np.zeros((0, robot.nv)), np.zeros(0), np.zeros(0)
@@ -153,51 +166,68 @@ class TorqueLimited(Limiter):
         lower: Array,
         upper: Array,
     ) -> tuple[Array, LimitStatus, float]:
-        wanted, q, v = answer.torque, measurement.q, measurement.v
+        wanted, v = answer.torque, measurement.v
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
         free = torque.tolist() == wanted.tolist()
         if free and not self._has_joint_limits:
             return torque, _FREE, 0.0
-        y, slack = None, math.nan
-        if not free and self.proof:
-            y = self._passive_output(answer, v)
-            if self._diagonal is not None:
-                torque, slack = law.limited_torque(
-                    wanted, y, lower, upper, self._diagonal, self._rho
-                )
-        predicted = self._predicted(state, q, v, torque) if self._has_joint_limits else None
+        if math.hypot(*wanted.tolist(), *v.tolist()) < _HUGE:
+            return self._beyond(answer, state, measurement, lower, upper, torque, free)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
+            return self._beyond(answer, state, measurement, lower, upper, torque, free)
+
+    def _beyond(
+        self,
+        answer: Evaluation,
+        state: Array,
+        measurement: Measurement,
+        lower: Array,
+        upper: Array,
+        torque: Array,
+        free: bool,
+    ) -> tuple[Array, LimitStatus, float]:
+        """`_limit` where the clipped torque may not be the answer."""
+        wanted, q, v = answer.torque, measurement.q, measurement.v
+        y, rho, slack = None, 0.0, math.nan
+        if not free:
+            y, rho = self._passive_output(answer, v)
+            if self._diagonal is not None and self.proof:
+                torque, slack = law.limited_torque(wanted, y, lower, upper, self._diagonal, rho)
+        speeds = q_dd = None
+        keeps = True
+        if self._has_joint_limits:
+            speeds, q_dd, accelerations = self._predicted(state, q, v, torque)
+            keeps = _is_within(q_dd, accelerations)
         # the minimum without rows that it keeps is the minimum with them
-        if predicted is None or _is_within(*predicted):
-            if free:
-                return torque, _FREE, 0.0
-            if self._diagonal is not None:
-                return torque, self._status(slack), slack
+        if keeps and free:
+            return torque, _FREE, 0.0
+        if keeps and self._diagonal is not None:
+            return (torque, *self._said(answer, slack))
 
         if y is None:
-            y = self._passive_output(answer, v)
+            y, rho = self._passive_output(answer, v)
         M_inv, rows = self._dynamics.compute_M_inv(q), self._no_rows
-        if predicted is not None:
-            q_dd, bounds = predicted
-            rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), bounds)
+        if q_dd is not None:
+            rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), accelerations)
         R = self._R
         if R is None:
-            inertia = self.weight == "inertia"
-            R = M_inv if inertia else _task_force_weight(answer, self._law.gravity_torque(state, q))
-        found, verdict = self._solve(R, wanted, y, lower, upper, rows)
+            g = self._law.gravity_torque(state, q)
+            R = M_inv if self._is_inertia else _task_force_weight(answer, g)
+        found, verdict = self._solve(R, wanted, y, rho, lower, upper, rows)
         if found is not None:
-            slack = _slack(found, wanted, y) if self.proof else math.nan
-            return found, self._status(slack), slack
+            return (found, *self._said(answer, _slack(found, wanted, y)))
         infeasible = verdict is Verdict.INFEASIBLE
         status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
-        hold = self._law.gravity_torque(state, q) - self._brakes * v
-        torque = np.minimum(np.maximum(hold, lower), upper)
-        return torque, status, _slack(torque, wanted, y)
+        torque = self._fallback(state, q, v, speeds, lower, upper)
+        _, slack = self._said(answer, _slack(torque, wanted, y))
+        return torque, status, slack
 
     def _solve(
         self,
         R: Array,
         wanted: Array,
         y: Array,
+        rho: float,
         lower: Array,
         upper: Array,
         rows: Rows,
@@ -215,34 +245,56 @@ class TorqueLimited(Limiter):
         A = np.concatenate([rows[0], (row / size)[np.newaxis]])
         row_lower = np.concatenate([rows[1], _NO_LOWER])
         row_upper = np.concatenate([rows[2], _NO_UPPER])
-        problem = QuadraticProgram(R, f + self._rho * y, lower, upper, A, row_lower, row_upper)
-        found, verdict = self._solver.solve(problem)
-        if found is None or float(y.dot(found - wanted)) >= 0.0:
-            return found, verdict
-        row_upper[-1] = bound / size
-        return self._solver.solve(problem._replace(f=f))
+        problem = QuadraticProgram(R, f + rho * y, lower, upper, A, row_lower, row_upper)
+        dearest, verdict = self._solver.solve(problem)
+        if dearest is None or float(y.dot(dearest - wanted)) >= 0.0:
+            return dearest, verdict
+        row_upper[-1] = bound / size - _MARGIN  # what a solver may be off
+        found, _ = self._solver.solve(problem._replace(f=f))
+        # without it, there is one that keeps the proof at a higher cost
+        return (dearest if found is None else found), Verdict.SOLVED
 
-    def _status(self, slack: float) -> LimitStatus:
-        """Status of a torque that was limited and keeps the limits."""
-        if not self.proof:
-            return _LIMITED
-        return _KEPT if slack == 0.0 else _GIVEN_UP
+    def _said(self, answer: Evaluation, slack: float) -> tuple[LimitStatus, float]:
+        """Status and slack of a torque that was limited and keeps the limits."""
+        if not self.proof or answer.status is not _OK:
+            return _LIMITED, math.nan  # without x, or without Ĵ⁺, there is no V
+        return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
 
-    def _predicted(self, state: Array, q: Array, v: Array, torque: Array) -> tuple[Array, Array]:
-        """q̈ that the believed dynamics predict, and its bounds, shapes (n_v,) and (2, n_v)."""
+    def _fallback(
+        self, state: Array, q: Array, v: Array, speeds: Array | None, lower: Array, upper: Array
+    ) -> Array:
+        """Gravity compensation, and brakes towards speeds that joints may have; shape (n_v,)."""
+        slowest, fastest = (0.0, 0.0) if speeds is None else speeds
+        excess = v - np.minimum(np.maximum(0.0, slowest), fastest)
+        brakes = self._brakes * np.abs(excess)
+        if self._ramp is not None:
+            brakes = np.minimum(brakes, np.sqrt(self._ramp * np.abs(excess)))
+        torque: Array = self._law.gravity_torque(state, q) - np.sign(excess) * brakes
+        return np.minimum(np.maximum(torque, lower), upper)
+
+    def _predicted(
+        self, state: Array, q: Array, v: Array, torque: Array
+    ) -> tuple[Array, Array, Array]:
+        """Bounds of speeds (2, n_v), the q̈ that the believed dynamics predict, and its bounds."""
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
         speeds = position_bounds(motion, self._position, self._approach)
         # a joint far beyond its limit comes back no faster than it may move
         speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
         moving = torque - self._law.gravity_torque(state, q)
         q_dd = self._dynamics.compute_forward(q, v, moving)
-        return q_dd, acceleration_bounds(v, speeds, self._braking)
+        return speeds, q_dd, acceleration_bounds(v, speeds, self._braking, self._jerk)
 
-    def _passive_output(self, answer: Evaluation, v: Array) -> Array:
-        """y of the proof, or q̇ for a controller that is under none, shape (n_v,)."""
-        if isinstance(self.controller, SetpointController):
-            return self.controller.passive_output(answer, v, self._alpha)
-        return v
+    def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, float]:
+        """y, shape (n_v,), or q̇ for a controller that is under no proof; and ρ.
+
+        λ pulls q̇ towards −αĴ⁺s(e). Where that is faster than joints may move, ρ is reduced, or the
+        pull would drive them into their limits of speed for as long as the error lasts.
+        """
+        if not isinstance(self.controller, SetpointController):
+            return v, self._rho
+        y = self.controller.passive_output(answer, v, self._alpha)
+        excess = float(np.abs((y - v) * self._per_speed).max())
+        return y, self._rho if excess <= 1.0 else self._rho / excess
 
     def _resolved_alpha(self, alpha: float | None) -> float:
         controller = self.controller
@@ -272,7 +324,7 @@ class TorqueLimited(Limiter):
             )
         return rate
 
-    def _resolved_weight(self, weight: Any) -> Array | None:
+    def _resolved_weight(self, weight: Any, inertias: Array) -> Array | None:
         """Diagonal of R, or None where it is no diagonal."""
         nv = self.task.robot.nv
         if not isinstance(weight, str):
@@ -280,21 +332,31 @@ class TorqueLimited(Limiter):
         if weight not in _WEIGHTS:
             raise UnknownNameError("weight", weight, "the weights", _WEIGHTS)
         if weight == "joint inertia":
-            return 1.0 / self._inertia
+            return 1.0 / _light(inertias)
         return np.ones(nv) if weight == "identity" else None
-
-    def _most_damping(self) -> float:
-        """ρ with which λR⁻¹ ≤ ρR⁻¹ is no faster damping than `braking`."""
-        if self.weight == "inertia":
-            return self.braking
-        weight = 1.0 if self._diagonal is None else self._diagonal  # R of the task force is ≥ I
-        return float(self.braking * (self._inertia * weight).min())
 
     def _options(self) -> dict[str, Any]:
         return {**super()._options(), **self._options_given}
 
     def __repr__(self) -> str:
         return f"TorqueLimited({self.controller!r}, solver={self._solver.name})"
+
+
+def _light(inertias: Array) -> Array:
+    """Inertia of each joint where the others give way most, 1 / max (M⁻¹)ᵢᵢ, shape (n_v,).
+
+    Damping of D times it acts no faster than n_v D: tr(M⁻¹D) bounds its largest eigenvalue.
+    """
+    mobilities = np.linalg.inv(inertias)
+    light: Array = 1.0 / np.diagonal(mobilities, axis1=1, axis2=2).max(axis=0)
+    return light
+
+
+def _quickest(inertias: Array, damping: Array) -> float:
+    """Largest eigenvalue of M⁻¹D over postures, for a diagonal D of shape (n_v,)."""
+    root = np.sqrt(damping)
+    scaled = root[:, np.newaxis] * np.linalg.inv(inertias) * root
+    return float(np.linalg.eigvalsh(scaled)[:, -1].max())
 
 
 def _task_force_weight(answer: Evaluation, g: Array) -> Array:
@@ -319,6 +381,8 @@ def _task_force_weight(answer: Evaluation, g: Array) -> Array:
 def _slack(torque: Array, wanted: Array, y: Array) -> float:
     """σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
     power = float(y.dot(torque - wanted))
+    if not math.isfinite(power):
+        return math.inf
     round_off = _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted))))
     return power if power > round_off else 0.0
 

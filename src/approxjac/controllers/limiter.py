@@ -12,7 +12,7 @@ from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.gravity import Adaptation, AdaptiveGravity
 from approxjac.controllers.limits import Limits, effort_bounds, rate_bounds
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement
 from approxjac.tasks import Task
 
@@ -81,11 +81,19 @@ class Limiter(abc.ABC):
 
         Raises:
             InvalidInputError: A measurement of the wrong shapes.
-            MeasurementError: Law (5), and the first x is lost.
+            MeasurementError: Law (5), and the first x is lost; or a limit of the rate, and q is
+                not finite.
         """
         state = self._law.initial_state(measurement)
         if not self._has_rate:
             return state
+        if not np.isfinite(measurement.q).all():
+            raise MeasurementError(
+                f"q must be finite, got {measurement.q.tolist()}: the torque that holds the arm is "
+                "not known without it",
+                given=measurement,
+            )
+        self.task.robot.configuration(measurement.q)
         hold = self._law.gravity_torque(state, measurement.q)
         return np.concatenate([state, np.clip(hold, self._lower, self._upper)])
 
@@ -107,7 +115,8 @@ class Limiter(abc.ABC):
         else:
             state, before = self._split(state)
             answer = self._law.evaluate(state, measurement, target)
-            lower, upper = rate_bounds(before, self._rate, self._step, self._lower, self._upper)
+            within = np.minimum(np.maximum(before, self._lower), self._upper)
+            lower, upper = rate_bounds(within, self._rate, self._step, self._lower, self._upper)
         torque, status, slack = self._limit(answer, state, measurement, lower, upper)
         state_rate = answer.state_rate
         if self._p and status is not _FREE and status is not _KEPT:
@@ -137,17 +146,17 @@ class Limiter(abc.ABC):
         """
 
     def _split(self, state: Array) -> tuple[Array, Array]:
-        """State of the controller, and the torque before, brought within the effort limits."""
+        """State of the controller, and the torque before."""
         wanted = (self.n_state,)
-        if not isinstance(state, np.ndarray) or state.shape != wanted:
-            given = state.shape if isinstance(state, np.ndarray) else type(state).__name__
+        if not isinstance(state, np.ndarray) or state.shape != wanted or state.dtype.kind != "f":
+            given = f"{state.dtype} {state.shape}" if isinstance(state, np.ndarray) else repr(state)
             raise InvalidInputError(
-                f"state must be an array of shape {wanted}, got {given}", given=state
+                f"state must be an array of float64 of shape {wanted}, got {given}", given=state
             )
         before = state[self._n_inner :]
         if not np.isfinite(before).all():
             raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
-        return state[: self._n_inner], np.minimum(np.maximum(before, self._lower), self._upper)
+        return state[: self._n_inner], before
 
     def __reduce__(self) -> tuple[Any, ...]:
         # a copy has scratch memory of its own, down to that of its controller

@@ -39,7 +39,7 @@ class Limits:
             value = getattr(self, name)
             if value is not None:
                 size = shape_of(value)
-                limits = as_limits(name, value, size[0] if size else 1, unit=unit)
+                limits = as_limits(name, value, max(size[0], 1) if size else 1, unit=unit)
                 object.__setattr__(self, name, limits if size else float(limits[0]))
         if self.position is not None:
             object.__setattr__(self, "position", _range(self.position))
@@ -127,20 +127,29 @@ def position_bounds(motion: Array, position: Array, approach: float | Array) -> 
     return bounds
 
 
-def acceleration_bounds(v: Array, speeds: Array, braking: float | Array) -> Array:
+def acceleration_bounds(
+    v: Array, speeds: Array, braking: float | Array, jerk: Array | None = None
+) -> Array:
     """Accelerations that lead speeds into their bounds, shape (2, n_v) [rad/s² or m/s²].
 
     Over the next step q̇ goes at most the share r dt of what is left to its bound, and at least
     that share of the way back from beyond it. A share well below one keeps the joints quiet
     although the believed inertia, which predicts the step, is wrong.
 
+    Where torques change slowly, an acceleration has to be ramped down in time: over what is left to
+    the bound, with half of what torques can do, so it is √(jd) at most.
+
     Args:
         v: Joint velocity q̇, shape (n_v,).
         speeds: Smallest and largest, shape (2, n_v), infinite where there is no bound.
         braking: r [1/s], at most 1/dt.
+        jerk: j, how fast accelerations change, shape (n_v,) [rad/s³ or m/s³]; None is without end.
     """
-    bounds: Array = braking * (speeds - v)
-    return bounds
+    left: Array = speeds - v
+    if jerk is None:
+        bounds: Array = braking * left
+        return bounds
+    return np.sign(left) * np.minimum(braking * np.abs(left), np.sqrt(jerk * np.abs(left)))
 
 
 def acceleration_rows(

@@ -152,11 +152,10 @@ def slow_rate(task: Task, gains: Diagonals, jacobians: list[Array] | None = None
     return float((gains.kp / (gains.kv + felt)).min())
 
 
-def usual_inertia(robot: Robot) -> Array:
-    """Mᵢᵢ of each joint, the median over seeded postures, shape (n_v,) [kg m² or kg]."""
+def usual_inertias(robot: Robot) -> Array:
+    """M(q) at seeded postures within the joint limits, shape (postures, n_v, n_v)."""
     rng, dynamics = np.random.default_rng(0), Dynamics(robot)
-    diagonals = [np.diag(dynamics.M(robot.random_configuration(rng))) for _ in range(_POSTURES)]
-    return np.asarray(np.median(diagonals, axis=0))
+    return np.array([dynamics.M(robot.random_configuration(rng)) for _ in range(_POSTURES)])
 
 
 def _felt_damping(task: Task, damping: Array, jacobians: list[Array]) -> Array:

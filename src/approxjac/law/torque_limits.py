@@ -41,6 +41,8 @@ def limited_torque(
     power = float(y.dot(clipped - torque))
     if power <= 0.0:
         return clipped, 0.0
+    if not math.isfinite(power):  # it overflows
+        return clipped, math.inf
     # where no joint reaches or leaves a limit on the way, the first guess is exact
     step = y / weight
     slope = float((y * step).dot(clipped == torque))

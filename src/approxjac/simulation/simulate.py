@@ -90,11 +90,13 @@ def simulate(
         raise InvalidInputError(
             f"progress must be a function of the time reached [s], got {progress!r}", given=progress
         )
+    if dt is not None:
+        dt = as_number("dt", dt, unit="s", above=0.0)
     wanted = getattr(controller, "dt", None)
-    if wanted is not None and (dt is None or not math.isclose(dt, wanted)):
+    if isinstance(wanted, float) and (dt is None or not math.isclose(dt, wanted)):
         raise InvalidInputError(
-            f"dt must be that of the controller, {wanted:g} [s], which limits rates or joints for "
-            f"it, got {dt!r}",
+            f"dt must be that of the controller, {wanted:g} [s], which keeps limits of torque "
+            f"rates, speeds or positions from step to step, got {dt!r}",
             given=dt,
         )
     if dt is None:
@@ -112,7 +114,6 @@ def simulate(
                 plant, controller, x_d, q, v, duration, count, rtol, atol, progress
             )
     else:
-        dt = as_number("dt", dt, unit="s", above=0.0)
         steps = _whole("dt", dt, duration)
         stride = 1
         if record_every is not None:

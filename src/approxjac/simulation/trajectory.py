@@ -32,8 +32,7 @@ class Trajectory:
         state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
         status: `Status` at these instants, shape (N,).
         limit_status: `LimitStatus` at these instants, shape (N,).
-        slack: σ, by which V̇ may exceed −W because of limits, NaN where it is not known,
-            shape (N,) [W].
+        slack: σ, what limits add to V̇, NaN where it is not known, shape (N,) [W].
         sigma_min: Smallest singular value of Ĵ, shape (N,).
         target: x_d, shape (n_x,).
         robot_name: Name of the true robot.
