@@ -45,7 +45,6 @@ __all__ = [
 
 _REGULAR = 0.1  # starts and targets have σ_min of J and of Ĵ above this share of σ_max
 _HOLDABLE = 0.7  # of the effort limits
-_TRIES = 1000
 
 
 def prepare(robot: str, settings: Settings) -> Reach:
@@ -128,7 +127,11 @@ def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result
 
 
 def regular_posture(
-    sensor: Task, task: Task, rng: np.random.Generator, effort: Array | None = None
+    sensor: Task,
+    task: Task,
+    rng: np.random.Generator,
+    effort: Array | None = None,
+    tries: int = 1000,
 ) -> Array:
     """Random posture that can be a start or a target.
 
@@ -140,13 +143,14 @@ def regular_posture(
         task: That of the believed robot.
         rng: Draws the posture.
         effort: The effort limits, shape (n_v,) [N m or N]; those of the URDF by default.
+        tries: Postures to draw at most.
 
     Raises:
         InvalidInputError: None was found.
     """
     effort = sensor.robot.effort_limits if effort is None else effort
     dynamics, limits = Dynamics(sensor.robot), _HOLDABLE * effort
-    for _ in range(_TRIES):
+    for _ in range(tries):
         q = sensor.robot.random_configuration(rng)
         if (np.abs(dynamics.g(q)) > limits).any():
             continue

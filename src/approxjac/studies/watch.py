@@ -18,12 +18,12 @@ class Tally:
 
     Attributes:
         counts: Steps with each status.
-        largest_slack: Largest σ that was reported [W]; NaN where none was known.
+        largest_slack: Largest σ that was reported [W]; NaN if it was not known in some step.
         torque_violation: How far a torque was beyond its limit at most [N m or N]; 0 if none was.
     """
 
     counts: dict[LimitStatus, int] = field(default_factory=dict)
-    largest_slack: float = math.nan
+    largest_slack: float = 0.0
     torque_violation: float = 0.0
 
     @property
@@ -85,6 +85,6 @@ class Watched:
     def _count(self, answer: Evaluation) -> None:
         tally, status = self.tally, answer.limit_status
         tally.counts[status] = tally.counts.get(status, 0) + 1
-        tally.largest_slack = float(np.fmax(tally.largest_slack, answer.slack))
+        tally.largest_slack = float(np.maximum(tally.largest_slack, answer.slack))  # keeps NaN
         beyond = float((np.abs(answer.torque) - self._effort).max())
         tally.torque_violation = max(tally.torque_violation, beyond)
