@@ -7,6 +7,8 @@ pass between them. Import as `import approxjac as aj`.
 from approxjac import law
 from approxjac.controllers import (
     AdaptiveGravity,
+    BoundedController,
+    BoundedGains,
     DifferentiatedVelocity,
     Gains,
     Limits,
@@ -18,6 +20,7 @@ from approxjac.controllers import (
     TaskTorqueScaled,
     TorqueClipped,
     TorqueLimited,
+    bounded_gains,
     default_adaptation,
     default_gains,
 )
@@ -81,6 +84,8 @@ __version__ = "0.1.0"
 __all__ = [
     "AdaptiveGravity",
     "ApproxJacError",
+    "BoundedController",
+    "BoundedGains",
     "Camera",
     "Controller",
     "DifferentiatedVelocity",
@@ -136,6 +141,7 @@ __all__ = [
     "Uncertainty",
     "UnknownNameError",
     "UrdfError",
+    "bounded_gains",
     "default_adaptation",
     "default_gains",
     "excitation",

@@ -1,5 +1,7 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
+from approxjac.controllers.bounded import BoundedController
+from approxjac.controllers.bounded_gains import BoundedGains, bounded_gains
 from approxjac.controllers.clipped import TaskTorqueScaled, TorqueClipped
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
@@ -20,6 +22,8 @@ from approxjac.controllers.tuning import default_adaptation, default_gains
 __all__ = [
     "Adaptation",
     "AdaptiveGravity",
+    "BoundedController",
+    "BoundedGains",
     "DifferentiatedVelocity",
     "Gains",
     "Gravity",
@@ -33,6 +37,7 @@ __all__ = [
     "TaskTorqueScaled",
     "TorqueClipped",
     "TorqueLimited",
+    "bounded_gains",
     "default_adaptation",
     "default_gains",
 ]

@@ -38,7 +38,7 @@ class Gains:
             object.__setattr__(self, name, float(value) if is_scalar(value) else diagonal)
 
     def __repr__(self) -> str:
-        shown = {name: _short(getattr(self, name)) for name in ("kp", "kv", "damping")}
+        shown = {name: short(getattr(self, name)) for name in ("kp", "kv", "damping")}
         return f"Gains({', '.join(f'{name}={text}' for name, text in shown.items())})"
 
     def diagonals(self, m: int, nv: int) -> Diagonals:
@@ -54,7 +54,7 @@ class Gains:
         )
 
 
-def _short(value: float | Sequence[float] | Array) -> str:
+def short(value: float | Sequence[float] | Array) -> str:
     """A number, or one of all entries that are equal, or a list, to four digits."""
     if is_scalar(value):
         return f"{value:.4g}"

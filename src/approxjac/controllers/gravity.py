@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -179,6 +179,30 @@ class Adaptation(NamedTuple):
 
 
 Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
+
+
+def require_gravity(gravity: object) -> None:
+    """Refuse what is neither None nor a source of gravity torque."""
+    if gravity is not None:
+        wanted = "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity"
+        require("gravity", gravity, get_args(Gravity), wanted)
+
+
+def believed_gravity(gravity: Gravity | None, robot: Robot) -> Gravity:
+    """Return a source of gravity torque that fits a robot: its own model where None is given.
+
+    Raises:
+        InvalidInputError: Gravity of a robot with other joints.
+    """
+    if gravity is None:
+        return ModelGravity(robot)
+    if gravity.robot.joint_names != robot.joint_names:
+        raise InvalidInputError(
+            f"gravity must be that of a robot with the joints of the task's robot "
+            f"({', '.join(robot.joint_names)}), got {gravity.robot!r}",
+            given=gravity,
+        )
+    return gravity
 
 
 def _adaptation_gain(L: Any, p: int) -> Array:

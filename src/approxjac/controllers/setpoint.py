@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac import law
 from approxjac.checks import Array, as_array, as_diagonal, as_number, require
+from approxjac.controllers.checked import CheckedController, is_beyond
 from approxjac.controllers.gains import Gains
-from approxjac.controllers.gravity import Adaptation, AdaptiveGravity, Gravity, ModelGravity
+from approxjac.controllers.gravity import (
+    Adaptation,
+    AdaptiveGravity,
+    Gravity,
+    believed_gravity,
+    require_gravity,
+)
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.tuning import default_adaptation, default_gains
 from approxjac.errors import InvalidInputError, MeasurementError
@@ -21,10 +28,8 @@ from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
 
-_FLOAT = np.dtype(np.float64)
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _SATURATED, _SINGULAR = Status.TORQUE_SATURATED, Status.NEAR_SINGULAR
-_HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class DifferentiatedVelocity:
         as_number("time_constant", self.time_constant, unit="s", above=0.0)
 
 
-class SetpointController:
+class SetpointController(CheckedController):
     """Brings a measured task value to a fixed target with an approximate Jacobian.
 
     τ = −Ĵᵀ(K_p s(e) + K_v Ĵq̇) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
@@ -84,25 +89,19 @@ class SetpointController:
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         for name, value, kind, wanted in (
             ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),
-            (
-                "gravity",
-                gravity,
-                get_args(Gravity),
-                "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity",
-            ),
             ("velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"),
             ("posture", posture, Posture, "Posture(q, stiffness) or None"),
         ):
             if value is not None:
                 require(name, value, kind, wanted)
+        require_gravity(gravity)
         robot = task.robot
-        self.task = task
         self.gains = default_gains(task) if gains is None else gains
         self.saturation: Saturation = Linear() if saturation is None else saturation
         self.velocity = velocity
         self.posture = posture
         self.diagonals = self.gains.diagonals(task.m, robot.nv)
-        self._require_saturation()
+        self._require_saturation(task)
         if robot.nv > task.m and not (self.diagonals.damping > 0.0).all():
             raise InvalidInputError(
                 f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for "
@@ -110,35 +109,19 @@ class SetpointController:
                 f"got {self.diagonals.damping.tolist()}",
                 given=gains,
             )
-        self._subtracts = task.subtracts  # as most do
-        if velocity is not None and not self._subtracts:
+        if velocity is not None and not task.subtracts:
             raise InvalidInputError(
                 f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
                 given=velocity,
             )
-        self.gravity: Gravity = ModelGravity(robot) if gravity is None else gravity
-        if self.gravity.robot.joint_names != robot.joint_names:
-            raise InvalidInputError(
-                f"gravity must be that of a robot with the joints of the task's robot "
-                f"({', '.join(robot.joint_names)}), got {self.gravity.robot!r}",
-                given=gravity,
-            )
-        self.adaptation = self._resolved_adaptation()
+        self.gravity = believed_gravity(gravity, robot)
+        self.adaptation = self._resolved_adaptation(task)
         self._p = 0 if self.adaptation is None else self.adaptation.regressor.p
         # an array, which NumPy multiplies with in two thirds of the time of a number
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
-        self._pull = None if posture is None else self._resolved_posture(posture)
-        self._n_state = self._p + (0 if velocity is None else task.m)
-        self._shapes = ((robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (self._n_state,))
+        self._pull = None if posture is None else _resolved_posture(posture, task)
         self._scale = vanishing(task)
-        self._continuous = robot.nq != robot.nv
-        self._no_rate = np.zeros(self._n_state)
-        self._no_rate.flags.writeable = False
-
-    @property
-    def n_state(self) -> int:
-        """Length of the state, p where gravity is learnt, plus m for law (5)."""
-        return self._n_state
+        self._take(task, self._p + (0 if velocity is None else task.m))
 
     def initial_state(self, measurement: Measurement) -> Array:
         """State before the first evaluation: θ̂(0), and the first measured x for law (5).
@@ -196,57 +179,6 @@ class SetpointController:
             posture=self.posture,
         )
 
-    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
-        """Torque for one measurement.
-
-        A measurement x that is not finite counts as lost: then there is no position force, only
-        damping (by K_v and B_c) and gravity compensation, and θ̂ stands still.
-
-        Args:
-            state: Controller state, shape (n_state,).
-            measurement: t, q, v and the measured x.
-            target: x_d, shape (n_x,) [unit of the task].
-
-        Raises:
-            MeasurementError: q or v not finite, or a torque that overflows.
-            InvalidInputError: Wrong shapes or types, a target or state that is not finite, or
-                (cos, sin) pairs of continuous joints off the unit circle.
-        """
-        try:
-            _, q, v, x = measurement
-            usual = (
-                (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
-                and q.dtype is v.dtype is x.dtype is target.dtype is state.dtype is _FLOAT
-            )
-        except (TypeError, ValueError, AttributeError):
-            usual = False
-        if not usual:
-            q, v, x = self._require_arrays(state, measurement, target)
-        # One number that is not small if anything is not finite. Unlike sums of squares it
-        # overflows without a warning, and it is faster.
-        size = math.hypot(*q.tolist(), *v.tolist(), *x.tolist(), *target.tolist(), *state.tolist())
-        if size < _HUGE:
-            e = x - target if self._subtracts else self.task.error(x, target)
-            if self._subtracts or math.isfinite(e.dot(e)):
-                if self._continuous:
-                    self.task.robot.configuration(q)
-                return self._answer(q, v, x, e, state, lost=False)
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is a named error
-            e = x - target if self._subtracts else self.task.error(x, target)
-            lost = self._require_finite(q, v, x, target, state, e)
-            self.task.robot.configuration(q)
-            try:
-                answer = self._answer(q, v, x, e, state, lost)
-                if np.isfinite(answer.torque).all() and np.isfinite(answer.state_rate).all():
-                    return answer
-            except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
-                pass
-        raise MeasurementError(
-            f"the torque overflows: q = {q.tolist()}, v = {v.tolist()}, x = {x.tolist()} are "
-            "beyond what the law can be evaluated at",
-            given=measurement,
-        )
-
     def _answer(
         self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
     ) -> Evaluation:
@@ -281,7 +213,7 @@ class SetpointController:
         status = _OK
         if lost:
             status = _LOST
-        elif learning is not None and _is_beyond(torque, learning.torque_limits):
+        elif learning is not None and is_beyond(torque, learning.torque_limits):
             status = _SATURATED
         elif singular:
             status = _SINGULAR
@@ -311,7 +243,7 @@ class SetpointController:
         faded: Array = weight * (pull - rows.T.dot(rows.dot(pull)))
         return faded
 
-    def _resolved_adaptation(self) -> Adaptation | None:
+    def _resolved_adaptation(self, task: Task) -> Adaptation | None:
         """The adaptation with its defaults filled in."""
         gravity = self.gravity
         if not isinstance(gravity, AdaptiveGravity):
@@ -319,7 +251,7 @@ class SetpointController:
         L, alpha = gravity.L, gravity.alpha
         if L is None or alpha is None:
             default_L, default_alpha = default_adaptation(
-                self.task, self.diagonals, gravity.regressor, alpha
+                task, self.diagonals, gravity.regressor, alpha
             )
             L = default_L if L is None else L
             alpha = default_alpha
@@ -327,20 +259,9 @@ class SetpointController:
             gravity.regressor, L, alpha, gravity.theta0, gravity.bounds, gravity.torque_limits
         )
 
-    def _resolved_posture(self, posture: Posture) -> tuple[Array, Array]:
-        robot = self.task.robot
-        if robot.nv <= self.task.m:
-            raise InvalidInputError(
-                f"posture is for arms with more joints than task coordinates, got one for "
-                f"{robot.name} with {robot.nv} joints and {self.task.m} coordinates",
-                given=posture,
-            )
-        q = robot.configuration(as_array("q of the posture", posture.q, (robot.nq,), "rad"))
-        return q, as_diagonal("stiffness", posture.stiffness, robot.nv, unit="N m/rad")
-
-    def _require_saturation(self) -> None:
+    def _require_saturation(self, task: Task) -> None:
         """Refuse a saturation whose γ has another length than the task."""
-        m = self.task.m
+        m = task.m
         try:
             fits = np.shape(self.saturation.s(np.zeros(m))) == (m,)
         except (ValueError, TypeError, AttributeError):
@@ -348,62 +269,9 @@ class SetpointController:
         if not fits:
             raise InvalidInputError(
                 f"saturation must be Linear(), Sine(gamma) or Tanh(gamma) with one gamma or {m} "
-                f"for {self.task!r}, got {self.saturation!r}",
+                f"for {task!r}, got {self.saturation!r}",
                 given=self.saturation,
             )
-
-    def _require_arrays(
-        self, state: Array, measurement: Measurement, target: Array
-    ) -> tuple[Array, Array, Array]:
-        """Say what is wrong with an argument that is no array of floats of its shape.
-
-        Returns q, v and x.
-        """
-        try:
-            _, q, v, x = measurement
-        except (TypeError, ValueError):
-            raise InvalidInputError(
-                f"measurement must be Measurement(t, q, v, x), got {measurement!r}",
-                given=measurement,
-            ) from None
-        names = ("q", "v", "x", "target", "state")
-        for name, value, shape in zip(names, (q, v, x, target, state), self._shapes, strict=True):
-            if not isinstance(value, np.ndarray) or value.shape != shape:
-                given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
-                raise InvalidInputError(
-                    f"{name} must be an array of shape {shape} for {self.task!r}, got {given}",
-                    given=value,
-                )
-            if value.dtype != _FLOAT:  # differences of unsigned pixels would wrap around
-                raise InvalidInputError(
-                    f"{name} must be an array of float64, got {value.dtype}; "
-                    f"{name}.astype(float) makes one of numbers",
-                    given=value,
-                )
-        return q, v, x
-
-    def _require_finite(
-        self, q: Array, v: Array, x: Array, target: Array, state: Array, e: Array
-    ) -> bool:
-        """Tell what is not finite apart; return whether only the measured x is."""
-        for name, value in (("q", q), ("v", v)):
-            if not np.isfinite(value).all():
-                raise MeasurementError(
-                    f"{name} must be finite, got {value.tolist()}: no safe torque exists without "
-                    "the joint state; stop the robot",
-                    given=value,
-                )
-        if not np.isfinite(state).all():
-            raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
-        self.task.target(target)
-        if np.isfinite(e).all():
-            return False
-        if np.isfinite(x).all() and self._subtracts:
-            raise MeasurementError(
-                f"the error overflows: x = {x.tolist()} is beyond what the law can be evaluated at",
-                given=x,
-            )
-        return True
 
     def __reduce__(self) -> tuple[Any, ...]:
         # a copy has scratch memory of its own, down to that of its task and its gravity
@@ -422,7 +290,13 @@ def _with_options(
     return kind(task, **options)
 
 
-def _is_beyond(torque: Array, limits: Array) -> bool:
-    share = torque / limits
-    # the norm first: it is cheap, and mostly small enough
-    return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)
+def _resolved_posture(posture: Posture, task: Task) -> tuple[Array, Array]:
+    robot = task.robot
+    if robot.nv <= task.m:
+        raise InvalidInputError(
+            f"posture is for arms with more joints than task coordinates, got one for "
+            f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
+            given=posture,
+        )
+    q = robot.configuration(as_array("q of the posture", posture.q, (robot.nq,), "rad"))
+    return q, as_diagonal("stiffness", posture.stiffness, robot.nv, unit="N m/rad")

@@ -90,6 +90,19 @@ def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) 
     return rate * (kv + _felt_damping(task, damping, jacobians))
 
 
+def joint_damping(task: Task, settling_time: float = 1.0, bandwidth: float = 1000.0) -> Array:
+    """B_c alone that is about as much as K_v and B_c of `default_gains`, shape (n_v,).
+
+    The diagonal of ĴᵀK_vĴ + B_c, the median over postures, and not faster than `bandwidth` allows.
+    """
+    gains = default_gains(task, settling_time, bandwidth).diagonals(task.m, task.robot.nv)
+    dynamics, postures = Dynamics(task.robot), _regular_postures(task)
+    felt: Array = np.median([gains.kv @ (J * J) for _, J in postures], axis=0)
+    mobility = np.max([np.diag(np.linalg.inv(dynamics.M(q))) for q, _ in postures], axis=0)
+    damping: Array = np.minimum(felt + gains.damping, 0.5 * bandwidth / mobility)
+    return damping
+
+
 def default_adaptation(
     task: Task, gains: Diagonals, regressor: GravityRegressor, alpha: float | None = None
 ) -> tuple[Array, float]:

@@ -40,6 +40,8 @@ from approxjac.law.pseudoinverse import (
 )
 from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
 from approxjac.law.torque import (
+    bounded_torque,
+    bounded_torque_bound,
     estimated_velocity_torque,
     gravity,
     learnt_gravity_torque,
@@ -61,6 +63,8 @@ __all__ = [
     "allowed_p_position",
     "allowed_p_velocity",
     "best_alpha",
+    "bounded_torque",
+    "bounded_torque_bound",
     "closed_loop_matrix",
     "cross_weight_damped",
     "cross_weight_pinv",

@@ -101,6 +101,15 @@ class GravityRegressor:
         """`Z` at a q that has been checked already, for loops."""
         return self._full(q).take(self._columns, 1)
 
+    def masses(self, theta: Array) -> tuple[Array, Array]:
+        """Masses of the moving links (n_all,) and their first moments (n_all, 3) that make g = Zθ.
+
+        In the links' frames, with mimic joints counted [kg, kg m]. Others would do as well.
+        """
+        parameters = np.zeros((self._model.nv, 10))
+        parameters.ravel()[self._columns] = theta
+        return parameters[:, 0], parameters[:, 1:4]
+
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
         """Return the θ with which this Z(q) reproduces the gravity of another robot.
 

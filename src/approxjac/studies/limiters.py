@@ -13,6 +13,7 @@ import numpy as np
 
 from approxjac.checks import as_number
 from approxjac.controllers import (
+    BoundedController,
     Limits,
     RegressorGravity,
     SetpointController,
@@ -215,6 +216,9 @@ def makers() -> dict[str, Callable[[Reach], Controller]]:
         "qp-torque": lambda ready: limited(ready.controller, Limits(_limits(ready).effort), "qp"),
         "clip": lambda ready: limited(ready.controller, _limits(ready), "clip"),
         "scale": lambda ready: limited(ready.controller, _limits(ready), "scale"),
+        "tanh": lambda ready: BoundedController(
+            ready.controller.task, ready.plant.torque_limits, gravity=ready.controller.gravity
+        ),
     }
 
 

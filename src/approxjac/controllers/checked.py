@@ -1,0 +1,161 @@
+"""What every controller checks of the arguments that it is evaluated with."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from approxjac.checks import Array
+from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.interface import Evaluation, Measurement
+from approxjac.tasks import Task
+
+_FLOAT = np.dtype(np.float64)
+_HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
+
+
+class CheckedController(ABC):
+    """A controller of one task: what it is told is looked at here, the law is in `_answer`.
+
+    What is usual costs one comparison of shapes and one sum; only what is not is taken apart.
+    """
+
+    def _take(self, task: Task, n_state: int) -> None:
+        """Remember the task and what the arguments of an evaluation have to look like."""
+        robot = task.robot
+        self.task = task
+        self._subtracts = task.subtracts  # as most do
+        self._n_state = n_state
+        self._shapes = ((robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (n_state,))
+        self._continuous = robot.nq != robot.nv
+        self._no_rate = np.zeros(n_state)
+        self._no_rate.flags.writeable = False
+
+    @property
+    def n_state(self) -> int:
+        """Length of the state."""
+        return self._n_state
+
+    @abstractmethod
+    def initial_state(self, measurement: Measurement) -> Array:
+        """State before the first evaluation, shape (n_state,)."""
+
+    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
+        """Torque for one measurement.
+
+        A measurement x that is not finite counts as lost: then there is no position force, only
+        damping (by K_v and B_c, where the law has them) and gravity compensation, and what is
+        learnt stands still.
+
+        Args:
+            state: Controller state, shape (n_state,).
+            measurement: t, q, v and the measured x.
+            target: x_d, shape (n_x,) [unit of the task].
+
+        Raises:
+            MeasurementError: q or v not finite, or a torque that overflows.
+            InvalidInputError: Wrong shapes or types, a target or state that is not finite, or
+                (cos, sin) pairs of continuous joints off the unit circle.
+        """
+        try:
+            _, q, v, x = measurement
+            usual = (
+                (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
+                and q.dtype is v.dtype is x.dtype is target.dtype is state.dtype is _FLOAT
+            )
+        except (TypeError, ValueError, AttributeError):
+            usual = False
+        if not usual:
+            q, v, x = self._require_arrays(state, measurement, target)
+        # One number that is not small if anything is not finite. Unlike sums of squares it
+        # overflows without a warning, and it is faster.
+        size = math.hypot(*q.tolist(), *v.tolist(), *x.tolist(), *target.tolist(), *state.tolist())
+        if size < _HUGE:
+            e = x - target if self._subtracts else self.task.error(x, target)
+            if self._subtracts or math.isfinite(e.dot(e)):
+                if self._continuous:
+                    self.task.robot.configuration(q)
+                return self._answer(q, v, x, e, state, lost=False)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is a named error
+            e = x - target if self._subtracts else self.task.error(x, target)
+            lost = self._require_finite(q, v, x, target, state, e)
+            self.task.robot.configuration(q)
+            try:
+                answer = self._answer(q, v, x, e, state, lost)
+                if np.isfinite(answer.torque).all() and np.isfinite(answer.state_rate).all():
+                    return answer
+            except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
+                pass
+        raise MeasurementError(
+            f"the torque overflows: q = {q.tolist()}, v = {v.tolist()}, x = {x.tolist()} are "
+            "beyond what the law can be evaluated at",
+            given=measurement,
+        )
+
+    @abstractmethod
+    def _answer(
+        self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
+    ) -> Evaluation:
+        """Evaluate the law at inputs that have been checked."""
+
+    def _require_arrays(
+        self, state: Array, measurement: Measurement, target: Array
+    ) -> tuple[Array, Array, Array]:
+        """Say what is wrong with an argument that is no array of floats of its shape.
+
+        Returns q, v and x.
+        """
+        try:
+            _, q, v, x = measurement
+        except (TypeError, ValueError):
+            raise InvalidInputError(
+                f"measurement must be Measurement(t, q, v, x), got {measurement!r}",
+                given=measurement,
+            ) from None
+        names = ("q", "v", "x", "target", "state")
+        for name, value, shape in zip(names, (q, v, x, target, state), self._shapes, strict=True):
+            if not isinstance(value, np.ndarray) or value.shape != shape:
+                given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
+                raise InvalidInputError(
+                    f"{name} must be an array of shape {shape} for {self.task!r}, got {given}",
+                    given=value,
+                )
+            if value.dtype != _FLOAT:  # differences of unsigned pixels would wrap around
+                raise InvalidInputError(
+                    f"{name} must be an array of float64, got {value.dtype}; "
+                    f"{name}.astype(float) makes one of numbers",
+                    given=value,
+                )
+        return q, v, x
+
+    def _require_finite(
+        self, q: Array, v: Array, x: Array, target: Array, state: Array, e: Array
+    ) -> bool:
+        """Tell what is not finite apart; return whether only the measured x is."""
+        for name, value in (("q", q), ("v", v)):
+            if not np.isfinite(value).all():
+                raise MeasurementError(
+                    f"{name} must be finite, got {value.tolist()}: no safe torque exists without "
+                    "the joint state; stop the robot",
+                    given=value,
+                )
+        if not np.isfinite(state).all():
+            raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
+        self.task.target(target)
+        if np.isfinite(e).all():
+            return False
+        if np.isfinite(x).all() and self._subtracts:
+            raise MeasurementError(
+                f"the error overflows: x = {x.tolist()} is beyond what the law can be evaluated at",
+                given=x,
+            )
+        return True
+
+
+def is_beyond(torque: Array, limits: Array) -> bool:
+    """Whether any torque is beyond its limit, both of shape (n_v,)."""
+    share = torque / limits
+    # the norm first: it is cheap, and mostly small enough
+    return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)
