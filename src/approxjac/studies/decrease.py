@@ -16,6 +16,7 @@ from approxjac.stability import LyapunovValue, lyapunov
 
 _TURN = 1e-4  # how far q and q̇ go at most in a difference, as a share of 1 rad and of q̇'s scale
 _LONGEST = 1e-4  # [s]
+_ZERO = 1e-9  # below it a power counts as none; limiters tell them apart to about 1e-10 [W]
 _MARGIN = 2.0  # on the measured error of the differences
 _ROUND_OFF = 64.0 * float(np.finfo(float).eps)
 
@@ -27,7 +28,8 @@ class Decrease(NamedTuple):
         instants: How many were looked at; those near a singular Ĵ are not, where Ĵ⁺ is damped
             and V another one.
         singular: How many of those there were.
-        risen: At how many of the instants V̇ > −W by more than the error of the differences.
+        risen: At how many of the instants V̇ > −W by more than the error of the differences and
+            1e-9 W.
         largest_excess: Largest V̇ + W [W].
         error: Largest error of the differences [W].
         breaches: At how many V̇ > −W + σ with the slack σ that was reported, by more than that.
@@ -81,10 +83,10 @@ def decrease(
     return Decrease(
         instants=len(regular),
         singular=len(chosen) - len(regular),
-        risen=int((excesses > errors).sum()),
+        risen=int((excesses > errors + _ZERO).sum()),
         largest_excess=float(excesses.max(initial=-np.inf)),
         error=float(errors.max(initial=0.0)),
-        breaches=int((beyond > errors).sum()),
+        breaches=int((beyond > errors + _ZERO).sum()),
         largest_breach=float(known.max(initial=-np.inf)),
     )
 

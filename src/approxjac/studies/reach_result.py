@@ -113,16 +113,21 @@ class Result:
         run, names = self.run, np.array(self.run.joint_names)
         statuses, counts = np.unique(run.limit_status[last], return_counts=True)
         most = LimitStatus(int(statuses[counts.argmax()]))
+        beyond = self._beyond_positions()[-1]
+        outside, there = beyond > AT_LIMIT, beyond > -AT_LIMIT
+        if most is LimitStatus.INFEASIBLE and outside.any():
+            what = "stands still" if rests else "moves on"
+            joints = _listed(names[outside])
+            return f"no torque keeps all limits at once: {what} with {joints} beyond its limits"
         if most in (LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED):
             return most.message
         if not rests:
             return "moves on at its limits without settling"
-        there = self._beyond_positions()[-1] > -AT_LIMIT
         if there.any():
-            return f"a dead end: came to rest with {_listed(names[there])} at its position limit"
+            return f"a dead end: came to rest at the position limits of {_listed(names[there])}"
         weak = np.abs(run.tau[-1]) > 0.999 * self.motor_limits
         if weak.any():
-            return f"came to rest with the torque of {_listed(names[weak])} at its limit"
+            return f"came to rest at the torque limits: those of {_listed(names[weak])}"
         return "came to rest away from its target, held back by its limits"
 
     @property
@@ -145,11 +150,17 @@ class Result:
         return np.asarray(np.maximum(motions - high, low - motions))
 
     @property
+    def speed_limits(self) -> Array:
+        """What |q̇| should not exceed, shape (n_v,) [rad/s or m/s]; infinite where not known."""
+        limits = self.reach.limits
+        if limits is None:
+            return self.reach.plant.robot.velocity_limits
+        return np.asarray(limits.velocity)
+
+    @property
     def peak_speed_ratio(self) -> float:
         """Largest recorded |q̇| as a share of the joint's limit; NaN where no limit is known."""
-        limits, speeds = self.reach.limits, self.reach.plant.robot.velocity_limits
-        if limits is not None:
-            speeds = np.asarray(limits.velocity)
+        speeds = self.speed_limits
         if not np.isfinite(speeds).any():
             return math.nan
         return float((np.abs(self.run.v) / speeds).max())
@@ -197,7 +208,8 @@ class Result:
 
 
 def _listed(names: Array) -> str:
-    return " and ".join(names.tolist())
+    *most, last = names.tolist()
+    return f"{', '.join(most)} and {last}" if most else str(last)
 
 
 def _number(value: float) -> float | None:
