@@ -41,7 +41,7 @@ _SETTLING_TIME = 0.5  # gains fast enough for limits to matter [s]
 _POSTURES = 2000
 _RESERVE = 2.0  # over the largest gravity torque, where a URDF knows no effort limit
 _SPEED = 3.0  # where it knows no speed limit [rad/s or m/s]
-_TRIES = 200_000  # few postures can be held with weak motors
+_TRIES = 20_000  # few postures can be held with weak motors
 
 
 class Case(NamedTuple):

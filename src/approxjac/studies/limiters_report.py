@@ -236,12 +236,16 @@ def _convergence(mine: Sequence[Row]) -> list[str]:
     ]
     for robot, scale in dict.fromkeys((row.robot, row.scale) for row in mine):
         here = {row.limiter: row for row in mine if (row.robot, row.scale) == (robot, scale)}
-        cells = [_outcome_cell(here[name]) for name in limiters]
-        lines.append(_line_of(robot, f"× {scale:g}", here[limiters[0]].runs, *cells))
+        cells = [_outcome_cell(here.get(name)) for name in limiters]
+        runs = max(row.runs for row in here.values())
+        lines.append(_line_of(robot, f"× {scale:g}", runs, *cells))
     return lines
 
 
-def _outcome_cell(row: Row) -> str:
+def _outcome_cell(row: Row | None) -> str:
+    """How many runs did the task within the joints' limits, and how many wherever they went."""
+    if row is None:
+        return "–"
     return "refused" if row.refused == row.runs else f"{row.within} ({row.converged})"
 
 

@@ -98,17 +98,16 @@ def plot_slack(
         ax.plot(run.t, run.slack, color=TARGET)
         largest = np.nanmax(run.slack) if np.isfinite(run.slack).any() else 0.0
         ax.set_ylim(0.0, 1.2 * float(largest) or 1.0)
-        edges = np.append(run.t, run.t[-1])
+        # a status holds from its instant to the next one
+        starts = np.append(0, np.nonzero(np.diff(run.limit_status))[0] + 1)
+        ends = np.append(run.t[starts[1:]], run.t[-1])
         for status in run.limit_status_counts():
-            ax.fill_between(
-                edges,
-                0.88,
-                0.98,
-                where=np.append(run.limit_status == status, False),
-                step="post",
+            held = run.limit_status[starts] == status
+            ax.broken_barh(
+                list(zip(run.t[starts][held], (ends - run.t[starts])[held], strict=True)),
+                (0.88, 0.1),
                 transform=ax.get_xaxis_transform(),
-                color=_STATUS_COLORS[status],
-                linewidth=0.0,
+                facecolors=_STATUS_COLORS[status],
                 label=status.name,
             )
         ax.set(xlabel="time [s]", ylabel=f"σ [{run.units['slack']}]", title=title)
