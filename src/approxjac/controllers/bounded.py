@@ -122,6 +122,10 @@ class BoundedController(CheckedController):
         self._require_arrays(self._no_rate, measurement, np.zeros(self.task.n_x))
         return np.zeros(0)
 
+    def gravity_torque(self, state: Array, q: Array) -> Array:
+        """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
+        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # learnt gravity is refused
+
     def torque_bound(self, q: Array) -> Array:
         """What no abs(τᵢ) of the law exceeds at q, whatever e and q̇ are; shape (n_v,) [N m or N].
 

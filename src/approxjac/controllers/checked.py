@@ -95,6 +95,10 @@ class CheckedController(ABC):
         )
 
     @abstractmethod
+    def gravity_torque(self, state: Array, q: Array) -> Array:
+        """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
+
+    @abstractmethod
     def _answer(
         self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
     ) -> Evaluation:

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.checks import Array, as_diagonal, as_number, require
+from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import (
     Limits,
@@ -28,12 +29,14 @@ from approxjac.interface import Evaluation, LimitStatus, Measurement
 from approxjac.robots import Dynamics
 
 Weight = Literal["joint inertia", "inertia", "identity", "task force"]
+Rows = tuple[Array, Array, Array]
 _WEIGHTS = ("joint inertia", "inertia", "identity", "task force")
 _FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
 _TASK_FORCE_KEPT = 100.0  # how much dearer it is to turn the task force than to reduce it
 _ROUND_OFF = 1e-10
 _ALPHA_SHARE = 0.3
+_NO_LOWER, _NO_UPPER = np.array([-np.inf]), np.array([np.inf])
 
 
 class TorqueLimited(Limiter):
@@ -67,8 +70,8 @@ class TorqueLimited(Limiter):
             rate of the task's slow pole: with a small α it is q̇ that counts, and the proof can be
             kept more often.
         dt: Sampling time [s].
-        braking: How fast damping may be [1/s], at most 1/dt; 0.05/dt by default.
-        approach: κ of `position_bounds` [1/s], at most `braking`; a fifth of it by default.
+        braking: How fast damping may be [1/s], at most 1/dt; 0.1/dt by default.
+        approach: κ of `position_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
             `QuadraticProgram` and returns its minimum.
         time_budget: For the solver [s]; half of dt by default.
@@ -81,7 +84,7 @@ class TorqueLimited(Limiter):
 
     def __init__(
         self,
-        controller: SetpointController,
+        controller: CheckedController,
         limits: Limits | None = None,
         *,
         weight: Weight | Sequence[float] | Array = "joint inertia",
@@ -96,10 +99,16 @@ class TorqueLimited(Limiter):
         super().__init__(controller, limits, dt=dt)
         require("proof", proof, bool, "True or False")
         robot = controller.task.robot
+        if proof and not isinstance(controller, SetpointController):
+            raise InvalidInputError(
+                f"proof must be False for {controller!r}: the proof is that of the laws of "
+                "SetpointController",
+                given=controller,
+            )
         self.proof = proof
         self.alpha = self._resolved_alpha(alpha)
-        self.braking = self._share_of("braking", braking, 1.0 / self._step, 0.05)
-        self.approach = self._share_of("approach", approach, self.braking, 0.2)
+        self.braking = self._share_of("braking", braking, 1.0 / self._step, 0.1)
+        self.approach = self._share_of("approach", approach, self.braking, 0.1)
         budget = 0.5 * dt if time_budget is None else time_budget
         self.time_budget = as_number("time_budget", budget, unit="s", above=0.0)
         self.weight = weight
@@ -115,14 +124,21 @@ class TorqueLimited(Limiter):
         }
         self._inertia = usual_inertia(robot)
         self._diagonal = self._resolved_weight(weight)
+        self._R = None if self._diagonal is None else np.diag(self._diagonal)
         self._rho = self._most_damping()
+        self._brakes = self.braking * self._inertia
         # gravity is what the controller takes it for, which may be learnt or none
         self._dynamics = Dynamics(robot.with_gravity((0.0, 0.0, 0.0)))
-        self._neutral = robot.neutral()
-        lower, upper = self.limits.position  # type: ignore[misc]
-        self._position = (np.asarray(lower), np.asarray(upper))
-        self._velocity = velocity_bounds(np.asarray(self.limits.velocity))
-        self._has_joint_limits = bool(np.isfinite([*self._position, *self._velocity]).any())
+        self._model = robot.model
+        self._neutral = None if robot.nq == robot.nv else robot.neutral()
+        # arrays, which NumPy multiplies with in a third of the time of numbers
+        self._braking, self._approach = np.array(self.braking), np.array(self.approach)
+        self._alpha = np.array(self.alpha)
+        self._position = np.array(self.limits.position)
+        self._slowest, self._fastest = velocity_bounds(np.asarray(self.limits.velocity))
+        bounds = (*self._position, self._slowest, self._fastest)
+        self._has_joint_limits = bool(np.isfinite(bounds).any())
+        self._no_rows = np.zeros((0, robot.nv)), np.zeros(0), np.zeros(0)
 
     @property
     def dt(self) -> float | None:
@@ -137,105 +153,106 @@ class TorqueLimited(Limiter):
         lower: Array,
         upper: Array,
     ) -> tuple[Array, LimitStatus, float]:
-        wanted, v = answer.torque, measurement.v
+        wanted, q, v = answer.torque, measurement.q, measurement.v
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
         free = torque.tolist() == wanted.tolist()
         if free and not self._has_joint_limits:
             return torque, _FREE, 0.0
-        y = None
-        if not free and self._diagonal is not None and self.proof:
-            y = self.controller.passive_output(answer, v, self.alpha)
-            torque = law.limited_torque(wanted, y, lower, upper, self._diagonal, self._rho)
-        accelerations = None
-        if self._has_joint_limits:
-            accelerations = self._acceleration_bounds(measurement)
-            g = self._law.gravity_torque(state, measurement.q)
-            q_dd = self._dynamics.forward(measurement.q, v, torque - g)
-            keeps = _is_within(q_dd, *accelerations)
-        else:
-            keeps = True
-        if keeps and (free or self._diagonal is not None):
-            # the minimum without rows that it keeps is the minimum with them
-            return (torque, _FREE, 0.0) if free else (torque, *self._judged(torque, wanted, y))
+        y, slack = None, math.nan
+        if not free and self.proof:
+            y = self._passive_output(answer, v)
+            if self._diagonal is not None:
+                torque, slack = law.limited_torque(
+                    wanted, y, lower, upper, self._diagonal, self._rho
+                )
+        predicted = self._predicted(state, q, v, torque) if self._has_joint_limits else None
+        # the minimum without rows that it keeps is the minimum with them
+        if predicted is None or _is_within(*predicted):
+            if free:
+                return torque, _FREE, 0.0
+            if self._diagonal is not None:
+                return torque, self._status(slack), slack
+
         if y is None:
-            y = self.controller.passive_output(answer, v, self.alpha)
-        g = self._law.gravity_torque(state, measurement.q)
-        R, rows = self._weight_and_rows(answer, measurement, g, accelerations)
-        # σ is eliminated: the minimum has σ > 0 only where it is that with ρyᵀτ in the cost, and
-        # where that one has none to spare, the row with σ = 0 has a multiplier of ρ at most
-        f = -R.dot(wanted)
-        dearest = f + self._rho * y if self.proof else f
-        problem = QuadraticProgram(R, dearest, lower, upper, *rows)
-        found, verdict = self._solver.solve(problem)
-        if found is not None and self.proof and float(y.dot(found - wanted)) < 0.0:
-            problem = QuadraticProgram(R, f, lower, upper, *_with_row(rows, *proof_row(wanted, y)))
-            found, verdict = self._solver.solve(problem)
-        if found is None:
-            infeasible = verdict is Verdict.INFEASIBLE
-            status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
-            hold = g - self.braking * self._inertia * v
-            torque = np.minimum(np.maximum(hold, lower), upper)
-            return torque, status, self._slack(torque, wanted, y)
-        return (found, *self._judged(found, wanted, y))
+            y = self._passive_output(answer, v)
+        M_inv, rows = self._dynamics.compute_M_inv(q), self._no_rows
+        if predicted is not None:
+            q_dd, bounds = predicted
+            rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), bounds)
+        R = self._R
+        if R is None:
+            inertia = self.weight == "inertia"
+            R = M_inv if inertia else _task_force_weight(answer, self._law.gravity_torque(state, q))
+        found, verdict = self._solve(R, wanted, y, lower, upper, rows)
+        if found is not None:
+            slack = _slack(found, wanted, y) if self.proof else math.nan
+            return found, self._status(slack), slack
+        infeasible = verdict is Verdict.INFEASIBLE
+        status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
+        hold = self._law.gravity_torque(state, q) - self._brakes * v
+        torque = np.minimum(np.maximum(hold, lower), upper)
+        return torque, status, _slack(torque, wanted, y)
 
-    def _judged(self, torque: Array, wanted: Array, y: Array | None) -> tuple[LimitStatus, float]:
-        """Status and slack of a torque that keeps the limits."""
-        if not self.proof or y is None:
-            return _LIMITED, math.nan
-        slack = self._slack(torque, wanted, y)
-        return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
-
-    def _slack(self, torque: Array, wanted: Array, y: Array) -> float:
-        """σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
-        change = torque - wanted
-        power = float(y.dot(change))
-        if power <= 0.0:
-            return 0.0
-        return power if power > _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted)))) else 0.0
-
-    def _acceleration_bounds(self, measurement: Measurement) -> tuple[Array, Array]:
-        """Accelerations within which the joints keep their limits."""
-        slowest, fastest = self._velocity
-        robot, q = self.task.robot, measurement.q
-        motion = q if robot.nq == robot.nv else pin.difference(robot.model, self._neutral, q)
-        near, far = position_bounds(motion, self._position, self.approach)
-        # a joint far beyond its limit comes back no faster than it may move
-        return acceleration_bounds(
-            measurement.v,
-            np.minimum(np.maximum(near, slowest), fastest),
-            np.minimum(np.maximum(far, slowest), fastest),
-            self.braking,
-        )
-
-    def _weight_and_rows(
+    def _solve(
         self,
-        answer: Evaluation,
-        measurement: Measurement,
-        g: Array,
-        accelerations: tuple[Array, Array] | None,
-    ) -> tuple[Array, tuple[Array, Array, Array]]:
-        """R, and the rows that the believed dynamics need to keep the joints' limits."""
-        n = len(answer.torque)
-        M_inv = None
-        if accelerations is not None or self.weight == "inertia":
-            M_inv = np.linalg.inv(self._dynamics.M(measurement.q))
-        if self._diagonal is not None:
-            R = np.diag(self._diagonal)
-        elif self.weight == "inertia":
-            R = M_inv
-        else:
-            R = _task_force_weight(answer, g)
-        if accelerations is None:
-            return R, (np.zeros((0, n)), np.zeros(0), np.zeros(0))
-        bias = self._dynamics.inverse(measurement.q, measurement.v, np.zeros(n)) + g
-        return R, acceleration_rows(M_inv, bias, *accelerations)
+        R: Array,
+        wanted: Array,
+        y: Array,
+        lower: Array,
+        upper: Array,
+        rows: Rows,
+    ) -> tuple[Array | None, Verdict]:
+        """Minimum of the QP over τ, its slack eliminated.
+
+        The minimum has σ > 0 only where it is that with ρyᵀτ in the cost instead of the row. Where
+        that one has yᵀ(τ − τ*) < 0, the row with σ = 0 has a multiplier of ρ at most.
+        """
+        f = -R.dot(wanted)
+        if not self.proof:
+            return self._solver.solve(QuadraticProgram(R, f, lower, upper, *rows))
+        row, bound = proof_row(wanted, y)
+        size = math.hypot(*row.tolist()) or 1.0  # of length one, solvers do better
+        A = np.concatenate([rows[0], (row / size)[np.newaxis]])
+        row_lower = np.concatenate([rows[1], _NO_LOWER])
+        row_upper = np.concatenate([rows[2], _NO_UPPER])
+        problem = QuadraticProgram(R, f + self._rho * y, lower, upper, A, row_lower, row_upper)
+        found, verdict = self._solver.solve(problem)
+        if found is None or float(y.dot(found - wanted)) >= 0.0:
+            return found, verdict
+        row_upper[-1] = bound / size
+        return self._solver.solve(problem._replace(f=f))
+
+    def _status(self, slack: float) -> LimitStatus:
+        """Status of a torque that was limited and keeps the limits."""
+        if not self.proof:
+            return _LIMITED
+        return _KEPT if slack == 0.0 else _GIVEN_UP
+
+    def _predicted(self, state: Array, q: Array, v: Array, torque: Array) -> tuple[Array, Array]:
+        """q̈ that the believed dynamics predict, and its bounds, shapes (n_v,) and (2, n_v)."""
+        motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
+        speeds = position_bounds(motion, self._position, self._approach)
+        # a joint far beyond its limit comes back no faster than it may move
+        speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
+        moving = torque - self._law.gravity_torque(state, q)
+        q_dd = self._dynamics.compute_forward(q, v, moving)
+        return q_dd, acceleration_bounds(v, speeds, self._braking)
+
+    def _passive_output(self, answer: Evaluation, v: Array) -> Array:
+        """y of the proof, or q̇ for a controller that is under none, shape (n_v,)."""
+        if isinstance(self.controller, SetpointController):
+            return self.controller.passive_output(answer, v, self._alpha)
+        return v
 
     def _resolved_alpha(self, alpha: float | None) -> float:
-        learning = self.controller.adaptation
+        controller = self.controller
+        if not isinstance(controller, SetpointController):
+            return 0.0 if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
+        learning = controller.adaptation
         if alpha is None:
             if learning is not None:
                 return learning.alpha
-            return _ALPHA_SHARE * slow_rate(self.task, self.controller.diagonals)
+            return _ALPHA_SHARE * slow_rate(self.task, controller.diagonals)
         alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
         if learning is not None and alpha != learning.alpha:
             raise InvalidInputError(
@@ -295,22 +312,17 @@ def _task_force_weight(answer: Evaluation, g: Array) -> Array:
     regular = squares > law.SINGULAR_RATIO**2 * squares[-1]
     basis = (U[:, regular] / np.sqrt(squares[regular])).T.dot(J_hat)
     across = basis - np.outer(basis.dot(u), u)
-    return np.eye(len(force)) + _TASK_FORCE_KEPT * across.T.dot(across)
+    R: Array = np.eye(len(force)) + _TASK_FORCE_KEPT * across.T.dot(across)
+    return R
 
 
-def _with_row(
-    rows: tuple[Array, Array, Array], row: Array, upper: float
-) -> tuple[Array, Array, Array]:
-    """Rows and one more with an upper bound, scaled to the length one."""
-    A, row_lower, row_upper = rows
-    size = math.hypot(*row.tolist())
-    return (
-        np.vstack([A, row / size]),
-        np.append(row_lower, -np.inf),
-        np.append(row_upper, upper / size),
-    )
+def _slack(torque: Array, wanted: Array, y: Array) -> float:
+    """σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
+    power = float(y.dot(torque - wanted))
+    round_off = _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted))))
+    return power if power > round_off else 0.0
 
 
-def _is_within(values: Array, lower: Array, upper: Array) -> bool:
-    clipped: Array = np.minimum(np.maximum(values, lower), upper)
-    return clipped.tolist() == values.tolist()
+def _is_within(values: Array, bounds: Array) -> bool:
+    clipped: Array = np.minimum(np.maximum(values, bounds[0]), bounds[1])
+    return bool(clipped.tolist() == values.tolist())

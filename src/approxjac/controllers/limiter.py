@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from approxjac.checks import Array, as_number, require
-from approxjac.controllers.gravity import AdaptiveGravity
+from approxjac.controllers.checked import CheckedController
+from approxjac.controllers.gravity import Adaptation, AdaptiveGravity
 from approxjac.controllers.limits import Limits, effort_bounds, rate_bounds
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
@@ -40,9 +41,10 @@ class Limiter(abc.ABC):
     """
 
     def __init__(
-        self, controller: SetpointController, limits: Limits | None = None, *, dt: float = 1e-3
+        self, controller: CheckedController, limits: Limits | None = None, *, dt: float = 1e-3
     ) -> None:
-        require("controller", controller, SetpointController, "a SetpointController")
+        wanted = "a SetpointController or a BoundedController"
+        require("controller", controller, CheckedController, wanted)
         if limits is not None:
             require("limits", limits, Limits, "Limits(effort=...), Limits.of(robot) or None")
         self.controller = controller
@@ -51,11 +53,12 @@ class Limiter(abc.ABC):
         robot = controller.task.robot
         given = Limits.of(robot) if limits is None else limits
         self.limits = given.for_joints(robot.nv)
-        self._law = _always_learning(controller)
+        learning = controller.adaptation if isinstance(controller, SetpointController) else None
+        self._law = controller if learning is None else _always_learning(controller, learning)
         self._lower, self._upper = effort_bounds(np.asarray(self.limits.effort))
         self._rate = np.asarray(self.limits.rate)
         self._has_rate = bool(np.isfinite(self._rate).any())
-        self._p = 0 if controller.adaptation is None else controller.adaptation.regressor.p
+        self._p = 0 if learning is None else learning.regressor.p
         self._n_inner = controller.n_state
 
     @property
@@ -158,16 +161,13 @@ class Limiter(abc.ABC):
 
 
 def _with_options(
-    kind: type[Limiter], controller: SetpointController, options: dict[str, Any]
+    kind: type[Limiter], controller: CheckedController, options: dict[str, Any]
 ) -> Limiter:
     return kind(controller, **options)
 
 
-def _always_learning(controller: SetpointController) -> SetpointController:
+def _always_learning(controller: Any, learning: Adaptation) -> CheckedController:
     """Return a controller that learns whatever the torque; the limiter decides when not to."""
-    learning = controller.adaptation
-    if learning is None:
-        return controller
     gravity = AdaptiveGravity(
         learning.regressor,
         learning.L,
@@ -176,4 +176,5 @@ def _always_learning(controller: SetpointController) -> SetpointController:
         learning.bounds,
         torque_limits=np.inf,
     )
-    return controller.with_gravity(gravity)
+    unguarded: CheckedController = controller.with_gravity(gravity)
+    return unguarded

@@ -109,10 +109,8 @@ def velocity_bounds(velocity: Array) -> tuple[Array, Array]:
     return -velocity, velocity
 
 
-def position_bounds(
-    motion: Array, position: tuple[Array, Array], approach: float
-) -> tuple[Array, Array]:
-    """Speeds with which a joint comes to its limit ever more slowly, shape (n_v,) each.
+def position_bounds(motion: Array, position: Array, approach: float | Array) -> Array:
+    """Speeds with which a joint comes to its limit ever more slowly, shape (2, n_v).
 
     A joint at a distance d from its limit may move towards it at κd at most, so it gets there as
     exp(−κt) and needs no sudden stop. One beyond its limit has to come back.
@@ -122,16 +120,15 @@ def position_bounds(
 
     Args:
         motion: Joint positions, shape (n_v,) [rad or m].
-        position: Their smallest and largest.
+        position: Their smallest and largest, shape (2, n_v).
         approach: κ [1/s].
     """
-    return approach * (position[0] - motion), approach * (position[1] - motion)
+    bounds: Array = approach * (position - motion)
+    return bounds
 
 
-def acceleration_bounds(
-    v: Array, slowest: Array, fastest: Array, braking: float
-) -> tuple[Array, Array]:
-    """Accelerations that lead speeds into their bounds, shape (n_v,) each [rad/s² or m/s²].
+def acceleration_bounds(v: Array, speeds: Array, braking: float | Array) -> Array:
+    """Accelerations that lead speeds into their bounds, shape (2, n_v) [rad/s² or m/s²].
 
     Over the next step q̇ goes at most the share r dt of what is left to its bound, and at least
     that share of the way back from beyond it. A share well below one keeps the joints quiet
@@ -139,26 +136,25 @@ def acceleration_bounds(
 
     Args:
         v: Joint velocity q̇, shape (n_v,).
-        slowest: Smallest speeds, shape (n_v,), may be −∞.
-        fastest: Largest speeds, shape (n_v,), may be ∞.
+        speeds: Smallest and largest, shape (2, n_v), infinite where there is no bound.
         braking: r [1/s], at most 1/dt.
     """
-    return braking * (slowest - v), braking * (fastest - v)
+    bounds: Array = braking * (speeds - v)
+    return bounds
 
 
 def acceleration_rows(
-    M_inv: Array, bias: Array, slowest: Array, fastest: Array
+    M_inv: Array, drift: Array, accelerations: Array
 ) -> tuple[Array, Array, Array]:
-    """Rows A, b₋, b₊ with b₋ ≤ Aτ ≤ b₊ where q̈ = M⁻¹(τ − h) is within its bounds.
+    """Rows A, b₋, b₊ with b₋ ≤ Aτ ≤ b₊ where q̈ = M⁻¹τ + q̈₀ is within its bounds.
 
     Args:
         M_inv: M̂(q)⁻¹ of the believed robot, shape (n_v, n_v).
-        bias: h = Ĉq̇ + ĝ of the believed robot, shape (n_v,).
-        slowest: Smallest accelerations, shape (n_v,).
-        fastest: Largest accelerations, shape (n_v,).
+        drift: q̈₀ = −M̂⁻¹(Ĉq̇ + ĝ), the acceleration without a torque, shape (n_v,).
+        accelerations: Smallest and largest, shape (2, n_v).
     """
-    free = M_inv.dot(bias)
-    return M_inv, slowest + free, fastest + free
+    lower, upper = accelerations - drift
+    return M_inv, lower, upper
 
 
 def proof_row(torque: Array, y: Array) -> tuple[Array, float]:

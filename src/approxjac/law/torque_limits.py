@@ -6,14 +6,18 @@ The paper has no torque limits; this is what its proof leaves room for.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from approxjac.checks import Array
 
+_ROUND_OFF = 1e-12
+
 
 def limited_torque(
     torque: Array, y: Array, lower: Array, upper: Array, weight: Array, rho: float
-) -> Array:
+) -> tuple[Array, float]:
     """Torque nearest to τ* within limits that keeps V̇ ≤ −W, or gives up as little as it can.
 
     Minimises ½ Σ rᵢ(τᵢ − τ*ᵢ)² + ρσ subject to τ within its limits, yᵀ(τ − τ*) ≤ σ and σ ≥ 0.
@@ -31,25 +35,31 @@ def limited_torque(
         rho: ρ ≥ 0, the most that λ may be.
 
     Returns:
-        τ within the limits, shape (n_v,).
+        τ within the limits, shape (n_v,), and σ [W].
     """
     clipped: Array = np.minimum(np.maximum(torque, lower), upper)
     power = float(y.dot(clipped - torque))
     if power <= 0.0:
-        return clipped
+        return clipped, 0.0
+    # where no joint reaches or leaves a limit on the way, the first guess is exact
     step = y / weight
-    most: Array = np.minimum(np.maximum(torque - rho * step, lower), upper)
-    if float(y.dot(most - torque)) >= 0.0:
-        return most
-    multiplier = _root(power, torque, y, lower, upper, weight)
-    root: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
-    return root
+    slope = float((y * step).dot(clipped == torque))
+    multiplier = min(power / slope, rho) if slope > 0.0 else rho
+    guess: Array = np.minimum(np.maximum(torque - multiplier * step, lower), upper)
+    left = float(y.dot(guess - torque))
+    if abs(left) <= _ROUND_OFF * power:
+        return guess, 0.0
+    if left > 0.0 and multiplier == rho:
+        return guess, left
+    root = _root(power, torque, y, lower, upper, weight)
+    least: Array = np.minimum(np.maximum(torque - min(root, rho) * step, lower), upper)
+    return least, 0.0 if root <= rho else float(y.dot(least - torque))
 
 
 def _root(
     power: float, torque: Array, y: Array, lower: Array, upper: Array, weight: Array
 ) -> float:
-    """λ > 0 where the power, positive at λ = 0, falls to zero; there must be one."""
+    """λ > 0 where the power, positive at λ = 0, falls to zero; infinite where it does not."""
     breaks = []
     for tau, rate, low, high, r in zip(
         torque.tolist(), y.tolist(), lower.tolist(), upper.tolist(), weight.tolist(), strict=True
@@ -68,6 +78,6 @@ def _root(
     for there, change in breaks:
         ahead = power + slope * (there - here)
         if ahead <= 0.0:
-            break
+            return float(here - power / slope)
         power, here, slope = ahead, there, slope + change
-    return here - power / slope if slope < 0.0 else here
+    return math.inf

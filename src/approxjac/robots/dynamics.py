@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.checks import Array, as_vector, require
-from approxjac.robots.model import mass_matrix
+from approxjac.robots.model import WORLD, mass_matrix, symmetric
 from approxjac.robots.robot import Robot
 
 
@@ -87,10 +87,21 @@ class Dynamics:
 
         By the articulated-body algorithm, or with mimic joints by solving with M(q).
         """
-        q, v, tau = self._q(q), self._v(v), self._v(tau, "tau")
+        return self.compute_forward(self._q(q), self._v(v), self._v(tau, "tau")).copy()
+
+    def compute_forward(self, q: Array, v: Array, tau: Array) -> Array:
+        """`forward` of arrays that have been checked; an alias of scratch memory."""
         if self._coupling.G is not None:
-            return np.asarray(np.linalg.solve(self.M(q), tau - self.inverse(q, v, self._zero)))
-        return np.array(pin.aba(self._model, self._data, q, v, tau, pin.Convention.WORLD))
+            bias = pin.rnea(self._model, self._data, q, v, self._zero)
+            return np.asarray(np.linalg.solve(self.M(q), tau - bias))
+        acceleration: Array = pin.aba(self._model, self._data, q, v, tau, WORLD)
+        return acceleration
+
+    def compute_M_inv(self, q: Array) -> Array:
+        """M(q)⁻¹ for a q that has been checked, shape (n_v, n_v)."""
+        if self._coupling.G is not None:
+            return np.asarray(np.linalg.inv(self.M(q)))
+        return symmetric(pin.computeMinverse(self._model, self._data, q))
 
     def energy(self, q: Array, v: Array) -> float:
         """Kinetic plus potential energy [J]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ import pinocchio as pin
 from approxjac.checks import Array
 from approxjac.errors import UrdfError
 from approxjac.robots.coupling import Coupling, build_coupled
+
+WORLD = pin.Convention.WORLD  # members of Pinocchio's enums are slow to look up
 
 
 def build_model(root: Any, source: str) -> tuple[pin.Model, Coupling]:
@@ -51,8 +54,17 @@ def own_joints(model: pin.Model) -> dict[str, Any]:
 
 def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
     """M(q) by CRBA, which fills the upper triangle only, made symmetric; shape (n_v, n_v)."""
-    M: Array = pin.crba(model, data, q, pin.Convention.WORLD)
-    return np.triu(M) + np.triu(M, 1).T
+    return symmetric(pin.crba(model, data, q, WORLD))
+
+
+def symmetric(upper: Array) -> Array:
+    """A symmetric matrix whose upper triangle is given, as Pinocchio gives it, shape (n, n)."""
+    return np.where(_is_lower(len(upper)), upper.T, upper)
+
+
+@cache
+def _is_lower(n: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    return np.tri(n, k=-1, dtype=bool)
 
 
 def _require_inertia(model: pin.Model, source: str) -> None:

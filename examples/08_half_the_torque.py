@@ -1,0 +1,60 @@
+"""A Panda whose motors deliver half, and whose joints have limits, reaches with an unknown tool.
+
+You will see: the same law, the same start and target, with its torque clipped and with the torque
+limited by a QP. Clipping lets the joints run ten times too fast and far beyond where they end.
+The QP keeps torques and positions within their limits, and speeds as well as the believed inertia
+(without the tool) predicts them; it says in which steps the theorem's decrease of V was kept.
+
+    python examples/08_half_the_torque.py --out results/examples
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import approxjac as aj
+from approxjac import view
+
+arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+arguments.add_argument("--out", type=Path, default=Path("results/examples"))
+out = arguments.parse_args().out
+out.mkdir(parents=True, exist_ok=True)
+
+arm = aj.load_robot("panda")
+truth, belief = arm.with_object(0.2, 0.5, axis="x"), arm.with_object(0.0)
+task = aj.PositionTask(belief)
+regressor = aj.GravityRegressor(belief)
+gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])  # known from elsewhere
+law = aj.SetpointController(task, aj.default_gains(task, settling_time=0.5), gravity=gravity)
+
+limits = aj.Limits.of(belief, scale=0.5)
+plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
+start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+target = plant.sensor.value([1.8, 0.4, 0.3, -1.9, -0.5, 2.4, 0.0])
+
+low, high = arm.position_limits
+figure, axes = view.new_figure(3, 2, title="Half the torque: clipped, and limited by a QP")
+for row, (name, limiter) in enumerate(
+    {"clipped": aj.TorqueClipped(law, limits), "QP": aj.TorqueLimited(law, limits)}.items()
+):
+    run = aj.simulate(
+        plant, limiter, target, start, duration=4.0, dt=1e-3, integrator="semi_implicit_euler"
+    )
+    speed = np.abs(run.v / arm.velocity_limits).max()
+    beyond = max(0.0, (run.q - high).max(), (low - run.q).max())
+    statuses = ", ".join(f"{status.name} {n}" for status, n in run.limit_status_counts().items())
+    print(
+        f"{name}: error {1e3 * run.error_norm[0]:.0f} -> {1e3 * run.error_norm[-1]:.2g} mm; "
+        f"speed up to {speed:.2f} of its limit; joints up to {beyond:.2f} rad beyond theirs; "
+        f"{statuses}"
+    )
+    view.plot_error(run, axes[3 * row], title=f"Task error: {name}")
+    view.plot_torque(run, axes[3 * row + 1], limits=limits.effort, title="Torque")
+    with view.style():
+        speeds = axes[3 * row + 2]
+        speeds.plot(run.t, np.abs(run.v) / arm.velocity_limits)
+        speeds.axhline(1.0, color="#555555", linestyle="--")
+        speeds.set(xlabel="time [s]", ylabel="speed / limit", title="Speed of each joint")
+for path in view.save_figure(figure, out / "half_the_torque"):
+    print(path)

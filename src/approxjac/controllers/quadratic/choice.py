@@ -1,0 +1,150 @@
+"""Which solver: by name, or a function of the user's own."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import pkgutil
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from approxjac.checks import Array, as_number
+from approxjac.controllers.quadratic.daqp import Daqp
+from approxjac.controllers.quadratic.osqp import Osqp
+from approxjac.controllers.quadratic.problem import QuadraticProgram, Solver
+from approxjac.controllers.quadratic.threaded import InThread
+from approxjac.errors import InvalidInputError, UnknownNameError
+
+# With these the solvers of qpsolvers reach residuals of 1e-6 on the degenerate problems of the
+# tests, which their own settings do not.
+_SETTINGS: dict[str, dict[str, Any]] = {
+    "clarabel": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
+    "piqp": {
+        "eps_abs": 1e-11,
+        "eps_rel": 1e-12,
+        "eps_duality_gap_abs": 1e-13,
+        "eps_duality_gap_rel": 1e-13,
+    },
+    "scs": {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iters": 100_000},
+}
+_WIDER = {"quadprog": 1e-9}  # else it calls equal or redundant bounds inconsistent
+# measured with highspy 1.15.1 and proxsuite 0.8.0, at the tightest settings that helped
+_REFUSED = {
+    "highs": "of 2400 degenerate problems it called 2 optimal with a residual above 0.1, and "
+    "gave up on 4",
+    "proxqp": "of 2400 degenerate problems it called 32 solved with a residual above 1e-6, and "
+    "gave up on 75",
+}
+
+
+def as_solver(
+    solver: str | Callable[[QuadraticProgram], Array | None], time_budget: float
+) -> Solver:
+    """Return the solver of a name, or one that calls a function of your own.
+
+    "daqp" is an exact active-set method, and the quickest here by a factor of eight. "osqp" is
+    first order, with tolerances that are absolute: H should have entries above 1e-3. Both keep
+    the time budget by themselves, osqp but for the first problem of a shape, which it sets up.
+    Every other solver that qpsolvers offers, and your own function, runs in a thread that is
+    waited for: one that does not answer in time is FAILED, and so is every call until it comes
+    back. A solver that holds Python's global lock (quadprog does) cannot be interrupted.
+
+    Measured to reach residuals of 1e-6 on degenerate problems are daqp, osqp, clarabel, piqp,
+    quadprog and scs; highs and proxqp were not able to, and are refused. Others that qpsolvers
+    knows run with their own settings; the bounds of their answers are checked, as all are, their
+    optimality is not.
+
+    Args:
+        solver: A name, or a function that takes a problem (its arrays are copies) and returns z
+            of shape (n,), or None where it finds none. Whether a problem without an answer is
+            infeasible is decided by DAQP. Its first call has no more time than the others.
+        time_budget: Time for one problem > 0 [s].
+
+    Raises:
+        InvalidInputError: No name and no function, a solver that is not installed or refused,
+            or a budget that is not > 0.
+        UnknownNameError: No solver of that name.
+    """
+    budget = min(as_number("time_budget", time_budget, unit="s", above=0.0), threading.TIMEOUT_MAX)
+    if not isinstance(solver, str):
+        if not callable(solver):
+            raise InvalidInputError(
+                f"solver must be the name of a QP solver such as 'daqp', or a function of a "
+                f"QuadraticProgram, got {solver!r}",
+                given=solver,
+            )
+        return InThread(getattr(solver, "__name__", type(solver).__name__), solver, budget)
+    if solver == "daqp":
+        return Daqp(budget)
+    if solver == "osqp":
+        return Osqp(budget)
+    _require_offered(solver)
+    try:
+        function = _Qpsolvers(solver)
+    except Exception as error:  # as of one that wants a licence
+        raise InvalidInputError(
+            f"QP solver {solver!r} is installed but does not run: {error}", given=solver
+        ) from error
+    return InThread(solver, function, budget)
+
+
+def _require_offered(name: str) -> None:
+    """Refuse a name that is not one of an installed and accurate solver of qpsolvers."""
+    import qpsolvers
+
+    if name in _REFUSED:
+        raise InvalidInputError(
+            f"QP solver {name!r} is not offered: {_REFUSED[name]}; take 'daqp'", given=name
+        )
+    if name in qpsolvers.available_solvers:
+        return
+    known = {module.name.rstrip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
+    if name in known:
+        extras = importlib.metadata.metadata("qpsolvers").get_all("Provides-Extra") or ()
+        how = f"pip install 'qpsolvers[{name}]'" if name in extras else "see its own web page"
+        raise InvalidInputError(f"QP solver {name!r} is not installed: {how}", given=name)
+    offered = set(qpsolvers.available_solvers) - set(_REFUSED)
+    raise UnknownNameError("QP solver", name, "the installed ones", offered)
+
+
+class _Qpsolvers:
+    """A solver of qpsolvers as a function; None where it finds nothing."""
+
+    def __init__(self, name: str) -> None:
+        import qpsolvers
+        from scipy.sparse import csc_matrix
+
+        self._name = name
+        self._qpsolvers = qpsolvers
+        self._settings = _SETTINGS.get(name, {})
+        self._wider = _WIDER.get(name, 0.0)
+        self._matrix = np.asarray if name in qpsolvers.dense_solvers else csc_matrix
+        one = np.ones(1)  # solved once, so that nothing is loaded in a control step
+        self(QuadraticProgram(np.eye(1), one, -one, one, np.eye(1), -one, one))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._name,)
+
+    def __call__(self, problem: QuadraticProgram) -> Array | None:
+        H, f, lower, upper, A, row_lower, row_upper = problem
+        below, above = np.isfinite(row_lower), np.isfinite(row_upper)
+        G = h = None
+        if below.any() or above.any():
+            G = self._matrix(np.concatenate([A[above], -A[below]]))
+            h = self._widened(np.concatenate([row_upper[above], -row_lower[below]]))
+        lb, ub = -self._widened(-lower), self._widened(upper)
+        try:
+            solution = self._qpsolvers.solve_problem(
+                self._qpsolvers.Problem(self._matrix(H), f, G, h, lb=lb, ub=ub),
+                solver=self._name,
+                **self._settings,
+            )
+        except Warning:  # where warnings are errors: they tell that there is no solution
+            return None
+        answer: Array | None = solution.x if solution.found else None
+        return answer
+
+    def _widened(self, bound: Array) -> Array:
+        return bound + self._wider * np.maximum(1.0, np.abs(bound)) if self._wider else bound

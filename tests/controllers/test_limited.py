@@ -1,0 +1,580 @@
+"""`TorqueLimited`: limits, the proof, statuses, fallback, learning."""
+
+import copy
+import math
+import pickle
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import qpsolvers
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac.controllers.quadratic import as_solver
+
+DT = 1e-3
+
+
+def law_of(robot, gravity=None, **options):
+    return aj.SetpointController(aj.PositionTask(robot), gravity=gravity, **options)
+
+
+def learning(robot):
+    return law_of(robot, aj.AdaptiveGravity(aj.GravityRegressor(robot), L=0.1, alpha=1.0))
+
+
+def some_measurement(robot, rng, speed=1.0, error=0.3):
+    q = robot.random_configuration(rng)
+    x = aj.PositionTask(robot).value(q)
+    return aj.Measurement(0.0, q, speed * rng.normal(size=robot.nv), x), x + error * rng.normal(
+        size=3
+    )
+
+
+def effort_only(robot, scale):
+    return aj.Limits(effort=scale * robot.effort_limits)
+
+
+# -- limits -------------------------------------------------------------------------------------
+
+ROBOTS = {name: aj.load_robot(name) for name in ("panda", "kinova", "tiago_arm")}
+SIZES = st.sampled_from([0.0, 1e-3, 1.0, 30.0, 1e6, 1e12])
+
+
+@settings(max_examples=60)
+@given(
+    st.sampled_from(list(ROBOTS)),
+    st.integers(0, 2**32 - 1),
+    SIZES,
+    SIZES,
+    st.sampled_from(["joint inertia", "inertia", "identity", "task force"]),
+    st.booleans(),
+)
+def test_whatever_comes_in_the_torque_is_within_the_limits(name, seed, speed, error, weight, lost):
+    robot, rng = ROBOTS[name], np.random.default_rng(seed)
+    limits = replace(aj.Limits.of(robot, scale=0.4), rate=2000.0)
+    limited = aj.TorqueLimited(learning(robot), limits, weight=weight)
+    measurement, target = some_measurement(robot, rng, speed, error)
+    state = limited.initial_state(measurement)
+    if lost:
+        measurement = measurement._replace(x=np.full(3, np.nan))
+    answer = limited.evaluate(state, measurement, target)
+    effort = 0.4 * robot.effort_limits
+    assert (np.abs(answer.torque) <= effort).all()
+    assert (np.abs(answer.torque - state[-robot.nv :]) <= 2000.0 * DT * (1 + 1e-9)).all()
+    assert np.isfinite(answer.state_rate).all()
+    assert answer.limit_status is not aj.LimitStatus.UNLIMITED
+    assert answer.slack >= 0.0
+    again = limited.evaluate(state, measurement, target)
+    assert_array_equal(again.torque, answer.torque)
+
+
+def test_a_free_torque_is_that_of_the_law_to_the_bit(panda, rng):
+    law = learning(panda)
+    limited = aj.TorqueLimited(law)
+    free = 0
+    for _ in range(50):
+        measurement, target = some_measurement(panda, rng, speed=0.02, error=0.01)
+        state = limited.initial_state(measurement)
+        answer, plain = (c.evaluate(state, measurement, target) for c in (limited, law))
+        if answer.limit_status is aj.LimitStatus.FREE:
+            free += 1
+            assert_array_equal(answer.torque, plain.torque)
+            assert_array_equal(answer.state_rate, plain.state_rate)
+            assert answer.slack == 0.0
+    assert free > 25
+
+
+def test_without_limits_nothing_is_limited(two_link, rng):
+    task = aj.PositionTask(two_link, axes="xz")
+    limited = aj.TorqueLimited(aj.SetpointController(task), aj.Limits())
+    assert limited.dt is None
+    q, v = np.array([0.3, 0.8]), np.array([30.0, -50.0])
+    answer = limited.evaluate(
+        np.zeros(0), aj.Measurement(0.0, q, v, np.array([50.0, 0.0])), np.zeros(2)
+    )
+    assert answer.limit_status is aj.LimitStatus.FREE
+
+
+def test_the_rate_is_kept_over_a_run(panda):
+    truth = panda.with_object(0.2, 0.5, axis="x")
+    limits = aj.Limits(effort=0.6 * panda.effort_limits, rate=500.0)
+    limited = aj.TorqueLimited(law_of(panda.with_object(0.0)), limits)
+    plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    x_d = plant.sensor.value(q0) + [0.1, -0.2, 0.2]
+    run = aj.simulate(plant, limited, x_d, q0, 1.0, dt=DT, integrator="semi_implicit_euler")
+    assert np.abs(np.diff(run.tau, axis=0)).max() <= 500.0 * DT + 1e-9
+    assert np.abs(np.diff(run.tau, axis=0)).max() > 0.99 * 500.0 * DT
+    hold = aj.Dynamics(panda).g(q0)
+    assert (np.abs(run.tau[0] - hold) <= 500.0 * DT + 1e-9).all()
+    assert run.error_norm[-1] < 0.5 * run.error_norm[0]
+
+
+def test_speeds_stay_within_their_limits_where_the_model_is_exact(panda):
+    """With enough torque and the true dynamics, the next step is what the rows predict."""
+    limits = aj.Limits(velocity=0.5, position=panda.position_limits)
+    limited = aj.TorqueLimited(law_of(panda), limits)
+    plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
+    rng = np.random.default_rng(3)
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    for _ in range(3):
+        x_d = plant.sensor.value(q0) + rng.uniform(-0.4, 0.4, 3)
+        run = aj.simulate(plant, limited, x_d, q0, 1.5, dt=DT, integrator="semi_implicit_euler")
+        assert np.abs(run.v).max() < 0.5 * (1.0 + 1e-6)
+        assert np.abs(run.v).max() > 0.45
+        low, high = panda.position_limits
+        assert ((low - 1e-9 <= run.q) & (run.q <= high + 1e-9)).all()
+
+
+# -- joint limits -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tool", [0.0, 0.2], ids=["exact", "unknown tool"])
+def test_a_joint_driven_into_its_limit_stops_at_it_without_chatter(panda, tool):
+    truth = panda.with_object(tool, 2.5 * tool, axis="x")
+    belief = panda.with_object(0.0)
+    regressor = aj.GravityRegressor(belief)
+    theta = regressor.fit(truth)[0]
+    plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
+    limited = aj.TorqueLimited(law_of(belief, aj.RegressorGravity(regressor, theta)))
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    run = aj.simulate(
+        plant, limited, [0.0, -0.1, -0.5], q0, 6.0, dt=DT, integrator="semi_implicit_euler"
+    )
+    low, high = panda.position_limits
+    room = np.minimum(run.q - low, high - run.q)
+    pressing = room[-1] < 1e-3
+    assert pressing.any()
+    assert room.min() > -1e-3  # it never went through its limit
+    last = slice(-1000, None)
+    assert np.abs(run.v[last][:, pressing]).max() < 1e-3  # it stands there
+    steps = np.abs(np.diff(run.tau[last][:, pressing], axis=0)).max()
+    assert steps < 1e-2  # and its torque does not chatter [N m a step]
+    assert np.abs(run.tau[last][:, pressing]).max() > 0.1
+
+
+def test_a_joint_beyond_its_limit_comes_back(panda):
+    _, high = panda.position_limits
+    limited = aj.TorqueLimited(law_of(panda))
+    plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    q0[3] = high[3] + 0.2
+    x_d = plant.sensor.value(q0)  # the law itself would stay
+    run = aj.simulate(plant, limited, x_d, q0, 1.0, dt=DT, integrator="semi_implicit_euler")
+    assert run.q[-1, 3] <= high[3] + 1e-3
+
+
+# -- the proof ----------------------------------------------------------------------------------
+
+
+def V_dot(plant, controller, q, v, tau, target, alpha, h=1e-6, **state):
+    """dV/dt along the true dynamics under a torque, by central differences."""
+    a = plant.acceleration(q, v, tau)
+
+    def V(t):
+        q_t = pin.integrate(plant.robot.model, q, t * v + 0.5 * t * t * a)
+        return aj.lyapunov(plant, controller, q_t, v + t * a, target, alpha, **state).V
+
+    return (V(h) - V(-h)) / (2.0 * h)
+
+
+@pytest.mark.parametrize("weight", ["joint inertia", "inertia", "identity", "task force"])
+def test_V_decreases_as_promised_along_the_true_dynamics(panda, rng, weight):
+    """V̇ ≤ −W where the slack is 0, V̇ ≤ −W + σ elsewhere; J, M, C, g of the true robot."""
+    truth = panda.with_object(0.2, 0.5, axis="x")
+    belief = panda.with_object(0.0)
+    regressor = aj.GravityRegressor(belief)
+    law = law_of(belief, aj.RegressorGravity(regressor, regressor.fit(truth)[0]))
+    limited = aj.TorqueLimited(law, aj.Limits.of(panda, scale=0.5), weight=weight)
+    plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
+    seen = set()
+    for _ in range(40):
+        measurement, target = some_measurement(truth, rng, speed=0.3, error=0.2)
+        q, v = measurement.q, measurement.v
+        answer = limited.evaluate(np.zeros(0), measurement, target)
+        W = aj.lyapunov(plant, law, q, v, target, limited.alpha).W
+        rate = V_dot(plant, law, q, v, answer.torque, target, limited.alpha)
+        assert rate <= -W + answer.slack + 1e-5 * (1.0 + abs(W))
+        if answer.slack > 1e-3:  # and the slack is not larger than it has to be
+            assert rate >= -W + answer.slack - 1e-5 * (1.0 + abs(W))
+        seen.add(answer.limit_status)
+    assert aj.LimitStatus.PROOF_KEPT in seen
+
+
+def test_clipping_breaks_what_the_QP_keeps(panda, rng):
+    """At the same states, with the same torque asked for."""
+    law = law_of(panda)
+    limits = effort_only(panda, 0.4)
+    limited, clipped = aj.TorqueLimited(law, limits), aj.TorqueClipped(law, limits)
+    broken = 0
+    for _ in range(100):
+        measurement, target = some_measurement(panda, rng, speed=0.5, error=0.2)
+        answer = limited.evaluate(np.zeros(0), measurement, target)
+        if answer.limit_status is aj.LimitStatus.PROOF_KEPT:
+            y = law.passive_output(answer, measurement.v, limited.alpha)
+            wanted = law.evaluate(np.zeros(0), measurement, target).torque
+            other = clipped.evaluate(np.zeros(0), measurement, target).torque
+            assert y @ (answer.torque - wanted) <= 1e-9
+            broken += y @ (other - wanted) > 1e-3
+    assert broken > 5
+
+
+def test_learning_goes_on_where_the_proof_holds_and_stands_still_elsewhere(panda, rng):
+    law = learning(panda)
+    free = aj.SetpointController(
+        law.task,
+        law.gains,
+        gravity=aj.AdaptiveGravity(
+            law.adaptation.regressor, L=0.1, alpha=1.0, torque_limits=np.inf
+        ),
+    )
+    limited = aj.TorqueLimited(law, aj.Limits.of(panda, scale=0.4))
+    assert limited.alpha == 1.0
+    seen = {}
+    for _ in range(150):
+        measurement, target = some_measurement(panda, rng, speed=0.5, error=0.2)
+        state = limited.initial_state(measurement)
+        answer = limited.evaluate(state, measurement, target)
+        rate = free.evaluate(state, measurement, target).state_rate
+        kept = answer.limit_status in (aj.LimitStatus.FREE, aj.LimitStatus.PROOF_KEPT)
+        assert_array_equal(answer.state_rate, rate if kept else np.zeros_like(rate))
+        seen[answer.limit_status] = seen.get(answer.limit_status, 0) + 1
+    assert seen[aj.LimitStatus.PROOF_KEPT] > 5
+    assert seen[aj.LimitStatus.PROOF_GIVEN_UP] > 5
+
+
+def test_V_with_learnt_parameters_decreases_as_promised_too(panda, rng):
+    """The parameters' part of V needs learning to go on: then V̇ ≤ −W at slack 0."""
+    truth = panda.with_object(0.0, 0.0)
+    law = aj.SetpointController(
+        aj.PositionTask(truth),
+        gravity=aj.AdaptiveGravity(aj.GravityRegressor(truth), L=0.05, alpha=0.5),
+    )
+    limited = aj.TorqueLimited(law, aj.Limits.of(panda, scale=0.6))
+    plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
+    theta = law.adaptation.regressor.theta
+    kept = 0
+    for _ in range(60):
+        measurement, target = some_measurement(truth, rng, speed=0.3, error=0.2)
+        q, v = measurement.q, measurement.v
+        state = theta + 0.05 * rng.normal(size=len(theta))
+        answer = limited.evaluate(state, measurement, target)
+        if answer.limit_status is not aj.LimitStatus.PROOF_KEPT:
+            continue
+        kept += 1
+        a, h, rate = plant.acceleration(q, v, answer.torque), 1e-6, answer.state_rate
+
+        def V(t, q=q, v=v, a=a, state=state, rate=rate, target=target):
+            q_t = pin.integrate(truth.model, q, t * v + 0.5 * t * t * a)
+            return aj.lyapunov(
+                plant, law, q_t, v + t * a, target, 0.5, state=state + t * rate, theta=theta
+            ).V
+
+        W = aj.lyapunov(plant, law, q, v, target, 0.5, state=state, theta=theta).W
+        assert (V(h) - V(-h)) / (2.0 * h) <= -W + 1e-5 * (1.0 + abs(W))
+    assert kept > 5
+
+
+def test_the_differentiator_of_law_5_goes_on_while_learning_stands_still(panda, rng):
+    law = aj.SetpointController(
+        aj.PositionTask(panda),
+        gravity=aj.AdaptiveGravity(aj.GravityRegressor(panda), L=0.1, alpha=1.0),
+        velocity=aj.DifferentiatedVelocity(0.02),
+    )
+    limited = aj.TorqueClipped(law, effort_only(panda, 0.1))
+    measurement, target = some_measurement(panda, rng, error=1.0)
+    state = limited.initial_state(measurement)
+    behind = state.copy()
+    behind[-3:] -= 0.01
+    answer = limited.evaluate(behind, measurement, target)
+    assert answer.limit_status is aj.LimitStatus.LIMITED
+    assert_array_equal(answer.state_rate[:-3], 0.0)
+    assert_allclose(answer.state_rate[-3:], 0.5)
+
+
+# -- the QP -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weight", ["joint inertia", "inertia", "identity", "task force"])
+def test_the_torque_is_the_minimum_of_the_QP_with_its_slack(panda, rng, weight):
+    """The slack is eliminated on the way; here the problem stands as it is written down."""
+    daqp, seen = as_solver("daqp", 1.0), []
+
+    def recording(problem):
+        seen.append(problem)
+        return daqp.solve(problem)[0]
+
+    law = law_of(panda)
+    limits = aj.Limits.of(panda, scale=0.5)
+    limited = aj.TorqueLimited(law, limits, weight=weight, solver=recording, time_budget=10.0)
+    statuses = set()
+    for _ in range(60):
+        seen.clear()
+        measurement, target = some_measurement(panda, rng, speed=1.0, error=0.2)
+        answer = limited.evaluate(np.zeros(0), measurement, target)
+        if not seen or answer.limit_status is aj.LimitStatus.INFEASIBLE:
+            continue
+        R, _, lower, upper, A, low, high = seen[0]
+        y = law.passive_output(answer, measurement.v, limited.alpha)
+        wanted = law.evaluate(np.zeros(0), measurement, target).torque
+        rho = (seen[0].f + R @ wanted) @ y / (y @ y)
+        H = np.zeros((8, 8))
+        H[:7, :7], H[7, 7] = R, 1e-8  # definite, and too little to count
+        z = qpsolvers.solve_qp(
+            H,
+            np.append(-R @ wanted, rho),
+            np.vstack([np.c_[A, np.zeros(len(A))], np.c_[-A, np.zeros(len(A))], [*y, -1.0]]),
+            np.concatenate([high, -low, [y @ wanted]]),
+            lb=np.append(lower, 0.0),
+            ub=np.append(upper, np.inf),
+            solver="daqp",
+            primal_tol=1e-10,
+        )
+        assert_allclose(answer.torque, z[:7], atol=2e-4)
+        assert answer.slack == pytest.approx(z[7], abs=1e-3)
+        statuses.add(answer.limit_status)
+    assert {aj.LimitStatus.PROOF_KEPT, aj.LimitStatus.PROOF_GIVEN_UP} <= statuses
+
+
+def test_the_task_force_keeps_its_direction_better_with_its_weight(panda, rng):
+    law = law_of(panda)
+    turned = {"identity": [], "task force": []}
+    for _ in range(40):
+        measurement, target = some_measurement(panda, rng, speed=0.0, error=0.4)
+        g = law.gravity_torque(np.zeros(0), measurement.q)
+        wanted = law.evaluate(np.zeros(0), measurement, target)
+        J_pinv_T = np.linalg.pinv(wanted.J_hat).T
+        force = J_pinv_T @ (wanted.torque - g)
+        if (np.abs(g) > 0.4 * panda.effort_limits).any():
+            continue  # nothing is left to choose
+        for weight, angles in turned.items():
+            limited = aj.TorqueLimited(law, effort_only(panda, 0.5), weight=weight, proof=False)
+            answer = limited.evaluate(np.zeros(0), measurement, target)
+            if answer.limit_status is not aj.LimitStatus.FREE:
+                kept = J_pinv_T @ (answer.torque - g)
+                angles.append(
+                    np.arccos(
+                        np.clip(kept @ force / np.linalg.norm(kept) / np.linalg.norm(force), -1, 1)
+                    )
+                )
+    assert len(turned["identity"]) > 10
+    assert np.median(turned["task force"]) < 0.1 * np.median(turned["identity"])
+
+
+def infeasible_state(robot):
+    """A joint that is much too fast for the torque that is left, close to its limit."""
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    v = np.zeros(7)
+    q[0], v[0] = robot.position_limits[1][0] - 0.01, 2.0
+    x = aj.PositionTask(robot).value(q)
+    return aj.Measurement(0.0, q, v, x), x
+
+
+def test_where_nothing_keeps_all_limits_the_arm_is_held_and_braked(panda):
+    measurement, target = infeasible_state(panda)
+    hold = aj.Dynamics(panda).g(measurement.q)
+    limits = replace(aj.Limits.of(panda), effort=np.abs(hold) + 2.0)
+    limited = aj.TorqueLimited(law_of(panda), limits)
+    answer = limited.evaluate(np.zeros(0), measurement, target)
+    assert answer.limit_status is aj.LimitStatus.INFEASIBLE
+    assert answer.torque[0] == pytest.approx(-2.0)
+    assert_allclose(answer.torque[1:], hold[1:], atol=1e-9)
+
+
+class Faulty:
+    """A solver that fails as told."""
+
+    def __init__(self, fault):
+        self.fault, self.release = fault, threading.Event()
+
+    def __call__(self, problem):
+        n = len(problem.f)
+        if self.fault == "raises":
+            raise RuntimeError("no")
+        if self.fault == "stalls":
+            self.release.wait(20.0)
+        answers = {
+            "none": None,
+            "nan": np.full(n, np.nan),
+            "beyond": problem.upper + 5.0,
+            "text": "torque",
+            "short": np.zeros(n - 1),
+            "rows": np.where(np.isfinite(problem.lower), problem.lower, 0.0),
+        }
+        return answers.get(self.fault)
+
+
+@pytest.mark.parametrize(
+    "fault", ["raises", "none", "stalls", "nan", "beyond", "text", "short", "rows"]
+)
+def test_a_solver_that_fails_leaves_a_torque_that_holds_and_brakes(panda, fault):
+    solver = Faulty(fault)
+    limited = aj.TorqueLimited(law_of(panda), solver=solver, time_budget=0.02)
+    measurement, target = infeasible_state(panda)
+    measurement = measurement._replace(v=0.5 * measurement.v)
+    good = aj.TorqueLimited(law_of(panda)).evaluate(np.zeros(0), measurement, target)
+    assert good.limit_status in (aj.LimitStatus.PROOF_KEPT, aj.LimitStatus.PROOF_GIVEN_UP)
+    answer = limited.evaluate(np.zeros(0), measurement, target)
+    solver.release.set()
+    assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
+    assert np.isfinite(answer.torque).all()
+    assert (np.abs(answer.torque) <= panda.effort_limits).all()
+    hold = aj.Dynamics(panda).g(measurement.q)
+    assert_allclose(answer.torque[1:], hold[1:], atol=1e-9)
+    assert answer.torque[0] < -1.0  # it brakes
+    assert math.isfinite(answer.slack)
+
+
+def test_numbers_that_overflow_in_the_problem_are_a_failure_of_the_solver(panda):
+    limited = aj.TorqueLimited(law_of(panda))
+    measurement, target = infeasible_state(panda)
+    measurement = measurement._replace(v=np.full(7, 1e100))
+    with np.errstate(all="ignore"):
+        answer = limited.evaluate(np.zeros(0), measurement, target)
+    assert answer.limit_status in (aj.LimitStatus.SOLVER_FAILED, aj.LimitStatus.INFEASIBLE)
+    assert (np.abs(answer.torque) <= panda.effort_limits).all()
+
+
+# -- around it ----------------------------------------------------------------------------------
+
+
+def test_a_run_needs_the_limiters_own_dt(panda):
+    limited = aj.TorqueLimited(law_of(panda))
+    plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
+    q0 = panda.neutral() + [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
+    for dt in (None, 2e-3):
+        with pytest.raises(
+            aj.InvalidInputError, match=r"dt must be that of the controller, 0\.001"
+        ):
+            aj.simulate(plant, limited, plant.sensor.value(q0), q0, 0.1, dt=dt)
+
+
+@pytest.mark.parametrize("kind", [aj.TorqueLimited, aj.TorqueClipped, aj.TaskTorqueScaled])
+def test_copies_have_scratch_memory_of_their_own(panda, rng, kind):
+    limited = kind(learning(panda), aj.Limits(effort=30.0, rate=5000.0))
+    measurement, target = some_measurement(panda, rng, error=1.0)
+    state = limited.initial_state(measurement)
+    torque = limited.evaluate(state, measurement, target).torque
+    for other in (copy.deepcopy(limited), pickle.loads(pickle.dumps(limited))):
+        assert other._law is not limited._law
+        assert_array_equal(other.evaluate(state, measurement, target).torque, torque)
+
+
+def test_options_survive_a_copy(panda):
+    limited = aj.TorqueLimited(
+        law_of(panda), weight="identity", proof=False, braking=20.0, approach=3.0, solver="osqp"
+    )
+    other = copy.deepcopy(limited)
+    assert (other.weight, other.proof, other.braking, other.approach) == ("identity", False, 20, 3)
+    assert "osqp" in repr(other)
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "text"),
+    [
+        ({"weight": "mass"}, aj.UnknownNameError, "weight 'mass'"),
+        ({"weight": [1.0, 2.0]}, aj.InvalidInputError, "weight must have shape (7,)"),
+        ({"braking": 2000.0}, aj.InvalidInputError, "braking must be at most 1000 [1/s]"),
+        ({"approach": 160.0}, aj.InvalidInputError, "approach must be at most 100 [1/s]"),
+        ({"alpha": -1.0}, aj.InvalidInputError, "alpha must be a finite number > 0 [1/s]"),
+        ({"dt": 0.0}, aj.InvalidInputError, "dt must be a finite number > 0 [s]"),
+        ({"solver": "nosuch"}, aj.UnknownNameError, "nosuch"),
+        ({"time_budget": 0.0}, aj.InvalidInputError, "time_budget must be a finite number > 0"),
+        ({"proof": 1}, aj.InvalidInputError, "proof must be True or False"),
+        ({"limits": 30.0}, aj.InvalidInputError, "limits must be Limits"),
+    ],
+)
+def test_bad_options_are_refused(panda, options, kind, text):
+    with pytest.raises(kind) as error:
+        aj.TorqueLimited(law_of(panda), **options)
+    assert text in str(error.value)
+
+
+def test_another_alpha_than_the_adaptations_is_refused(panda):
+    with pytest.raises(aj.InvalidInputError, match="that of the adaptation, 1 "):
+        aj.TorqueLimited(learning(panda), alpha=2.0)
+
+
+def test_only_controllers_are_limited(panda):
+    with pytest.raises(aj.InvalidInputError, match="controller must be a SetpointController"):
+        aj.TorqueLimited(aj.PositionTask(panda))
+
+
+@pytest.mark.parametrize(
+    ("state", "text"),
+    [
+        (np.zeros(3), r"state must be an array of shape \(7,\)"),
+        (np.full(7, np.nan), "state must be finite"),
+        ("old", r"state must be an array of shape \(7,\)"),
+    ],
+)
+def test_bad_states_are_refused(panda, rng, state, text):
+    limited = aj.TorqueLimited(law_of(panda), aj.Limits(rate=100.0))
+    measurement, target = some_measurement(panda, rng)
+    with pytest.raises(aj.InvalidInputError, match=text):
+        limited.evaluate(state, measurement, target)
+
+
+# -- baselines ----------------------------------------------------------------------------------
+
+
+def test_clipping_clips(panda, rng):
+    law = law_of(panda)
+    clipped = aj.TorqueClipped(law, effort_only(panda, 0.3))
+    measurement, target = some_measurement(panda, rng, error=1.0)
+    wanted = law.evaluate(np.zeros(0), measurement, target).torque
+    answer = clipped.evaluate(np.zeros(0), measurement, target)
+    effort = 0.3 * panda.effort_limits
+    assert_array_equal(answer.torque, np.clip(wanted, -effort, effort))
+    assert answer.limit_status is aj.LimitStatus.LIMITED
+    assert math.isnan(answer.slack)
+
+
+def test_scaling_keeps_the_direction_of_the_task_torque(panda, rng):
+    law = law_of(panda)
+    scaled = aj.TaskTorqueScaled(law, effort_only(panda, 0.9))
+    measurement, target = some_measurement(panda, rng, error=2.0)
+    g = law.gravity_torque(np.zeros(0), measurement.q)
+    wanted = law.evaluate(np.zeros(0), measurement, target).torque - g
+    got = scaled.evaluate(np.zeros(0), measurement, target).torque - g
+    share = got @ wanted / (wanted @ wanted)
+    assert 0.0 < share < 1.0
+    assert_allclose(got, share * wanted, atol=1e-9)
+    assert np.abs((got + g) / panda.effort_limits).max() == pytest.approx(0.9)
+
+
+def test_where_gravity_is_too_much_scaling_leaves_it_clipped(panda, rng):
+    scaled = aj.TaskTorqueScaled(law_of(panda), aj.Limits(effort=1.0))
+    q = np.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.6, 0.7])
+    x = aj.PositionTask(panda).value(q)
+    answer = scaled.evaluate(np.zeros(0), aj.Measurement(0.0, q, np.zeros(7), x), x + 0.5)
+    g = aj.Dynamics(panda).g(q)
+    assert_allclose(answer.torque, np.clip(g, -1.0, 1.0), atol=1e-12)
+
+
+def test_another_law_is_limited_without_a_proof(panda):
+    law = aj.BoundedController(aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match="proof must be False for BoundedController"):
+        aj.TorqueLimited(law)
+    limited = aj.TorqueLimited(law, proof=False)
+    measurement, target = infeasible_state(panda)
+    measurement = measurement._replace(v=2.0 * measurement.v)
+    answer = limited.evaluate(np.zeros(0), measurement, target)
+    assert answer.limit_status is aj.LimitStatus.LIMITED
+    assert (np.abs(answer.torque) <= panda.effort_limits).all()
+    # the speeds that the next steps tend to are within their limits, as those of the law are not
+    wanted = law.evaluate(np.zeros(0), measurement, target)
+    tends = [
+        measurement.v + aj.Dynamics(panda).forward(measurement.q, measurement.v, tau) / 100.0
+        for tau in (answer.torque, wanted.torque)
+    ]
+    _, high = panda.position_limits
+    fastest = np.minimum(panda.velocity_limits, 10.0 * (high - measurement.q))
+    assert (tends[0] <= fastest + 1e-9).all()
+    assert not ((tends[1] <= fastest) & (tends[1] >= -panda.velocity_limits)).all()

@@ -1,0 +1,121 @@
+"""`Limits` and the bounds and rows that they become."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac.controllers import limits as rows
+
+
+def test_of_a_robot_takes_what_its_urdf_says(panda):
+    limits = aj.Limits.of(panda, scale=0.5)
+    assert_allclose(limits.effort, 0.5 * panda.effort_limits)
+    assert_allclose(limits.velocity, [2.175] * 4 + [2.61] * 3)
+    assert_array_equal(limits.position, panda.position_limits)
+    assert limits.rate is None
+
+
+def test_unknown_limits_are_none(two_link):
+    limits = aj.Limits.of(two_link).for_joints(2)
+    assert np.isinf(limits.effort).all()
+    assert np.isinf(limits.velocity).all()
+
+
+def test_each_can_be_switched_off(panda):
+    limits = replace(aj.Limits.of(panda), position=None, velocity=None).for_joints(7)
+    assert np.isinf(limits.position).all()
+    assert np.isinf(limits.velocity).all()
+    assert np.isfinite(limits.effort).all()
+
+
+def test_a_number_is_for_every_joint():
+    assert_allclose(aj.Limits(effort=3.0).for_joints(4).effort, [3.0] * 4)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"effort": 0.0}, "effort must be numbers > 0 [N m or N]"),
+        ({"effort": [1.0, -1.0]}, "effort must be numbers > 0 [N m or N], one or 2"),
+        ({"rate": np.nan}, "rate must be numbers > 0 [N m/s or N/s]"),
+        ({"velocity": "fast"}, "velocity must be numbers > 0 [rad/s or m/s]"),
+        ({"position": ([0.0], [0.0])}, "position must be the smallest and the largest position"),
+        ({"position": ([0.0, 0.0], [1.0])}, "position must be the smallest and the largest"),
+        ({"position": 3.0}, "position must be the smallest and the largest position"),
+    ],
+)
+def test_bad_limits_are_refused(options, text):
+    with pytest.raises(aj.InvalidInputError) as error:
+        aj.Limits(**options)
+    assert text in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "options", [{"effort": [1.0, 1.0]}, {"position": ([0.0, 0.0], [1.0, 1.0])}]
+)
+def test_limits_of_other_joints_are_refused(panda, options):
+    controller = aj.SetpointController(aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match="7"):
+        aj.TorqueLimited(controller, aj.Limits(**options))
+
+
+def test_rate_bounds_never_leave_the_effort_limits():
+    lower, upper = rows.rate_bounds(
+        np.array([0.9, -1.0]), np.array([200.0, np.inf]), 1e-3, -np.ones(2), np.ones(2)
+    )
+    assert_allclose(lower, [0.7, -1.0])
+    assert_allclose(upper, [1.0, 1.0])
+
+
+def test_position_bounds_let_a_joint_come_to_its_limit_exponentially():
+    motion, position = np.array([0.5]), np.array([[-1.0], [1.0]])
+    for _ in range(1000):
+        speed = rows.position_bounds(motion, position, 10.0)[1]
+        motion = motion + 1e-3 * speed
+    assert_allclose(1.0 - motion, 0.5 * (1.0 - 0.01) ** 1000)
+
+
+def test_acceleration_bounds_stop_what_is_too_fast():
+    low, high = rows.acceleration_bounds(np.array([3.0]), np.array([[-2.0], [2.0]]), 50.0)
+    assert high == -50.0
+    assert low == -250.0
+
+
+def test_acceleration_rows_predict_the_acceleration(panda, rng):
+    """b₋ ≤ Aτ ≤ b₊ where, and only where, the q̈ of τ is within its bounds."""
+    dynamics = aj.Dynamics(panda)
+    for _ in range(20):
+        q, v = panda.random_configuration(rng), rng.normal(size=7)
+        torque = 20.0 * rng.normal(size=7)
+        q_dd = dynamics.forward(q, v, torque)
+        M_inv = np.linalg.inv(dynamics.M(q))
+        drift = dynamics.forward(q, v, np.zeros(7))
+        bounds = np.array([q_dd - rng.uniform(-1, 5, 7), q_dd + rng.uniform(-1, 5, 7)])
+        A, low, high = rows.acceleration_rows(M_inv, drift, bounds)
+        assert_allclose(high - A @ torque, bounds[1] - q_dd, atol=1e-8 * np.abs(q_dd).max())
+        assert_allclose(low - A @ torque, bounds[0] - q_dd, atol=1e-8 * np.abs(q_dd).max())
+
+
+def test_the_proofs_row_is_the_power_of_the_change(rng):
+    torque, y, tau = rng.normal(size=(3, 7))
+    row, bound = rows.proof_row(torque, y)
+    assert row @ tau - bound == pytest.approx(y @ (tau - torque))
+
+
+def test_unchecked_dynamics_are_the_checked_ones(arm, rng):
+    dynamics = aj.Dynamics(arm)
+    q, v = arm.random_configuration(rng), rng.normal(size=arm.nv)
+    tau = rng.normal(size=arm.nv)
+    assert_array_equal(dynamics.compute_forward(q, v, tau).copy(), dynamics.forward(q, v, tau))
+    M = dynamics.M(q)
+    assert_array_equal(M, M.T)
+    assert_allclose(dynamics.compute_M_inv(q) @ M, np.eye(arm.nv), atol=1e-8 * np.linalg.cond(M))
+    assert_allclose(
+        pin.rnea(arm.model, arm.model.createData(), q, v, dynamics.forward(q, v, tau)),
+        tau,
+        atol=1e-6,
+    )

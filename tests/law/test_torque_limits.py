@@ -1,0 +1,118 @@
+"""`limited_torque`: the minimum, by its optimality conditions and against a QP solver."""
+
+import numpy as np
+import pytest
+import qpsolvers
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from approxjac import law
+
+ENTRY = st.floats(-10.0, 10.0, allow_subnormal=False)
+
+
+@st.composite
+def problems(draw):
+    n = draw(st.integers(1, 7))
+    entries = st.lists(ENTRY, min_size=n, max_size=n).map(np.array)
+    torque, y, one, other = (draw(entries) for _ in range(4))
+    weight = 10.0 ** draw(st.lists(st.floats(-2.0, 2.0), min_size=n, max_size=n).map(np.array))
+    rho = draw(st.sampled_from([0.0, 0.1, 1.0, 30.0, 1e4]))
+    return torque, y, np.minimum(one, other), np.maximum(one, other), weight, rho
+
+
+def cost(tau, torque, y, weight, rho):
+    change = tau - torque
+    return 0.5 * change @ (weight * change) + rho * max(0.0, y @ change)
+
+
+@given(problems())
+def test_it_is_within_limits_and_of_the_form_that_optimality_asks_for(problem):
+    """τ = [τ* − λR⁻¹y] within limits, with 0 ≤ λ ≤ ρ, and σ > 0 only for λ = ρ."""
+    torque, y, lower, upper, weight, rho = problem
+    tau, slack = law.limited_torque(*problem)
+    assert ((lower <= tau) & (tau <= upper)).all()
+    power = y @ (tau - torque)
+    assert slack == pytest.approx(max(power, 0.0), abs=1e-9 * (1.0 + np.abs(y) @ np.abs(torque)))
+    scale = np.abs(y) @ (np.abs(torque) + np.abs(tau)) + 1.0
+
+    def within(multiplier):
+        return np.clip(torque - multiplier * y / weight, lower, upper)
+
+    if power > 1e-9 * scale:
+        assert_allclose(tau, within(rho), atol=1e-9)
+    elif y @ (within(0.0) - torque) <= 0.0:
+        assert_allclose(tau, within(0.0), atol=1e-12)
+    else:  # the row is active: the multiplier follows from any joint that is off its limits
+        assert abs(power) <= 1e-9 * scale
+        off = (tau > lower) & (tau < upper) & (np.abs(y) > 1e-6)
+        multipliers = (weight * (torque - tau))[off] / y[off]
+        if len(multipliers):
+            assert_allclose(tau, within(multipliers[0]), atol=1e-6)
+            assert -1e-9 <= multipliers[0] <= rho * (1.0 + 1e-9) + 1e-9
+
+
+@given(problems(), st.integers(0, 2**32 - 1))
+def test_no_other_torque_costs_less(problem, seed):
+    torque, y, lower, upper, weight, rho = problem
+    tau, _ = law.limited_torque(*problem)
+    best = cost(tau, torque, y, weight, rho)
+    rng = np.random.default_rng(seed)
+    for size in (1e-3, 0.1, 3.0):
+        for _ in range(20):
+            other = np.clip(tau + size * rng.normal(size=len(tau)), lower, upper)
+            assert cost(other, torque, y, weight, rho) >= best - 1e-9 * (1.0 + best)
+
+
+def test_against_a_solver(rng):
+    """The same problem with a slack variable, by DAQP."""
+    kept = 0
+    for _ in range(200):
+        n = int(rng.integers(1, 8))
+        torque, y = 3.0 * rng.normal(size=n), rng.normal(size=n)
+        lower, upper = -np.abs(rng.normal(size=n)), np.abs(rng.normal(size=n))
+        weight, rho = np.exp(rng.normal(size=n)), float(np.exp(rng.normal()))
+        tau, slack = law.limited_torque(torque, y, lower, upper, weight, rho)
+        # a little of σ² makes the Hessian definite, too little to show
+        H = np.diag([*weight, 1e-8])
+        f = np.array([*(-weight * torque), rho])
+        z = qpsolvers.solve_qp(
+            H,
+            f,
+            np.array([[*y, -1.0]]),
+            np.array([y @ torque]),
+            lb=np.array([*lower, 0.0]),
+            ub=np.array([*upper, np.inf]),
+            solver="daqp",
+            primal_tol=1e-10,
+        )
+        assert_allclose(tau, z[:n], atol=1e-5)
+        assert slack == pytest.approx(z[n], abs=1e-5)
+        kept += (y @ (np.clip(torque, lower, upper) - torque) > 0) and z[-1] < 1e-9
+    assert kept > 10
+
+
+@pytest.mark.parametrize("rho", [0.0, 5.0])
+def test_no_speed_and_no_error_means_clipping(rho):
+    tau, slack = law.limited_torque(
+        np.array([3.0, -0.5]), np.zeros(2), -np.ones(2), np.ones(2), np.ones(2), rho
+    )
+    assert_allclose(tau, [1.0, -0.5], atol=0.0)
+    assert slack == 0.0
+
+
+def test_a_clipped_brake_is_made_up_for_by_the_other_joint():
+    """Joint 0 may brake with 1 of 3 N m, so joint 1 brakes with 2 more."""
+    tau, slack = law.limited_torque(
+        np.array([-3.0, 0.0]), np.ones(2), -np.array([1.0, 9.0]), np.full(2, 9.0), np.ones(2), 10.0
+    )
+    assert_allclose(tau, [-1.0, -2.0])
+    assert slack == 0.0
+
+
+def test_more_than_rho_is_not_paid():
+    arguments = np.array([-3.0, 0.0]), np.ones(2), -np.array([1.0, 9.0]), np.full(2, 9.0)
+    tau, slack = law.limited_torque(*arguments, np.ones(2), 0.5)
+    assert_allclose(tau, [-1.0, -0.5])
+    assert slack == 1.5
