@@ -47,7 +47,7 @@ class TorqueLimited(Limiter):
 
         min ½(τ − τ*)ᵀR(τ − τ*) + ρσ   subject to   yᵀ(τ − τ*) ≤ σ,  σ ≥ 0
 
-    and to the limits: |τ| and its rate; and |q̇| and q, whose next step the believed dynamics
+    and to the limits: of τ and its rate; and of q̇ and q, whose next step the believed dynamics
     predict. A slack σ > 0 is reported, never hidden. The multiplier of the proof's row acts as
     damping added along y, λR⁻¹ with λ ≤ ρ, so ρ is chosen such that this damping is not faster
     than `braking`.

@@ -19,10 +19,10 @@ class Limits:
     `Limits.of(robot)` takes those of the URDF; `dataclasses.replace` changes one.
 
     Attributes:
-        effort: Largest |τ|, a number or shape (n_v,) [N m or N].
+        effort: Largest abs(τ), a number or shape (n_v,) [N m or N].
         rate: Largest change of τ in time, a number or shape (n_v,) [N m/s or N/s].
         position: Smallest and largest joint positions, each shape (n_v,) [rad or m].
-        velocity: Largest |q̇|, a number or shape (n_v,) [rad/s or m/s].
+        velocity: Largest abs(q̇), a number or shape (n_v,) [rad/s or m/s].
 
     Raises:
         InvalidInputError: Limits that are not positive, not numbers, or reversed.

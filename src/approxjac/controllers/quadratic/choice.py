@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import pkgutil
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -92,6 +90,9 @@ def as_solver(
 
 def _require_offered(name: str) -> None:
     """Refuse a name that is not one of an installed and accurate solver of qpsolvers."""
+    import importlib.metadata
+    import pkgutil
+
     import qpsolvers
 
     if name in _REFUSED:
