@@ -96,7 +96,7 @@ def rows(outcomes: Sequence[Outcome]) -> list[Row]:
 def table(outcomes: Sequence[Outcome]) -> str:
     """The study's result as Markdown: convergence, then all numbers arm by arm, then failures."""
     mine = rows(outcomes)
-    lines = [*_convergence(mine), "", *_proof(mine), ""]
+    lines = [*_convergence(mine), "", *_proof(mine), "", "All numbers, arm by arm:", ""]
     for robot in dict.fromkeys(row.robot for row in mine):
         lines += [*_details(robot, [row for row in mine if row.robot == robot]), ""]
     lines += ["Runs that did not do the task, or did it beyond the joints' limits:", ""]
