@@ -385,3 +385,46 @@ def test_a_file_may_name_the_folder_and_values_that_begin_with_a_minus(tmp_path,
     assert summary["settings"]["object_axis"] == "-x"
     assert summary["target"] == [0.4, 0.1, 0.5]
     capsys.readouterr()
+
+
+def test_simulate_with_torque_limits_says_what_they_did(tmp_path, capsys):
+    path = tmp_path / "reach.toml"
+    limits = 'torque_limits = 0.5\nlimiter = "clip"\n'
+    path.write_text(f"{TOML}{limits}settling_time = 0.5\n", encoding="utf-8")
+    words = ["--duration", "0.2", "--limiter", "qp", "--out", str(tmp_path / "run")]
+    assert main(["simulate", str(path), *words]) == 1
+    assert "\nlimiter     qp, 0.5 of the effort limits: " in capsys.readouterr().out
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["limits"]["steps"] == 101
+    assert summary["settings"]["limiter"] == "qp"
+    for words, message in (
+        (["--limiter", "qp"], "limiter needs torque_limits"),
+        (["--torque-limits", "all"], 'torque_limits must be "urdf" or a positive share'),
+    ):
+        assert main(["simulate", "panda", *words, "--out", str(tmp_path)]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+
+
+def test_limiters_writes_a_table_a_picture_and_a_summary(tmp_path, capsys):
+    words = ["--robots", "two_link", "--scales", "0.5", "--starts", "1", "--duration", "1"]
+    assert main(["limiters", *words, "--jobs", "1", "--out", str(tmp_path)]) == 0
+    table = (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "| two_link | × 0.5 | 1 |" in table
+    out = capsys.readouterr().out
+    assert table in out
+    assert "all kept" in out
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "limiters.png", "limiters.svg", "summary.json", "table.md",
+    }  # fmt: skip
+    assert json.loads((tmp_path / "summary.json").read_text())["verdict"] == "ok"
+
+
+def test_limiters_that_fall_short_give_exit_code_1(tmp_path, capsys, monkeypatch):
+    from approxjac.studies import limiters_report
+
+    monkeypatch.setattr(limiters_report, "shortcomings", lambda outcomes: ["it broke a limit"])
+    words = ["--robots", "two_link", "--scales", "1", "--starts", "1", "--duration", "0.1"]
+    assert main(["limiters", *words, "--jobs", "1", "--out", str(tmp_path)]) == 1
+    assert "fell short: it broke a limit" in capsys.readouterr().out

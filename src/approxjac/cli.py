@@ -184,6 +184,46 @@ def arms(
     return 0 if summary["verdict"] == "ok" else 1
 
 
+@app.command(name="limiters")
+def limiters(
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = (),
+    scales: tuple[float, ...] = (),
+    starts: int = 15,
+    duration: float = 10.0,
+    jobs: int | None = None,
+    out: Path = Path("results/limiters"),
+) -> int:
+    """Compare limiters of the torque on the same reaches, with ever weaker motors.
+
+    Exit code 1 means that the QP broke a torque limit or what it says of the proof, or that with
+    the weakest motors fewer runs converged within the joints' limits than with clipping.
+
+    Args:
+        robots: Arms to try; panda, xarm7 and two_link by default.
+        scales: Shares of the effort limits; 1, 0.7, 0.5, 0.35 and 0.25 by default.
+        starts: Seeded starts and targets for each arm and scale.
+        duration: Of each run, in s.
+        jobs: Processes that share the work; as many as there are processors by default.
+        out: Folder for table.md, limiters.png, limiters.svg and summary.json.
+    """
+    from approxjac.studies import limiters as study
+    from approxjac.studies import limiters_report as report
+    from approxjac.view import save_figure
+
+    cases = study.cases(robots, scales, starts, duration)
+    _make_folder(out)
+    with tqdm(total=len(cases), unit="start", disable=None) as bar:
+        outcomes = study.run(cases, jobs, progress=lambda: bar.update() and None)
+    table, summary = report.table(outcomes), report.summary(outcomes)
+    (out / "table.md").write_text(table, encoding="utf-8")
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    save_figure(report.draw(outcomes), out / "limiters")
+    print(table)
+    print("\n".join(f"fell short: {text}" for text in summary["shortcomings"]) or "all kept")
+    print(f"\ntable.md, the picture and summary.json are in {out}")
+    return 0 if summary["verdict"] == "ok" else 1
+
+
 @app.command(name="certify")
 def certify(
     cases: int = 500,

@@ -46,6 +46,26 @@ def test_the_path_is_that_of_the_true_tip(run):
     assert ax.get_aspect() == 1.0
 
 
+def test_the_slack_is_drawn_with_what_limits_did(run):
+    n = len(run.t)
+    status = np.full(n, int(aj.LimitStatus.FREE))
+    status[:50] = aj.LimitStatus.PROOF_GIVEN_UP
+    slack = np.where(np.arange(n) < 50, 3.0, 0.0)
+    ax = view.plot_slack(dataclasses.replace(run, limit_status=status, slack=slack))
+    assert_allclose(ax.get_lines()[0].get_ydata(), slack)
+    assert ax.get_ylabel() == "σ [W]"
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels == ["FREE", "PROOF_GIVEN_UP"]
+    given_up = ax.collections[1].get_paths()[0].get_extents()
+    assert_allclose((given_up.x0, given_up.x1), (run.t[0], run.t[50]))
+
+
+def test_a_slack_that_is_not_known_has_no_line(run):
+    ax = view.plot_slack(dataclasses.replace(run, slack=np.full(len(run.t), np.nan)))
+    assert ax.get_ylim() == (0.0, 1.0)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["UNLIMITED"]
+
+
 def test_axes_go_in_and_come_out(run):
     figure = Figure()
     ax = figure.subplots()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,212 +23,28 @@ from approxjac.controllers import (
     default_gains,
 )
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Status
 from approxjac.law import Linear, Sine
 from approxjac.robots import Dynamics, GravityRegressor, Robot, load_robot
-from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
+from approxjac.simulation import MujocoPlant, Plant, Sensing, simulate
+from approxjac.studies.limiting import limited, limits_from
+from approxjac.studies.reach_result import Reach, Result
+from approxjac.studies.reach_settings import Settings
+from approxjac.studies.watch import Watched
 from approxjac.tasks import PoseTask, PositionTask, Task
+
+__all__ = [
+    "Reach",
+    "Result",
+    "Settings",
+    "best_axes",
+    "outward_axis",
+    "prepare",
+    "regular_posture",
+    "run",
+]
 
 _REGULAR = 0.1  # starts and targets have σ_min of J and of Ĵ above this share of σ_max
 _HOLDABLE = 0.7  # of the effort limits
-_TRIES = 1000
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What to simulate. Lengths in m, masses in kg, angles in rad, times in s.
-
-    Attributes:
-        tip: End-effector frame that holds the object; the robot's own by default.
-        base: Link that the chain to the tip starts from.
-        free: Joints that are not locked although the tip does not need them.
-        object_length: True length of the object.
-        object_mass: True mass of the object.
-        object_axis: Axis of the tip's frame that the object points along, such as "z" or "-x"; the
-            one that leads on from the arm by default.
-        believed_length: Length of the object that the controller believes.
-        believed_mass: Mass of the object that the controller believes.
-        joint_shifts: Errors of the believed joint origins, such as panda_joint4 0 0.01 0.
-        joint_rotations: Errors of the believed joint axes, as rotation vectors.
-        task: Bring the object's tip to a position, or to a pose.
-        axes: World axes of a position; those that the arm commands best by default.
-        start: Joint positions at the start, one a joint; a posture of the seed by default.
-        target: Position (one number for each of axes) or pose (x y z qx qy qz qw); that of a
-            posture of the seed by default.
-        target_offset: Target of a position relative to where the tip starts.
-        gravity: "learnt" (the law (28), (29)), "exact" (the parameters with which the believed
-            robot's regressor fits the true gravity, which wrong joint axes keep it from doing
-            exactly), "believed" (the believed robot's), or "none".
-        settling_time: Wanted by the default gains.
-        kp: K_p instead of the default gains' one; one number, or one a task coordinate.
-        kv: K_v instead of the default gains' one; one number, or one a task coordinate.
-        damping: Added joint damping instead of the default gains' one; one number, or one a joint.
-        gamma: Saturation of the error by γ sin(e/γ); none by default.
-        posture_stiffness: Draws the self-motion back to the start posture, N m/rad; 0 does not.
-        duration: Of the run.
-        rate: Of control, Hz.
-        tolerance: Error below which the task counts as done, m (and rad of a pose).
-        seed: Of start, target, noise and dropouts.
-        friction: Viscous friction of every true joint, N m s/rad, unknown to the controller.
-        coulomb: Coulomb friction of every true joint, N m, unknown to the controller.
-        x_noise: Standard deviation of noise on x.
-        x_quantum: Steps that x is rounded to.
-        x_delay: Age of x when it arrives.
-        x_dropout: Probability that a sample of x is lost.
-        q_noise: Standard deviation of noise on the encoders.
-        q_quantum: Steps of the encoders.
-        velocity_filter: Time constant of q̇ from differences of q; an exact tachometer by default.
-        actuator_delay: From a torque to its effect.
-        engine: What simulates the true robot.
-        floor: Height of a floor, for the engine mujoco.
-    """
-
-    tip: str | None = None
-    base: str | None = None
-    free: tuple[str, ...] = ()
-    object_length: float = 0.2
-    object_mass: float = 0.5
-    object_axis: str | None = None
-    believed_length: float = 0.0
-    believed_mass: float = 0.0
-    joint_shifts: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    joint_rotations: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    task: Literal["position", "pose"] = "position"
-    axes: str | None = None
-    start: tuple[float, ...] | None = None
-    target: tuple[float, ...] | None = None
-    target_offset: tuple[float, ...] | None = None
-    gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"
-    settling_time: float = 1.0
-    kp: tuple[float, ...] | None = None
-    kv: tuple[float, ...] | None = None
-    damping: tuple[float, ...] | None = None
-    gamma: float | None = None
-    posture_stiffness: float = 0.0
-    duration: float = 20.0
-    rate: float = 1000.0
-    tolerance: float = 1e-3
-    seed: int = 0
-    friction: float = 0.0
-    coulomb: float = 0.0
-    x_noise: float = 0.0
-    x_quantum: float = 0.0
-    x_delay: float = 0.0
-    x_dropout: float = 0.0
-    q_noise: float = 0.0
-    q_quantum: float = 0.0
-    velocity_filter: float | None = None
-    actuator_delay: float = 0.0
-    engine: Literal["pinocchio", "mujoco"] = "pinocchio"
-    floor: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Reach:
-    """A reach ready to run: the truth, the controller with its belief, start and target."""
-
-    settings: Settings
-    plant: Plant
-    controller: SetpointController
-    q0: Array
-    target: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What became of a reach.
-
-    Attributes:
-        reach: What was run.
-        run: The record.
-        settling_time: First recorded time from which on the error is within the tolerance at
-            every recorded instant [s]; NaN if it is not at the end.
-        peak_torque_ratio: Largest torque asked for at these instants, as a share of the joint's
-            effort limit; NaN where no limit is known.
-    """
-
-    reach: Reach
-    run: Trajectory
-    settling_time: float
-    peak_torque_ratio: float
-
-    @property
-    def converged(self) -> bool:
-        """Whether the error ended, and stayed for the last tenth, within the tolerance."""
-        return self.settling_time <= 0.9 * float(self.run.t[-1])
-
-    def errors_at(self, k: int) -> dict[str, float]:
-        """Norm of the error of each unit at a recorded instant."""
-        units = np.array(self.run.task_units)
-        return {
-            unit: float(np.linalg.norm(self.run.error[k][units == unit]))
-            for unit in dict.fromkeys(self.run.task_units)
-        }
-
-    @property
-    def reason(self) -> str:
-        """What kept the task from being done, in words; nothing if it was done."""
-        if self.converged:
-            return ""
-        run, settings = self.run, self.reach.settings
-        norm, quarter = run.error_norm, max(1, len(run.t) // 4)
-        last, before = slice(-quarter, None), norm[: len(norm) - quarter][-quarter:]
-        if float((run.status[last] == Status.MEASUREMENT_LOST).mean()) > 0.5:
-            return "the measurement of x is lost"
-        if not math.isnan(self.settling_time):
-            return f"within the tolerance since {self.settling_time:.3g} s only, too late to judge"
-        beyond = np.abs(run.tau[last]) > self.reach.plant.robot.effort_limits
-        if beyond.any(axis=1).mean() > 0.5:
-            return "the law asks for more torque than the motors deliver"
-        singular = float((run.status[last] == Status.NEAR_SINGULAR).mean())
-        stands = norm[last].max() > 0.9 * before.max() if len(before) else False
-        if singular > 0.5 and stands:
-            return "stands where the believed Jacobian is singular along the error"
-        moved = float(np.linalg.norm(run.x[last] - run.x[-1], axis=1).max())
-        if moved < 0.1 * norm[-1]:
-            learnt = settings.gravity == "learnt"
-            weight = "" if learnt else ", or gravity is not compensated as it is"
-            return f"came to rest away from its target: out of reach, blocked, friction{weight}"
-        if not stands:
-            return "still approaching its target at the end"
-        return "moves on without approaching: too short a run, or not stable with these errors"
-
-    @property
-    def joint_limit_excess(self) -> float:
-        """How far a joint was beyond its position limits at most [rad or m]; 0 if none was."""
-        robot = self.reach.plant.robot
-        low, high = robot.position_limits
-        motions = [pin.difference(robot.model, robot.neutral(), q) for q in self.run.q]
-        beyond = np.maximum(np.array(motions) - high, low - np.array(motions))
-        # continuous joints have no limits, the others one coordinate each
-        return max(0.0, float(beyond.max()))
-
-    def summary(self) -> dict[str, Any]:
-        """What goes into summary.json."""
-        run, reach = self.run, self.reach
-        finals = self.errors_at(-1)
-        counts = {status.name: count for status, count in run.status_counts().items()}
-        return {
-            "robot": run.robot_name,
-            "final_error_m": finals.get("m"),
-            **({"final_error_rad": finals["rad"]} if "rad" in finals else {}),
-            "settling_time_s": _number(self.settling_time),
-            "peak_torque_ratio": _number(self.peak_torque_ratio),
-            "verdict": "converged" if self.converged else "not converged",
-            "reason": self.reason,
-            "joint_limit_excess": self.joint_limit_excess,
-            "start_error_m": self.errors_at(0).get("m"),
-            "start": run.x[0].tolist(),
-            "target": run.target.tolist(),
-            "end": run.x[-1].tolist(),
-            "q_start": reach.q0.tolist(),
-            "q_end": run.q[-1].tolist(),
-            "gains": {
-                name: value.tolist() for name, value in reach.controller.diagonals._asdict().items()
-            },
-            "status_counts": counts,
-            "settings": {f.name: getattr(reach.settings, f.name) for f in fields(Settings)},
-        }
 
 
 def prepare(robot: str, settings: Settings) -> Reach:
@@ -249,13 +65,15 @@ def prepare(robot: str, settings: Settings) -> Reach:
     as_number("duration", settings.duration, unit="s", minimum=1.0 / settings.rate)
     if settings.seed < 0:
         raise InvalidInputError(f"seed must be >= 0, got {settings.seed}", given=settings.seed)
-    plant = _plant(truth, sensor, settings)
+    limits = limits_from(settings, belief)
+    motors = truth.effort_limits if limits is None else np.asarray(limits.effort)
+    plant = _plant(truth, sensor, motors, settings)
     rng = np.random.default_rng(settings.seed)
     if settings.start is None:
-        q0 = regular_posture(sensor, task, rng)
+        q0 = regular_posture(sensor, task, rng, motors)
     else:
         q0 = _posture(truth, settings.start)
-    target = _target(sensor, task, q0, settings, rng)
+    target = _target(sensor, task, q0, motors, settings, rng)
     controller = SetpointController(
         task,
         _gains(task, settings),
@@ -263,7 +81,11 @@ def prepare(robot: str, settings: Settings) -> Reach:
         saturation=Linear() if settings.gamma is None else Sine(settings.gamma),
         posture=Posture(q0, settings.posture_stiffness) if settings.posture_stiffness else None,
     )
-    return Reach(settings, plant, controller, q0, target)
+    limiter = None
+    if limits is not None:
+        kind, solver = settings.limiter or "qp", settings.solver or "daqp"
+        limiter = limited(controller, limits, kind, 1.0 / settings.rate, solver)
+    return Reach(settings, plant, controller, q0, target, limiter, limits)
 
 
 def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result:
@@ -275,9 +97,12 @@ def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result
     settings = reach.settings
     dt = 1.0 / settings.rate
     every = max(1, round(settings.rate * settings.duration / 2000.0))
+    watched = None
+    if reach.limiter is not None and reach.limits is not None:
+        watched = Watched(reach.limiter, np.asarray(reach.limits.effort))
     record = simulate(
         reach.plant,
-        reach.controller,
+        watched or reach.controller,
         reach.target,
         reach.q0,
         max(1, round(settings.duration / (dt * every))) * dt * every,
@@ -294,24 +119,38 @@ def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result
         settling = math.nan
     else:
         settling = float(record.t[above[-1] + 1])
-    limits = reach.plant.robot.effort_limits
-    ratio = math.nan
-    if np.isfinite(limits).any():
-        ratio = float((np.abs(record.tau) / limits).max())
-    return Result(reach, record, settling, ratio)
+    result = Result(reach, record, settling, math.nan, None if watched is None else watched.tally)
+    if np.isfinite(result.motor_limits).any():
+        ratio = float((np.abs(record.tau) / result.motor_limits).max())
+        result = replace(result, peak_torque_ratio=ratio)
+    return result
 
 
-def regular_posture(sensor: Task, task: Task, rng: np.random.Generator) -> Array:
+def regular_posture(
+    sensor: Task,
+    task: Task,
+    rng: np.random.Generator,
+    effort: Array | None = None,
+    tries: int = 1000,
+) -> Array:
     """Random posture that can be a start or a target.
 
     Within the joint limits, neither J nor Ĵ is near singular, and holding it takes at most 70 % of
     the effort limits.
 
+    Args:
+        sensor: Task of the true robot.
+        task: That of the believed robot.
+        rng: Draws the posture.
+        effort: The effort limits, shape (n_v,) [N m or N]; those of the URDF by default.
+        tries: Postures to draw at most.
+
     Raises:
         InvalidInputError: None was found.
     """
-    dynamics, limits = Dynamics(sensor.robot), _HOLDABLE * sensor.robot.effort_limits
-    for _ in range(_TRIES):
+    effort = sensor.robot.effort_limits if effort is None else effort
+    dynamics, limits = Dynamics(sensor.robot), _HOLDABLE * effort
+    for _ in range(tries):
         q = sensor.robot.random_configuration(rng)
         if (np.abs(dynamics.g(q)) > limits).any():
             continue
@@ -377,7 +216,12 @@ def _posture(robot: Robot, joints: tuple[float, ...]) -> Array:
 
 
 def _target(
-    sensor: Task, task: Task, q0: Array, settings: Settings, rng: np.random.Generator
+    sensor: Task,
+    task: Task,
+    q0: Array,
+    motors: Array,
+    settings: Settings,
+    rng: np.random.Generator,
 ) -> Array:
     if settings.target is not None and settings.target_offset is not None:
         raise InvalidInputError(
@@ -389,7 +233,7 @@ def _target(
     if settings.target_offset is not None:
         offset = as_array("target_offset", settings.target_offset, (sensor.m,), sensor.unit)
         return sensor.displaced(sensor.value(q0), offset)
-    return sensor.value(regular_posture(sensor, task, rng))
+    return sensor.value(regular_posture(sensor, task, rng, motors))
 
 
 def _gains(task: Task, settings: Settings) -> Gains:
@@ -420,7 +264,7 @@ def _gravity(truth: Robot, belief: Robot, settings: Settings) -> Gravity:
     return RegressorGravity(regressor, regressor.fit(truth)[0])
 
 
-def _plant(truth: Robot, sensor: Task, settings: Settings) -> Plant:
+def _plant(truth: Robot, sensor: Task, motors: Array, settings: Settings) -> Plant:
     sensing = Sensing(
         x_noise=settings.x_noise,
         x_quantum=settings.x_quantum,
@@ -434,7 +278,7 @@ def _plant(truth: Robot, sensor: Task, settings: Settings) -> Plant:
         "coulomb": settings.coulomb,
         "sensing": sensing,
         "actuator_delay": settings.actuator_delay,
-        "torque_limits": truth.effort_limits,
+        "torque_limits": motors,
     }
     if settings.engine == "mujoco":
         return MujocoPlant(truth, sensor, settings.friction, floor=settings.floor, **options)
@@ -443,8 +287,3 @@ def _plant(truth: Robot, sensor: Task, settings: Settings) -> Plant:
             "a floor needs the engine mujoco (--engine mujoco), got pinocchio", given=settings.floor
         )
     return Plant(truth, sensor, settings.friction, **options)
-
-
-def _number(value: float) -> float | None:
-    """JSON knows no NaN."""
-    return value if math.isfinite(value) else None

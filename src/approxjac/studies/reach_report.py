@@ -17,6 +17,7 @@ from approxjac.view import (
     new_figure,
     plot_error,
     plot_path,
+    plot_slack,
     plot_torque,
     save_figure,
     style,
@@ -24,6 +25,7 @@ from approxjac.view import (
 from approxjac.view.style import COLORS, TARGET
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -46,6 +48,7 @@ def text(result: Result) -> str:
         f"status      {', '.join(f'{s.name} {100 * share:.3g} %' for s, share in shares.items())}",
         f"verdict     {'converged' if result.converged else 'not converged: ' + result.reason}",
     ]
+    lines[-1:-1] = _limits(result)
     if excess > 0.0:
         lines.insert(
             -1, f"limits      a joint was {excess:.2g} rad or m beyond its position limits"
@@ -53,8 +56,26 @@ def text(result: Result) -> str:
     return "\n".join(lines)
 
 
+def _limits(result: Result) -> list[str]:
+    """What a limiter did in all steps, in two lines; none without one."""
+    tally, settings = result.tally, result.reach.settings
+    if tally is None:
+        return []
+    shares = ", ".join(f"{s.name} {100.0 * share:.3g} %" for s, share in tally.shares().items())
+    slack = tally.largest_slack
+    known = "slack not known" if math.isnan(slack) else f"slack up to {slack:.3g} W"
+    speed = result.peak_speed_ratio
+    fast = "no speed limit known" if math.isnan(speed) else f"speeds up to {speed:.3g} of theirs"
+    return [
+        f"limiter     {settings.limiter or 'qp'}, {settings.torque_limits} of the effort limits: "
+        f"{shares}",
+        f"            {known}; torques at most {tally.torque_violation:.1g} N m beyond their "
+        f"limits, {fast}",
+    ]
+
+
 def draw(result: Result) -> Figure:
-    """Error, torque against limits, and the path in three planes of the world."""
+    """Error, torque against limits, the path in three planes; with a limiter slack and speeds."""
     run, reach = result.run, result.reach
     truth, belief = reach.plant.robot, reach.controller.task.robot
     settings = reach.settings
@@ -62,14 +83,19 @@ def draw(result: Result) -> Figure:
         f"{run.robot_name}: the object is {settings.object_length:g} m long, "
         f"the controller believes {settings.believed_length:g} m"
     )
-    figure, (error, size, torque, *paths) = new_figure(3, 2, title=title)
+    limited = result.tally is not None
+    figure, axes = new_figure(4 if limited else 3, 2, title=title)
+    error, size, torque, *paths = [ax for i, ax in enumerate(axes) if not limited or i % 4 < 3]
+    if limited:
+        plot_slack(run, axes[3])
+        _plot_speed(result, axes[7])
     plot_error(run, error)
     with style():
         size.semilogy(run.t, run.error_norm, color=COLORS[0])
         size.axhline(settings.tolerance, color=TARGET, linewidth=1.0, linestyle="--")
         label = f"‖x − x_d‖ [{run.task_unit}]"
         size.set(xlabel="time [s]", ylabel=label, title="Size of the error, tolerance dashed")
-    plot_torque(run, torque, limits=truth.effort_limits, title="Torque asked for")
+    plot_torque(run, torque, limits=result.motor_limits, title="Torque asked for")
     target = _position(result)
     believed = FrameKinematics(belief, belief.tip_or(None))
     seen = np.array([believed.position(q) for q in run.q])
@@ -81,6 +107,20 @@ def draw(result: Result) -> Figure:
             ax.plot(*target[rows], "x", color=TARGET, ms=8, mew=2, label="target", zorder=6)
         legend_below(ax)
     return figure
+
+
+def _plot_speed(result: Result, ax: Axes) -> None:
+    """Draw the speed of each joint as a share of its limit; those without one are left out."""
+    run, limits = result.run, result.speed_limits
+    with style():
+        for i, joint in enumerate(run.joint_names):
+            if math.isfinite(limits[i]):
+                color = COLORS[i % len(COLORS)]
+                ax.plot(run.t, run.v[:, i] / limits[i], color=color, label=joint)
+        for side in (-1.0, 1.0):
+            ax.axhline(side, color=TARGET, linewidth=1.0, linestyle="--")
+        ax.set(xlabel="time [s]", ylabel="q̇ / limit", title="Joint speed")
+    legend_below(ax)
 
 
 def write(result: Result, out: Path) -> None:

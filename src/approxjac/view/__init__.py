@@ -1,6 +1,13 @@
 """Plots of runs and of stability."""
 
-from approxjac.view.plots import plot_error, plot_parameters, plot_path, plot_run, plot_torque
+from approxjac.view.plots import (
+    plot_error,
+    plot_parameters,
+    plot_path,
+    plot_run,
+    plot_slack,
+    plot_torque,
+)
 from approxjac.view.stability import plot_allowed_error, plot_map, plot_margins
 from approxjac.view.style import COLORS, legend_below, new_figure, save_figure, style
 
@@ -15,6 +22,7 @@ __all__ = [
     "plot_parameters",
     "plot_path",
     "plot_run",
+    "plot_slack",
     "plot_torque",
     "save_figure",
     "style",

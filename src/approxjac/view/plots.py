@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from approxjac.checks import Array, axis_rows
 from approxjac.errors import InvalidInputError
+from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
@@ -19,6 +20,10 @@ from approxjac.view.style import COLORS, TARGET, legend_below, new_figure, style
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+_STATUS_COLORS = dict(
+    zip(LimitStatus, ("#BBBBBB", *(COLORS[i] for i in (2, 3, 0, 1, 6, 4))), strict=True)
+)
 
 
 def plot_error(run: Trajectory, ax: Axes | None = None, *, title: str = "Task error") -> Axes:
@@ -72,6 +77,40 @@ def plot_torque(
                 ax.axhline(side, color=TARGET, linewidth=1.0, linestyle="--")
         label = "τ / limit" if known else f"τ [{run.units['tau']}]"
         ax.set(xlabel="time [s]", ylabel=label, title=title)
+        legend_below(ax)
+    return ax
+
+
+def plot_slack(
+    run: Trajectory, ax: Axes | None = None, *, title: str = "Slack of V̇ ≤ −W + σ"
+) -> Axes:
+    """Draw the slack that limits took from the proof against time, and what limits did.
+
+    The status is a band of colours above the slack, which has no line where it is not known.
+
+    Args:
+        run: The run.
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+    """
+    with style():
+        ax = _axes(ax)
+        ax.plot(run.t, run.slack, color=TARGET)
+        largest = np.nanmax(run.slack) if np.isfinite(run.slack).any() else 0.0
+        ax.set_ylim(0.0, 1.2 * float(largest) or 1.0)
+        # a status holds from its instant to the next one
+        starts = np.append(0, np.nonzero(np.diff(run.limit_status))[0] + 1)
+        ends = np.append(run.t[starts[1:]], run.t[-1])
+        for status in run.limit_status_counts():
+            held = run.limit_status[starts] == status
+            ax.broken_barh(
+                list(zip(run.t[starts][held], (ends - run.t[starts])[held], strict=True)),
+                (0.88, 0.1),
+                transform=ax.get_xaxis_transform(),
+                facecolors=_STATUS_COLORS[status],
+                label=status.name,
+            )
+        ax.set(xlabel="time [s]", ylabel=f"σ [{run.units['slack']}]", title=title)
         legend_below(ax)
     return ax
 

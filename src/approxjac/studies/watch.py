@@ -1,0 +1,90 @@
+"""What limits did in every step of a run, of which a record has only some."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from approxjac.checks import Array
+from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
+from approxjac.tasks import Task
+
+
+@dataclass
+class Tally:
+    """What limits did in the steps of one run.
+
+    Attributes:
+        counts: Steps with each status.
+        largest_slack: Largest σ that was reported [W]; NaN if it was not known in some step.
+        torque_violation: How far a torque was beyond its limit at most [N m or N]; 0 if none was.
+    """
+
+    counts: dict[LimitStatus, int] = field(default_factory=dict)
+    largest_slack: float = 0.0
+    torque_violation: float = 0.0
+
+    @property
+    def steps(self) -> int:
+        """How many there were."""
+        return sum(self.counts.values())
+
+    def shares(self) -> dict[LimitStatus, float]:
+        """Share of the steps with each status, in the order of the statuses."""
+        return {status: n / self.steps for status, n in sorted(self.counts.items())}
+
+
+class Watched:
+    """Passes on what a controller answers, and keeps count of what limits did to it.
+
+    Unlike a controller it remembers, so it is for one run.
+
+    Args:
+        controller: The controller.
+        effort: What its torques must not exceed, shape (n_v,) [N m or N].
+
+    Attributes:
+        tally: The count.
+    """
+
+    def __init__(self, controller: Controller, effort: Array) -> None:
+        self.tally = Tally()
+        self._controller = controller
+        self._effort = effort
+        self._last = -math.inf
+
+    @property
+    def task(self) -> Task | None:
+        """That of the controller."""
+        return getattr(self._controller, "task", None)
+
+    @property
+    def dt(self) -> float | None:
+        """That of the controller [s]."""
+        return getattr(self._controller, "dt", None)
+
+    @property
+    def n_state(self) -> int:
+        """That of the controller."""
+        return self._controller.n_state
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """That of the controller."""
+        return self._controller.initial_state(measurement)
+
+    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
+        """What the controller answers."""
+        answer = self._controller.evaluate(state, measurement, target)
+        if measurement.t > self._last:  # `simulate` asks for the first answer twice
+            self._last = measurement.t
+            self._count(answer)
+        return answer
+
+    def _count(self, answer: Evaluation) -> None:
+        tally, status = self.tally, answer.limit_status
+        tally.counts[status] = tally.counts.get(status, 0) + 1
+        tally.largest_slack = float(np.maximum(tally.largest_slack, answer.slack))  # keeps NaN
+        beyond = float((np.abs(answer.torque) - self._effort).max())
+        tally.torque_violation = max(tally.torque_violation, beyond)
