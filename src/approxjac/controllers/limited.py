@@ -53,12 +53,11 @@ class TorqueLimited(Limiter):
     and to the limits: of τ and its rate; and of q̇ and q, whose next step the believed dynamics
     predict. A slack σ > 0 is reported, never hidden. The multiplier of the proof's row acts as
     damping added along y, λR⁻¹ with λ ≤ ρ, so ρ is chosen such that this damping is not faster
-    than `braking`.
+    than `braking` at usual postures.
 
     Where R is diagonal and no limit of speed or position is near, the minimum is known in closed
     form and no solver is called. Where no torque keeps all limits, and where the solver fails, the
-    torque is gravity compensation less `braking` times the joints' inertia times q̇, within the
-    torque limits.
+    torque is gravity compensation and brakes, within the limits of torque and its rate.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
@@ -77,7 +76,7 @@ class TorqueLimited(Limiter):
         approach: κ of `position_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
             `QuadraticProgram` and returns its minimum.
-        time_budget: For the solver [s]; half of dt by default.
+        time_budget: For the solver in one step [s]; half of dt by default.
 
     Raises:
         InvalidInputError: Numbers out of range, limits of another number of joints, or another α
