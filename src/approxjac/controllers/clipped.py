@@ -10,8 +10,6 @@ from approxjac.checks import Array
 from approxjac.controllers.limiter import Limiter
 from approxjac.interface import Evaluation, LimitStatus, Measurement
 
-_FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
-
 
 class TorqueClipped(Limiter):
     """A controller whose torque is clipped, joint by joint; the direction of its force turns.
@@ -32,12 +30,10 @@ class TorqueClipped(Limiter):
         measurement: Measurement,
         lower: Array,
         upper: Array,
+        clipped: Array,
+        free: bool,
     ) -> tuple[Array, LimitStatus, float]:
-        wanted = answer.torque
-        torque: Array = np.minimum(np.maximum(wanted, lower), upper)
-        if torque.tolist() == wanted.tolist():
-            return torque, _FREE, 0.0
-        return torque, _LIMITED, math.nan
+        return clipped, LimitStatus.LIMITED, math.nan
 
 
 class TaskTorqueScaled(Limiter):
@@ -61,11 +57,10 @@ class TaskTorqueScaled(Limiter):
         measurement: Measurement,
         lower: Array,
         upper: Array,
+        clipped: Array,
+        free: bool,
     ) -> tuple[Array, LimitStatus, float]:
         wanted = answer.torque
-        torque: Array = np.minimum(np.maximum(wanted, lower), upper)
-        if torque.tolist() == wanted.tolist():
-            return torque, _FREE, 0.0
         g = self._law.gravity_torque(state, measurement.q)
         hold = np.minimum(np.maximum(g, lower), upper)
         change = wanted - hold
@@ -73,4 +68,4 @@ class TaskTorqueScaled(Limiter):
         moves = change != 0.0
         share = np.min(room[moves] / change[moves], initial=1.0)
         torque = hold + share * change
-        return np.minimum(np.maximum(torque, lower), upper), _LIMITED, math.nan
+        return np.minimum(np.maximum(torque, lower), upper), LimitStatus.LIMITED, math.nan

@@ -149,13 +149,13 @@ class TorqueLimited(Limiter):
         self._slowest, self._fastest = velocity_bounds(np.asarray(self.limits.velocity))
         self._per_speed = 1.0 / self._fastest
         bounds = (*self._position, self._slowest, self._fastest)
-        self._has_joint_limits = bool(np.isfinite(bounds).any())
+        self._looks_ahead = bool(np.isfinite(bounds).any())
         self._no_rows = np.zeros((0, robot.nv)), np.zeros(0), np.zeros(0)
 
     @property
     def dt(self) -> float | None:
         """Sampling time that control has to have [s], or None where any will do."""
-        return self._step if self._has_rate or self._has_joint_limits else None
+        return self._step if self._has_rate or self._looks_ahead else None
 
     def _limit(
         self,
@@ -164,29 +164,27 @@ class TorqueLimited(Limiter):
         measurement: Measurement,
         lower: Array,
         upper: Array,
+        clipped: Array,
+        free: bool,
     ) -> tuple[Array, LimitStatus, float]:
-        wanted, v = answer.torque, measurement.v
-        torque: Array = np.minimum(np.maximum(wanted, lower), upper)
-        free = torque.tolist() == wanted.tolist()
-        if free and not self._has_joint_limits:
-            return torque, _FREE, 0.0
-        if math.hypot(*wanted.tolist(), *v.tolist()) < _HUGE:
-            return self._beyond(answer, state, measurement, lower, upper, torque, free)
+        arguments = answer, state, measurement, lower, upper, clipped, free
+        if math.hypot(*answer.torque.tolist(), *measurement.v.tolist()) < _HUGE:
+            return self._nearest(*arguments)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
-            return self._beyond(answer, state, measurement, lower, upper, torque, free)
+            return self._nearest(*arguments)
 
-    def _beyond(
+    def _nearest(
         self,
         answer: Evaluation,
         state: Array,
         measurement: Measurement,
         lower: Array,
         upper: Array,
-        torque: Array,
+        clipped: Array,
         free: bool,
     ) -> tuple[Array, LimitStatus, float]:
-        """`_limit` where the clipped torque may not be the answer."""
-        wanted, q, v = answer.torque, measurement.q, measurement.v
+        """`_limit` itself."""
+        torque, wanted, q, v = clipped, answer.torque, measurement.q, measurement.v
         y, rho, slack = None, 0.0, math.nan
         if not free:
             y, rho = self._passive_output(answer, v)
@@ -194,7 +192,7 @@ class TorqueLimited(Limiter):
                 torque, slack = law.limited_torque(wanted, y, lower, upper, self._diagonal, rho)
         speeds = q_dd = None
         keeps = True
-        if self._has_joint_limits:
+        if self._looks_ahead:
             speeds, q_dd, accelerations = self._predicted(state, q, v, torque)
             keeps = _is_within(q_dd, accelerations)
         # the minimum without rows that it keeps is the minimum with them

@@ -58,6 +58,7 @@ class Limiter(abc.ABC):
         self._lower, self._upper = effort_bounds(np.asarray(self.limits.effort))
         self._rate = np.asarray(self.limits.rate)
         self._has_rate = bool(np.isfinite(self._rate).any())
+        self._looks_ahead = False  # whether a torque within its limits may be limited too
         self._p = 0 if learning is None else learning.regressor.p
         self._n_inner = controller.n_state
 
@@ -117,7 +118,14 @@ class Limiter(abc.ABC):
             answer = self._law.evaluate(state, measurement, target)
             within = np.minimum(np.maximum(before, self._lower), self._upper)
             lower, upper = rate_bounds(within, self._rate, self._step, self._lower, self._upper)
-        torque, status, slack = self._limit(answer, state, measurement, lower, upper)
+        wanted = answer.torque
+        torque: Array = np.minimum(np.maximum(wanted, lower), upper)
+        status, slack = _FREE, 0.0
+        free = torque.tolist() == wanted.tolist()
+        if not free or self._looks_ahead:
+            torque, status, slack = self._limit(
+                answer, state, measurement, lower, upper, torque, free
+            )
         state_rate = answer.state_rate
         if self._p and status is not _FREE and status is not _KEPT:
             state_rate = state_rate.copy()
@@ -134,6 +142,8 @@ class Limiter(abc.ABC):
         measurement: Measurement,
         lower: Array,
         upper: Array,
+        clipped: Array,
+        free: bool,
     ) -> tuple[Array, LimitStatus, float]:
         """Torque within [lower, upper], what was done to it, and the slack.
 
@@ -143,6 +153,8 @@ class Limiter(abc.ABC):
             measurement: What was measured.
             lower: Smallest torques, shape (n_v,).
             upper: Largest torques, shape (n_v,).
+            clipped: The torque asked for, brought within them.
+            free: Whether it was within them.
         """
 
     def _split(self, state: Array) -> tuple[Array, Array]:
