@@ -1,5 +1,6 @@
 """Runs every code block of the README and the docs as a test."""
 
+import os
 import shlex
 import subprocess
 import sys
@@ -10,6 +11,8 @@ from sybil import Sybil
 from sybil.example import Example
 from sybil.parsers.markdown import CodeBlockParser, PythonCodeBlockParser
 
+# Before anything loads NumPy: matrices here are small, and threads only get in each other's way.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).parent
 
 
