@@ -3,7 +3,8 @@
 You will see: the same law, the same start and target, with its torque clipped and with the torque
 limited by a QP. Clipping lets the joints run ten times too fast and far beyond where they end.
 The QP keeps torques and positions within their limits, and speeds as well as the believed inertia
-(without the tool) predicts them; it says in which steps the theorem's decrease of V was kept.
+(without the tool) predicts them. It takes longer, and says in which steps the theorem's decrease of
+V was kept.
 
     python examples/08_half_the_torque.py --out results/examples
 """
@@ -55,6 +56,7 @@ for row, (name, limiter) in enumerate(
         speeds = axes[3 * row + 2]
         speeds.plot(run.t, np.abs(run.v) / arm.velocity_limits)
         speeds.axhline(1.0, color="#555555", linestyle="--")
+        speeds.set_ylim(0.0, 11.0)  # the same for both
         speeds.set(xlabel="time [s]", ylabel="speed / limit", title="Speed of each joint")
 for path in view.save_figure(figure, out / "half_the_torque"):
     print(path)

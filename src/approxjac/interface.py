@@ -89,12 +89,12 @@ _LIMIT_MESSAGES: Mapping[LimitStatus, str] = {
         "stands still"
     ),
     LimitStatus.INFEASIBLE: (
-        "no torque keeps all limits at once: gravity compensation and damping within the torque "
-        "limits"
+        "no torque keeps all limits at once: gravity compensation and brakes, within the limits of "
+        "torques and their rates"
     ),
     LimitStatus.SOLVER_FAILED: (
-        "the solver gave no usable torque in time: gravity compensation and damping within the "
-        "torque limits"
+        "the solver gave no usable torque in time: gravity compensation and brakes, within the "
+        "limits of torques and their rates"
     ),
 }
 

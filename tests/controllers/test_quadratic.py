@@ -707,3 +707,18 @@ def test_copies_solve(solver, again):
         assert other is not original
         assert other.name == original.name
         np.testing.assert_allclose(other.solve(simple())[0], [1.0, 0.0], atol=1e-6)
+
+
+def test_a_function_that_raises_is_told_of_once(caplog):
+    def broken(problem):
+        raise RuntimeError("no such luck")
+
+    solver = as_solver(broken, 1.0)
+    one = np.ones(1)
+    problem = QuadraticProgram(np.eye(1), one, -one, one, np.eye(1), -one, one)
+    for _ in range(3):
+        assert solver.solve(problem) == (None, Verdict.FAILED)
+    assert [record.message for record in caplog.records] == [
+        "QP solver broken raised, which is told once"
+    ]
+    assert "no such luck" in caplog.text

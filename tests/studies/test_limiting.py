@@ -75,7 +75,7 @@ def test_the_picture_shows_slack_and_speeds(done):
     axes = {ax.get_title(): ax for ax in reach_report.draw(done).axes}
     assert len(axes) == 8
     assert "Slack of V̇ ≤ −W + σ" in axes
-    torque = axes["Torque asked for"].get_lines()[0].get_ydata()
+    torque = axes["Torque"].get_lines()[0].get_ydata()
     assert torque == pytest.approx(done.run.tau[:, 0] / (0.7 * 87.0))
     speed = axes["Joint speed"].get_lines()[0].get_ydata()
     assert speed == pytest.approx(done.run.v[:, 0] / 2.175)

@@ -147,10 +147,13 @@ class TorqueLimited(Limiter):
         self._alpha = np.array(self.alpha)
         self._position = np.array(self.limits.position)
         self._slowest, self._fastest = velocity_bounds(np.asarray(self.limits.velocity))
-        self._per_speed = 1.0 / self._fastest
+        moving = np.isfinite(self._fastest).any()
+        self._per_speed = 1.0 / self._fastest if moving else None
         bounds = (*self._position, self._slowest, self._fastest)
         self._looks_ahead = bool(np.isfinite(bounds).any())
         self._no_rows = np.zeros((0, robot.nv)), np.zeros(0), np.zeros(0)
+        # with a diagonal R, the nearest torque within bounds alone is the clipped one
+        self._only_clips = not (proof or self._looks_ahead) and self._diagonal is not None
 
     @property
     def dt(self) -> float | None:
@@ -167,6 +170,8 @@ class TorqueLimited(Limiter):
         clipped: Array,
         free: bool,
     ) -> tuple[Array, LimitStatus, float]:
+        if self._only_clips:
+            return clipped, _LIMITED, math.nan
         arguments = answer, state, measurement, lower, upper, clipped, free
         if math.hypot(*answer.torque.tolist(), *measurement.v.tolist()) < _HUGE:
             return self._nearest(*arguments)
@@ -186,9 +191,9 @@ class TorqueLimited(Limiter):
         """`_limit` itself."""
         torque, wanted, q, v = clipped, answer.torque, measurement.q, measurement.v
         y, rho, slack = None, 0.0, math.nan
-        if not free:
+        if not free and self.proof:
             y, rho = self._passive_output(answer, v)
-            if self._diagonal is not None and self.proof:
+            if self._diagonal is not None:
                 torque, slack = law.limited_torque(wanted, y, lower, upper, self._diagonal, rho)
         speeds = q_dd = None
         keeps = True
@@ -290,8 +295,12 @@ class TorqueLimited(Limiter):
         if not isinstance(self.controller, SetpointController):
             return v, self._rho
         y = self.controller.passive_output(answer, v, self._alpha)
-        excess = float(np.abs((y - v) * self._per_speed).max())
-        return y, self._rho if excess <= 1.0 else self._rho / excess
+        if self._per_speed is None:
+            return y, self._rho
+        pull = ((y - v) * self._per_speed).tolist()
+        if math.hypot(*pull) <= 1.0:  # the norm first: it is cheap, and mostly small enough
+            return y, self._rho
+        return y, self._rho / max(1.0, *map(abs, pull))
 
     def _resolved_alpha(self, alpha: float | None) -> float:
         controller = self.controller
@@ -336,7 +345,11 @@ class TorqueLimited(Limiter):
         return {**super()._options(), **self._options_given}
 
     def __repr__(self) -> str:
-        return f"TorqueLimited({self.controller!r}, solver={self._solver.name})"
+        weight = self.weight if isinstance(self.weight, str) else "a diagonal"
+        return (
+            f"TorqueLimited({self.controller!r}, weight={weight}, proof={self.proof}, "
+            f"dt={self._step:g}, braking={self.braking:g}, solver={self._solver.name})"
+        )
 
 
 def _light(inertias: Array) -> Array:

@@ -195,6 +195,9 @@ class Trajectory:
     def __repr__(self) -> str:
         norm = self.error_norm
         counts = ", ".join(f"{s.name} {n}" for s, n in self.status_counts().items())
+        limits = self.limit_status_counts()
+        if set(limits) != {LimitStatus.UNLIMITED}:
+            counts += "; limits " + ", ".join(f"{s.name} {n}" for s, n in limits.items())
         return (
             f"Trajectory({self.robot_name!r}, {self.t[-1]:g} s, {len(self.t)} samples; "
             f"|e| {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}; {counts})"

@@ -159,7 +159,8 @@ def regular_posture(
             return q
     raise InvalidInputError(
         f"no posture of {sensor.robot.name} was found that its motors can hold and where the task "
-        f"is not near singular: give a lighter object, or other axes than those of {sensor!r}",
+        f"is not near singular: give a lighter object, larger torque limits, or other axes than "
+        f"those of {sensor!r}",
         given=sensor,
     )
 

@@ -34,7 +34,8 @@ def text(result: Result) -> str:
     run, reach = result.run, result.reach
     shares = {k: n / len(run.t) for k, n in run.status_counts().items()}
     ratio, excess = result.peak_torque_ratio, result.joint_limit_excess
-    torque = "no limit known" if math.isnan(ratio) else f"asks for up to {ratio:.2f} of the limits"
+    asks = "asks for up to" if reach.settings.torque_limits is None else "up to"
+    torque = "no limit known" if math.isnan(ratio) else f"{asks} {ratio:.2f} of the limits"
     lines = [
         f"{reach.plant.robot!r}",
         f"gains       {reach.controller.gains!r}",
@@ -66,9 +67,10 @@ def _limits(result: Result) -> list[str]:
     known = "slack not known" if math.isnan(slack) else f"slack up to {slack:.3g} W"
     speed = result.peak_speed_ratio
     fast = "no speed limit known" if math.isnan(speed) else f"speeds up to {speed:.3g} of theirs"
+    urdf = settings.torque_limits == "urdf"
+    which = "the URDF's effort limits" if urdf else f"{settings.torque_limits} of the effort limits"
     return [
-        f"limiter     {settings.limiter or 'qp'}, {settings.torque_limits} of the effort limits: "
-        f"{shares}",
+        f"limiter     {settings.limiter or 'qp'}, {which}: {shares}",
         f"            {known}; torques at most {tally.torque_violation:.1g} N m beyond their "
         f"limits, {fast}",
     ]
@@ -95,7 +97,8 @@ def draw(result: Result) -> Figure:
         size.axhline(settings.tolerance, color=TARGET, linewidth=1.0, linestyle="--")
         label = f"‖x − x_d‖ [{run.task_unit}]"
         size.set(xlabel="time [s]", ylabel=label, title="Size of the error, tolerance dashed")
-    plot_torque(run, torque, limits=result.motor_limits, title="Torque asked for")
+    asked = "Torque asked for" if settings.torque_limits is None else "Torque"
+    plot_torque(run, torque, limits=result.motor_limits, title=asked)
     target = _position(result)
     believed = FrameKinematics(belief, belief.tip_or(None))
     seen = np.array([believed.position(q) for q in run.q])

@@ -17,6 +17,7 @@ from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Tally
 
 AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
+_AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,7 @@ class Result:
         if beyond.any(axis=1).mean() > 0.5:
             return "the law asks for more torque than the motors deliver"
         moved = float(np.linalg.norm(run.x[last] - run.x[-1], axis=1).max())
-        rests = moved < 0.1 * norm[-1]
+        rests = moved < 0.1 * norm[-1] and float(np.abs(run.v[-1]).max()) < _AT_REST
         free = (LimitStatus.UNLIMITED, LimitStatus.FREE)
         if float(np.isin(run.limit_status[last], free).mean()) < 0.5:
             return self._what_limits_did(last, rests)

@@ -25,6 +25,7 @@ class _Job:
     def __init__(self, problem: QuadraticProgram) -> None:
         self.problem = problem
         self.answer: Array | Verdict | None = None
+        self.error: BaseException | None = None
         self.done = threading.Lock()
         self.done.acquire()
 
@@ -33,8 +34,9 @@ class _Job:
             answer = function(self.problem)
             # here, since looking at what a stranger returns may take long too
             self.answer = None if answer is None else _as_answer(answer, len(self.problem.f))
-        except BaseException:  # none must end the thread
+        except BaseException as error:  # none must end the thread
             self.answer = Verdict.FAILED
+            self.error = error
         self.done.release()
 
 
@@ -58,6 +60,7 @@ class InThread(Checking):
         super().__init__(budget)
         self.name = name
         self._function = function
+        self._told = False  # that it raised
         self._judge = Daqp(budget)
         self._start()
 
@@ -86,4 +89,11 @@ class InThread(Checking):
         if not job.done.acquire(timeout=self._budget):
             return Verdict.FAILED
         self._stuck = None
+        if job.error is not None and not self._told:
+            self._told = True
+            import logging
+
+            logging.getLogger(__name__).warning(
+                "QP solver %s raised, which is told once", self.name, exc_info=job.error
+            )
         return self._judge.verdict(problem, low, high) if job.answer is None else job.answer
