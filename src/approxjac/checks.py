@@ -126,8 +126,8 @@ def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
         array = np.full(size, np.nan)
     if not (array > 0.0).all():
         raise InvalidInputError(
-            f"{name} must be numbers > 0 [{unit}], one or {size}, infinite where there is no "
-            f"limit, got {value!r}",
+            f"{name} must be numbers > 0 [{unit}], one{f' or {size}' if size > 1 else ''}, "
+            f"infinite where there is no limit, got {value!r}",
             given=value,
         )
     array.flags.writeable = False
