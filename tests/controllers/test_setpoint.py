@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.studies import paper
+from approxjac.studies import paper, reach
 
 TARGET = np.array([0.4, 0.1, 0.5])
 
@@ -231,6 +231,15 @@ def test_the_true_robot_cannot_be_reached_from_a_controller(figure):
     assert not any(robot is plant.robot for robot in robots)
     if experiment.lengths != paper.LENGTHS:  # then no robot like the true one either
         assert plant.robot not in robots
+
+
+@pytest.mark.parametrize("limiter", ["qp", "clip", "scale"])
+def test_the_true_robot_cannot_be_reached_from_a_limiter(limiter):
+    settings = reach.Settings(torque_limits="0.5", limiter=limiter)
+    prepared = reach.prepare("panda", settings)
+    robots = robots_reachable_from(prepared.limiter)
+    assert prepared.controller.task.robot in robots
+    assert prepared.plant.robot not in robots
 
 
 def test_the_walk_finds_what_is_hidden():

@@ -11,6 +11,7 @@ import approxjac as aj
 from approxjac.studies import reach, reach_report
 from approxjac.studies.limiting import limited
 from approxjac.studies.reach import Settings
+from approxjac.studies.watch import Watched
 
 HOME = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)
 FAR = {"start": HOME, "target_offset": (0.3, -0.4, 0.3), "settling_time": 0.4, "rate": 500.0}
@@ -164,3 +165,27 @@ def test_bad_limits_are_refused(robot, options, text):
 def test_an_unknown_limiter_is_refused(done):
     with pytest.raises(aj.UnknownNameError, match="limiter 'cut' not in the limiters"):
         limited(done.reach.controller, done.reach.limits, "cut")
+
+
+def test_a_step_of_unknown_slack_does_not_hide_the_slack_of_others():
+    class Says:
+        n_state = 0
+
+        def __init__(self, *steps):
+            self.steps = iter(steps)
+
+        def evaluate(self, state, measurement, target):
+            status, slack = next(self.steps)
+            zero = np.zeros(1)
+            return aj.Evaluation(zero, zero, aj.Status.OK, zero, None, status, slack)
+
+    def largest(*steps):
+        watched = Watched(Says(*steps), np.ones(1))
+        for k in range(len(steps)):
+            watched.evaluate(np.zeros(0), aj.Measurement(float(k), *np.zeros((3, 1))), np.zeros(1))
+        return watched.tally.largest_slack
+
+    free, lost = (aj.LimitStatus.FREE, 0.0), (aj.LimitStatus.LIMITED, np.nan)
+    assert largest(free, free) == 0.0
+    assert largest(free, (aj.LimitStatus.PROOF_GIVEN_UP, 7.0), lost, free) == 7.0
+    assert np.isnan(largest(free, lost))

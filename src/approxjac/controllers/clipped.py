@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from approxjac.checks import Array
-from approxjac.controllers.limiter import Limiter
-from approxjac.interface import Evaluation, LimitStatus, Measurement
+from approxjac.controllers.limiter import Asked, Limiter
+from approxjac.interface import LimitStatus
 
 
 class TorqueClipped(Limiter):
@@ -23,17 +23,8 @@ class TorqueClipped(Limiter):
         dt: Sampling time [s].
     """
 
-    def _limit(
-        self,
-        answer: Evaluation,
-        state: Array,
-        measurement: Measurement,
-        lower: Array,
-        upper: Array,
-        clipped: Array,
-        free: bool,
-    ) -> tuple[Array, LimitStatus, float]:
-        return clipped, LimitStatus.LIMITED, math.nan
+    def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
+        return asked.clipped, LimitStatus.LIMITED, math.nan
 
 
 class TaskTorqueScaled(Limiter):
@@ -50,20 +41,11 @@ class TaskTorqueScaled(Limiter):
         dt: Sampling time [s].
     """
 
-    def _limit(
-        self,
-        answer: Evaluation,
-        state: Array,
-        measurement: Measurement,
-        lower: Array,
-        upper: Array,
-        clipped: Array,
-        free: bool,
-    ) -> tuple[Array, LimitStatus, float]:
-        wanted = answer.torque
+    def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
+        answer, state, measurement, lower, upper, _, _ = asked
         g = self._law.gravity_torque(state, measurement.q)
         hold = np.minimum(np.maximum(g, lower), upper)
-        change = wanted - hold
+        change = answer.torque - hold
         room = np.where(change > 0.0, upper - hold, lower - hold)
         moves = change != 0.0
         share = np.min(room[moves] / change[moves], initial=1.0)

@@ -12,7 +12,7 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.checks import Array, as_diagonal, as_number, require
 from approxjac.controllers.checked import CheckedController
-from approxjac.controllers.limiter import Limiter
+from approxjac.controllers.limiter import Asked, Limiter
 from approxjac.controllers.limits import (
     Limits,
     acceleration_bounds,
@@ -25,7 +25,7 @@ from approxjac.controllers.quadratic import QuadraticProgram, Verdict, as_solver
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.tuning import slow_rate, usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.interface import Evaluation, LimitStatus, Measurement, Status
+from approxjac.interface import Evaluation, LimitStatus, Status
 from approxjac.robots import Dynamics
 
 Weight = Literal["joint inertia", "inertia", "identity", "task force"]
@@ -160,36 +160,18 @@ class TorqueLimited(Limiter):
         """Sampling time that control has to have [s], or None where any will do."""
         return self._step if self._has_rate or self._looks_ahead else None
 
-    def _limit(
-        self,
-        answer: Evaluation,
-        state: Array,
-        measurement: Measurement,
-        lower: Array,
-        upper: Array,
-        clipped: Array,
-        free: bool,
-    ) -> tuple[Array, LimitStatus, float]:
+    def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
         if self._only_clips:
-            return clipped, _LIMITED, math.nan
-        arguments = answer, state, measurement, lower, upper, clipped, free
-        if math.hypot(*answer.torque.tolist(), *measurement.v.tolist()) < _HUGE:
-            return self._nearest(*arguments)
+            return asked.clipped, _LIMITED, math.nan
+        if math.hypot(*asked.answer.torque.tolist(), *asked.measurement.v.tolist()) < _HUGE:
+            return self._nearest(asked)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
-            return self._nearest(*arguments)
+            return self._nearest(asked)
 
-    def _nearest(
-        self,
-        answer: Evaluation,
-        state: Array,
-        measurement: Measurement,
-        lower: Array,
-        upper: Array,
-        clipped: Array,
-        free: bool,
-    ) -> tuple[Array, LimitStatus, float]:
+    def _nearest(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
         """`_limit` itself."""
-        torque, wanted, q, v = clipped, answer.torque, measurement.q, measurement.v
+        answer, state, measurement, lower, upper, torque, free = asked
+        wanted, q, v = answer.torque, measurement.q, measurement.v
         y, rho, slack = None, 0.0, math.nan
         if not free and self.proof:
             y, rho = self._passive_output(answer, v)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,28 @@ from approxjac.interface import Evaluation, LimitStatus, Measurement
 from approxjac.tasks import Task
 
 _FREE, _KEPT = LimitStatus.FREE, LimitStatus.PROOF_KEPT  # members of an enum are slow to look up
+
+
+class Asked(NamedTuple):
+    """What a controller asks for in one step, and the bounds of its torque.
+
+    Attributes:
+        answer: What it answers.
+        state: Its state.
+        measurement: What was measured.
+        lower: Smallest torques, shape (n_v,).
+        upper: Largest torques, shape (n_v,).
+        clipped: The torque asked for, brought within them, shape (n_v,).
+        free: Whether it was within them.
+    """
+
+    answer: Evaluation
+    state: Array
+    measurement: Measurement
+    lower: Array
+    upper: Array
+    clipped: Array
+    free: bool
 
 
 class Limiter(abc.ABC):
@@ -123,9 +145,8 @@ class Limiter(abc.ABC):
         status, slack = _FREE, 0.0
         free = torque.tolist() == wanted.tolist()
         if not free or self._looks_ahead:
-            torque, status, slack = self._limit(
-                answer, state, measurement, lower, upper, torque, free
-            )
+            asked = Asked(answer, state, measurement, lower, upper, torque, free)
+            torque, status, slack = self._limit(asked)
         state_rate = answer.state_rate
         if self._p and status is not _FREE and status is not _KEPT:
             state_rate = state_rate.copy()
@@ -135,27 +156,8 @@ class Limiter(abc.ABC):
         return Evaluation(torque, state_rate, answer.status, answer.e, answer.J_hat, status, slack)
 
     @abc.abstractmethod
-    def _limit(
-        self,
-        answer: Evaluation,
-        state: Array,
-        measurement: Measurement,
-        lower: Array,
-        upper: Array,
-        clipped: Array,
-        free: bool,
-    ) -> tuple[Array, LimitStatus, float]:
-        """Torque within [lower, upper], what was done to it, and the slack.
-
-        Args:
-            answer: What the controller asks for.
-            state: Its state.
-            measurement: What was measured.
-            lower: Smallest torques, shape (n_v,).
-            upper: Largest torques, shape (n_v,).
-            clipped: The torque asked for, brought within them.
-            free: Whether it was within them.
-        """
+    def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
+        """Torque within [lower, upper], what was done to it, and the slack."""
 
     def _split(self, state: Array) -> tuple[Array, Array]:
         """State of the controller, and the torque before."""

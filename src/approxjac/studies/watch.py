@@ -18,18 +18,23 @@ class Tally:
 
     Attributes:
         counts: Steps with each status.
-        largest_slack: Largest σ that was reported [W]; NaN if it was not known in some step.
+        known_slack: Largest σ that was reported in a step that was limited [W]; NaN if none was.
         torque_violation: How far a torque was beyond its limit at most [N m or N]; 0 if none was.
     """
 
     counts: dict[LimitStatus, int] = field(default_factory=dict)
-    largest_slack: float = 0.0
+    known_slack: float = math.nan
     torque_violation: float = 0.0
 
     @property
     def steps(self) -> int:
         """How many there were."""
         return sum(self.counts.values())
+
+    @property
+    def largest_slack(self) -> float:
+        """Largest σ where it is known [W], 0 if nothing was limited; NaN if it is known nowhere."""
+        return 0.0 if set(self.counts) <= {LimitStatus.FREE} else self.known_slack
 
     def shares(self) -> dict[LimitStatus, float]:
         """Share of the steps with each status, in the order of the statuses."""
@@ -85,6 +90,7 @@ class Watched:
     def _count(self, answer: Evaluation) -> None:
         tally, status = self.tally, answer.limit_status
         tally.counts[status] = tally.counts.get(status, 0) + 1
-        tally.largest_slack = float(np.maximum(tally.largest_slack, answer.slack))  # keeps NaN
+        if status is not LimitStatus.FREE:  # which says 0 of any limiter
+            tally.known_slack = float(np.fmax(tally.known_slack, answer.slack))
         beyond = float((np.abs(answer.torque) - self._effort).max())
         tally.torque_violation = max(tally.torque_violation, beyond)

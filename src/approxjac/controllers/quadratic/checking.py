@@ -43,7 +43,7 @@ class Checking(ABC):
             if isinstance(found, Verdict):
                 return None, found
             z = self._admitted(found, problem)
-        except Exception:
+        except Exception:  # a solver's or a stranger's: a control loop gets a verdict instead
             return None, _FAILED
         return (None, _FAILED) if z is None else (z, _SOLVED)
 
