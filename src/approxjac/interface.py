@@ -23,6 +23,7 @@ class Status(enum.IntEnum):
     NEAR_SINGULAR = 1
     MEASUREMENT_LOST = 2
     TORQUE_SATURATED = 3
+    MEASUREMENT_HELD = 4
 
     def __str__(self) -> str:
         return self.name
@@ -45,6 +46,9 @@ _MESSAGES: Mapping[Status, str] = {
     ),
     Status.TORQUE_SATURATED: (
         "the law asks for more than the robot's effort limits: what it learns stands still"
+    ),
+    Status.MEASUREMENT_HELD: (
+        "the task measurement is that of an earlier instant: the law was evaluated with it"
     ),
 }
 

@@ -141,7 +141,7 @@ class BoundedController(CheckedController):
         self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked."""
-        J_hat = self.task.compute_jacobian(q)
+        J_hat = self.task.compute_jacobian(q, x)
         s = np.zeros_like(e) if lost else self.saturation.s(e)
         kp, _, kd, v0 = self.diagonals
         g = self.gravity.torque(q)  # type: ignore[union-attr]

@@ -183,7 +183,7 @@ class SetpointController(CheckedController):
         self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked."""
-        J_hat = self.task.compute_jacobian(q)
+        J_hat = self.task.compute_jacobian(q, x)
         s = np.zeros_like(e) if lost else self.saturation.s(e)
         kp, kv, damping = self.diagonals
         G = J_hat.dot(J_hat.T)

@@ -143,9 +143,9 @@ class Plant:
         return tau - friction
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
-        """What ideal sensors measure at time t [s]."""
+        """What ideal sensors measure at time t [s]; NaN what the sensor cannot see."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        return Measurement(t, q, v, self.sensor.value(q))
+        return Measurement(t, q, v, self.sensor.seen(self.sensor.value(q)))
 
     def __repr__(self) -> str:
         name = type(self).__name__

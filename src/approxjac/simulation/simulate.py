@@ -137,6 +137,8 @@ def _trajectory(
     """Put what was recorded into arrays with time as their first axis."""
     robot = plant.robot
     x = np.array([truth.x for truth in truths])
+    for k in np.nonzero(~np.isfinite(x).all(axis=1))[0]:  # the record has what no sensor sees too
+        x[k] = plant.sensor.value(truths[k].q)
     return Trajectory(
         t=np.array([truth.t for truth in truths]),
         q=np.array([truth.q for truth in truths]),

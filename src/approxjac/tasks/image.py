@@ -56,7 +56,7 @@ class ImageTask(Task):
     def value(self, q: Array) -> Array:
         return self._camera.project(self._frame.position(q))
 
-    def compute_jacobian(self, q: Array) -> Array:
+    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         r = self._frame.position(q)
         return self._camera.interaction(r) @ self._frame.compute_jacobian(q)[:3]
 

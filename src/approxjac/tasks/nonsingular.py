@@ -89,6 +89,17 @@ class NonsingularTask(Task):
     def n_x(self) -> int:
         return self._task.n_x
 
+    @property
+    def parts(self) -> tuple[tuple[slice, slice], ...]:
+        return self._task.parts
+
+    @property
+    def jacobian_uses_x(self) -> bool:
+        return self._task.jacobian_uses_x
+
+    def seen(self, x: Array) -> Array:
+        return self._task.seen(x)
+
     def value(self, q: Array) -> Array:
         return self._task.value(q)
 
@@ -109,14 +120,14 @@ class NonsingularTask(Task):
     def error_rate(self, e: Array, Jv: Array) -> Array:
         return self._task.error_rate(e, Jv)
 
-    def compute_jacobian(self, q: Array) -> Array:
-        J = self._task.compute_jacobian(q)
+    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
+        J = self._task.compute_jacobian(q, x)
         squares, U = np.linalg.eigh(J @ J.T)
         weights = self._weights(squares)
         if not weights.any():
             return J
         P = (U * weights) @ U.T
-        designed: Array = J + P @ (self._task.compute_jacobian(self._bent(q)) - J)
+        designed: Array = J + P @ (self._task.compute_jacobian(self._bent(q), x) - J)
         return designed
 
     def design_error(self, q: Array) -> float:

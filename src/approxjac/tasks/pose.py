@@ -67,7 +67,7 @@ class PoseTask(Task):
     def value(self, q: Array) -> Array:
         return self._frame.pose(q)
 
-    def compute_jacobian(self, q: Array) -> Array:
+    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         return self._frame.compute_jacobian(q)
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:

@@ -51,7 +51,7 @@ class PositionTask(Task):
     def value(self, q: Array) -> Array:
         return self._frame.position(q)[self._rows]
 
-    def compute_jacobian(self, q: Array) -> Array:
+    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         return self._frame_jacobian(q)[self._rows]
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:

@@ -63,11 +63,31 @@ class StackedTask(Task):
     def n_x(self) -> int:
         return sum(task.n_x for task in self._tasks)
 
+    @property
+    def parts(self) -> tuple[tuple[slice, slice], ...]:
+        each = zip(self._tasks, self._parts, self._rows, strict=True)
+        return tuple(
+            (_moved(entries, part.start), _moved(coordinates, rows.start))
+            for task, part, rows in each
+            for entries, coordinates in task.parts
+        )
+
+    @property
+    def jacobian_uses_x(self) -> bool:
+        return any(task.jacobian_uses_x for task in self._tasks)
+
+    def seen(self, x: Array) -> Array:
+        each = zip(self._tasks, self._parts, strict=True)
+        return np.concatenate([task.seen(x[part]) for task, part in each])
+
     def value(self, q: Array) -> Array:
         return np.concatenate([task.value(q) for task in self._tasks])
 
-    def compute_jacobian(self, q: Array) -> Array:
-        return np.vstack([task.compute_jacobian(q) for task in self._tasks])
+    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
+        if x is None:
+            return np.vstack([task.compute_jacobian(q) for task in self._tasks])
+        each = zip(self._tasks, self._parts, strict=True)
+        return np.vstack([task.compute_jacobian(q, x[part]) for task, part in each])
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.vstack([task.jacobian_dot(q, v) for task in self._tasks])
@@ -98,3 +118,7 @@ class StackedTask(Task):
 
     def __repr__(self) -> str:
         return f"StackedTask({', '.join(map(repr, self._tasks))})"
+
+
+def _moved(entries: slice, start: int) -> slice:
+    return slice(entries.start + start, entries.stop + start)

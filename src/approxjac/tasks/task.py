@@ -49,6 +49,11 @@ class Task(ABC):
         return self.m
 
     @property
+    def parts(self) -> tuple[tuple[slice, slice], ...]:
+        """What is measured at once, such as each feature of an image: entries of x, and of e."""
+        return ((slice(0, self.n_x), slice(0, self.m)),)
+
+    @property
     def unit(self) -> str:
         """Unit of the task coordinates; different ones are joined by "or"."""
         return " or ".join(dict.fromkeys(self.units))
@@ -57,16 +62,30 @@ class Task(ABC):
     def value(self, q: Array) -> Array:
         """X = h(q), shape (n_x,)."""
 
-    def jacobian(self, q: Array) -> Array:
+    def seen(self, x: Array) -> Array:
+        """What a sensor delivers of a value x (n_x,): NaN in the parts that it cannot see."""
+        return x
+
+    @property
+    def jacobian_uses_x(self) -> bool:
+        """Whether the Jacobian depends on the measured x, and not on q only."""
+        return False
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
         """J of ė = J q̇ near e = 0 (∂h/∂q where e = X − X_d), shape (m, n_v).
+
+        Args:
+            q: Configuration, shape (nq,).
+            x: Measured value, shape (n_x,), for a task that uses it (`jacobian_uses_x`). Parts of
+                it that are lost, and None, are replaced by what this robot would measure.
 
         Raises:
             InvalidInputError: A q of the wrong length or not finite.
         """
-        return self.compute_jacobian(self.robot.configuration(q))
+        return self.compute_jacobian(self.robot.configuration(q), x)
 
     @abstractmethod
-    def compute_jacobian(self, q: Array) -> Array:
+    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         """`jacobian` at a q that has been checked already, for loops."""
 
     @abstractmethod
