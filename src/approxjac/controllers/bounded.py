@@ -18,6 +18,7 @@ from approxjac.controllers.bounded_gains import (
 )
 from approxjac.controllers.checked import CheckedController, is_beyond
 from approxjac.controllers.gravity import Gravity
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Status
 from approxjac.law import Tanh
 from approxjac.tasks import Task
@@ -82,6 +83,12 @@ class BoundedController(CheckedController):
         joint_range: JointRangeLike | None = None,
     ) -> None:
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+        if task.jacobian_uses_x:
+            raise InvalidInputError(
+                f"task must have a Jacobian that depends on q only, for torques to be bounded "
+                f"beforehand, got {task!r}",
+                given=task,
+            )
         if gains is not None:
             require("gains", gains, BoundedGains, "BoundedGains(kp, gamma, kd, v0) or None")
         limits = limits_of(task.robot, torque_limits)

@@ -341,7 +341,9 @@ def _loads(task: Task, force: Array, where: JointRange) -> list[Load] | None:
     if type(task) is PoseTask:
         pulls, turns = np.diag(force[:3]), np.diag(force[3:])
         return [where.point_load(task.frame, pulls, turns)]
-    if type(task) is ImageTask and type(task.camera) is PlanarCamera:
+    if type(task) is ImageTask and type(task.camera) is PlanarCamera and task.frame is not None:
+        if task.points.any():
+            return None  # the loads of a frame are known where its origin is
         rows = task.camera.interaction(np.zeros(3))
         return [where.point_load(task.frame, force[:, np.newaxis] * rows, none)]
     if type(task) is StackedTask:

@@ -11,6 +11,7 @@ from approxjac.controllers.gains import Diagonals, Gains
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import Task
+from approxjac.tasks.task import seen_postures
 
 _POSTURES = 100
 _SETTLED = 4.0  # time constants until 2 % are left
@@ -27,7 +28,7 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
 
     With r = 4 / settling_time, Λ the inertia that the arm shows to a force along a task
     coordinate, 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ, and M its inertia matrix, each the median over postures within
-    the joint limits (seeded, singular ones left out):
+    the joint limits (seeded, without those that are singular or out of a camera's view):
 
         K_v = 4 r Λ,   B_c = r Mᵢᵢ + b,   b = 0.03 λ_max[Ĵᵀ K_v Ĵ],   K_p = r (K_v + K_b),
 
@@ -177,11 +178,9 @@ def _groups(task: Task) -> list[np.ndarray[Any, np.dtype[np.bool_]]]:
 
 
 def _regular_postures(task: Task) -> list[tuple[Array, Array]]:
-    """Seeded postures within the limits where the task is not near singular, with Ĵ."""
-    rng = np.random.default_rng(0)
+    """Seeded postures within the limits where the task is seen and not near singular, with Ĵ."""
     found = []
-    for _ in range(_POSTURES):
-        q = task.robot.random_configuration(rng)
+    for q in seen_postures(task, _POSTURES):
         J = task.jacobian(q)
         values = np.linalg.svd(J, compute_uv=False)
         if values[-1] > _REGULAR * values[0]:

@@ -120,7 +120,8 @@ class Plant:
         Raises:
             InvalidInputError: Other coordinates, or another number of joints.
         """
-        if self.sensor.labels != task.labels or self.robot.nv != task.robot.nv:
+        same = self.sensor.labels == task.labels and self.sensor.n_x == task.n_x
+        if not same or self.robot.nv != task.robot.nv:
             raise InvalidInputError(
                 f"the controller's task must have the coordinates of the plant's sensor "
                 f"{self.sensor!r}, got {task!r}",

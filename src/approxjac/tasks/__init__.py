@@ -4,6 +4,7 @@ from approxjac.tasks.camera import Camera, PlanarCamera
 from approxjac.tasks.frame import FrameKinematics
 from approxjac.tasks.image import ImageTask
 from approxjac.tasks.nonsingular import NonsingularTask
+from approxjac.tasks.pinhole import PinholeCamera
 from approxjac.tasks.pose import PoseTask
 from approxjac.tasks.position import PositionTask
 from approxjac.tasks.stacked import StackedTask
@@ -14,6 +15,7 @@ __all__ = [
     "FrameKinematics",
     "ImageTask",
     "NonsingularTask",
+    "PinholeCamera",
     "PlanarCamera",
     "PoseTask",
     "PositionTask",

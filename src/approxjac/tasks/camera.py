@@ -1,10 +1,11 @@
-"""Cameras: how a point in the world becomes image coordinates."""
+"""What a camera is, and the paper's planar one."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,40 +13,71 @@ from approxjac.checks import Array, as_array, as_number, axis_rows
 from approxjac.errors import InvalidInputError
 
 
-@runtime_checkable
-class Camera(Protocol):
-    """A camera that sees one point.
+class Calibrated(NamedTuple):
+    """One number of a camera's calibration: its value and its unit."""
 
-    Attributes:
-        labels: Names of the image coordinates.
-        unit: Their unit.
+    value: float
+    unit: str
+
+
+class Camera(ABC):
+    """A camera: the image X of a point, and how the image moves with the point.
+
+    Positions are those in the frame that the camera is fixed to: the world, or the frame of the
+    robot that `mount` names.
     """
 
     @property
-    def labels(self) -> tuple[str, ...]: ...
+    @abstractmethod
+    def labels(self) -> tuple[str, ...]:
+        """Names of the image coordinates of one point, length 2."""
 
     @property
-    def unit(self) -> str: ...
+    @abstractmethod
+    def unit(self) -> str:
+        """Unit of the image coordinates."""
 
+    @property
+    def mount(self) -> str | None:
+        """Frame of the robot that the camera is fixed to; None is the world."""
+        return None
+
+    @abstractmethod
     def project(self, r: Array) -> Array:
-        """Image of a point at world position r (3,), shape (m,)."""
-        ...
+        """Image of a point at r (3,), shape (2,); NaN where it has none."""
 
+    @abstractmethod
     def interaction(self, r: Array) -> Array:
-        """Image Jacobian J_I = ∂X/∂r, shape (m, 3)."""
-        ...
+        """Image Jacobian J_I = ∂X/∂r, shape (2, 3)."""
 
+    @abstractmethod
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        """d/dt of `interaction` for a point that moves with ṙ, shape (m, 3)."""
-        ...
+        """d/dt of `interaction` for a point that moves with ṙ, shape (2, 3)."""
+
+    def seen(self, x: Array) -> Array:
+        """Image coordinates x (2,) if they are in the field of view, and NaN otherwise."""
+        return x
+
+    @property
+    def calibration(self) -> Mapping[str, Calibrated]:
+        """What may be wrong with the camera's calibration, by name."""
+        return {}
+
+    def recalibrated(self, values: Mapping[str, float]) -> Camera:
+        """Return this camera with other values of its calibration."""
+        raise InvalidInputError(
+            f"{type(self).__name__} has no calibration to change, got {dict(values)}",
+            given=values,
+        )
 
 
 @dataclass(frozen=True)
-class PlanarCamera:
+class PlanarCamera(Camera):
     """The paper's camera (section 5.1), parallel to the plane that the arm moves in.
 
     (x_s, y_s) = f/(z − f) [[cos δ, sin δ], [−sin δ, cos δ]] (x, y) + d, on the sensor, in
-    metres.
+    metres. It is the `PinholeCamera` whose depth is z − f for every point, looks along the normal
+    of the plane and sees without end.
 
     Attributes:
         focal_length: f > 0 [m].
@@ -110,3 +142,17 @@ class PlanarCamera:
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
         """Zero: the image Jacobian does not depend on r, shape (2, 3)."""
         return np.zeros((2, 3))
+
+    @property
+    def calibration(self) -> Mapping[str, Calibrated]:
+        """Focal length [m], distance [m] and roll [rad]."""
+        return {
+            "focal_length": Calibrated(self.focal_length, "m"),
+            "distance": Calibrated(self.distance, "m"),
+            "roll": Calibrated(self.roll, "rad"),
+        }
+
+    def recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
+        """Return this camera with other values of its calibration."""
+        changed: dict[str, Any] = {**values}
+        return replace(self, **changed)

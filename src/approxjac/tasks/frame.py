@@ -46,6 +46,11 @@ class FrameKinematics:
         """Position of the frame's origin in the world, shape (3,) [m]."""
         return np.array(self._placement(q).translation)
 
+    def placement(self, q: Array) -> tuple[Array, Array]:
+        """Rotation (3, 3) of the frame's axes in the world's, and `position`."""
+        placement = self._placement(q)
+        return np.array(placement.rotation), np.array(placement.translation)
+
     def pose(self, q: Array) -> Array:
         """Position [m] and unit quaternion (x, y, z, w) of the frame in the world, shape (7,)."""
         return np.array(pin.SE3ToXYZQUAT(self._placement(q)))

@@ -10,6 +10,8 @@ from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 
+_TRIES = 20000  # random postures to look for ones that a camera sees
+
 
 class Task(ABC):
     """A task X = h(q) of one robot.
@@ -151,9 +153,34 @@ def vanishing(task: Task) -> float:
 
     The median over seeded random postures within the joint limits [unit of the task/rad].
     """
+    largest = [np.linalg.norm(task.jacobian(q), 2) for q in seen_postures(task, 20)]
+    return 0.1 * float(np.median(largest))
+
+
+def seen_postures(task: Task, count: int) -> list[Array]:
+    """Seeded random postures within the joint limits in which the task's own sensor sees it.
+
+    Returns:
+        `count` of them, or fewer where they are rare.
+
+    Raises:
+        InvalidInputError: None was found.
+    """
     rng = np.random.default_rng(0)
-    postures = [task.robot.random_configuration(rng) for _ in range(20)]
-    return 0.1 * float(np.median([np.linalg.norm(task.jacobian(q), 2) for q in postures]))
+    found: list[Array] = []
+    for _ in range(max(count, _TRIES)):
+        q = task.robot.random_configuration(rng)
+        if np.isfinite(task.seen(task.value(q))).all():
+            found.append(q)
+            if len(found) == count:
+                break
+    if not found:
+        raise InvalidInputError(
+            f"task must be one that its own sensor sees in some posture within the joint limits of "
+            f"{task.robot.name}, got {task!r}",
+            given=task,
+        )
+    return found
 
 
 def require_rows(m: int, robot: Robot) -> None:

@@ -1,0 +1,88 @@
+"""Radial distortion of a lens, as OpenCV has it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from approxjac.checks import Array
+
+_HALVINGS = 55
+_TINY = 1e-15  # a coefficient below it folds nothing
+_FAR = 1e12  # a fold beyond this ρ is none
+
+
+class RadialDistortion:
+    """Where a lens shows a ray: p (1 + k₁ρ + k₂ρ² + k₃ρ³), ρ = ‖p‖².
+
+    p = (X/Z, Y/Z) is the ray in the camera's axes. Of OpenCV's five coefficients
+    (k₁, k₂, p₁, p₂, k₃) these are the radial ones.
+
+    Args:
+        coefficients: (k₁, k₂, k₃), or fewer of them, or none.
+    """
+
+    def __init__(self, coefficients: Sequence[float]) -> None:
+        self._k = (*coefficients, 0.0, 0.0, 0.0)[:3]
+        self._none = not any(self._k)
+
+    def _factors(self, rho: float) -> tuple[float, float, float]:
+        """1 + k₁ρ + k₂ρ² + k₃ρ³ and its first two derivatives by ρ."""
+        k1, k2, k3 = self._k
+        return (
+            1.0 + rho * (k1 + rho * (k2 + rho * k3)),
+            k1 + rho * (2.0 * k2 + rho * 3.0 * k3),
+            2.0 * k2 + 6.0 * k3 * rho,
+        )
+
+    @property
+    def largest_radius(self) -> float:
+        """‖p‖ from which on the image folds back; infinite where it never does."""
+        k1, k2, k3 = self._k
+        slope = np.array([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])  # of the radius, in ρ
+        slope = np.trim_zeros(np.where(np.abs(slope) > _TINY, slope, 0.0), "b")
+        turns = [
+            float(root.real)
+            for root in np.polynomial.polynomial.polyroots(slope)
+            if abs(root.imag) < 1e-12 and 0.0 < root.real < _FAR
+        ]
+        return math.sqrt(min(turns)) if turns else math.inf
+
+    def distorted(self, p: Array) -> Array:
+        """Where the lens shows a ray p (2,), shape (2,)."""
+        return p if self._none else p * self._factors(float(p @ p))[0]
+
+    def jacobian(self, p: Array) -> Array:
+        """∂(distorted)/∂p, shape (2, 2)."""
+        factor, slope, _ = self._factors(float(p @ p))
+        J: Array = factor * np.eye(2) + 2.0 * slope * np.outer(p, p)
+        return J
+
+    def jacobian_dot(self, p: Array, p_dot: Array) -> Array:
+        """d/dt of `jacobian` for a ray that moves with ṗ (2,), shape (2, 2)."""
+        rho_dot = 2.0 * float(p @ p_dot)
+        _, slope, curve = self._factors(float(p @ p))
+        turned = np.outer(p_dot, p)
+        J_dot: Array = slope * (rho_dot * np.eye(2) + 2.0 * (turned + turned.T))
+        return J_dot + 2.0 * curve * rho_dot * np.outer(p, p)
+
+    def undistorted(self, shown: Array) -> Array:
+        """Ray (2,) that the lens shows at `shown` (2,); the last one before the fold, beyond it."""
+        wanted = math.hypot(*shown.tolist())
+        if self._none or wanted == 0.0:
+            return shown
+        # the radius grows up to the fold: bisection cannot fail, and nothing here is in a hurry
+        low, high = 0.0, self.largest_radius
+        if math.isinf(high):
+            high = 1.0
+            while high * self._factors(high**2)[0] < wanted:
+                high *= 2.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            if middle * self._factors(middle**2)[0] < wanted:
+                low = middle
+            else:
+                high = middle
+        return shown * (0.5 * (low + high) / wanted)

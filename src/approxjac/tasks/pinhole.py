@@ -1,0 +1,335 @@
+"""The pinhole camera, fixed in the world or on the arm, in OpenCV's conventions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array, as_array, as_number, is_scalar
+from approxjac.errors import InvalidInputError
+from approxjac.tasks.camera import Calibrated, Camera
+from approxjac.tasks.distortion import RadialDistortion
+
+_UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_ORTHONORMAL = 1e-6  # how far from it a rotation may be, to be made so
+
+
+@dataclass(frozen=True)
+class PinholeCamera(Camera):
+    """A camera with perspective: u = f_x x″ + c_x, v = f_y y″ + c_y, in pixels.
+
+    (x″, y″) is the ray (X/Z, Y/Z) through a point (X, Y, Z) in the camera's own axes, bent by
+    radial distortion (1 + k₁ρ + k₂ρ² + k₃ρ³). All as in OpenCV: the camera's x axis points right
+    in the image, y down, z along the view; (0, 0) is the middle of the upper left pixel. Where
+    OpenCV gives (rvec, tvec) from the world to the camera, R = Rodrigues(rvec), this camera has
+    `rotation` Rᵀ and `position` −Rᵀ tvec.
+
+    For a Jacobian a point is taken at the nearest ray within the image and at a depth of at least
+    `near`, where it is outside: a believed camera may have the point there, or even behind it,
+    while the true one sees it.
+
+    Attributes:
+        focal_length: f_x = f_y, or (f_x, f_y), > 0 [px].
+        size: Width and height of the image [px].
+        position: Of the camera's centre, shape (3,) [m].
+        rotation: Its axes (right, down, forward) as columns, shape (3, 3).
+        center: (c_x, c_y), where the optical axis meets the image; its middle by default [px].
+        distortion: (k₁, k₂, k₃), or fewer of them.
+        mount: Frame of the robot that position and rotation are given in and that the camera
+            moves with; None is the world.
+        near: Smallest depth Z at which anything is seen, > 0 [m].
+
+    Raises:
+        InvalidInputError: Numbers out of range or of the wrong shape, a rotation that is none, or
+            a distortion with which the image folds back within its size.
+    """
+
+    focal_length: float | Sequence[float]
+    size: Sequence[int]
+    position: Sequence[float] | Array = (0.0, 0.0, 0.0)
+    rotation: Sequence[Sequence[float]] | Array = _UPRIGHT
+    center: Sequence[float] | None = None
+    distortion: Sequence[float] = ()
+    mount: str | None = None
+    near: float = 0.05
+    _f: Array = field(init=False, repr=False, compare=False)
+    _c: Array = field(init=False, repr=False, compare=False)
+    _R: Array = field(init=False, repr=False, compare=False)
+    _p: Array = field(init=False, repr=False, compare=False)
+    _low: Array = field(init=False, repr=False, compare=False)
+    _high: Array = field(init=False, repr=False, compare=False)
+    _lens: RadialDistortion = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        focal = (self.focal_length,) * 2 if is_scalar(self.focal_length) else self.focal_length
+        f = as_array("focal_length", focal, (2,), "px")
+        if not (f > 0.0).all():
+            raise InvalidInputError(
+                f"focal_length must be > 0 [px], got {self.focal_length!r}", given=self.focal_length
+            )
+        size = as_array("size", self.size, (2,), "px")
+        if not (size >= 1.0).all() or (size != np.round(size)).any():
+            raise InvalidInputError(
+                f"size must be the width and height of the image, whole numbers >= 1 [px], "
+                f"got {self.size!r}",
+                given=self.size,
+            )
+        middle = 0.5 * (size - 1.0)
+        c = middle if self.center is None else as_array("center", self.center, (2,), "px")
+        p = as_array("position", self.position, (3,), "m")
+        R = _rotation(self.rotation)
+        if not (np.ndim(self.distortion) == 1 and len(self.distortion) <= 3):
+            raise InvalidInputError(
+                f"distortion must be (k1, k2, k3) or fewer of them, got {self.distortion!r}",
+                given=self.distortion,
+            )
+        k = tuple(as_number("distortion", value) for value in self.distortion)
+        as_number("near", self.near, unit="m", above=0.0)
+        if not (self.mount is None or isinstance(self.mount, str)):
+            raise InvalidInputError(
+                f"mount must be the name of a frame, or None for the world, got {self.mount!r}",
+                given=self.mount,
+            )
+        self._set("focal_length", tuple(f.tolist()))
+        self._set("size", (int(size[0]), int(size[1])))
+        self._set("position", tuple(p.tolist()))
+        self._set("rotation", tuple(map(tuple, R.tolist())))
+        self._set("center", tuple(c.tolist()))
+        self._set("distortion", k)
+        self._set("_f", f)
+        self._set("_c", c)
+        self._set("_p", p)
+        self._set("_R", R)
+        self._set("_lens", RadialDistortion(k))
+        self._require_unfolded()
+        border = np.array([self.ray(x) for x in self._border()])
+        self._set("_low", border.min(axis=0))
+        self._set("_high", border.max(axis=0))
+
+    @classmethod
+    def looking_at(
+        cls,
+        target: Sequence[float] | Array,
+        position: Sequence[float] | Array,
+        focal_length: float | Sequence[float],
+        size: Sequence[int],
+        *,
+        up: Sequence[float] | Array = (0.0, 0.0, 1.0),
+        center: Sequence[float] | None = None,
+        distortion: Sequence[float] = (),
+        mount: str | None = None,
+    ) -> PinholeCamera:
+        """Return a camera whose optical axis goes through a point.
+
+        Args:
+            target: The point, shape (3,) [m].
+            position: Of the camera, shape (3,) [m].
+            focal_length: See `PinholeCamera`.
+            size: See `PinholeCamera`.
+            up: What is up in the image, shape (3,).
+            center: See `PinholeCamera`.
+            distortion: See `PinholeCamera`.
+            mount: See `PinholeCamera`.
+
+        Raises:
+            InvalidInputError: A target at the camera's own position, or straight up or down.
+        """
+        p = as_array("position", position, (3,), "m")
+        view = as_array("target", target, (3,), "m") - p
+        right = np.cross(view, as_array("up", up, (3,)))
+        if not np.linalg.norm(right) > 1e-9 * max(1.0, float(np.linalg.norm(view))):
+            raise InvalidInputError(
+                f"target must be away from position, and not along up, which has no place in the "
+                f"image then, got target {target!r} from {position!r} with up {up!r}",
+                given=target,
+            )
+        z: Array = view / np.linalg.norm(view)
+        x: Array = right / np.linalg.norm(right)
+        return cls(
+            focal_length, size, p, np.column_stack([x, np.cross(z, x), z]),
+            center=center, distortion=distortion, mount=mount,
+        )  # fmt: skip
+
+    # -- what it is ---------------------------------------------------------------------
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the image coordinates: u to the right, v down."""
+        return ("u", "v")
+
+    @property
+    def unit(self) -> str:
+        """Pixels."""
+        return "px"
+
+    @property
+    def field_of_view(self) -> tuple[float, float]:
+        """Angles that the image is wide and high [rad]."""
+        (left, top), (right, bottom) = self._low.tolist(), self._high.tolist()
+        return (
+            math.atan(right) - math.atan(left),
+            math.atan(bottom) - math.atan(top),
+        )
+
+    def placement(self) -> tuple[Array, Array]:
+        """Rotation (3, 3) and position (3,) [m] in the frame that it is fixed to."""
+        return self._R.copy(), self._p.copy()
+
+    # -- images -------------------------------------------------------------------------
+
+    def in_camera(self, r: Array) -> Array:
+        """A point r (3,) in the camera's own axes, shape (3,); its third entry is the depth Z."""
+        own: Array = self._R.T @ (r - self._p)
+        return own
+
+    def project(self, r: Array) -> Array:
+        """Image of a point at r (3,), shape (2,) [px], also beyond the edges of the image.
+
+        NaN for a point behind the camera or nearer than `near`, and where the lens folds back.
+        """
+        X, Y, Z = self.in_camera(r).tolist()
+        if not self.near <= Z < math.inf:
+            return np.full(2, np.nan)
+        p = np.array([X / Z, Y / Z])
+        if not math.hypot(*p) < self._lens.largest_radius:
+            return np.full(2, np.nan)
+        image: Array = self._f * self._lens.distorted(p) + self._c
+        return image
+
+    def seen(self, x: Array) -> Array:
+        """Image coordinates x (2,) if they are within the image, and NaN otherwise."""
+        (u, v), (width, height) = x.tolist(), self.size
+        inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
+        return x if inside else np.full(2, np.nan)
+
+    def ray(self, x: Array) -> Array:
+        """Ray (X/Z, Y/Z) whose image is x (2,) [px]; shape (2,)."""
+        return self._lens.undistorted((x - self._c) / self._f)
+
+    def locate(self, x: Array, depth: float) -> Array:
+        """The point at a depth Z [m] whose image is x (2,) [px]; its position, shape (3,)."""
+        located: Array = self._R @ (depth * np.append(self.ray(x), 1.0)) + self._p
+        return located
+
+    def interaction(self, r: Array) -> Array:
+        """Image Jacobian J_I = ∂X/∂r, shape (2, 3) [px/m].
+
+        With [−I, [r_c]ₓ] behind it, r_c the point and both in the camera's axes, it is the
+        interaction matrix (2, 6) of the camera's own velocity in the literature.
+        """
+        own = self.in_camera(r)
+        p, Z = self._within(own)
+        J = self._f[:, None] * self._lens.jacobian(p) @ _ray_jacobian(p, Z)
+        return np.asarray(J @ self._R.T)
+
+    def interaction_dot(self, r: Array, r_dot: Array) -> Array:
+        """d/dt of `interaction` for a point that moves with ṙ (3,), shape (2, 3)."""
+        own = self.in_camera(r)
+        p, Z = self._within(own)
+        X_dot, Y_dot, Z_dot = (self._R.T @ r_dot).tolist()
+        Z_dot = Z_dot if own[2] > self.near else 0.0
+        free = (p > self._low) & (p < self._high)  # at an edge a ray stands still
+        p_dot = np.where(free, (np.array([X_dot, Y_dot]) - p * Z_dot) / Z, 0.0)
+        lens, lens_dot = self._lens.jacobian(p), self._lens.jacobian_dot(p, p_dot)
+        ray = _ray_jacobian(p, Z)
+        ray_dot = -(Z_dot / Z) * ray
+        ray_dot[:, 2] -= p_dot / Z
+        J_dot = self._f[:, None] * (lens_dot @ ray + lens @ ray_dot)
+        return np.asarray(J_dot @ self._R.T)
+
+    def _within(self, own: Array) -> tuple[Array, float]:
+        """Ray (2,) and depth of a point in the camera's axes, moved into what it can see."""
+        Z = max(float(own[2]), self.near)
+        return np.minimum(np.maximum(own[:2] / Z, self._low), self._high), Z
+
+    # -- calibration --------------------------------------------------------------------
+
+    def with_error(
+        self,
+        *,
+        shift: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        rotation: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        focal_length: float = 1.0,
+    ) -> PinholeCamera:
+        """Return a camera that stands elsewhere and has another focal length.
+
+        Args:
+            shift: Of its centre along its own axes (right, down, forward), shape (3,) [m]. A
+                shift of (0, 0, −d) makes all depths larger by d.
+            rotation: Rotation vector in its own axes, shape (3,) [rad]; (0, 0, δ) is a roll by δ.
+            focal_length: Factor of both focal lengths, > 0.
+
+        Raises:
+            InvalidInputError: Wrong shapes, not finite, or a factor that is not positive.
+        """
+        moved = self._R @ as_array("shift", shift, (3,), "m")
+        turned = self._R @ pin.exp3(np.array(as_array("rotation", rotation, (3,), "rad")))
+        factor = as_number("focal_length", focal_length, above=0.0)
+        return replace(
+            self,
+            position=self._p + moved,
+            rotation=turned,
+            focal_length=tuple((self._f * factor).tolist()),
+        )
+
+    @property
+    def calibration(self) -> Mapping[str, Calibrated]:
+        """f_x [px], distance [m] and roll [rad]: how far the camera stands back and is turned."""
+        return {
+            "focal_length": Calibrated(float(self._f[0]), "px"),
+            "distance": Calibrated(0.0, "m"),
+            "roll": Calibrated(0.0, "rad"),
+        }
+
+    def recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
+        """Return this camera with another f_x (f_y along with it), farther back, or rolled."""
+        back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
+        factor = values.get("focal_length", self._f[0]) / self._f[0]
+        return self.with_error(
+            shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_length=factor
+        )
+
+    def _border(self) -> list[Array]:
+        """Corners of the image and middles of its edges [px]."""
+        ends = [(-0.5, 0.5 * (n - 1.0), n - 0.5) for n in self.size]
+        middle = (ends[0][1], ends[1][1])
+        return [np.array([u, v]) for u in ends[0] for v in ends[1] if (u, v) != middle]
+
+    def _require_unfolded(self) -> None:
+        """Refuse a lens whose image folds back before it reaches the corners."""
+        radius = self._lens.largest_radius
+        if math.isinf(radius):
+            return
+        reached = float(np.hypot(*self._lens.distorted(np.array([radius, 0.0]))))
+        farthest = max(float(np.hypot(*((x - self._c) / self._f))) for x in self._border())
+        if reached < farthest:
+            raise InvalidInputError(
+                f"distortion must not fold the image back within its size: rays of a radius of "
+                f"{reached:.3g} are the farthest that it shows, and the corners need "
+                f"{farthest:.3g}; got {self.distortion}",
+                given=self.distortion,
+            )
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)  # frozen once it is built
+
+
+def _ray_jacobian(p: Array, Z: float) -> Array:
+    """∂(X/Z, Y/Z)/∂(X, Y, Z) at a ray p and a depth Z, shape (2, 3)."""
+    return np.array([[1.0, 0.0, -p[0]], [0.0, 1.0, -p[1]]]) / Z
+
+
+def _rotation(value: object) -> Array:
+    R = as_array("rotation", value, (3, 3))
+    if np.abs(R @ R.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(R) < 0.0:
+        raise InvalidInputError(
+            f"rotation must have the camera's axes (right, down, forward) as orthonormal columns "
+            f"of a right-handed frame, got {R.tolist()}",
+            given=value,
+        )
+    U, _, V = np.linalg.svd(R)  # the nearest one, so that products of many stay rotations
+    return np.asarray(U @ V)

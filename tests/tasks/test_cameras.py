@@ -1,0 +1,255 @@
+"""Cameras against OpenCV, against finite differences and against the textbook."""
+
+import cv2
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+
+LENSES = {
+    "no distortion": (),
+    "barrel": (-0.25, 0.06, -0.004),
+    "pincushion": (0.12, 0.02),
+    "one coefficient": (-0.1,),
+}
+
+
+def camera(distortion=(), **options):
+    return aj.PinholeCamera.looking_at(
+        (0.5, 0.1, 0.3), (1.6, -0.9, 1.1), (610.0, 590.0), (640, 480),
+        center=(325.0, 236.0), distortion=distortion, **options,
+    )  # fmt: skip
+
+
+def opencv(cam):
+    """The camera in OpenCV's words: rvec, tvec, K and the five coefficients."""
+    R, p = cam.placement()
+    (fx, fy), (cx, cy) = cam.focal_length, cam.center
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    k1, k2, k3 = (*cam.distortion, 0.0, 0.0, 0.0)[:3]
+    return cv2.Rodrigues(R.T)[0], -R.T @ p, K, np.array([k1, k2, 0.0, 0.0, k3])
+
+
+def points_in_view(cam, rng, count=50):
+    """Points at the rays of random pixels and at random depths."""
+    pixels = rng.uniform((0, 0), cam.size, (count, 2))
+    return np.array([cam.locate(x, rng.uniform(0.3, 4.0)) for x in pixels]), pixels
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_projections_are_those_of_opencv(lens, rng):
+    cam = camera(LENSES[lens])
+    points = rng.uniform((0.0, -0.4, 0.0), (1.0, 0.6, 0.6), (200, 3))
+    expected, _ = cv2.projectPoints(points, *opencv(cam))
+    images = np.array([cam.project(r) for r in points])
+    assert_allclose(images, expected[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_rays_are_those_of_opencv(lens, rng):
+    cam = camera(LENSES[lens])
+    pixels = rng.uniform((0, 0), cam.size, (100, 2))
+    _, _, K, k = opencv(cam)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
+    expected = cv2.undistortPoints(pixels[:, None], K, k, criteria=criteria)[:, 0]
+    assert_allclose([cam.ray(x) for x in pixels], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_interaction_matrix_by_opencv_and_by_finite_differences(lens, rng):
+    cam, h = camera(LENSES[lens]), 1e-6
+    for r in points_in_view(cam, rng, 20)[0]:
+        rvec, tvec, K, k = opencv(cam)
+        # OpenCV differentiates by tvec, which moves the point along the camera's axes
+        by_tvec = cv2.projectPoints(r[None], rvec, tvec, K, k)[1][:, 3:6]
+        J = cam.interaction(r)
+        assert_allclose(J, by_tvec @ cam.placement()[0].T, rtol=1e-9, atol=1e-7)
+        columns = [(cam.project(r + h * e) - cam.project(r - h * e)) / (2 * h) for e in np.eye(3)]
+        assert_allclose(J, np.array(columns).T, rtol=1e-6, atol=1e-6 * np.abs(J).max())
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_rate_of_the_interaction_matrix_by_finite_differences(lens, rng):
+    cam, h = camera(LENSES[lens]), 1e-6
+    inside, _ = points_in_view(cam, rng, 20)
+    # also where a point is taken at the edge of the image, or nearer than the camera sees
+    around = rng.uniform((-1.0, -2.0, -1.0), (2.5, 1.5, 2.0), (60, 3))
+    for r in [*inside, *around]:
+        r_dot = rng.uniform(-1, 1, 3)
+        ahead, behind = (cam.interaction(r + step * r_dot) for step in (h, -h))
+        J_dot = cam.interaction_dot(r, r_dot)
+        scale = np.abs(cam.interaction(r)).max() + np.abs(J_dot).max()
+        difference = np.abs(J_dot - (ahead - behind) / (2 * h)).max() / scale
+        assert difference < 1e-5 or _at_an_edge(cam, r, h)
+
+
+def _at_an_edge(cam, r, h):
+    """Whether a point crosses within h to where it is taken at the edge of the view."""
+    X, Y, Z = cam.in_camera(r)
+    edges = [cam.ray(np.array(corner)) for corner in ((-0.5, 239.5), (639.5, 239.5), (319.5, -0.5))]
+    return min(abs(Z - cam.near), *(abs(np.array([X, Y]) / Z - e).min() for e in edges)) < 10 * h
+
+
+def test_it_is_the_interaction_matrix_of_the_textbook(rng):
+    """Chaumette and Hutchinson, Visual servo control, Part I: L for a point (x, y), Z."""
+    cam = aj.PinholeCamera(1.0, (2, 2), center=(0.0, 0.0))  # normalised coordinates
+    for r in rng.uniform((-0.4, -0.4, 0.5), (0.4, 0.4, 2.0), (20, 3)):
+        (x, y), Z = r[:2] / r[2], r[2]
+        L = np.array([
+            [-1 / Z, 0, x / Z, x * y, -(1 + x * x), y],
+            [0, -1 / Z, y / Z, 1 + y * y, -x * y, -x],
+        ])  # fmt: skip
+        found = cam.interaction(r) @ np.hstack([-np.eye(3), pin.skew(r)])
+        assert_allclose(found, L, atol=1e-12)
+
+
+@given(
+    st.tuples(*[st.floats(-0.3, 0.3)] * 3),
+    st.tuples(st.floats(0, 639), st.floats(0, 479)),
+    st.floats(0.1, 10.0),
+)
+def test_a_point_is_located_by_its_image_and_its_depth(k, pixel, depth):
+    try:
+        cam = camera(k)
+    except aj.InvalidInputError:  # folds back
+        assume(False)
+    r = cam.locate(np.array(pixel), depth)
+    assert_allclose(cam.in_camera(r)[2], depth)
+    assert_allclose(cam.project(r), pixel, atol=1e-6)
+    assert_array_equal(cam.seen(cam.project(r)), cam.project(r))
+
+
+def test_looking_at_puts_the_target_in_the_middle_and_up_upwards():
+    cam = camera()
+    assert_allclose(cam.project(np.array([0.5, 0.1, 0.3])), (325.0, 236.0), atol=1e-9)
+    assert cam.project(np.array([0.5, 0.1, 0.4]))[1] < 236.0  # v points down
+    R, p = cam.placement()
+    assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+    assert_allclose(p, (1.6, -0.9, 1.1))
+    assert R[2, 0] == pytest.approx(0.0)  # the horizon is level
+
+
+def test_the_field_of_view_and_what_is_seen():
+    cam = aj.PinholeCamera(500.0, (640, 480))
+    assert cam.center == (319.5, 239.5)
+    assert_allclose(cam.field_of_view, (2 * np.arctan(320 / 500), 2 * np.arctan(240 / 500)))
+    for x, inside in (
+        ((-0.5, 0.0), True), ((-0.6, 0.0), False), ((639.5, 479.5), True), ((0.0, 479.6), False),
+        ((np.nan, 0.0), False), ((np.inf, 0.0), False),
+    ):  # fmt: skip
+        assert np.isfinite(cam.seen(np.array(x))).all() == inside
+    assert aj.PlanarCamera(0.05, 3.0).seen(np.array([1e9, 0.0]))[0] == 1e9  # has no edges
+
+
+def test_what_is_behind_the_camera_has_no_image_but_a_bounded_jacobian():
+    cam = aj.PinholeCamera(500.0, (640, 480), near=0.1)
+    for Z in (0.09, 0.0, -1.0, np.nan):
+        assert np.isnan(cam.project(np.array([0.1, 0.1, Z]))).all()
+    largest = np.abs(cam.interaction(np.array([0.0, 0.0, 0.1]))).max()
+    for r in ([0.3, 0.2, -1.0], [9.0, 9.0, 0.2], [0.0, 0.0, 0.0]):
+        assert np.abs(cam.interaction(np.array(r))).max() <= largest * 1.01
+
+
+def test_beyond_the_fold_of_a_lens_there_is_no_image():
+    cam = aj.PinholeCamera(500.0, (320, 240), distortion=(-0.3,))
+    fold = 1.0 / np.sqrt(0.9)
+    assert np.isfinite(cam.project(np.array([0.99 * fold, 0.0, 1.0]))).all()
+    assert np.isnan(cam.project(np.array([1.01 * fold, 0.0, 1.0]))).all()
+
+
+def test_errors_of_a_camera():
+    cam = camera(LENSES["barrel"])
+    R, p = cam.placement()
+    wrong = cam.with_error(shift=(0.0, 0.0, -0.4), rotation=(0.0, 0.0, 0.5), focal_length=1.3)
+    assert_allclose(wrong.placement()[1], p - 0.4 * R[:, 2])
+    assert_allclose(wrong.placement()[0], R @ pin.exp3(np.array([0.0, 0.0, 0.5])), atol=1e-12)
+    assert wrong.focal_length == pytest.approx((1.3 * 610.0, 1.3 * 590.0))
+    assert wrong.distortion == cam.distortion
+    assert wrong.size == cam.size
+    r = np.array([0.5, 0.2, 0.3])
+    assert wrong.in_camera(r)[2] == pytest.approx(cam.in_camera(r)[2] + 0.4)
+    # as the paper's roll: the image turns by −δ in (right, down)
+    d = 0.5
+    turned = cam.with_error(rotation=(0.0, 0.0, d)).in_camera(r)[:2]
+    assert_allclose(turned, np.array([[np.cos(d), np.sin(d)], [-np.sin(d), np.cos(d)]])
+                    @ cam.in_camera(r)[:2])  # fmt: skip
+    calibrated = {name: known.value for name, known in cam.calibration.items()}
+    assert calibrated == {"focal_length": 610.0, "distance": 0.0, "roll": 0.0}
+    same = cam.recalibrated({"focal_length": 793.0, "distance": 0.4, "roll": 0.5})
+    assert_allclose(same.project(r), wrong.project(r))
+    planar = aj.PlanarCamera(0.05, 3.0)
+    assert planar.recalibrated({"roll": 0.2, "distance": 2.0}) == aj.PlanarCamera(0.05, 2.0, 0.2)
+
+
+@pytest.mark.parametrize("plane", ["xz", "zx", "xy", "yz"])
+def test_the_planar_camera_is_a_pinhole_camera_at_one_depth(plane, rng):
+    """Within the arm's plane: same images, and same J_I for motions within it."""
+    f, z, roll, d = 0.05, 3.0, 0.7, np.array([0.01, -0.02])
+    planar = aj.PlanarCamera(f, z, roll, tuple(d), plane)
+    rows = ["xyz".index(axis) for axis in plane]
+    right, down = np.eye(3)[rows]
+    forward = np.cross(right, down)
+    pitch = 1e-5  # metres a pixel
+    pinhole = aj.PinholeCamera(
+        f / pitch, (640, 480), -(z - f) * forward, np.column_stack([right, down, forward]),
+        center=d / pitch,
+    ).with_error(rotation=(0.0, 0.0, roll))  # fmt: skip
+    for _ in range(10):
+        r = rng.uniform(-0.1, 0.1, 2) @ np.eye(3)[rows]
+        assert_allclose(pitch * pinhole.project(r), planar.project(r), atol=1e-15)
+        within = np.eye(3)[:, rows]
+        assert_allclose(pitch * pinhole.interaction(r) @ within, planar.interaction(r) @ within)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"focal_length": 0.0}, r"focal_length must be > 0 \[px\], got 0.0"),
+        ({"focal_length": (500.0, -1.0)}, r"focal_length must be > 0 \[px\], got \(500.0, -1.0\)"),
+        ({"focal_length": "wide"}, r"focal_length must be numbers of shape \(2,\) \[px\]"),
+        ({"size": (640, 0)}, r"size must be the width and height of the image, whole numbers >= 1"),
+        ({"size": (640.5, 480)}, "size must be the width and height"),
+        ({"position": (0.0, np.nan, 0.0)}, r"position must be finite \[m\]"),
+        ({"rotation": 2 * np.eye(3)}, "rotation must have the camera's axes .* as orthonormal"),
+        ({"rotation": np.diag([1.0, 1.0, -1.0])}, "of a right-handed frame"),
+        ({"distortion": (0.1,) * 5}, r"distortion must be \(k1, k2, k3\) or fewer of them"),
+        ({"distortion": 0.1}, r"distortion must be \(k1, k2, k3\) or fewer of them"),
+        ({"distortion": (-2.0,)}, "distortion must not fold the image back within its size"),
+        ({"near": 0.0}, r"near must be a finite number > 0 \[m\], got 0.0"),
+        ({"mount": 3}, "mount must be the name of a frame, or None for the world, got 3"),
+    ],
+)
+def test_bad_pinhole_cameras_are_refused(arguments, text):
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.PinholeCamera(**{"focal_length": 500.0, "size": (640, 480), **arguments})
+
+
+def test_a_view_that_has_no_direction_or_no_up_is_refused():
+    for target, position in (((1, 1, 1), (1, 1, 1)), ((1, 1, 0), (1, 1, 2))):
+        with pytest.raises(
+            aj.InvalidInputError, match="target must be away from position, and not"
+        ):
+            aj.PinholeCamera.looking_at(target, position, 500.0, (640, 480))
+
+
+def test_calibrations_that_do_not_exist_are_refused():
+    class Flat(aj.Camera):
+        labels, unit = ("a", "b"), "m"
+
+        def project(self, r):
+            return r[:2]
+
+        def interaction(self, r):
+            return np.eye(3)[:2]
+
+        def interaction_dot(self, r, r_dot):
+            return np.zeros((2, 3))
+
+    assert Flat().calibration == {}
+    assert Flat().mount is None
+    with pytest.raises(aj.InvalidInputError, match="Flat has no calibration to change, got"):
+        Flat().recalibrated({"roll": 1.0})
