@@ -116,7 +116,8 @@ class VelocityServo(CheckedController):
         """
         if answer.status is _LOST or answer.J_hat is None:
             return np.zeros(self.task.robot.nv)
-        reference, _ = self._reference(answer.J_hat, self.saturation.s(answer.e))
+        with np.errstate(over="ignore"):  # e may be absurd and its saturation usual
+            reference, _ = self._reference(answer.J_hat, self.saturation.s(answer.e))
         return reference
 
     def _reference(self, J_hat: Array, s: Array) -> tuple[Array, float]:
