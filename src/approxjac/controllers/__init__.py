@@ -18,6 +18,7 @@ from approxjac.controllers.limits import Limits
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
 from approxjac.controllers.tuning import default_adaptation, default_gains
+from approxjac.controllers.velocity_servo import VelocityServo
 
 __all__ = [
     "Adaptation",
@@ -37,6 +38,7 @@ __all__ = [
     "TaskTorqueScaled",
     "TorqueClipped",
     "TorqueLimited",
+    "VelocityServo",
     "bounded_gains",
     "default_adaptation",
     "default_gains",

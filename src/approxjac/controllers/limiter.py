@@ -65,7 +65,7 @@ class Limiter(abc.ABC):
     def __init__(
         self, controller: CheckedController, limits: Limits | None = None, *, dt: float = 1e-3
     ) -> None:
-        wanted = "a SetpointController or a BoundedController"
+        wanted = "a SetpointController, a BoundedController or a VelocityServo"
         require("controller", controller, CheckedController, wanted)
         if limits is not None:
             require("limits", limits, Limits, "Limits(effort=...), Limits.of(robot) or None")

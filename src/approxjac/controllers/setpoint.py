@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.checks import Array, as_array, as_diagonal, as_number, require
-from approxjac.controllers.checked import CheckedController, is_beyond
+from approxjac.controllers.checked import CheckedController, is_beyond, require_saturation
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -101,7 +101,7 @@ class SetpointController(CheckedController):
         self.velocity = velocity
         self.posture = posture
         self.diagonals = self.gains.diagonals(task.m, robot.nv)
-        self._require_saturation(task)
+        require_saturation(self.saturation, task)
         if robot.nv > task.m and not (self.diagonals.damping > 0.0).all():
             raise InvalidInputError(
                 f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for "
@@ -258,20 +258,6 @@ class SetpointController(CheckedController):
         return Adaptation(
             gravity.regressor, L, alpha, gravity.theta0, gravity.bounds, gravity.torque_limits
         )
-
-    def _require_saturation(self, task: Task) -> None:
-        """Refuse a saturation whose γ has another length than the task."""
-        m = task.m
-        try:
-            fits = np.shape(self.saturation.s(np.zeros(m))) == (m,)
-        except (ValueError, TypeError, AttributeError):
-            fits = False
-        if not fits:
-            raise InvalidInputError(
-                f"saturation must be Linear(), Sine(gamma) or Tanh(gamma) with one gamma or {m} "
-                f"for {task!r}, got {self.saturation!r}",
-                given=self.saturation,
-            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         # a copy has scratch memory of its own, down to that of its task and its gravity

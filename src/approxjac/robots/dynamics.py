@@ -80,7 +80,12 @@ class Dynamics:
 
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
         """M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
-        return np.array(pin.rnea(self._model, self._data, self._q(q), self._v(v), self._v(a, "a")))
+        return self.compute_inverse(self._q(q), self._v(v), self._v(a, "a")).copy()
+
+    def compute_inverse(self, q: Array, v: Array, a: Array) -> Array:
+        """`inverse` of arrays that have been checked; an alias of scratch memory."""
+        tau: Array = pin.rnea(self._model, self._data, q, v, a)
+        return tau
 
     def forward(self, q: Array, v: Array, tau: Array) -> Array:
         """q̈ from τ, shape (n_v,) [rad/s² or m/s²].
