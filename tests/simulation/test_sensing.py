@@ -1,14 +1,19 @@
 """Realistic measurement: noise, quanta, delay, dropouts, encoders, friction, slow actuators."""
 
 import dataclasses
+import math
+from fractions import Fraction
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.testing import assert_allclose
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import cumulative_simpson
 
 import approxjac as aj
+from approxjac import view
 from approxjac.simulation.sensing import SensorReadings
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -467,6 +472,9 @@ def test_coulomb_friction_dissipates_exactly_its_power(viscous):
 
 # -- bad input ------------------------------------------------------------------------------
 
+LOST = r"x_lost must be intervals \(start, end\) or \(start, end, part\), such as \[\(1.0, 2.5\)\] "
+FROZEN = r"x_frozen must be intervals \(start, end\), such as \[\(1.0, 2.5\)\] \[s\], got"
+
 
 @pytest.mark.parametrize(
     ("changes", "text"),
@@ -486,6 +494,33 @@ def test_coulomb_friction_dissipates_exactly_its_power(viscous):
         ({"x_dropout": np.nan}, r"x_dropout must be a finite number >= 0, got nan"),
         ({"velocity_filter": -1.0}, r"velocity_filter must be a finite number >= 0 \[s\], got -1"),
         ({"velocity_filter": np.inf}, r"velocity_filter must be a finite number >= 0 \[s\], got"),
+        ({"x_rate": 0.0}, r"x_rate must be a finite number > 0 \[Hz\], got 0.0"),
+        ({"x_rate": -30}, r"x_rate must be a finite number > 0 \[Hz\], got -30"),
+        ({"x_rate": np.inf}, r"x_rate must be a finite number > 0 \[Hz\], got inf"),
+        ({"x_rate": "30 Hz"}, r"x_rate must be a finite number > 0 \[Hz\], got '30 Hz'"),
+        *(
+            ({"x_lost": value}, LOST)
+            for value in (
+                1.0,
+                None,
+                (1.0, 2.0),
+                [(1.0,)],
+                [(1, 2, 0, 0)],
+                [(1, 2, 0.0)],
+                [(1, 2, -1)],
+                [(1, 2, True)],
+                [(1, 2, "hand")],
+                "ab",
+            )
+        ),
+        ({"x_lost": [(2.0, 1.0)]}, r"end of x_lost must be a finite number > 2 \[s\], got 1.0"),
+        ({"x_lost": [(1.0, 1.0)]}, r"end of x_lost must be a finite number > 1 \[s\], got 1.0"),
+        ({"x_lost": [(0, np.inf)]}, r"end of x_lost must be a finite number > 0 \[s\], got inf"),
+        ({"x_lost": [(np.nan, 1)]}, r"start of x_lost must be a finite number \[s\], got nan"),
+        ({"x_lost": [("a", 1)]}, r"start of x_lost must be a finite number \[s\], got 'a'"),
+        ({"x_frozen": (1.0, 2.0)}, FROZEN),
+        ({"x_frozen": [(1.0, 2.0, 0)]}, FROZEN),
+        ({"x_frozen": [(3, 2)]}, r"end of x_frozen must be a finite number > 3 \[s\], got 2"),
     ],
 )
 def test_bad_sensing_is_refused(changes, text):
@@ -500,6 +535,10 @@ def test_bad_sensing_is_refused(changes, text):
         ({"x_quantum": (1.0,)}, r"x_quantum must have shape \(2,\), got shape \(1,\)"),
         ({"q_noise": (1.0, 1.0, 1.0)}, r"q_noise must have shape \(2,\), got shape \(3,\)"),
         ({"q_quantum": np.ones(7)}, r"q_quantum must have shape \(2,\), got shape \(7,\)"),
+        (
+            {"x_lost": [(0, 1, 0), (1, 2, 1)]},
+            r"part of x_lost must be that of an entry of PositionTask\(.*\).parts, 0, got 1",
+        ),
     ],
 )
 def test_sensing_of_the_wrong_length_is_refused_by_the_plant(changes, text):
@@ -613,3 +652,280 @@ def test_a_controller_starts_from_its_first_reading_not_from_the_truth(panda):
     lost = aj.Plant(panda, task, sensing=aj.Sensing(x_dropout=1.0))
     with pytest.raises(aj.MeasurementError, match=r"the first x must be finite for law \(5\)"):
         aj.simulate(lost, controller, task.value(q0), q0, 0.01, dt=1e-3)
+
+
+# -- frames ---------------------------------------------------------------------------------
+
+
+class Blind(aj.PositionTask):
+    """A sensor that sees nothing to the right of a wall."""
+
+    wall = 0.0
+
+    def seen(self, x):
+        return x if x[0] <= self.wall else np.full(3, np.nan)
+
+
+@pytest.fixture(scope="module")
+def plane():
+    return aj.PositionTask(aj.load_robot("two_link"), axes="xz")
+
+
+@pytest.fixture(scope="module")
+def pair(panda):
+    return aj.StackedTask(aj.PositionTask(panda), aj.PositionTask(panda, "panda_link4", axes="z"))
+
+
+def numbered(task, count, dt=1e-3):
+    """Truths whose x is the number of their sample, so that a reading tells what was taken."""
+    q, v = task.robot.neutral(), np.zeros(task.robot.nv)
+    return [aj.Measurement(k * dt, q, v, np.full(task.n_x, float(k))) for k in range(count)]
+
+
+def taken(sensing, task, count, dt=1e-3, seed=0):
+    """Number of the sample whose x is read at each sample, shape (count, n_x)."""
+    return np.array([m.x for m in readings(sensing, numbered(task, count, dt), task, dt, seed)])
+
+
+def frames(rate, count, dt=1e-3):
+    """At each sample, the number of the sample at which its frame was taken, in exact numbers."""
+    per_sample = Fraction(str(rate)) * Fraction(str(dt))
+    return np.array([math.ceil((k * per_sample).__floor__() / per_sample) for k in range(count)])
+
+
+@pytest.mark.parametrize(
+    ("rate", "dt"),
+    [(30, 1e-3), (60, 1e-3), (29.97, 1e-3), (333.3, 1e-3), (999, 1e-3), (0.7, 0.01), (24, 2e-3)],
+)
+def test_a_frame_is_taken_at_the_first_sample_at_or_after_its_time(plane, rate, dt):
+    shown = taken(aj.Sensing(x_rate=rate), plane, 5000, dt)
+    assert_array_equal(shown[:, 0], frames(rate, 5000, dt))
+    assert_array_equal(shown[:, 0], shown[:, 1])
+
+
+def test_frames_of_a_long_run_stay_in_time(plane):
+    """An hour at 40 Hz: the last frame is where exact numbers have it, as the first is."""
+    count, dt = 144_000, 0.025
+    read = SensorReadings(aj.Sensing(x_rate=29.97), plane, dt, 0).read
+    q, v = np.zeros(2), np.zeros(2)
+    shown = [read(aj.Measurement(k * dt, q, v, np.full(2, float(k)))).x[0] for k in range(count)]
+    assert_array_equal(shown, frames(29.97, count, dt))
+    assert len(np.unique(shown)) == math.floor((count - 1) * 0.74925) + 1
+
+
+def test_between_frames_the_last_one_is_read_again_to_the_bit(position):
+    v = np.array([0.5, 0.3, -0.4, 0.2, 0.6, -0.3, 0.4])
+    sensing = aj.Sensing(x_rate=30.0, x_noise=1e-3, x_quantum=1e-6)
+    seen = readings(sensing, moving(position, START, v, 1000), position)
+    x = np.array([m.x for m in seen])
+    changes = np.flatnonzero((np.diff(x, axis=0) != 0.0).any(axis=1)) + 1
+    assert_array_equal(np.unique(frames(30.0, 1000))[1:], changes)
+
+
+@pytest.mark.parametrize("rate", [1000.0, 999.9999999, 1000.1, 60e3, 1e300])
+def test_a_camera_no_slower_than_control_is_read_at_every_sample(panda, rate):
+    fast = dataclasses.replace(EVERYTHING, x_rate=rate)
+    first, again = closed_loop(panda, EVERYTHING), closed_loop(panda, fast)
+    assert all(same(first, again, name) for name in FIELDS)
+
+
+@pytest.mark.parametrize("rate", [30.0, 60.0, 217.0])
+@pytest.mark.parametrize("delay", [0.0, 1e-3, 0.03, 0.12])
+def test_a_frame_arrives_after_the_delay(plane, rate, delay):
+    late, count = round(delay * 1e3), 1000
+    shown = taken(aj.Sensing(x_rate=rate, x_delay=delay), plane, count)[:, 0]
+    expected = frames(rate, count)
+    assert_array_equal(shown[late:], expected[: count - late])
+    assert_array_equal(shown[:late], np.zeros(late))  # until one arrives, the first is seen
+
+
+def test_noise_comes_once_a_frame(position):
+    sigma = np.array([1e-3, 5e-3, 2e-2])
+    truths = still(position, START, 40_000, dt=0.01)
+    seen = readings(aj.Sensing(x_rate=30.0, x_noise=sigma), truths, position, dt=0.01)
+    errors = np.array([m.x for m in seen]) - truths[0].x
+    first = np.unique(frames(30.0, len(truths), dt=0.01))
+    assert_is_white(errors[first], sigma)
+    assert len(np.unique(errors[:, 0])) == len(first) == 12_000
+
+
+@pytest.mark.parametrize(("share", "delay"), [(0.05, 0.0), (0.3, 0.03), (1.0, 0.0)])
+def test_a_lost_frame_is_lost_until_the_next_one_arrives(plane, share, delay):
+    count, dt, late = 40_000, 0.01, round(delay / 0.01)
+    shown = taken(aj.Sensing(x_rate=30.0, x_dropout=share, x_delay=delay), plane, count, dt)
+    expected = frames(30.0, count, dt)
+    expected = np.concatenate([np.zeros(late), expected[: count - late]])
+    lost = np.isnan(shown)
+    assert_array_equal(lost[:, 0], lost[:, 1])
+    assert_array_equal(shown[~lost[:, 0], 0], expected[~lost[:, 0]])
+    numbers, first, sizes = np.unique(expected, return_index=True, return_counts=True)
+    in_frame = np.add.reduceat(lost[:, 0], first)
+    assert set(in_frame / sizes) <= {0.0, 1.0}  # all of a frame's readings, or none
+    deviation = np.sqrt(share * (1.0 - share) / len(numbers))
+    assert abs((in_frame > 0).mean() - share) <= 4.5 * deviation
+
+
+def test_the_same_seed_takes_the_same_frames(panda):
+    sensing = dataclasses.replace(
+        EVERYTHING, x_rate=60.0, x_lost=[(0.1, 0.15)], x_frozen=[(0.2, 0.25)]
+    )
+    first, again = closed_loop(panda, sensing, 7), closed_loop(panda, sensing, 7)
+    assert all(same(first, again, name) for name in FIELDS)
+    assert not same(first, closed_loop(panda, sensing, 8), "x_measured")
+
+
+# -- what is hidden, and a camera that hangs ------------------------------------------------
+
+
+def test_x_is_lost_in_its_intervals(plane):
+    shown = taken(aj.Sensing(x_lost=[(0.1, 0.2), (1.009, 1.01), (0.15, 0.3)]), plane, 2000)
+    lost = np.isnan(shown).any(axis=1)
+    assert_array_equal(np.flatnonzero(lost), [*range(100, 300), 1009])
+    assert_array_equal(shown[~lost, 0], np.flatnonzero(~lost))
+
+
+def test_a_hidden_frame_is_lost_for_as_long_as_it_is_read(plane):
+    """An interval is that of the exposure: what arrives late is lost late."""
+    sensing = aj.Sensing(x_rate=50.0, x_delay=0.03, x_lost=[(0.39, 0.41)])  # the frame at 0.4 s
+    shown = taken(sensing, plane, 1000)[:, 0]
+    assert_array_equal(np.flatnonzero(np.isnan(shown)), range(430, 450))
+    between = aj.Sensing(x_rate=50.0, x_lost=[(0.381, 0.399)])  # no frame is taken then
+    assert not np.isnan(taken(between, plane, 1000)).any()
+
+
+def test_one_part_is_lost_and_the_others_are_not(pair):
+    shown = taken(aj.Sensing(x_lost=[(0.1, 0.2, 0), (0.15, 0.25, 1)]), pair, 300)
+    samples = np.arange(300.0)
+    hidden = (samples >= 100) & (samples < 200)
+    assert_array_equal(shown[:, :3], np.where(hidden, np.nan, samples)[:, None] * np.ones(3))
+    assert_array_equal(shown[:, 3], np.where((samples >= 150) & (samples < 250), np.nan, samples))
+
+
+def test_a_camera_that_hangs_delivers_its_last_image(position):
+    v = np.array([0.5, 0.3, -0.4, 0.2, 0.6, -0.3, 0.4])
+    truths = moving(position, START, v, 600)
+    for sensing, last, back in (
+        (aj.Sensing(x_noise=1e-3, x_frozen=[(0.2, 0.4)]), 199, 400),
+        # frames at 0.1980, 0.2310, ... 0.3960, 0.4290 s
+        (aj.Sensing(x_noise=1e-3, x_rate=1e3 / 33, x_frozen=[(0.2, 0.4)]), 198, 429),
+        (aj.Sensing(x_noise=1e-3, x_frozen=[(0.2, 0.4)], x_delay=0.05), 249, 450),
+    ):
+        x = np.array([m.x for m in readings(sensing, truths, position)])
+        assert (x[last:back] == x[last]).all()
+        assert (x[back] != x[last]).all()
+        assert (x[last - 40] != x[last]).all()
+
+
+def test_a_camera_that_hangs_from_the_start_has_one_image(plane):
+    shown = taken(aj.Sensing(x_frozen=[(0.0, 0.5)]), plane, 600)[:, 0]
+    assert_array_equal(shown, [0] * 500 + list(range(500, 600)))
+
+
+def test_a_frozen_image_lacks_what_was_hidden(pair):
+    """What is hidden while the camera hangs is on the image still, and the other way round."""
+    sensing = aj.Sensing(x_lost=[(0.0, 0.15, 0), (0.15, 0.2, 1)], x_frozen=[(0.1, 0.3)])
+    shown = taken(sensing, pair, 400)
+    assert np.isnan(shown[:300, :3]).all()
+    assert_array_equal(shown[99:300, 3], np.full(201, 99.0))
+    assert_array_equal(shown[300:, 0], range(300, 400))
+
+
+PLANE = aj.PositionTask(aj.load_robot("two_link"), axes="xz")
+MILLISECONDS = st.integers(0, 400)
+PAIRS = st.lists(st.tuples(MILLISECONDS, MILLISECONDS).filter(lambda ab: ab[0] < ab[1]), max_size=3)
+
+
+@settings(max_examples=60)
+@given(st.integers(1, 40), st.integers(0, 60), PAIRS, PAIRS)
+def test_every_reading_is_the_image_that_was_taken_then(period, late, lost, frozen):
+    """Against a camera in whole milliseconds: rates, delays and intervals in any combination."""
+    task, count = PLANE, 500
+    sensing = aj.Sensing(
+        x_rate=1e3 / period,
+        x_delay=late * 1e-3,
+        x_lost=[(a * 1e-3, b * 1e-3) for a, b in lost],
+        x_frozen=[(a * 1e-3, b * 1e-3) for a, b in frozen],
+    )
+    images, image = [], None
+    for k in range(count):
+        hangs = image is not None and any(a <= k < b for a, b in frozen)
+        if k % period == 0 and not hangs:
+            image = np.nan if any(a <= k < b for a, b in lost) else float(k)
+        images.append(image)
+    expected = [images[max(0, k - late)] for k in range(count)]
+    assert_array_equal(taken(sensing, task, count)[:, 0], expected)
+
+
+PLANE = aj.PositionTask(aj.load_robot("two_link"), axes="xz")
+
+
+def test_an_interval_of_a_part_that_the_task_does_not_have_is_refused(panda, pair):
+    text = r"part of x_lost must be that of an entry of StackedTask.*parts, 0 to 1, got 2"
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.Plant(panda, pair, sensing=aj.Sensing(x_lost=[(0.0, 1.0, 2)]))
+
+
+def test_intervals_are_those_that_were_given():
+    given = [[0.0, 1], (2, 3.5, 1)]
+    sensing = aj.Sensing(x_lost=given, x_frozen=iter([(1, 2)]))
+    given[0][0] = 0.5
+    assert sensing.x_lost == ((0.0, 1.0), (2.0, 3.5, 1))
+    assert sensing.x_frozen == ((1.0, 2.0),)
+    assert dataclasses.replace(sensing, x_rate=30.0).x_lost == sensing.x_lost
+
+
+@pytest.mark.parametrize(
+    "frames", [{"x_rate": 30.0}, {"x_lost": [(0.0, 1.0)]}, {"x_frozen": [(0.0, 1.0)]}]
+)
+def test_frames_are_not_linear(panda, position, frames):
+    assert aj.Sensing(x_delay=0.01).is_linear
+    assert not aj.Sensing(x_delay=0.01, **frames).is_linear
+    plant = aj.Plant(panda, position, sensing=aj.Sensing(**frames))
+    with pytest.raises(aj.InvalidInputError, match="x_rate, x_lost, x_frozen, noise, rounding and"):
+        aj.local_stability(plant, aj.SetpointController(position), START, dt=1e-3)
+
+
+# -- what the sensor itself does not see ----------------------------------------------------
+
+
+def test_noise_and_rounding_leave_what_is_not_seen_unseen_and_the_rest_as_it_is(panda):
+    elbow = aj.PositionTask(panda, "panda_link4", axes="z")
+    sensing = aj.Sensing(x_noise=1e-3, x_quantum=5e-4, x_rate=60.0)
+    for hand in (aj.PositionTask(panda), aj.PoseTask(panda)):
+        both = aj.StackedTask(hand, elbow)
+        truths = still(both, START, 100)
+        for entries, _ in both.parts:
+            hidden = []
+            for truth in truths:
+                x = truth.x.copy()
+                x[entries] = np.nan
+                hidden.append(truth._replace(x=x))
+            whole, parts = (
+                np.array([m.x for m in readings(sensing, each, both)]) for each in (truths, hidden)
+            )
+            assert np.isnan(parts[:, entries]).all()
+            parts[:, entries] = whole[:, entries]
+            assert_array_equal(parts, whole)
+
+
+@pytest.mark.parametrize("dt", [None, 1e-3])
+def test_a_run_goes_on_where_the_sensor_sees_nothing(panda, dt, tmp_path):
+    """On its way to the target the arm enters the blind zone, and damping stops it there."""
+    sensor = Blind(panda)
+    sensor.wall = sensor.value(START)[0] + 0.05
+    plant = aj.Plant(panda, sensor)
+    controller = aj.SetpointController(aj.PositionTask(panda))
+    target = sensor.value(START) + [0.1, 0.0, 0.0]
+    run = aj.simulate(plant, controller, target, START, 3.0, dt=dt)
+    blind = np.isnan(run.x_measured).any(axis=1)
+    assert_array_equal(blind, run.x[:, 0] > sensor.wall)
+    assert_array_equal(blind, run.status == aj.Status.MEASUREMENT_LOST)
+    assert blind.any()
+    assert not blind.all()
+    assert np.abs(run.v[-1]).max() < 1e-3
+    for array in (run.x, run.error, run.tau, run.error_norm):
+        assert np.isfinite(array).all()
+    assert "MEASUREMENT_LOST" in repr(run)
+    loaded = aj.Trajectory.load(run.save(tmp_path / "run"))
+    assert all(same(run, loaded, name) for name in FIELDS)
+    assert len(view.plot_run(run).axes) > 0

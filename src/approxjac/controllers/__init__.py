@@ -12,6 +12,7 @@ from approxjac.controllers.gravity import (
     NoGravity,
     RegressorGravity,
 )
+from approxjac.controllers.held import HeldMeasurement
 from approxjac.controllers.limited import TorqueLimited
 from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import Limits
@@ -28,6 +29,7 @@ __all__ = [
     "DifferentiatedVelocity",
     "Gains",
     "Gravity",
+    "HeldMeasurement",
     "Limiter",
     "Limits",
     "ModelGravity",

@@ -103,14 +103,15 @@ class Plant:
         """Refuse what no linearisation of the sampled loop has; delays and a filter of q̇ it has.
 
         Raises:
-            InvalidInputError: Coulomb friction, torque limits, or sensing with noise, rounding or
-                dropouts.
+            InvalidInputError: Coulomb friction, torque limits, or sensing with frames, noise,
+                rounding or dropouts.
         """
         rough = self.sensing is not None and not self.sensing.is_linear
         if self.coulomb.any() or rough or self.torque_limits is not None:
             raise InvalidInputError(
-                f"{what} is for a plant without Coulomb friction, torque limits, noise, rounding "
-                f"and dropouts (delays and velocity_filter may be there), got {self!r}",
+                f"{what} is for a plant without Coulomb friction, torque limits, x_rate, x_lost, "
+                f"x_frozen, noise, rounding and dropouts (delays and velocity_filter may be "
+                f"there), got {self!r}",
                 given=self,
             )
 

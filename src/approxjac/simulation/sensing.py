@@ -1,4 +1,4 @@
-"""What sensors and drives really deliver: noise, delay, quantisation, dropouts, no tachometer."""
+"""What sensors and drives really deliver: noise, delay, quanta, dropouts, frames, no tachometer."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +17,7 @@ from approxjac.interface import Measurement
 from approxjac.tasks import Task
 
 _FOREVER = 1e15  # samples
+_TINY = 1e-6  # of a frame or a sample: more than round-off in k dt, less than anyone means
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,12 +28,16 @@ class Sensing:
     noise and are rounded; and q̇ may come from differences of the measured q instead of a
     tachometer, as the paper recommends for x.
 
+    Each x that is taken is a frame. With an `x_rate`, frame k is taken at the first control sample
+    at or after k/x_rate, and until the next one arrives the last one is read again, bit by bit, as
+    a camera's driver does. Noise, rounding and dropout happen once a frame.
+
     Attributes:
         x_noise: Standard deviation of white noise on the task coordinates, a number or shape
             (m,) [unit of the task].
         x_quantum: Steps that they are rounded to, a number or shape (m,) [unit of the task].
-        x_delay: Age of x when it arrives [s]; rounded to whole samples.
-        x_dropout: Probability that a sample of x is lost, from 0 to 1.
+        x_delay: Age of x when it arrives [s]; rounded to whole samples of control.
+        x_dropout: Probability that a frame of x is lost, from 0 to 1: NaN until the next arrives.
         q_noise: Standard deviation of white noise on q, a number or shape (n_v,) [rad or m].
         q_quantum: Steps of the encoders, a number or shape (n_v,) [rad or m].
         velocity_filter: Time constant T of q̇ from differences of the measured q,
@@ -49,6 +55,9 @@ class Sensing:
     q_noise: float | Sequence[float] | Array = 0.0
     q_quantum: float | Sequence[float] | Array = 0.0
     velocity_filter: float | None = None
+    x_rate: float | None = None
+    x_lost: Sequence[tuple[float, float] | tuple[float, float, int]] = ()
+    x_frozen: Sequence[tuple[float, float]] = ()
 
     def __post_init__(self) -> None:
         for name in ("x_noise", "x_quantum", "q_noise", "q_quantum"):
@@ -62,10 +71,19 @@ class Sensing:
             )
         if self.velocity_filter is not None:
             as_number("velocity_filter", self.velocity_filter, unit="s", minimum=0.0)
+        if self.x_rate is not None:
+            as_number("x_rate", self.x_rate, unit="Hz", above=0.0)
+        object.__setattr__(self, "x_lost", _intervals("x_lost", self.x_lost, parts=True))
+        object.__setattr__(self, "x_frozen", _intervals("x_frozen", self.x_frozen, parts=False))
 
     @property
     def is_linear(self) -> bool:
-        """Whether it does no more than delay x and filter q̇: nothing random, nothing rounded."""
+        """Whether it does no more than delay x and filter q̇: nothing random, rounded or repeated.
+
+        An `x_rate` repeats frames, even where it is that of control: this does not know dt.
+        """
+        if self.x_rate is not None or self.x_lost or self.x_frozen:
+            return False
         others = (self.x_noise, self.x_quantum, self.x_dropout, self.q_noise, self.q_quantum)
         return not any(np.any(value) for value in others)
 
@@ -76,11 +94,12 @@ class SensorReadings:
     Args:
         sensing: The imperfections.
         task: The task that is measured.
-        dt: Sampling time [s].
+        dt: Sampling time of control [s].
         seed: Of the noise and the dropouts.
 
     Raises:
-        InvalidInputError: A number of entries that fits neither the task nor the robot.
+        InvalidInputError: A number of entries that fits neither the task nor the robot, or a part
+            that the task does not have.
     """
 
     def __init__(self, sensing: Sensing, task: Task, dt: float, seed: int) -> None:
@@ -92,8 +111,15 @@ class SensorReadings:
         self._q_noise = as_diagonal("q_noise", sensing.q_noise, nv, positive=False)
         self._q_quantum = as_diagonal("q_quantum", sensing.q_quantum, nv, positive=False)
         self._dropout, self._filter = sensing.x_dropout, sensing.velocity_filter
+        self._lost = [_lost(interval, task) for interval in sensing.x_lost]
+        self._frozen = sensing.x_frozen
+        per_sample = None if sensing.x_rate is None else sensing.x_rate * dt
+        self._per_sample = None if per_sample is None or per_sample > 1.0 - _TINY else per_sample
         late = round(min(sensing.x_delay / dt, _FOREVER))
-        self._late: deque[Array] = deque(maxlen=late + 1)
+        self._late: deque[tuple[int, Array]] = deque(maxlen=late + 1)
+        self._samples, self._number, self._arrived = 0, -1, -1
+        self._image: Array | None = None
+        self._reading = np.full(task.n_x, np.nan)
         self._rng = np.random.default_rng(seed)
         self._before: Array | None = None
         self._v = np.zeros(nv)
@@ -102,18 +128,39 @@ class SensorReadings:
         """Return what is measured at the next sample, given what is true then."""
         q = self._read_q(truth.q)
         v = truth.v if self._filter is None else self._difference(q, self._filter)
-        return Measurement(truth.t, q, v, self._read_x(truth.x))
+        return Measurement(truth.t, q, v, self._read_x(truth.t, truth.x))
 
-    def _read_x(self, x: Array) -> Array:
+    def _read_x(self, t: float, x: Array) -> Array:
+        number = self._samples
+        if self._per_sample is not None:  # counted from the start, so that no rounding adds up
+            number = math.floor(self._samples * self._per_sample + _TINY)
+        self._samples += 1
+        if number != self._number or self._image is None:
+            self._number, self._image = number, self._taken(t, x)
+        self._late.append((number, self._image))
+        arriving, image = self._late[0]  # before the first one arrives, the first is seen
+        if arriving != self._arrived or self._per_sample is None:
+            self._arrived = arriving
+            lost = self._dropout and self._rng.random() < self._dropout
+            self._reading = np.full(self._task.n_x, np.nan) if lost else image
+        return self._reading
+
+    def _taken(self, t: float, x: Array) -> Array:
+        """The image that the camera has after it was to take one of x at time t [s]."""
+        t += _TINY * self._dt
+        if self._image is not None and any(start <= t < end for start, end in self._frozen):
+            return self._image
         if self._x_noise.any():
             x = self._task.displaced(x, self._x_noise * self._rng.standard_normal(self._task.m))
         if self._x_quantum.any():
             origin = self._task.origin
             x = self._task.displaced(origin, _rounded(self._task.error(x, origin), self._x_quantum))
-        self._late.append(x)  # before the first one arrives, the first is seen
-        if self._dropout and self._rng.random() < self._dropout:
-            return np.full(self._task.n_x, np.nan)
-        return self._late[0]
+        lost = [entries for start, end, entries in self._lost if start <= t < end]
+        if lost:
+            x = x.copy()
+        for entries in lost:
+            x[entries] = np.nan
+        return x
 
     def _read_q(self, q: Array) -> Array:
         if self._q_noise.any():
@@ -136,3 +183,40 @@ def _rounded(values: Array, steps: Array) -> Array:
     """Round to multiples of steps; a step of 0 rounds nothing."""
     safe = np.where(steps > 0.0, steps, 1.0)
     return np.where(steps > 0.0, safe * np.round(values / safe), values)
+
+
+def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:
+    """Return intervals of time as tuples of their numbers, and of the part where there is one."""
+    wanted = "(start, end) or (start, end, part)" if parts else "(start, end)"
+    try:
+        intervals = [tuple(interval) for interval in value]
+    except TypeError:
+        intervals = [()]
+    for interval in intervals:
+        part = interval[2] if parts and len(interval) == 3 else 0
+        if len(interval) not in (2, 3 if parts else 2) or type(part) is not int or part < 0:
+            raise InvalidInputError(
+                f"{name} must be intervals {wanted}, such as [(1.0, 2.5)] [s], got {value!r}",
+                given=value,
+            )
+    checked = []
+    for start, end, *part in intervals:
+        start = as_number(f"start of {name}", start, unit="s")
+        end = as_number(f"end of {name}", end, unit="s", above=start)
+        checked.append((start, end, *part))
+    return tuple(checked)
+
+
+def _lost(interval: tuple[Any, ...], task: Task) -> tuple[float, float, slice]:
+    """Start and end of an interval of `Sensing.x_lost`, and which entries of x are lost in it."""
+    start, end, *part = interval
+    if not part:
+        return start, end, slice(None)
+    parts = task.parts
+    if part[0] >= len(parts):
+        valid = "0" if len(parts) == 1 else f"0 to {len(parts) - 1}"
+        raise InvalidInputError(
+            f"part of x_lost must be that of an entry of {task!r}.parts, {valid}, got {part[0]}",
+            given=part[0],
+        )
+    return start, end, parts[part[0]][0]

@@ -48,7 +48,8 @@ def simulate(
         duration: > 0 [s].
         dt: Sampling time [s]: torques are held over it, as a robot does. None integrates
             (q, v, controller state) as one differential equation with LSODA, as the paper does.
-            A controller that limits rates or speeds has a `dt` of its own, which it must be.
+            A controller that limits rates or speeds, or that holds measurements, has a `dt` of
+            its own, which it must be.
         v0: Start velocity, shape (n_v,); at rest by default.
         record_every: Time between recorded instants [s]: dt, or duration/1000 where dt is None.
             A whole number of them fits into duration where dt is None; it is a whole number of dt
@@ -96,7 +97,7 @@ def simulate(
     if isinstance(wanted, float) and (dt is None or not math.isclose(dt, wanted)):
         raise InvalidInputError(
             f"dt must be that of the controller, {wanted:g} [s], which keeps limits of torque "
-            f"rates, speeds or positions from step to step, got {dt!r}",
+            f"rates, speeds or positions, or a held measurement, from step to step, got {dt!r}",
             given=dt,
         )
     if dt is None:

@@ -139,8 +139,8 @@ def local_stability(
             another; one whose gravity is not exact near `q_target` and cannot become so by
             learning, or whose θ̂ stands still there (torque_limits, bounds), so that it is no
             equilibrium; another task than the sensor's; a `q_target` of the wrong shape; a plant
-            with Coulomb friction, noise, rounding, dropouts or torque limits; delays or a filter
-            of q̇ without dt, or of very many samples.
+            with Coulomb friction, frames, noise, rounding, dropouts or torque limits; delays or a
+            filter of q̇ without dt, or of very many samples.
     """
     require("plant", plant, Plant, "a Plant")
     require("controller", controller, SetpointController, "a SetpointController")
