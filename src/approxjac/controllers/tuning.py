@@ -15,6 +15,7 @@ from approxjac.tasks.task import seen_postures
 
 _POSTURES = 100
 _SETTLED = 4.0  # time constants until 2 % are left
+_SINGULAR = 1e-6  # σ_min/σ_max that counts as no rank
 _REGULAR = 0.05  # postures with σ_min below this share of σ_max are left out
 _DAMPING_SHARE = 0.03
 _LEARNING_SPEED = 3.0
@@ -179,12 +180,14 @@ def _groups(task: Task) -> list[np.ndarray[Any, np.dtype[np.bool_]]]:
 
 def _regular_postures(task: Task) -> list[tuple[Array, Array]]:
     """Seeded postures within the limits where the task is seen and not near singular, with Ĵ."""
-    found = []
-    for q in seen_postures(task, _POSTURES):
-        J = task.jacobian(q)
-        values = np.linalg.svd(J, compute_uv=False)
-        if values[-1] > _REGULAR * values[0]:
-            found.append((q, J))
+    usual = [(q, task.jacobian(q)) for q in seen_postures(task, _POSTURES)]
+    values = [np.linalg.svd(J, compute_uv=False) for _, J in usual]
+    ratios = np.array([v[-1] / v[0] if v[0] > 0.0 else 0.0 for v in values])
+    least = _REGULAR
+    if not (ratios > least).any():
+        # images of several points always tell little of some motion: then half of what is usual
+        least = max(0.5 * float(np.median(ratios)), _SINGULAR)
+    found = [pair for pair, ratio in zip(usual, ratios, strict=True) if ratio > least]
     if not found:
         raise InvalidInputError(
             f"task must not be singular everywhere for gains to be chosen, got {task!r}",

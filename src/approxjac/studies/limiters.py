@@ -28,6 +28,7 @@ from approxjac.studies import reach
 from approxjac.studies.arms import carried_object
 from approxjac.studies.decrease import Decrease, decrease
 from approxjac.studies.limiting import limited
+from approxjac.studies.postures import regular_posture
 from approxjac.studies.processes import run_in_processes
 from approxjac.studies.reach_result import AT_LIMIT, Reach
 from approxjac.studies.reach_settings import Settings
@@ -153,9 +154,7 @@ def prepare(case: Case) -> Reach:
         velocity=arm.limits.velocity,
     ).for_joints(arm.task.robot.nv)
     effort, rng = np.asarray(limits.effort), np.random.default_rng(case.seed)
-    q0, q_target = (
-        reach.regular_posture(arm.sensor, arm.task, rng, effort, _TRIES) for _ in range(2)
-    )
+    q0, q_target = (regular_posture(arm.sensor, arm.task, rng, effort, _TRIES) for _ in range(2))
     length, mass = carried_object(case.robot)
     settings = Settings(
         object_length=length,

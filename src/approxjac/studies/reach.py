@@ -24,9 +24,10 @@ from approxjac.controllers import (
 )
 from approxjac.errors import InvalidInputError
 from approxjac.law import Linear, Sine
-from approxjac.robots import Dynamics, GravityRegressor, Robot, load_robot
+from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.simulation import MujocoPlant, Plant, Sensing, simulate
 from approxjac.studies.limiting import limited, limits_from
+from approxjac.studies.postures import posture_from, regular_posture
 from approxjac.studies.reach_result import Reach, Result
 from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Watched
@@ -39,12 +40,8 @@ __all__ = [
     "best_axes",
     "outward_axis",
     "prepare",
-    "regular_posture",
     "run",
 ]
-
-_REGULAR = 0.1  # starts and targets have σ_min of J and of Ĵ above this share of σ_max
-_HOLDABLE = 0.7  # of the effort limits
 
 
 def prepare(robot: str, settings: Settings) -> Reach:
@@ -72,12 +69,12 @@ def prepare(robot: str, settings: Settings) -> Reach:
     if settings.start is None:
         q0 = regular_posture(sensor, task, rng, motors)
     else:
-        q0 = _posture(truth, settings.start)
+        q0 = posture_from(truth, settings.start)
     target = _target(sensor, task, q0, motors, settings, rng)
     controller = SetpointController(
         task,
         _gains(task, settings),
-        gravity=_gravity(truth, belief, settings),
+        gravity=gravity_from(truth, belief, settings.gravity),
         saturation=Linear() if settings.gamma is None else Sine(settings.gamma),
         posture=Posture(q0, settings.posture_stiffness) if settings.posture_stiffness else None,
     )
@@ -126,45 +123,6 @@ def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result
     return result
 
 
-def regular_posture(
-    sensor: Task,
-    task: Task,
-    rng: np.random.Generator,
-    effort: Array | None = None,
-    tries: int = 1000,
-) -> Array:
-    """Random posture that can be a start or a target.
-
-    Within the joint limits, neither J nor Ĵ is near singular, and holding it takes at most 70 % of
-    the effort limits.
-
-    Args:
-        sensor: Task of the true robot.
-        task: That of the believed robot.
-        rng: Draws the posture.
-        effort: The effort limits, shape (n_v,) [N m or N]; those of the URDF by default.
-        tries: Postures to draw at most.
-
-    Raises:
-        InvalidInputError: None was found.
-    """
-    effort = sensor.robot.effort_limits if effort is None else effort
-    dynamics, limits = Dynamics(sensor.robot), _HOLDABLE * effort
-    for _ in range(tries):
-        q = sensor.robot.random_configuration(rng)
-        if (np.abs(dynamics.g(q)) > limits).any():
-            continue
-        values = [np.linalg.svd(t.jacobian(q), compute_uv=False) for t in (sensor, task)]
-        if all(v[-1] > _REGULAR * v[0] for v in values):
-            return q
-    raise InvalidInputError(
-        f"no posture of {sensor.robot.name} was found that its motors can hold and where the task "
-        f"is not near singular: give a lighter object, larger torque limits, or other axes than "
-        f"those of {sensor!r}",
-        given=sensor,
-    )
-
-
 def best_axes(robot: Robot) -> str:
     """World axes of a position that an arm commands: all three, or of two joints the best two."""
     if robot.nv >= 3:
@@ -202,20 +160,6 @@ def _task(robot: Robot, settings: Settings) -> Task:
     return PositionTask(robot, axes=settings.axes or best_axes(robot))
 
 
-def _posture(robot: Robot, joints: tuple[float, ...]) -> Array:
-    """Configuration from one number a joint, continuous joints included."""
-    motion = as_array("start", joints, (robot.nv,), "rad or m")
-    low, high = robot.position_limits
-    for name, value, a, b in zip(robot.joint_names, motion, low, high, strict=True):
-        if not a <= value <= b:
-            raise InvalidInputError(
-                f"start must be within the joint limits, got {value:g} for {name} "
-                f"({a:.4g} to {b:.4g})",
-                given=joints,
-            )
-    return np.array(pin.integrate(robot.model, robot.neutral(), motion))
-
-
 def _target(
     sensor: Task,
     task: Task,
@@ -241,26 +185,27 @@ def _gains(task: Task, settings: Settings) -> Gains:
     lag = 1.0 / settings.rate + (settings.velocity_filter or 0.0) + settings.actuator_delay
     gains = default_gains(task, settings.settling_time, bandwidth=1.0 / lag)
     return Gains(
-        kp=_given(settings.kp, gains.kp),
-        kv=_given(settings.kv, gains.kv),
-        damping=_given(settings.damping, gains.damping),
+        kp=given_or(settings.kp, gains.kp),
+        kv=given_or(settings.kv, gains.kv),
+        damping=given_or(settings.damping, gains.damping),
     )
 
 
-def _given(values: tuple[float, ...] | None, default: Any) -> Any:
+def given_or(values: tuple[float, ...] | None, default: Any) -> Any:
     """Return numbers that were given, a single one as it is, or the default."""
     if values is None:
         return default
     return values[0] if len(values) == 1 else values
 
 
-def _gravity(truth: Robot, belief: Robot, settings: Settings) -> Gravity:
-    if settings.gravity == "none":
+def gravity_from(truth: Robot, belief: Robot, kind: str) -> Gravity:
+    """Where a controller has its gravity from: "learnt", "exact", "believed" or "none"."""
+    if kind == "none":
         return NoGravity(belief)
-    if settings.gravity == "believed":
+    if kind == "believed":
         return ModelGravity(belief)
     regressor = GravityRegressor(belief)
-    if settings.gravity == "learnt":
+    if kind == "learnt":
         return AdaptiveGravity(regressor)
     return RegressorGravity(regressor, regressor.fit(truth)[0])
 

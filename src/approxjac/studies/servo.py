@@ -1,0 +1,233 @@
+"""Visual servoing with a camera that nobody calibrated: settings → run → verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array, as_number
+from approxjac.controllers import (
+    DifferentiatedVelocity,
+    Gains,
+    Gravity,
+    HeldMeasurement,
+    SetpointController,
+    VelocityServo,
+    default_gains,
+)
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics, Robot, load_robot
+from approxjac.simulation import Plant, Sensing, simulate
+from approxjac.studies.postures import REGULAR, holdable, is_regular, posture_from
+from approxjac.studies.reach import given_or, gravity_from, outward_axis
+from approxjac.studies.servo_result import Servo, ServoResult
+from approxjac.studies.servo_scene import Scene, carried_scene, watched_scene, well_within
+from approxjac.studies.servo_settings import ServoSettings
+from approxjac.tasks import ImageTask
+from approxjac.tasks.task import seen_postures
+
+__all__ = ["Servo", "ServoResult", "ServoSettings", "prepare", "run"]
+
+_SAMPLES = 50  # postures by which it is judged what is usual
+_TRIES = 20000
+_STARTS = 20  # tries to find a start to a goal
+_AROUND = 0.5  # how far a camera in hand starts from its goal in each joint [rad]
+_SETTLED = 4.0  # time constants until 2 % are left
+
+
+def prepare(robot: str, settings: ServoSettings) -> Servo:
+    """Build the truth, the belief, the cameras and what stands between them.
+
+    Raises:
+        ApproxJacError: Settings that are out of range or do not fit the robot.
+    """
+    arm = load_robot(robot, tip=settings.tip, base=settings.base)
+    axis = settings.object_axis or outward_axis(arm)
+    truth = arm.with_object(settings.object_length, settings.object_mass, axis=axis)
+    belief = arm.with_object(settings.believed_length, settings.believed_mass, axis=axis)
+    as_number("rate", settings.rate, unit="Hz", above=0.0)
+    as_number("duration", settings.duration, unit="s", minimum=1.0 / settings.rate)
+    as_number("settling_time", settings.settling_time, unit="s", above=0.0)
+    if settings.tolerance is not None:
+        as_number("tolerance", settings.tolerance, unit="px", above=0.0)
+    if settings.seed < 0:
+        raise InvalidInputError(f"seed must be >= 0, got {settings.seed}", given=settings.seed)
+    rng = np.random.default_rng(settings.seed)
+    if settings.eye == "to-hand":
+        scene, q0, q_goal = _watched(truth, belief, settings, rng)
+    else:
+        scene, q0, q_goal = _carried(truth, belief, arm.tip_or(None), settings, rng)
+    _require_seen(scene.sensor, q0)
+    target = scene.sensor.value(q_goal)
+    if settings.target is not None:
+        target = scene.sensor.target(settings.target)
+    gravity = gravity_from(truth, belief, settings.gravity)
+    controller = _controller(scene.task, gravity, settings)
+    plant = Plant(
+        truth, scene.sensor, sensing=_sensing(settings), torque_limits=truth.effort_limits
+    )
+    dt = 1.0 / settings.rate
+    held = HeldMeasurement(controller, settings.unseen, dt=dt)
+    return Servo(robot, settings, plant, controller, held, q0, q_goal, target)
+
+
+def run(servo: Servo, progress: Callable[[float], None] | None = None) -> ServoResult:
+    """Simulate a visual servoing run and judge it.
+
+    Raises:
+        SimulationError: The closed loop diverged.
+    """
+    settings = servo.settings
+    dt = 1.0 / settings.rate
+    every = max(1, round(settings.rate * settings.duration / 2000.0))
+    record = simulate(
+        servo.plant,
+        servo.held,
+        servo.target,
+        servo.q0,
+        max(1, round(settings.duration / (dt * every))) * dt * every,
+        dt=dt,
+        record_every=every * dt,
+        integrator="semi_implicit_euler",
+        seed=settings.seed,
+        progress=progress,
+    )
+    return ServoResult(servo, record)
+
+
+def _watched(
+    truth: Robot, belief: Robot, settings: ServoSettings, rng: np.random.Generator
+) -> tuple[Scene, Array, Array]:
+    """Scene, start and goal for a camera in the world."""
+    scene = watched_scene(truth, belief, settings)
+    sensor = scene.sensor
+    ratio = _usual_ratio([(sensor, q) for q in seen_postures(sensor, _SAMPLES)])
+
+    def draw() -> Array:
+        for _ in range(_TRIES):
+            q = truth.random_configuration(rng)
+            if _is_usable(scene, q, ratio):
+                return q
+        raise _none_found(sensor)
+
+    start = settings.start
+    q0 = draw() if start is None else posture_from(truth, start)
+    return scene, q0, draw()
+
+
+def _carried(
+    truth: Robot, belief: Robot, mount: str, settings: ServoSettings, rng: np.random.Generator
+) -> tuple[Scene, Array, Array]:
+    """Scene, start and goal for a camera on the arm: points are put before it at the goal."""
+    usual = []
+    for _ in range(_SAMPLES):
+        q = truth.random_configuration(rng)
+        usual.append((carried_scene(truth, belief, mount, q, settings).sensor, q))
+    ratio = _usual_ratio(usual)
+    for _ in range(_TRIES):
+        q_goal = truth.random_configuration(rng)
+        scene = carried_scene(truth, belief, mount, q_goal, settings)
+        if not _is_usable(scene, q_goal, ratio):
+            continue
+        if settings.start is not None:
+            return scene, posture_from(truth, settings.start), q_goal
+        for _ in range(_STARTS):
+            motion = rng.uniform(-_AROUND, _AROUND, truth.nv)
+            q0 = pin.integrate(truth.model, q_goal, motion)
+            if _is_usable(scene, q0, ratio):
+                return scene, q0, q_goal
+    raise _none_found(scene.sensor)
+
+
+def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
+    """σ_min/σ_max of J above which a posture is not near singular.
+
+    Of several points it is small in every posture: what counts is how small it usually is.
+    """
+    ratios = []
+    for sensor, q in usual:
+        values = np.linalg.svd(sensor.jacobian(q, sensor.value(q)), compute_uv=False)
+        ratios.append(values[-1] / values[0])
+    return min(REGULAR, 0.5 * float(np.median(ratios)))
+
+
+def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
+    """Whether a posture can be a start or a goal."""
+    low, high = scene.sensor.robot.position_limits
+    motion = pin.difference(scene.sensor.robot.model, scene.sensor.robot.neutral(), q)
+    return (
+        bool(((motion >= low) & (motion <= high)).all())
+        and well_within(scene.sensor, q)
+        and holdable(Dynamics(scene.sensor.robot), q, scene.sensor.robot.effort_limits)
+        and is_regular(*scene, q, ratio)
+    )
+
+
+def _require_seen(sensor: ImageTask, q0: Array) -> None:
+    x = sensor.value(q0)
+    if not np.isfinite(sensor.seen(x)).all():
+        raise InvalidInputError(
+            f"start must be a posture in which the camera sees all points, got {q0.tolist()} with "
+            f"images {x.tolist()} and depths {sensor.depths(q0).tolist()} [m]",
+            given=q0,
+        )
+
+
+def _none_found(sensor: ImageTask) -> InvalidInputError:
+    return InvalidInputError(
+        f"no posture of {sensor.robot.name} was found in which the camera sees all points well "
+        "within its image, that the motors can hold and where the Jacobian is not near singular: "
+        f"move or turn the camera, or give fewer points; got {sensor!r}",
+        given=sensor,
+    )
+
+
+def _controller(
+    task: ImageTask, gravity: Gravity, settings: ServoSettings
+) -> SetpointController | VelocityServo:
+    if settings.law == "ibvs":
+        for name in ("kp", "kv", "damping"):
+            if getattr(settings, name) is not None:
+                raise InvalidInputError(
+                    f"{name} is a gain of the laws 5 and 6, got {getattr(settings, name)} for ibvs",
+                    given=getattr(settings, name),
+                )
+        return VelocityServo(task, _SETTLED / settings.settling_time, gravity=gravity)
+    # damping acts as late as q̇ is known; that of law (5) as late as the image tells Ẋ
+    lag = 1.0 / settings.rate + (settings.velocity_filter or 0.0)
+    velocity = None
+    if settings.law == "5":
+        velocity = DifferentiatedVelocity(settings.differentiator)
+        lag += settings.differentiator + settings.latency + 0.5 / settings.frame_rate
+    gains = default_gains(task, settings.settling_time, bandwidth=1.0 / lag)
+    gains = Gains(
+        kp=given_or(settings.kp, gains.kp),
+        kv=given_or(settings.kv, gains.kv),
+        damping=given_or(settings.damping, gains.damping),
+    )
+    return SetpointController(task, gains, gravity=gravity, velocity=velocity)
+
+
+def _sensing(settings: ServoSettings) -> Sensing:
+    lost = settings.lost
+    parts = range(settings.points)
+    if settings.lost_point is not None:
+        if lost is None or not 1 <= settings.lost_point <= settings.points:
+            raise InvalidInputError(
+                f"lost_point must be one of the points, 1 to {settings.points}, with a time in "
+                f"lost, got {settings.lost_point} with lost = {lost}",
+                given=settings.lost_point,
+            )
+        parts = range(settings.lost_point - 1, settings.lost_point)
+    return Sensing(
+        x_noise=settings.noise,
+        x_quantum=settings.quantum,
+        x_delay=settings.latency,
+        x_dropout=settings.dropout,
+        x_rate=settings.frame_rate,
+        x_lost=() if lost is None else tuple((*lost, part) for part in parts),
+        x_frozen=() if settings.frozen is None else (settings.frozen,),
+        velocity_filter=settings.velocity_filter,
+    )

@@ -1,0 +1,179 @@
+"""A visual servoing run that is ready, and what became of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from approxjac.checks import Array
+from approxjac.controllers import HeldMeasurement, SetpointController, VelocityServo
+from approxjac.interface import Status
+from approxjac.simulation import Plant, Trajectory
+from approxjac.studies.servo_settings import ServoSettings
+from approxjac.tasks import ImageTask
+
+_HALF_A_PIXEL = 0.5
+_GOES_WILD = 10.0  # torques that change by so many limits a second on average [1/s]
+
+
+@dataclass(frozen=True, eq=False)
+class Servo:
+    """A visual servoing run that is ready: truth, belief, start and target.
+
+    Attributes:
+        robot: Name or file of the arm.
+        settings: What was asked for.
+        plant: The truth, whose sensor is the true camera.
+        controller: The law with its belief.
+        held: What runs: the law, with the last image kept between images.
+        q0: Start, shape (nq,).
+        q_goal: Posture whose image the target is, shape (nq,), unless one was given.
+        target: x_d, shape (n_x,).
+    """
+
+    robot: str
+    settings: ServoSettings
+    plant: Plant
+    controller: SetpointController | VelocityServo
+    held: HeldMeasurement
+    q0: Array
+    q_goal: Array
+    target: Array
+
+    @property
+    def sensor(self) -> ImageTask:
+        """The true camera and what it sees."""
+        assert isinstance(self.plant.sensor, ImageTask)  # as it was prepared
+        return self.plant.sensor
+
+    @property
+    def tolerance(self) -> float:
+        """RMS of an image coordinate's error below which the task counts as done [px]."""
+        given, noise = self.settings.tolerance, self.settings.noise
+        if given is not None:
+            return given
+        return noise if noise > 0.0 else _HALF_A_PIXEL
+
+
+@dataclass(frozen=True, eq=False)
+class ServoResult:
+    """What became of a visual servoing run.
+
+    Attributes:
+        servo: What was run.
+        run: The record. Its errors are true ones, without noise, and there where no camera sees.
+    """
+
+    servo: Servo
+    run: Trajectory
+
+    @property
+    def errors(self) -> Array:
+        """True distance of each point from its target, shape (N, points) [px]."""
+        return np.asarray(np.linalg.norm(self.run.error.reshape(len(self.run.t), -1, 2), axis=2))
+
+    @property
+    def final_error(self) -> float:
+        """RMS over the last tenth of the run of the worst image coordinate's true error [px]."""
+        last = self.run.error[-max(1, len(self.run.t) // 10) :]
+        return float(np.sqrt((last**2).mean(axis=0)).max())
+
+    @property
+    def converged(self) -> bool:
+        """Whether that is within the tolerance, by default the noise of a single image."""
+        return self.final_error <= self.servo.tolerance
+
+    @property
+    def settling_time(self) -> float:
+        """First recorded time from which on all points stay within three tolerances [s]; or NaN."""
+        outside = ~(self.errors <= 3.0 * self.servo.tolerance).all(axis=1)
+        beyond = np.nonzero(outside)[0]
+        if len(beyond) == 0:
+            return 0.0
+        if beyond[-1] == len(self.run.t) - 1:
+            return math.nan
+        return float(self.run.t[beyond[-1] + 1])
+
+    @property
+    def unseen(self) -> Array:
+        """Whether a point was out of the true camera's view at each instant, shape (N,)."""
+        sensor = self.servo.sensor
+        return np.array([not np.isfinite(sensor.seen(x)).all() for x in self.run.x])
+
+    @property
+    def stays_in_view(self) -> bool:
+        """Whether all points were in view at every recorded instant."""
+        return not self.unseen.any()
+
+    @property
+    def peak_torque_ratio(self) -> float:
+        """Largest recorded torque as a share of its joint's limit; NaN where none is known."""
+        limits = self.servo.plant.robot.effort_limits
+        if not np.isfinite(limits).any():
+            return math.nan
+        return float((np.abs(self.run.tau) / limits).max())
+
+    @property
+    def torque_roughness(self) -> float:
+        """RMS of the change of torques from record to record over the last tenth [N m or N]."""
+        last = self.run.tau[-max(2, len(self.run.t) // 10) :]
+        return float(np.sqrt((np.diff(last, axis=0) ** 2).sum(axis=1).mean()))
+
+    @property
+    def reason(self) -> str:
+        """What kept the task from being done, in words; nothing if it was done."""
+        if self.converged:
+            return ""
+        run = self.run
+        quarter = slice(-max(1, len(run.t) // 4), None)
+        if self.unseen[quarter].mean() > 0.5:
+            return "a point left the camera's view: the arm stands still without it"
+        if float((run.status[quarter] == Status.MEASUREMENT_LOST).mean()) > 0.5:
+            return "no new image comes: the arm stands still without it"
+        limits = self.servo.plant.robot.effort_limits
+        if (np.abs(run.tau[quarter]) > limits).any(axis=1).mean() > 0.1:
+            return "the law asks for more torque than the motors deliver"
+        norms = np.linalg.norm(run.error, axis=1)
+        singular = float((run.status[quarter] == Status.NEAR_SINGULAR).mean())
+        before = norms[: -len(norms[quarter])][-len(norms[quarter]) :]
+        stands = len(before) > 0 and norms[quarter].min() > 0.9 * before.min()
+        if stands and singular > 0.5:
+            return "stands where the believed Jacobian is singular along the error"
+        if not stands:
+            return "still approaching its target at the end"
+        if float(np.abs(run.v[quarter]).max()) < 0.1:
+            weight = "" if self.servo.settings.gravity == "learnt" else ", or gravity is not exact"
+            return f"came to rest away from its target: out of reach{weight}"
+        return "moves on without approaching: not stable with these errors"
+
+    def summary(self) -> dict[str, Any]:
+        """What goes into summary.json."""
+        run, servo = self.run, self.servo
+        counts = {status.name: count for status, count in run.status_counts().items()}
+        return {
+            "robot": run.robot_name,
+            "final_error_px": _number(self.final_error),
+            "tolerance_px": servo.tolerance,
+            "settling_time_s": _number(self.settling_time),
+            "peak_torque_ratio": _number(self.peak_torque_ratio),
+            "verdict": "converged" if self.converged else "not converged",
+            "reason": self.reason,
+            "stays_in_view": self.stays_in_view,
+            "start_error_px": _number(float(self.errors[0].max())),
+            "start": run.x[0].tolist(),
+            "target": run.target.tolist(),
+            "end": [_number(value) for value in run.x[-1].tolist()],
+            "q_start": servo.q0.tolist(),
+            "q_end": run.q[-1].tolist(),
+            "controller": repr(servo.controller),
+            "status_counts": counts,
+            "settings": {f.name: getattr(servo.settings, f.name) for f in fields(ServoSettings)},
+        }
+
+
+def _number(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return value if math.isfinite(value) else None
