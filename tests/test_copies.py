@@ -50,6 +50,7 @@ def controllers(robot):
             task, gains, posture=aj.Posture(robot.neutral() + 0.1, 5.0)
         ),
         "pose": aj.SetpointController(aj.PoseTask(robot)),
+        "held": aj.HeldMeasurement(aj.TorqueLimited(aj.SetpointController(task, gains)), 0.1),
     }
 
 
@@ -73,7 +74,7 @@ def test_tasks(holding, copied, rng, kind):
 
 KINDS = [
     "defaults", "no gravity", "saturated", "regressor", "adaptive", "full L", "law (5)",
-    "posture", "pose",
+    "posture", "pose", "held",
 ]  # fmt: skip
 
 
