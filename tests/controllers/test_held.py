@@ -43,6 +43,11 @@ def controllers(task):
     }
 
 
+PANDA = aj.load_robot("panda")
+INSIDE = controllers(aj.PositionTask(PANDA))
+PLANE_LAW = aj.SetpointController(
+    aj.PositionTask(aj.load_robot("two_link"), axes="xz"), aj.Gains(60.0, 20.0)
+)
 KINDS = ["known gravity", "learnt gravity", "law (5)", "bounded", "limited", "clipped"]
 
 
@@ -89,7 +94,7 @@ def assert_same(answer, other):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_lost_x_is_bridged_by_the_one_seen_last(task, kind):
     x = task.value(START)
-    loop = Loop(aj.HeldMeasurement(controllers(task)[kind], 0.1), x, x + 0.05)
+    loop = Loop(aj.HeldMeasurement(INSIDE[kind], 0.1), x, x + 0.05)
     assert_same(loop.step(x), loop.alone(x))
     fresh = loop.step(x + 1e-3)
     assert_same(fresh, loop.alone(x + 1e-3))
@@ -106,7 +111,7 @@ def test_a_lost_x_is_bridged_by_the_one_seen_last(task, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_x_in_every_step_changes_nothing(task, kind):
     x = task.value(START)
-    loop = Loop(aj.HeldMeasurement(controllers(task)[kind], 1e-3), x, x + 0.05)
+    loop = Loop(aj.HeldMeasurement(INSIDE[kind], 1e-3), x, x + 0.05)
     for k in range(20):
         answer = loop.step(x + 1e-4 * k)
         alone = loop.alone(x + 1e-4 * k)
@@ -122,7 +127,7 @@ def test_an_x_that_does_not_change_is_too_old_once_the_image_must_have_moved(tas
     speed = np.abs(task.jacobian(START) @ V).max()
     steps = int(np.floor(unseen / (speed * DT)))
     assert 5 < steps < 50
-    loop = Loop(aj.HeldMeasurement(controllers(task)[kind], unseen), x, x + 0.05)
+    loop = Loop(aj.HeldMeasurement(INSIDE[kind], unseen), x, x + 0.05)
     assert loop.step(x).status is Status.OK
     repeated = x if blind == "repeated" else LOST
     for _ in range(steps):
@@ -177,7 +182,7 @@ def test_the_state_is_that_of_the_controller_the_last_x_the_displacement_and_wha
 @pytest.mark.parametrize("kind", [k for k in KINDS if k != "law (5)"])
 def test_before_anything_is_seen_x_is_lost(task, kind, unseen):
     x = task.value(START)
-    loop = Loop(aj.HeldMeasurement(controllers(task)[kind], unseen), LOST, x + 0.05)
+    loop = Loop(aj.HeldMeasurement(INSIDE[kind], unseen), LOST, x + 0.05)
     for _ in range(5):
         answer = loop.step(LOST)
         assert answer.status is Status.MEASUREMENT_LOST
@@ -193,7 +198,7 @@ def test_any_first_x_is_one_that_was_seen_even_where_others_are_measured_from(ta
 
 
 def test_without_a_first_x_there_is_nothing_to_differentiate(task):
-    held = aj.HeldMeasurement(controllers(task)["law (5)"], 0.1)
+    held = aj.HeldMeasurement(INSIDE["law (5)"], 0.1)
     with pytest.raises(aj.MeasurementError, match=r"the first x must be finite for law \(5\)"):
         held.initial_state(aj.Measurement(0.0, START, V, LOST))
 
@@ -216,7 +221,7 @@ def test_parts_are_held_one_by_one(pair):
     assert_same(loop.step(x + 1e-3), loop.alone(x + 1e-3))
 
 
-def test_the_controller_has_the_last_word_on_the_status(panda, task):
+def test_the_controller_has_the_last_word_on_the_status(panda):
     """What it says of a held x is kept: here, that Ĵ is near singular."""
     straight = np.array([0.0, 0.0, 0.0, -0.0698, 0.0, 0.0, 0.0])
     short = aj.PositionTask(panda, "panda_link4", axes="xyz")
@@ -238,23 +243,32 @@ def test_poses_and_continuous_joints(rng):
     answer = loop.step(np.full(7, np.nan))
     assert_same(answer, loop.alone(x))
     assert answer.status is Status.MEASUREMENT_HELD
+    nowhere = np.concatenate([x[:3], np.zeros(4)])  # finite, but no orientation
+    assert loop.step(nowhere).status is Status.MEASUREMENT_HELD
     loop.v = 1e3 * v
     loop.step(np.full(7, np.nan))
     assert loop.step(np.full(7, np.nan)).status is Status.MEASUREMENT_LOST
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(
-    st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=6),
+    st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=2, max_size=6),
     st.sampled_from([1e-3, 1 / 3000, 0.002, 0.0123]),
 )
 def test_an_image_that_is_repeated_is_never_new_for_long(values, dt):
-    """A state goes through old + dt·(new − old)/dt, which rounds; that is no new image."""
+    """A state goes through old + dt·(new − old)/dt, which rounds; that is no new image.
+
+    Only that of an old x which was a thousand times larger is, for the steps that it takes to die
+    out: each divides it by some 1e16.
+    """
     held = aj.HeldMeasurement(PLANE_LAW, np.inf, dt)
     loop = Loop(held, np.zeros(2), np.zeros(2), np.array([0.3, 0.8]), np.zeros(2))
     for x in zip(values, values[::-1], strict=True):
+        before = loop.state[:2]
         loop.step(np.array(x))
-        loop.step(np.array(x))  # where the one before was a million times larger, it is new yet
+        if np.abs(before).max() > 1e3 * np.abs(x).max():
+            for _ in range(25):
+                loop.step(np.array(x))
         for _ in range(3):
             assert loop.step(np.array(x)).status is not Status.OK
 
@@ -282,12 +296,6 @@ def test_whatever_is_seen_and_whatever_not_the_torque_is_finite(kind, unseen, se
         if np.isfinite(entries).all() and answer.status is Status.OK:
             assert_array_equal(answer.e, np.array(entries) - loop.target)
 
-
-PANDA = aj.load_robot("panda")
-INSIDE = controllers(aj.PositionTask(PANDA))
-PLANE_LAW = aj.SetpointController(
-    aj.PositionTask(aj.load_robot("two_link"), axes="xz"), aj.Gains(60.0, 20.0)
-)
 
 # -- in a loop ----------------------------------------------------------------------------------
 
@@ -381,7 +389,7 @@ def test_noise_of_encoders_does_not_add_up(task):
 
 @pytest.mark.parametrize("kind", ["learnt gravity", "law (5)", "bounded", "limited"])
 def test_targets_are_reached_with_a_camera_at_30_hz(task, kind):
-    controller = controllers(task)[kind]
+    controller = INSIDE[kind]
     held = aj.HeldMeasurement(controller, 0.1)
     sensing = aj.Sensing(x_rate=30.0, x_delay=0.03, x_noise=2e-4, x_dropout=0.1)
     run = reach(held, sensing, 5.0, seed=1)
@@ -401,7 +409,7 @@ def test_targets_are_reached_with_a_camera_at_30_hz(task, kind):
 
 
 def test_nothing_is_learnt_from_what_is_too_old(task):
-    law = controllers(task)["learnt gravity"]
+    law = INSIDE["learnt gravity"]
     sensing = aj.Sensing(x_rate=30.0, x_noise=1e-4, x_lost=[(0.3, 1.0)])
     run = reach(aj.HeldMeasurement(law, 0.02), sensing, 1.0)
     lost = np.flatnonzero(run.status == Status.MEASUREMENT_LOST)
@@ -418,7 +426,7 @@ def test_nothing_is_learnt_from_what_is_too_old(task):
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda held: pickle.loads(pickle.dumps(held))])
 @pytest.mark.parametrize("kind", KINDS)
 def test_copies(task, kind, copied):
-    held = aj.HeldMeasurement(controllers(task)[kind], (0.1, 0.2, np.inf))
+    held = aj.HeldMeasurement(INSIDE[kind], (0.1, 0.2, np.inf))
     other = copied(held)
     assert repr(other) == repr(held)
     assert other.controller is not held.controller
