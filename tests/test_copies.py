@@ -26,6 +26,13 @@ def tasks(robot):
         "stacked": aj.StackedTask(position, aj.PositionTask(robot, "panda_link4", "z")),
         "nonsingular": aj.NonsingularTask(position, {"panda_joint4": 0.3}),
         "image": aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0, 0.3)),
+        "pinhole": aj.ImageTask(
+            robot,
+            aj.PinholeCamera.looking_at(
+                (0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480), distortion=(-0.1, 0.02)
+            ),
+            points=((0.0, 0.0, 0.0), (0.0, 0.05, 0.0)),
+        ),
     }
 
 
@@ -51,6 +58,7 @@ def controllers(robot):
         ),
         "pose": aj.SetpointController(aj.PoseTask(robot)),
         "velocity servo": aj.VelocityServo(task, 3.0, saturation=aj.Sine(0.05)),
+        "held": aj.HeldMeasurement(aj.TorqueLimited(aj.SetpointController(task, gains)), 0.1),
     }
 
 
@@ -59,7 +67,9 @@ def holding(panda):
     return panda.with_object(0.2, 0.5)
 
 
-@pytest.mark.parametrize("kind", ["position", "plane", "pose", "stacked", "nonsingular", "image"])
+@pytest.mark.parametrize(
+    "kind", ["position", "plane", "pose", "stacked", "nonsingular", "image", "pinhole"]
+)
 def test_tasks(holding, copied, rng, kind):
     task = tasks(holding)[kind]
     other = copied(task)
@@ -74,7 +84,7 @@ def test_tasks(holding, copied, rng, kind):
 
 KINDS = [
     "defaults", "no gravity", "saturated", "regressor", "adaptive", "full L", "law (5)",
-    "posture", "pose", "velocity servo",
+    "posture", "pose", "velocity servo", "held",
 ]  # fmt: skip
 
 

@@ -16,7 +16,8 @@ from approxjac.tasks import Task
 _OK, _HELD = Status.OK, Status.MEASUREMENT_HELD  # members of an enum are slow to look up
 _FLOAT = np.dtype(np.float64)
 # Of the largest entry of a part. What is kept in a state has gone through old + dt·(new − old)/dt,
-# which rounds; what differs by no more is the same image.
+# which rounds; what differs by no more is the same image. (The round-off of an old one that was a
+# thousand times larger is more, and gone a step later.)
 _ROUND_OFF = 1e-12
 
 
@@ -47,7 +48,7 @@ class HeldMeasurement:
 
     Its state is that of the controller, then the last x (n_x,), p (m,), and for each part 1 if it
     was ever seen, else 0. All of it is finite always. Law (5) differentiates the x that is held, a
-    staircase: its time constant must be no less than the time between images.
+    staircase: with a time constant below the time between images its torque jumps at each of them.
 
     Immutable; one instance a thread, as the controller.
 
@@ -94,6 +95,8 @@ class HeldMeasurement:
         self.unseen = as_limits("unseen", unseen, task.m, unit=task.unit)
         self._task: Task = task
         self._parts = task.parts
+        self._subtracts = task.subtracts  # as most do, and then x is as finite as its error
+        self._origin = task.origin
         self._limits = [self.unseen[coordinates].tolist() for _, coordinates in task.parts]
         self._n_inner = controller.n_state
         self._x_end = self._n_inner + task.n_x
@@ -119,7 +122,7 @@ class HeldMeasurement:
         """
         state = self.controller.initial_state(measurement)
         unseen = np.zeros(self.task.m + len(self._parts))
-        return np.concatenate([state, self.task.origin, unseen])
+        return np.concatenate([state, self._origin, unseen])
 
     def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
         """Torque for one measurement, or for the x that was last seen.
@@ -143,11 +146,13 @@ class HeldMeasurement:
         last, p = after[self._n_inner : self._x_end], after[self._x_end : self._p_end]
         seen = after[self._p_end :]
         measured, before, moved = x.tolist(), last.tolist(), p.tolist()
+        # numbers may be no measurement all the same, such as a quaternion of zeros
+        errors = measured if self._subtracts else self.task.error(x, self._origin).tolist()
         used, counts = x.copy(), None
         any_new = False
         for k, (entries, coordinates) in enumerate(self._parts):
             here = measured[entries]
-            finite = all(map(math.isfinite, here))
+            finite = all(map(math.isfinite, here + errors[coordinates]))
             never = seen[k] < 0.5  # a 1 may have been rounded
             if finite and (never or _differ(here, before[entries])):
                 last[entries], p[coordinates], seen[k] = here, 0.0, 1.0

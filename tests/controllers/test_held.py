@@ -1,0 +1,536 @@
+"""`HeldMeasurement`: between images, without them, and with a camera that hangs."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac import Status
+
+DT = 1e-3
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+V = np.array([0.1, -0.3, 0.2, 0.4, 0.1, -0.2, 0.3])
+LOST = np.full(3, np.nan)
+
+
+@pytest.fixture(scope="module")
+def task(panda):
+    return aj.PositionTask(panda)
+
+
+@pytest.fixture(scope="module")
+def pair(panda):
+    return aj.StackedTask(aj.PositionTask(panda), aj.PositionTask(panda, "panda_link4", axes="z"))
+
+
+def controllers(task):
+    """Everything that may be inside."""
+    regressor = aj.GravityRegressor(task.robot)
+    law = aj.SetpointController(task)
+    limits = aj.Limits(effort=0.5 * task.robot.effort_limits, rate=500.0)
+    return {
+        "known gravity": law,
+        "learnt gravity": aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)),
+        "law (5)": aj.SetpointController(task, velocity=aj.DifferentiatedVelocity(0.1)),
+        "bounded": aj.BoundedController(task),
+        "limited": aj.TorqueLimited(law, limits, dt=DT),
+        "clipped": aj.TorqueClipped(law, dt=DT),
+    }
+
+
+PANDA = aj.load_robot("panda")
+INSIDE = controllers(aj.PositionTask(PANDA))
+PLANE_LAW = aj.SetpointController(
+    aj.PositionTask(aj.load_robot("two_link"), axes="xz"), aj.Gains(60.0, 20.0)
+)
+KINDS = ["known gravity", "learnt gravity", "law (5)", "bounded", "limited", "clipped"]
+
+
+class Loop:
+    """A controller evaluated step by step, its state carried along as a robot does."""
+
+    def __init__(self, held, x, target, q=START, v=V):
+        self.held, self.target = held, np.array(target)
+        self.q, self.v = q, v
+        self.state = held.initial_state(self.measured(x))
+        self.before = self.state
+
+    def measured(self, x):
+        return aj.Measurement(0.0, self.q, self.v, np.array(x, dtype=float))
+
+    def step(self, x):
+        answer = self.held.evaluate(self.state, self.measured(x), self.target)
+        self.before, self.state = self.state, self.state + self.held.dt * answer.state_rate
+        assert np.isfinite(answer.torque).all()
+        assert np.isfinite(answer.state_rate).all()
+        assert np.isfinite(self.state).all()
+        return answer
+
+    def alone(self, x):
+        """What the controller by itself answers in the step that was taken last."""
+        inner = self.held.controller
+        return inner.evaluate(self.before[: inner.n_state], self.measured(x), self.target)
+
+
+def assert_same(answer, other):
+    """The same answer, but for the status and the state of the one that holds."""
+    assert_allclose(answer.torque, other.torque, rtol=1e-9, atol=1e-9)
+    assert_allclose(answer.e, other.e, rtol=1e-12, atol=1e-12)
+    rates = other.state_rate
+    assert_allclose(answer.state_rate[: len(rates)], rates, rtol=1e-7, atol=1e-7)
+    assert_array_equal(answer.J_hat, other.J_hat)
+    assert answer.limit_status is other.limit_status
+    assert_allclose(answer.slack, other.slack, rtol=1e-6)
+
+
+# -- one step -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_lost_x_is_bridged_by_the_one_seen_last(task, kind):
+    x = task.value(START)
+    loop = Loop(aj.HeldMeasurement(INSIDE[kind], 0.1), x, x + 0.05)
+    assert_same(loop.step(x), loop.alone(x))
+    fresh = loop.step(x + 1e-3)
+    assert_same(fresh, loop.alone(x + 1e-3))
+    assert fresh.status is Status.OK
+    for _ in range(5):
+        answer = loop.step(LOST)
+        assert_same(answer, loop.alone(x + 1e-3))
+        assert answer.status is Status.MEASUREMENT_HELD
+    back = loop.step(x + 2e-3)
+    assert_same(back, loop.alone(x + 2e-3))
+    assert back.status is Status.OK
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_new_x_in_every_step_changes_nothing(task, kind):
+    x = task.value(START)
+    loop = Loop(aj.HeldMeasurement(INSIDE[kind], 1e-3), x, x + 0.05)
+    for k in range(20):
+        answer = loop.step(x + 1e-4 * k)
+        alone = loop.alone(x + 1e-4 * k)
+        assert_array_equal(answer.torque, alone.torque)
+        assert answer.status is alone.status
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("blind", ["lost", "repeated"])
+def test_an_x_that_does_not_change_is_too_old_once_the_image_must_have_moved(task, kind, blind):
+    """Lost or repeated, it is the same; at a constant Ĵq̇ the step is known."""
+    x, unseen = task.value(START), 0.005
+    speed = np.abs(task.jacobian(START) @ V).max()
+    steps = int(np.floor(unseen / (speed * DT)))
+    assert 5 < steps < 50
+    loop = Loop(aj.HeldMeasurement(INSIDE[kind], unseen), x, x + 0.05)
+    assert loop.step(x).status is Status.OK
+    repeated = x if blind == "repeated" else LOST
+    for _ in range(steps):
+        assert loop.step(repeated).status is Status.MEASUREMENT_HELD
+    for _ in range(10):
+        answer = loop.step(repeated)
+        alone = loop.alone(LOST)
+        assert answer.status is Status.MEASUREMENT_LOST
+        assert np.isnan(answer.e).all()
+        assert_array_equal(answer.torque, alone.torque)
+    loop.v = -V  # back to where it was seen: it has not been seen by that
+    for _ in range(3 * steps):
+        assert loop.step(repeated).status is Status.MEASUREMENT_LOST
+    assert loop.step(x + 1e-6).status is Status.OK
+    assert loop.step(LOST).status is Status.MEASUREMENT_HELD
+
+
+def test_what_counts_is_the_net_displacement(task):
+    """A tremble of some millimetres a sample adds up to nothing."""
+    x = task.value(START)
+    loop = Loop(aj.HeldMeasurement(aj.SetpointController(task), 0.01), x, x, v=20.0 * V)
+    loop.step(x)
+    for _ in range(3000):
+        loop.v = -loop.v
+        assert loop.step(LOST).status is Status.MEASUREMENT_HELD
+
+
+def test_the_state_is_that_of_the_controller_the_last_x_the_displacement_and_what_was_seen(pair):
+    law = aj.SetpointController(pair, gravity=aj.AdaptiveGravity(aj.GravityRegressor(pair.robot)))
+    held = aj.HeldMeasurement(law, np.inf)
+    assert held.n_state == law.n_state + 4 + 4 + 2
+    x = pair.value(START)
+    loop = Loop(held, x, x + 0.05)
+    assert_array_equal(loop.state[: law.n_state], law.initial_state(loop.measured(x)))
+    assert_array_equal(loop.state[law.n_state :], np.zeros(10))
+    first = loop.step([*x[:3], np.nan])
+    last, p, seen = np.split(loop.state[law.n_state :], [4, 8])
+    moved = DT * first.J_hat @ V
+    assert_allclose(last, [*x[:3], 0.0], rtol=1e-12)
+    assert_allclose(p, [*moved[:3], 0.0], rtol=1e-12)  # of what was never seen it is not known
+    assert_allclose(seen, [1.0, 0.0])
+    loop.step(x)
+    last, p, seen = np.split(loop.state[law.n_state :], [4, 8])
+    assert_allclose(last, x, rtol=1e-12)
+    assert_allclose(p, [*2.0 * moved[:3], moved[3]], rtol=1e-9)
+    assert_allclose(seen, 1.0)
+    theta = law.theta_hat(loop.state[: law.n_state])
+    assert len(theta) == law.n_state
+
+
+@pytest.mark.parametrize("unseen", [0.01, np.inf])
+@pytest.mark.parametrize("kind", [k for k in KINDS if k != "law (5)"])
+def test_before_anything_is_seen_x_is_lost(task, kind, unseen):
+    x = task.value(START)
+    loop = Loop(aj.HeldMeasurement(INSIDE[kind], unseen), LOST, x + 0.05)
+    for _ in range(5):
+        answer = loop.step(LOST)
+        assert answer.status is Status.MEASUREMENT_LOST
+        assert_array_equal(answer.torque, loop.alone(LOST).torque)
+    assert loop.step(x).status is Status.OK
+    assert loop.step(LOST).status is Status.MEASUREMENT_HELD
+
+
+def test_any_first_x_is_one_that_was_seen_even_where_others_are_measured_from(task):
+    loop = Loop(aj.HeldMeasurement(aj.SetpointController(task), 0.1), task.origin, task.origin)
+    assert loop.step(task.origin).status is Status.OK
+    assert loop.step(LOST).status is Status.MEASUREMENT_HELD
+
+
+def test_without_a_first_x_there_is_nothing_to_differentiate(task):
+    held = aj.HeldMeasurement(INSIDE["law (5)"], 0.1)
+    with pytest.raises(aj.MeasurementError, match=r"the first x must be finite for law \(5\)"):
+        held.initial_state(aj.Measurement(0.0, START, V, LOST))
+
+
+def test_parts_are_held_one_by_one(pair):
+    """The hand is lost, the elbow is seen: only what the hand moves counts, and only it is NaN."""
+    x = pair.value(START)
+    speed = np.abs(pair.jacobian(START) @ V)
+    unseen = np.array([0.005, 0.005, 0.005, 1e-9])  # the elbow's would be passed in one step
+    loop = Loop(aj.HeldMeasurement(aj.SetpointController(pair), unseen), x, x + 0.05)
+    loop.step(x)
+    for k in range(1, int(0.005 / (speed[:3].max() * DT)) + 1):
+        measured = np.array([np.nan, *x[1:3], x[3] + 1e-3 * k])  # an entry of it, all of it
+        answer = loop.step(measured)
+        assert answer.status is Status.OK  # the elbow's is new
+        assert_same(answer, loop.alone([*x[:3], measured[3]]))
+    answer = loop.step([np.nan, *x[1:3], x[3]])
+    assert answer.status is Status.MEASUREMENT_LOST
+    assert_array_equal(np.isnan(answer.e), [True, True, True, False])
+    assert_same(loop.step(x + 1e-3), loop.alone(x + 1e-3))
+
+
+def test_the_controller_has_the_last_word_on_the_status(panda):
+    """What it says of a held x is kept: here, that Ĵ is near singular."""
+    straight = np.array([0.0, 0.0, 0.0, -0.0698, 0.0, 0.0, 0.0])
+    short = aj.PositionTask(panda, "panda_link4", axes="xyz")
+    gains = aj.Gains(100.0, 20.0, 1.0)
+    x = short.value(straight)
+    loop = Loop(aj.HeldMeasurement(aj.SetpointController(short, gains), 1.0), x, x, q=straight)
+    assert loop.step(x).status is Status.NEAR_SINGULAR
+    assert loop.step(LOST).status is Status.NEAR_SINGULAR
+
+
+def test_poses_and_continuous_joints(rng):
+    robot = aj.load_robot("kinova")
+    task = aj.PoseTask(robot)
+    held = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
+    q, v = robot.random_configuration(rng), 0.1 * rng.normal(size=6)
+    x = task.value(q)
+    loop = Loop(held, x, task.value(robot.random_configuration(rng)), q, v)
+    assert_same(loop.step(x), loop.alone(x))
+    answer = loop.step(np.full(7, np.nan))
+    assert_same(answer, loop.alone(x))
+    assert answer.status is Status.MEASUREMENT_HELD
+    nowhere = np.concatenate([x[:3], np.zeros(4)])  # finite, but no orientation
+    assert loop.step(nowhere).status is Status.MEASUREMENT_HELD
+    loop.v = 1e3 * v
+    loop.step(np.full(7, np.nan))
+    assert loop.step(np.full(7, np.nan)).status is Status.MEASUREMENT_LOST
+
+
+@settings(max_examples=100)
+@given(
+    st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=2, max_size=6),
+    st.sampled_from([1e-3, 1 / 3000, 0.002, 0.0123]),
+)
+def test_an_image_that_is_repeated_is_never_new_for_long(values, dt):
+    """A state goes through old + dt·(new − old)/dt, which rounds; that is no new image.
+
+    Only that of an old x which was a thousand times larger is, for the steps that it takes to die
+    out: each divides it by some 1e16.
+    """
+    held = aj.HeldMeasurement(PLANE_LAW, np.inf, dt)
+    loop = Loop(held, np.zeros(2), np.zeros(2), np.array([0.3, 0.8]), np.zeros(2))
+    for x in zip(values, values[::-1], strict=True):
+        before = loop.state[:2]
+        loop.step(np.array(x))
+        if np.abs(before).max() > 1e3 * np.abs(x).max():
+            for _ in range(25):
+                loop.step(np.array(x))
+        for _ in range(3):
+            assert loop.step(np.array(x)).status is not Status.OK
+
+
+ENTRY = st.sampled_from([0.5, 0.6, 1e-9, -0.0, 1e5, np.nan, np.inf, -np.inf])
+
+
+@settings(max_examples=80)
+@given(
+    st.sampled_from(KINDS),
+    st.sampled_from([1e-6, 0.01, np.inf]),
+    st.lists(st.tuples(ENTRY, ENTRY, ENTRY, st.sampled_from([0.0, 1e-3, 1.0, 50.0])), max_size=12),
+)
+def test_whatever_is_seen_and_whatever_not_the_torque_is_finite(kind, unseen, sequence):
+    held = aj.HeldMeasurement(INSIDE[kind], unseen)
+    x = INSIDE[kind].task.value(START)
+    loop = Loop(held, x, x + 0.05)
+    for *entries, speed in sequence:
+        loop.v = speed * V
+        kept = loop.state.copy(), np.array(entries)
+        answer = loop.step(entries)  # which looks whether all is finite
+        assert_array_equal(loop.before, kept[0])
+        seen = np.isfinite(answer.e).all()
+        assert seen == (answer.status is not Status.MEASUREMENT_LOST)
+        if np.isfinite(entries).all() and answer.status is Status.OK:
+            assert_array_equal(answer.e, np.array(entries) - loop.target)
+
+
+# -- in a loop ----------------------------------------------------------------------------------
+
+
+def reach(controller, sensing, duration=4.0, offset=(0.1, -0.15, 0.16), seed=0, truth=PANDA):
+    sensor = controller.task.on(truth)
+    plant = aj.Plant(truth, sensor, sensing=sensing)
+    target = sensor.displaced(sensor.value(START), np.resize(offset, controller.task.m))
+    options = {"dt": DT, "integrator": "semi_implicit_euler", "seed": seed}
+    return aj.simulate(plant, controller, target, START, duration, **options)
+
+
+def test_a_camera_that_hangs_in_mid_motion_stops_the_arm_and_it_goes_on_after(task):
+    held = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
+    camera = {"x_rate": 30.0, "x_delay": 0.03, "x_noise": 1e-4}
+    usual = reach(held, aj.Sensing(**camera))
+    assert set(usual.status_counts()) == {Status.OK, Status.MEASUREMENT_HELD}
+    run = reach(held, aj.Sensing(**camera, x_frozen=[(0.15, 2.0)]), 6.0)
+    lost = run.status == Status.MEASUREMENT_LOST
+    most = np.linalg.norm(usual.tau, axis=1).max()
+    assert np.linalg.norm(run.tau, axis=1).max() <= 1.001 * most
+    first, last = np.flatnonzero(lost)[[0, -1]]
+    assert lost[first : last + 1].all()
+    assert run.t[last] == pytest.approx(2.0 + 1 / 30 + 0.03, abs=0.04)  # the first new image
+    arrived = round(0.18 / DT)
+    moved = np.abs(run.x[first] - run.x[arrived]).max()
+    assert 0.09 < moved < 0.11
+    assert np.abs(run.v[last]).max() < 1e-3  # it slows to rest
+    assert np.abs(run.x[last] - run.x[first]).max() < 0.1
+    kinetic = [0.5 * v @ aj.Dynamics(PANDA).M(q) @ v for q, v in zip(run.q, run.v, strict=True)]
+    assert (np.diff(kinetic[first : last + 1]) < 1e-12).all()
+    assert run.error_norm[last] > 0.02
+    assert run.error_norm[-1] < 1e-3
+    assert usual.error_norm[-1] < 1e-3
+
+
+def test_without_holding_an_arm_cannot_tell_a_camera_that_hangs(task):
+    """What it is for: the law goes on pulling towards a target that it has long passed."""
+    sensing = aj.Sensing(x_rate=30.0, x_delay=0.03, x_noise=1e-4, x_frozen=[(0.15, 2.0)])
+    run = reach(aj.SetpointController(task), sensing, 2.0)
+    assert run.error_norm[-1] > 0.2
+    assert set(run.status_counts()) == {Status.OK}
+    held = reach(aj.HeldMeasurement(aj.SetpointController(task), 0.1), sensing, 2.0)
+    assert held.error_norm[-1] < 0.15
+
+
+def test_one_feature_is_hidden_for_a_second(panda):
+    """The height is hidden in mid-motion: the arm waits for it, and reaches the target."""
+    apart = aj.StackedTask(aj.PositionTask(panda, axes="xy"), aj.PositionTask(panda, axes="z"))
+    sensing = aj.Sensing(x_rate=60.0, x_noise=1e-5, x_lost=[(0.2, 1.2, 1)])
+    held = aj.HeldMeasurement(aj.SetpointController(apart), 0.05)
+    run = reach(held, sensing, 5.0)
+    lost = run.status == Status.MEASUREMENT_LOST
+    assert 0.2 < run.t[lost][0] < 0.6
+    assert run.t[lost][-1] == pytest.approx(1.2, abs=0.02)
+    hidden = np.isnan(run.x_measured)
+    assert_array_equal(hidden.any(axis=0), [False, False, True])
+    counts = run.status_counts()
+    assert counts[Status.OK] + counts[Status.MEASUREMENT_HELD] + lost.sum() == len(run.t)
+    assert run.error_norm[-1] < 1e-3
+    unheld = reach(held.controller, sensing, 0.5)
+    assert (unheld.status == Status.MEASUREMENT_LOST).sum() == hidden[:501].any(axis=1).sum()
+
+
+def test_at_rest_an_image_that_does_not_change_is_no_fault(task):
+    """Gravity that is not known leaves an error, and the arm rests with it, or nearly so.
+
+    A force that no longer follows x lets it creep, here by less than 1 mm/s: that counts.
+    """
+    held = aj.HeldMeasurement(aj.SetpointController(task), 0.02)
+    frozen = aj.Sensing(x_rate=30.0, x_frozen=[(6.0, 9.0)])
+    run = reach(held, frozen, 8.0, (0.02, 0.02, 0.02), truth=PANDA.with_gravity((0.2, 0.0, -9.5)))
+    at_rest = run.t > 6.0
+    assert run.error_norm[-1] > 3e-3
+    assert set(run.status[at_rest]) == {Status.MEASUREMENT_HELD}
+    assert np.ptp(run.x[at_rest], axis=0).max() < 2e-3
+    assert Status.MEASUREMENT_LOST not in run.status_counts()
+
+
+def test_noise_of_encoders_does_not_add_up(task):
+    """q̇ from differences of q with 0.1 mrad of noise, for 20 s in front of a frozen image.
+
+    Its absolute value would add up to some metres.
+    """
+    held = aj.HeldMeasurement(aj.SetpointController(task), 2e-3)
+    sensing = aj.Sensing(q_noise=1e-4, velocity_filter=5e-3, x_frozen=[(0.0, 30.0)])
+    run = reach(held, sensing, 20.0, (0.0, 0.0, 0.0))
+    assert set(run.status[1:]) == {Status.MEASUREMENT_HELD}
+    assert np.abs(run.state[:, 3:6]).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["learnt gravity", "law (5)", "bounded", "limited"])
+def test_targets_are_reached_with_a_camera_at_30_hz(task, kind):
+    controller = INSIDE[kind]
+    held = aj.HeldMeasurement(controller, 0.1)
+    sensing = aj.Sensing(x_rate=30.0, x_delay=0.03, x_noise=2e-4, x_dropout=0.1)
+    run = reach(held, sensing, 5.0, seed=1)
+    assert run.error_norm[run.t > 4.0].max() < 2e-3
+    assert np.isnan(run.x_measured).any(axis=1).mean() == pytest.approx(0.1, abs=0.06)
+    assert np.isfinite(run.state).all()
+    counts = run.status_counts()
+    assert counts[Status.MEASUREMENT_HELD] > 10 * counts[Status.OK] > 0
+    if kind == "limited":
+        assert (np.abs(run.tau) <= 0.5 * PANDA.effort_limits + 1e-9).all()
+        assert (np.abs(np.diff(run.tau, axis=0)) <= 500.0 * DT + 1e-9).all()
+        assert set(run.limit_status_counts()) - {aj.LimitStatus.UNLIMITED}
+    if kind == "learnt gravity":  # what is learnt is where it was
+        theta = controller.theta_hat(run.state[:, : controller.n_state])
+        assert theta.shape == (len(run.t), controller.n_state)
+        assert np.abs(theta[-1]).max() > 0.1
+
+
+def test_nothing_is_learnt_from_what_is_too_old(task):
+    law = INSIDE["learnt gravity"]
+    sensing = aj.Sensing(x_rate=30.0, x_noise=1e-4, x_lost=[(0.3, 1.0)])
+    run = reach(aj.HeldMeasurement(law, 0.02), sensing, 1.0)
+    lost = np.flatnonzero(run.status == Status.MEASUREMENT_LOST)
+    assert len(lost) > 100
+    theta = law.theta_hat(run.state[lost, : law.n_state])
+    gaps = np.flatnonzero(np.diff(lost) > 1)
+    for stretch in np.split(theta, gaps + 1):
+        assert_array_equal(stretch, np.tile(stretch[0], (len(stretch), 1)))
+
+
+# -- copies and errors --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda held: pickle.loads(pickle.dumps(held))])
+@pytest.mark.parametrize("kind", KINDS)
+def test_copies(task, kind, copied):
+    held = aj.HeldMeasurement(INSIDE[kind], (0.1, 0.2, np.inf))
+    other = copied(held)
+    assert repr(other) == repr(held)
+    assert other.controller is not held.controller
+    assert other.dt == held.dt
+    x = task.value(START)
+    loops = [Loop(each, x, x + 0.05) for each in (held, other)]
+    for measured in (x, LOST, x + 1e-3):
+        first, second = (loop.step(measured) for loop in loops)
+        assert_array_equal(first.torque, second.torque)
+        assert_array_equal(first.state_rate, second.state_rate)
+        assert first.status is second.status
+
+
+def test_what_it_says_of_itself(task):
+    law = aj.SetpointController(task)
+    held = aj.HeldMeasurement(law, 0.1)
+    assert repr(held) == f"HeldMeasurement({law!r}, unseen=[0.1, 0.1, 0.1], dt=0.001)"
+    assert held.controller is law
+    assert held.task is task
+    with pytest.raises(ValueError, match="read-only"):
+        held.unseen[0] = 1.0
+
+
+class Alone:
+    """A controller without a Jacobian."""
+
+    n_state = 0
+
+    def __init__(self, task):
+        self.task = task
+
+    def initial_state(self, measurement):
+        return np.zeros(0)
+
+    def evaluate(self, state, measurement, target):
+        return aj.Evaluation(np.zeros(7), state, Status.OK, measurement.x - target)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((None, 0.1), r"controller must be a controller with a task, such as Setp.*, got None"),
+        ((aj.SetpointController, 0.1), r"controller must be a controller .* got <class"),
+        ((aj.PositionTask(PANDA), 0.1), r"controller must be a controller .* got PositionTask\("),
+        ((Alone(None), 0.1), r"controller must be a controller with a task"),
+        ((INSIDE["bounded"], 0.0), r"unseen must be numbers > 0 \[m\], one or 3, infin.*, got 0.0"),
+        ((INSIDE["bounded"], (1.0, -1.0, 1.0)), r"unseen must be numbers > 0 \[m\], one or 3"),
+        ((INSIDE["bounded"], (1.0, 1.0)), r"unseen must be numbers > 0 \[m\], one or 3"),
+        ((INSIDE["bounded"], np.nan), r"unseen must be numbers > 0 \[m\], one or 3"),
+        ((INSIDE["bounded"], None), r"unseen must be numbers > 0 \[m\], one or 3"),
+        ((INSIDE["bounded"], 0.1, 0.0), r"dt must be a finite number > 0 \[s\], got 0.0"),
+        ((INSIDE["bounded"], 0.1, None), r"dt must be a finite number > 0 \[s\], got None"),
+        (
+            (INSIDE["limited"], 0.1, 2e-3),
+            r"dt must be that of the controller, 0.001 \[s\], got 0.0",
+        ),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, text):
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.HeldMeasurement(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"x": np.zeros(2)}, r"x must be an array of float64 of shape \(3,\), got float64 \(2,\)"),
+        ({"x": [0.0, 0.0, 0.0]}, r"x must be an array of float64 of shape \(3,\), got \[0.0, 0.0"),
+        ({"x": np.zeros(3, int)}, r"x must be an array of float64 of shape \(3,\), got int64 \(3"),
+        ({"q": np.zeros(6)}, r"q must be an array of shape \(7,\) for PositionTask"),
+    ],
+)
+def test_a_bad_measurement_is_refused(task, changes, text):
+    loop = Loop(aj.HeldMeasurement(aj.SetpointController(task), 0.1), np.zeros(3), np.zeros(3))
+    measurement = loop.measured(np.zeros(3))._replace(**changes)
+    with pytest.raises(aj.InvalidInputError, match=text):
+        loop.held.evaluate(loop.state, measurement, loop.target)
+
+
+def test_bad_states_and_things_that_are_no_measurement_are_refused(task):
+    held = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
+    loop = Loop(held, np.zeros(3), np.zeros(3))
+    good = loop.measured(np.zeros(3))
+    for state, text in (
+        (np.zeros(3), r"state must be an array of float64 of shape \(7,\), got float64 \(3,\)"),
+        (None, r"state must be an array of float64 of shape \(7,\), got None"),
+        (np.full(7, np.nan), r"state must be finite, got \[nan"),
+    ):
+        with pytest.raises(aj.InvalidInputError, match=text):
+            held.evaluate(state, good, loop.target)
+    with pytest.raises(aj.InvalidInputError, match=r"measurement must be Measurement\(t, q, v, x"):
+        held.evaluate(loop.state, None, loop.target)
+    with pytest.raises(aj.MeasurementError, match="q must be finite"):
+        held.evaluate(loop.state, good._replace(q=np.full(7, np.nan)), loop.target)
+
+
+def test_a_controller_without_a_jacobian_is_refused_when_it_answers(task):
+    loop = Loop(aj.HeldMeasurement(Alone(task), 0.1), np.zeros(3), np.zeros(3))
+    with pytest.raises(aj.InvalidInputError, match="controller must answer with J_hat, which says"):
+        loop.step(np.zeros(3))
+
+
+@pytest.mark.parametrize("dt", [None, 2e-3])
+def test_a_run_has_the_sampling_time_that_it_counts_with(task, dt):
+    held = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
+    with pytest.raises(aj.InvalidInputError, match=r"dt must be that of the controller, 0\.001"):
+        aj.simulate(aj.Plant(PANDA, task), held, task.value(START), START, 0.1, dt=dt)
