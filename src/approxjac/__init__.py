@@ -72,6 +72,7 @@ from approxjac.stability import (
 )
 from approxjac.tasks import (
     Camera,
+    CombinedTask,
     ImageTask,
     NonsingularTask,
     PinholeCamera,
@@ -90,6 +91,7 @@ __all__ = [
     "BoundedController",
     "BoundedGains",
     "Camera",
+    "CombinedTask",
     "Controller",
     "DifferentiatedVelocity",
     "Dynamics",

@@ -92,16 +92,16 @@ class HeldMeasurement:
             raise InvalidInputError(
                 f"dt must be that of the controller, {wanted:g} [s], got {dt!r}", given=dt
             )
-        self.unseen = as_limits("unseen", unseen, task.m, unit=task.unit)
+        self.unseen = as_limits("unseen", unseen, task.m, unit=task.measured.unit)
         self._task: Task = task
-        self._parts = task.parts
+        self._parts = task.measured.parts
         self._subtracts = task.subtracts  # as most do, and then x is as finite as its error
         self._origin = task.origin
-        self._limits = [self.unseen[coordinates].tolist() for _, coordinates in task.parts]
+        self._limits = [self.unseen[coordinates].tolist() for _, coordinates in self._parts]
         self._n_inner = controller.n_state
         self._x_end = self._n_inner + task.n_x
         self._p_end = self._x_end + task.m
-        self._n_state = self._p_end + len(task.parts)
+        self._n_state = self._p_end + len(self._parts)
 
     @property
     def task(self) -> Task:
@@ -175,7 +175,7 @@ class HeldMeasurement:
                 f"got {self.controller!r}, which has none",
                 given=self.controller,
             )
-        step = self.dt * answer.J_hat.dot(v)
+        step = self.dt * self._task.measured_rate(answer.J_hat.dot(v))
         # p of what is too old stands still: an arm that sags back is not seen by that
         p += step if counts is None else counts * step
         rate = (after - state) / self.dt

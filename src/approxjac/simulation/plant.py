@@ -121,7 +121,18 @@ class Plant:
         Raises:
             InvalidInputError: Other coordinates, or another number of joints.
         """
-        same = self.sensor.labels == task.labels and self.sensor.n_x == task.n_x
+        self._require_same(task, self.sensor, task)
+
+    def require_measured(self, task: Task) -> None:
+        """Refuse a controller's task that takes another x than the sensor measures.
+
+        Raises:
+            InvalidInputError: Other coordinates, or another number of joints.
+        """
+        self._require_same(task, self.sensor.measured, task.measured)
+
+    def _require_same(self, task: Task, sensor: Task, wanted: Task) -> None:
+        same = sensor.labels == wanted.labels and sensor.n_x == wanted.n_x
         if not same or self.robot.nv != task.robot.nv:
             raise InvalidInputError(
                 f"the controller's task must have the coordinates of the plant's sensor "

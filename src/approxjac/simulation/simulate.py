@@ -77,7 +77,7 @@ def simulate(
         )
     task = getattr(controller, "task", None)
     if isinstance(task, Task):
-        plant.require_task(task)
+        plant.require_measured(task)
     robot = plant.robot
     x_d = plant.sensor.target(target)
     q = robot.configuration(as_array("q0", q0, (robot.nq,), "rad"), "q0")

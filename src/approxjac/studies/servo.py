@@ -25,7 +25,7 @@ from approxjac.studies.reach import given_or, gravity_from, outward_axis
 from approxjac.studies.servo_result import Servo, ServoResult
 from approxjac.studies.servo_scene import Scene, carried_scene, watched_scene, well_within
 from approxjac.studies.servo_settings import ServoSettings
-from approxjac.tasks import ImageTask
+from approxjac.tasks import CombinedTask, ImageTask, Task
 from approxjac.tasks.task import seen_postures
 
 __all__ = ["Servo", "ServoResult", "ServoSettings", "prepare", "run"]
@@ -64,7 +64,10 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
     if settings.target is not None:
         target = scene.sensor.target(settings.target)
     gravity = gravity_from(truth, belief, settings.gravity)
-    controller = _controller(scene.task, gravity, settings)
+    task: Task = scene.task
+    if settings.points > 1 and settings.law != "5":
+        task = CombinedTask.balanced(task, target)
+    controller = _controller(task, gravity, settings)
     plant = Plant(
         truth, scene.sensor, sensing=_sensing(settings), torque_limits=truth.effort_limits
     )
@@ -185,7 +188,7 @@ def _none_found(sensor: ImageTask) -> InvalidInputError:
 
 
 def _controller(
-    task: ImageTask, gravity: Gravity, settings: ServoSettings
+    task: Task, gravity: Gravity, settings: ServoSettings
 ) -> SetpointController | VelocityServo:
     if settings.law == "ibvs":
         for name in ("kp", "kv", "damping"):

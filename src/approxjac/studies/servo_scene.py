@@ -16,9 +16,9 @@ from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import FrameKinematics, ImageTask, PinholeCamera
 
 _FRONT = np.array([0.75, -0.6, 0.3])  # of the arm, to its right and above
-_AWAY = 1.2  # distance of the camera from what it looks at, in reaches of the arm
+_AWAY = 1.0  # distance of the camera from what it looks at, in reaches of the arm
 _MIDDLE = np.array([0.5, 0.0, 0.5])  # of where the arm reaches, in reaches
-_WORKING_DEPTH = 0.5  # of the points of the world before a camera in hand [m]
+_WORKING_DEPTH = 0.35  # of the points of the world before a camera in hand [m]
 _MARGIN = 0.1  # of the image at each edge, where no target is put
 
 
@@ -99,9 +99,10 @@ def carried_scene(
     pattern = pattern - pattern.mean(axis=0) + np.array([0.0, 0.0, _WORKING_DEPTH])
     points = (pattern @ R_eye.T + p_eye) @ R_goal.T + p_goal
     measured = "measured" if chosen == "measured" else "believed"
-    constant = settings.depth_factor * _WORKING_DEPTH
+    sensor = ImageTask(truth, camera, points=points, depth=measured)
+    constant = settings.depth_factor * sensor.depths(q_goal)
     return Scene(
-        ImageTask(truth, camera, points=points, depth=measured),
+        sensor,
         ImageTask(
             belief, believed, points=points, depth=constant if chosen == "constant" else chosen
         ),

@@ -1,6 +1,7 @@
 """Tasks: what is measured and brought to a target, with its Jacobian."""
 
 from approxjac.tasks.camera import Camera, PlanarCamera
+from approxjac.tasks.combined import CombinedTask
 from approxjac.tasks.frame import FrameKinematics
 from approxjac.tasks.image import ImageTask
 from approxjac.tasks.nonsingular import NonsingularTask
@@ -12,6 +13,7 @@ from approxjac.tasks.task import Task
 
 __all__ = [
     "Camera",
+    "CombinedTask",
     "FrameKinematics",
     "ImageTask",
     "NonsingularTask",

@@ -55,7 +55,7 @@ class ImageTask(Task):
         frame: str | None = None,
         points: Sequence[Sequence[float]] | Array = ((0.0, 0.0, 0.0),),
         *,
-        depth: str | float | Sequence[float] = "believed",
+        depth: str | float | Sequence[float] | Array = "believed",
     ) -> None:
         require("robot", robot, Robot, "a Robot")
         require("camera", camera, Camera, "a camera, such as PlanarCamera(f, z)")

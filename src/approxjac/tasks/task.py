@@ -64,6 +64,15 @@ class Task(ABC):
     def value(self, q: Array) -> Array:
         """X = h(q), shape (n_x,)."""
 
+    @property
+    def measured(self) -> Task:
+        """The task whose value x is and whose sensor the plant has; this one, unless combined."""
+        return self
+
+    def measured_rate(self, Jv: Array) -> Array:
+        """Rate of the error of `measured` where this task's Jacobian gives J q̇; shape (m,)."""
+        return Jv
+
     def seen(self, x: Array) -> Array:
         """What a sensor delivers of a value x (n_x,): NaN in the parts that it cannot see."""
         return x

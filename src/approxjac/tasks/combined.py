@@ -1,0 +1,163 @@
+"""Combinations of a task's coordinates, so that all directions of an error count alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from approxjac.checks import Array, as_array, require
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics, Robot
+from approxjac.tasks.task import Task, seen_postures
+
+_POSTURES = 400
+_NEAREST = 30  # of these, by their value's distance to the target
+_LEAST = 0.01  # mobility that a direction is taken to have at least, as a share of the largest
+_REGULAR = 1e-9  # σ_min/σ_max of C below which it has no inverse
+
+
+class CombinedTask(Task):
+    """e = C (error of another task): the same task, with gains along other directions.
+
+    K_p and K_v are diagonal, so they weigh the coordinates and nothing between them. The images of
+    several points move together when the hand moves sideways and hardly apart when it comes
+    nearer: one gain for all coordinates makes the second slow. With C the directions that a motion
+    shows well and those that it shows little become coordinates of their own kind. What is
+    measured, and a target, stay those of the task itself; C changes what is stable no more than
+    gains do.
+
+    Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
+    visual servoing in robotics", IEEE Trans. Robotics and Automation 8 (1992).
+
+    For controllers: the plant's sensor is the task itself. Stability tests, which need errors of
+    both in the same coordinates, take a plant whose sensor is `CombinedTask(sensor, C)`.
+
+    Args:
+        task: The task of the believed robot.
+        C: Regular matrix, shape (m, m). Its size does not matter, as gains go with it.
+
+    Raises:
+        InvalidInputError: A matrix of another shape, not finite or singular.
+    """
+
+    def __init__(self, task: Task, C: object) -> None:
+        require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
+        self._task = task
+        self._C = as_array("C", C, (task.m, task.m))
+        values = np.linalg.svd(self._C, compute_uv=False)
+        if not values[-1] > _REGULAR * values[0]:
+            raise InvalidInputError(
+                f"C must be regular, got singular values {values.tolist()}", given=C
+            )
+        self._inverse = np.linalg.inv(self._C)
+
+    @classmethod
+    def balanced(cls, task: Task, target: object) -> CombinedTask:
+        """Combine coordinates such that the arm shows the same inertia along all of them.
+
+        C = Ā^(−1/2), with Ā the mean of the mobility Ĵ M̂⁻¹ Ĵᵀ, its trace set to one, over the 30 of
+        400 seeded postures whose values are nearest to a target; with ‖C‖ = 1, so that it makes no
+        error larger.
+
+        Args:
+            task: The task of the believed robot.
+            target: x_d, shape (n_x,).
+
+        Raises:
+            InvalidInputError: A target that is none, or a task that no sensor sees.
+        """
+        require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
+        x_d = task.target(target)
+        postures = seen_postures(task, _POSTURES)
+        far = [np.linalg.norm(task.error(task.value(q), x_d)) for q in postures]
+        dynamics, A = Dynamics(task.robot), np.zeros((task.m, task.m))
+        for k in np.argsort(far)[:_NEAREST]:
+            J = task.jacobian(postures[k], x_d)
+            mobility = J @ np.linalg.solve(dynamics.M(postures[k]), J.T)
+            A += mobility / np.trace(mobility)
+        values, U = np.linalg.eigh(A)
+        values = np.maximum(values, _LEAST * values[-1])
+        return cls(task, (U * np.sqrt(values[0] / values)) @ U.T)
+
+    @property
+    def robot(self) -> Robot:
+        return self._task.robot
+
+    @property
+    def task(self) -> Task:
+        """The task whose coordinates are combined."""
+        return self._task
+
+    @property
+    def C(self) -> Array:
+        """The combination, shape (m, m)."""
+        return self._C
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(f"c{i}" for i in range(1, self._task.m + 1))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return (self._task.unit,) * self._task.m
+
+    @property
+    def n_x(self) -> int:
+        return self._task.n_x
+
+    @property
+    def measured(self) -> Task:
+        return self._task.measured
+
+    def measured_rate(self, Jv: Array) -> Array:
+        return self._task.measured_rate(self._inverse @ Jv)
+
+    @property
+    def parts(self) -> tuple[tuple[slice, slice], ...]:
+        return ((slice(0, self.n_x), slice(0, self.m)),)
+
+    @property
+    def jacobian_uses_x(self) -> bool:
+        return self._task.jacobian_uses_x
+
+    @property
+    def origin(self) -> Array:
+        return self._task.origin
+
+    @property
+    def subtracts(self) -> bool:
+        return False
+
+    def value(self, q: Array) -> Array:
+        return self._task.value(q)
+
+    def seen(self, x: Array) -> Array:
+        return self._task.seen(x)
+
+    def error(self, x: Array, x_d: Array) -> Array:
+        return np.asarray(self._C @ self._task.error(x, x_d))
+
+    def displaced(self, x: Array, e: Array) -> Array:
+        return self._task.displaced(x, self._inverse @ e)
+
+    def error_rate(self, e: Array, Jv: Array) -> Array:
+        return np.asarray(self._C @ self._task.error_rate(self._inverse @ e, self._inverse @ Jv))
+
+    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return np.asarray(self._C @ self._task.compute_jacobian(q, x))
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return np.asarray(self._C @ self._task.jacobian_dot(q, v))
+
+    def target(self, x_d: object) -> Array:
+        return self._task.target(x_d)
+
+    def on(self, robot: Robot) -> CombinedTask:
+        return CombinedTask(self._task.on(robot), self._C)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._task, self._C)
+
+    def __repr__(self) -> str:
+        return f"CombinedTask({self._task!r}, C={np.round(self._C, 4).tolist()})"
