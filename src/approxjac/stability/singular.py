@@ -7,6 +7,8 @@ margins are relative to that block, so they stay positive however near such a po
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
@@ -21,15 +23,21 @@ _STEPS = 20
 _SINGULAR = 1e-4  # of a tenth of the typical σ_max
 
 
-def singular_posture(region: Region, task: Task, scenarios: Scenarios) -> Array | None:
-    """A posture (nq,) of a region where Ĵ loses rank, or None if the search finds none.
+def singular_posture(regions: Sequence[Region], task: Task, scenarios: Scenarios) -> Array | None:
+    """A posture (nq,) where Ĵ loses rank, or None if the search finds none.
 
     Newton steps towards σ_min(Ĵ) = 0 from the least regular of the scenarios, halved until they
     stay in the region.
+
+    Args:
+        regions: The region of each true robot.
+        task: The believed task.
+        scenarios: Where to start.
     """
     sizes = np.linalg.svd(scenarios.J_hat, compute_uv=False)[:, -1]
     tiny = _SINGULAR * vanishing(task)
     for k in np.argsort(sizes)[:_STARTS]:
+        region = regions[int(scenarios.truth[k])]
         q, size, gradient = _approach(task, scenarios.q[k])
         for _ in range(_STEPS):
             if size <= tiny:
