@@ -249,7 +249,8 @@ class _Job:
         plant = self.uncertainty.plant(values)
         seen, target = SeenPart(self.region, plant.sensor), self.target
         try:
-            q0 = np.array(seen.sample(1, rng)[0])
+            q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
+            q0 = seen.instead(q0[None], rng)[0]
             if target is None:
                 target = plant.sensor.value(seen.sample(1, rng)[0])
         except UnattainedError as error:

@@ -11,6 +11,7 @@ from approxjac.stability.region import Region
 from approxjac.tasks import Task
 
 _TRIES = 1000  # for each posture that is seen
+_NEARBY = 20  # tries
 _HALVINGS = 30  # of the way out of the view
 
 
@@ -26,7 +27,7 @@ class UnattainedError(InvalidInputError):
         self.truth = truth
 
 
-class SeenPart(Region):
+class SeenPart:
     """The postures of a region that a sensor sees: all of them, but for cameras.
 
     Args:
@@ -36,8 +37,6 @@ class SeenPart(Region):
     """
 
     def __init__(self, region: Region, sensor: Task, truth: int = 0) -> None:
-        self.robot, self.spread = region.robot, region.spread
-        self.independent = region.independent
         self.region, self.sensor, self.truth = region, sensor, truth
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
@@ -70,6 +69,14 @@ class SeenPart(Region):
     def contains(self, q: Array) -> bool:
         """Whether a posture (nq,) belongs to the region and is seen."""
         return self.region.contains(q) and self.sensor.sees(q)
+
+    def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
+        """A posture that is seen, about `size` spreads of the region away from such a q (nq,)."""
+        for _ in range(_NEARBY):
+            moved = self.region.near(q, size, rng)
+            if self.sensor.sees(moved):
+                return moved
+        return q
 
     def __repr__(self) -> str:
         return f"SeenPart({self.region!r}, {self.sensor!r})"
