@@ -375,7 +375,7 @@ class Uncertainty:
             except InvalidInputError as error:
                 shown = ", ".join(in_words(known.name, at[known.name], known.unit) for known in box)
                 raise InvalidInputError(
-                    f"there must be a camera in the whole set, got {shown}{self._grown}: {error}",
+                    f"a camera must exist everywhere in the set, got {shown}{self._grown}: {error}",
                     given=at,
                 ) from error
 
