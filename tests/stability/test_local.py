@@ -51,6 +51,78 @@ def test_eigenvalues_are_those_of_the_flow(name, rng):
     assert not local.singular
 
 
+POINTS = ((0.0, 0.0, 0.0), (0.1, 0.05, 0.0))
+ON_VIEW = np.array([0.3, 0.4, -0.2, -1.8, 0.1, 2.0, 0.5])
+
+
+def panda_before_a_camera(panda, points=1, depth="believed", *, carried=False):
+    """Tool, focal length, distance and roll are wrong; gravity is left out of truth and belief."""
+    arm = panda.with_gravity((0.0, 0.0, 0.0))
+    truth, belief = arm.with_object(0.2), arm.with_object(0.1)
+    tip = aj.PositionTask(truth).value(ON_VIEW)
+    if carried:  # by the hand, watching points of the world before it
+        camera = aj.PinholeCamera((600.0, 580.0), (640, 480), mount="panda_hand_tcp")
+        points = tip + 0.5 * np.array(POINTS[:points])
+    else:
+        camera = aj.PinholeCamera.looking_at(
+            tip + [0.02, -0.03, 0.02], tip + [0.9, -0.7, 0.5], (600.0, 580.0), (640, 480),
+            distortion=(-0.2, 0.05),
+        )  # fmt: skip
+        points = POINTS[:points]
+    wrong = camera.recalibrated({"focal_length": 660.0, "distance": 0.1, "roll": 0.3})
+    plant = aj.Plant(truth, aj.ImageTask(truth, camera, points=points, depth=depth), friction=0.3)
+    controller = aj.SetpointController(
+        aj.ImageTask(belief, wrong, points=points, depth=depth),
+        aj.Gains(1e-3, 4e-4, damping=1.0),
+        gravity=aj.NoGravity(belief),
+    )
+    return plant, controller
+
+
+VIEWS = [
+    (1, "believed", False), (2, "believed", False), (1, 0.8, False), (2, (1.5, 0.9), False),
+    (2, "measured", False), (1, "believed", True), (2, 0.3, True), (2, "measured", True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("points", "depth", "carried"), VIEWS)
+def test_eigenvalues_are_those_of_the_flow_with_cameras(panda, points, depth, carried):
+    """Also where Ĵ changes with the measured x: at the target its change is multiplied by 0."""
+    plant, controller = panda_before_a_camera(panda, points, depth, carried=carried)
+    local = aj.local_stability(plant, controller, ON_VIEW)
+    expected = np.linalg.eigvals(linearized_by_differences(plant, controller, ON_VIEW))
+    expected = expected[np.argsort(np.abs(expected))][7 - 2 * points :]
+    assert local.eigenvalues.shape == expected.shape
+    scale = np.abs(expected).max()
+    for eigenvalue in local.eigenvalues:
+        assert np.abs(expected - eigenvalue).min() < 1e-7 * scale
+    if depth not in ("believed", "measured"):  # the depth that is taken is no truth
+        J = plant.sensor.jacobian(ON_VIEW)
+        assert np.abs(plant.sensor.sensor_jacobian(ON_VIEW) - J).max() > 10.0
+
+
+@pytest.mark.parametrize("view", [VIEWS[0], VIEWS[2]])
+def test_runs_before_a_camera_decay_at_the_rate_told(panda, view):
+    plant, controller = panda_before_a_camera(panda, *view[:2])
+    local = aj.local_stability(plant, controller, ON_VIEW)
+    assert local.stable
+    measured = measured_rate(plant, controller, ON_VIEW, 12.0, None)
+    assert_allclose(measured, local.decay_rate, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("carried", "joint", "turn", "behind"), [(False, 0, -1.5, False), (True, 3, -1.0, True)]
+)
+def test_a_target_out_of_view_is_refused(panda, carried, joint, turn, behind):
+    plant, controller = panda_before_a_camera(panda, carried=carried)
+    q = ON_VIEW + turn * np.eye(7)[joint]
+    assert np.isnan(plant.sensor.value(q)).all() == behind
+    with pytest.raises(
+        aj.InvalidInputError, match="q_target must be a posture that the sensor sees, or no law"
+    ):
+        aj.local_stability(plant, controller, q)
+
+
 def test_an_exact_model_is_stable_and_a_reversed_camera_is_not(two_link):
     camera = aj.PlanarCamera(0.05, 3.0)
     plant = aj.Plant(two_link, aj.ImageTask(two_link, camera))

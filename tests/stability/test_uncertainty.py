@@ -128,6 +128,107 @@ def test_a_certain_object_is_held_by_both(arm):
     assert heavy.belief() == arm.with_object(0.0)
 
 
+# -- cameras with perspective -----------------------------------------------------------
+
+POINTS = ((0.0, 0.0, 0.0), (0.1, 0.05, 0.0))
+
+
+@pytest.fixture(scope="module")
+def watched(panda):
+    """A Panda with a tool of unknown length before a camera of unknown calibration."""
+    camera = aj.PinholeCamera.looking_at(
+        (0.5, 0, 0.4), (1.6, -0.9, 1.0), (600.0, 580.0), (640, 480)
+    )
+    return aj.Uncertainty(
+        panda,
+        functools.partial(aj.ImageTask, points=POINTS, depth="measured"),
+        object_length=(0.0, 0.2),
+        camera=camera,
+        roll=(-0.3, 0.3),
+        distance=(-0.1, 0.4),
+        focal_length=(500.0, 660.0),
+    )
+
+
+def test_ranges_of_a_pinhole_camera(watched):
+    assert watched.names == (
+        "object_length", "camera focal_length", "camera distance", "camera roll"
+    )  # fmt: skip
+    assert watched.units == ("m", "px", "m", "rad")
+    assert_array_equal(watched.believed, (0.0, 600.0, 0.0, 0.0))
+    assert_array_equal(watched.low, (0.0, 500.0, -0.1, -0.3))
+    assert_array_equal(watched.high, (0.2, 660.0, 0.4, 0.3))
+    assert watched.describe(watched.high) == (
+        "object_length 0.200 m, camera focal_length 660. px, camera distance 0.400 m, "
+        "camera roll 0.300 rad (17.2 deg)"
+    )
+    plant = watched.plant((0.1, 660.0, 0.4, 0.3))
+    true, believed = plant.sensor.camera, watched.believed_task().camera
+    assert believed is watched.camera
+    assert_allclose(true.focal_length, (660.0, 638.0))
+    assert_allclose(
+        true.placement()[1], believed.placement()[1] - 0.4 * believed.placement()[0][:, 2]
+    )
+    turned = believed.placement()[0].T @ true.placement()[0]
+    assert_allclose(turned[0], (np.cos(0.3), -np.sin(0.3), 0.0), atol=1e-12)
+    assert plant.robot == watched.arm.with_object(0.1)
+    for task in (plant.sensor, watched.believed_task()):
+        assert_array_equal(task.points, POINTS)
+        assert task.depth == "measured"
+    at_belief = watched.plant(watched.believed)
+    assert at_belief.sensor.camera is watched.camera
+    q = watched.arm.neutral()
+    assert_array_equal(at_belief.sensor.value(q), watched.believed_task().value(q))
+    assert_array_equal(watched.scaled(2.0).high, (0.4, 720.0, 0.8, 0.6))
+
+
+class Fixed(aj.Camera):
+    """A camera in whose calibration only the roll may be wrong, or nothing."""
+
+    labels, unit = ("a", "b"), "m"
+
+    def __init__(self, calibrated=()):
+        self.calibrated = calibrated
+
+    @property
+    def calibration(self):
+        return {name: CAMERA.calibration[name] for name in self.calibrated}
+
+    def recalibrated(self, values):
+        return self
+
+    def project(self, r):
+        return r[::2]
+
+    def interaction(self, r):
+        return np.eye(3)[::2]
+
+    def interaction_dot(self, r, r_dot):
+        return np.zeros((2, 3))
+
+
+def test_what_a_calibration_does_not_have_is_refused(arm, watched):
+    assert aj.Uncertainty(arm, camera=Fixed(["roll"]), roll=(0.0, 0.1)).names == ("camera roll",)
+    with pytest.raises(
+        aj.UnknownNameError,
+        match="range 'distance' not in the calibration of Fixed; valid are roll",
+    ):
+        aj.Uncertainty(arm, camera=Fixed(["roll"]), roll=(0.0, 0.1), distance=(2.0, 4.0))
+    with pytest.raises(aj.UnknownNameError, match=r"range 'roll' not in the calibration of Fixed$"):
+        aj.Uncertainty(arm, camera=Fixed(), roll=(0.0, 0.1))
+    with pytest.raises(
+        aj.InvalidInputError, match=r"roll must hold what is believed, 0 \[rad\], got \(0.1, 0.2\)"
+    ):
+        aj.Uncertainty(arm, camera=watched.camera, roll=(0.1, 0.2))
+    with pytest.raises(
+        aj.InvalidInputError,
+        match=r"a camera must exist .* got camera focal_length -300. px, camera distance -0.900 m, "
+        r"camera roll -2.70 rad \(-154.7 deg\) with the factor 9: focal_length must be a finite "
+        r"number > 0 \[px\], got -300",
+    ):
+        watched.scaled(9.0)
+
+
 # -- corners, samples, scale ------------------------------------------------------------
 
 
@@ -270,15 +371,19 @@ REFUSED = [
         r"joint_rotations of joint2 must be >= 0 \[rad\], as they are to either side, got \[-0.1",
     ),
     ({"roll": (-0.1, 0.1)}, r"roll is that of a camera, got \(-0.1, 0.1\) without one: give"),
-    ({"camera": 5}, "camera must be a PlanarCamera or None, got 5"),
-    ({"camera": CAMERA, "focal_length": (0.0, 0.1)}, "camera focal_length must be > 0 in the"),
+    ({"camera": 5}, r"camera must be a camera, such as PlanarCamera\(f, z\), or None, got 5"),
+    (
+        {"camera": CAMERA, "focal_length": (0.0, 0.1)},
+        r"a camera must exist everywhere in the set, got camera focal_length 0.00 m: focal_length "
+        r"must be a finite number > 0 \[m\], got 0.0",
+    ),
     (
         {"camera": CAMERA, "focal_length": (0.05, 2.5), "distance": (2.4, 3.5)},
-        r"camera distance must be > camera focal_length in the whole set \[m\], got a distance of "
-        r"2.4 and a focal length of 2.5",
+        r"a camera must exist everywhere in the set, got camera focal_length 2.50 m, camera "
+        r"distance 2.40 m: distance must be a finite number > 2.5 \[m\], got 2.4",
     ),
-    ({"camera": CAMERA, "focal_length": (0.05, 3.0)}, "got a distance of 3 and a focal"),
-    ({"camera": CAMERA, "distance": (0.05, 3.0)}, "got a distance of 0.05 and a focal"),
+    ({"camera": CAMERA, "focal_length": (0.05, 3.0)}, r"distance must be a finite number > 3 \[m"),
+    ({"camera": CAMERA, "distance": (0.05, 3.0)}, r"distance must be .* > 0.05 \[m\], got 0"),
     ({"camera": CAMERA, "roll": (0.2, 0.3)}, r"roll must hold what is believed, 0.1 \[rad\]"),
     ({"factor": -1.0}, "factor must be a finite number >= 0, got -1.0"),
     ({"friction": (0.1, 0.2, 0.3)}, r"friction must have shape \(2,\)"),
@@ -288,7 +393,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("options", "text"), REFUSED)
 def test_refused(arm, options, text):
-    task = aj.PositionTask if "camera" in options else PLANE
+    task = None if "camera" in options else PLANE
     with pytest.raises(aj.InvalidInputError, match=text):
         aj.Uncertainty(arm, task, **options)
 
@@ -306,8 +411,11 @@ def test_refused_arms_tasks_and_joints(arm):
         aj.InvalidInputError, match="sensor must be a task of the plant's own robot"
     ):
         aj.Uncertainty(arm, lambda robot: PLANE(arm), believed_length=0.1)
-    with pytest.raises(aj.InvalidInputError, match="task must not be given with a camera"):
-        aj.Uncertainty(arm, PLANE, camera=CAMERA)
+    for task in (lambda robot: PLANE(robot), 5):
+        with pytest.raises(
+            aj.InvalidInputError, match="task must be a function of a robot and a camera, such as"
+        ):
+            aj.Uncertainty(arm, task, camera=CAMERA)
     for field in ("joint_shifts", "joint_rotations"):
         with pytest.raises(
             aj.UnknownNameError, match="joint 'joint' not in two_link; did you mean"
@@ -324,7 +432,7 @@ def test_a_set_that_grows_too_large(arm):
     ):
         uncertainty.scaled(3.0)
     camera = aj.Uncertainty(arm, camera=CAMERA, distance=(2.0, 3.0))
-    with pytest.raises(aj.InvalidInputError, match=r"a focal length of 0.05 with the factor 3"):
+    with pytest.raises(aj.InvalidInputError, match=r"distance 0.00 m with the factor 3: dist"):
         camera.scaled(3.0)
     with pytest.raises(aj.InvalidInputError, match="factor must be a finite number >= 0, got nan"):
         camera.scaled(float("nan"))

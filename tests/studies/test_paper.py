@@ -64,6 +64,51 @@ def test_every_run_starts_where_the_contract_says(results):
         assert_allclose(run.target, 0.05 / 2.95 * np.array([-1.5, 1.0]), atol=1e-15)
 
 
+PITCH = 1e-5  # metres a pixel
+
+
+def pinhole(planar):
+    """A camera with the same image of the arm's plane in pixels, the origin in the middle."""
+    size = np.array([20000, 20000])
+    camera = aj.PinholeCamera(
+        planar.focal_length / PITCH,
+        size,
+        (0.0, planar.distance - planar.focal_length, 0.0),
+        np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]).T,  # right, down, forward
+        center=np.array(planar.offset) / PITCH + (size - 1) / 2,
+    )
+    return camera.recalibrated({"roll": planar.roll})
+
+
+@pytest.mark.parametrize("figure", paper.EXPERIMENTS)
+def test_a_pinhole_camera_gives_the_same_numbers(results, figure):
+    """Section 5.1 through the general code: gains are those of an error in px, runs the same."""
+    experiment, setup, planar = paper.EXPERIMENTS[figure], paper.Setup(), results[figure].run
+    plant, controller = paper.build(experiment, setup)
+    sensor = aj.ImageTask(plant.robot, pinhole(paper.CAMERA))
+    plant = aj.Plant(plant.robot, sensor, setup.friction)
+    controller = aj.SetpointController(
+        aj.ImageTask(controller.task.robot, pinhole(experiment.camera)),
+        aj.Gains(experiment.kp * PITCH**2, experiment.kv * PITCH**2),
+        gravity=controller.gravity,
+    )
+    q_target = np.array(setup.target)
+    if figure in TABLE:
+        local = aj.local_stability(plant, controller, q_target)
+        assert local.max_real_eigenvalue == pytest.approx(float(TABLE[figure][0]), abs=1e-4)
+        assert_allclose(local.max_real_eigenvalue, results[figure].local.max_real_eigenvalue)
+    run = aj.simulate(
+        plant, controller, sensor.value(q_target), setup.start, 20.0, record_every=0.05
+    )
+    n = len(run.t)
+    assert_allclose(run.t, planar.t[:n], atol=1e-9)
+    for found, known in (
+        (PITCH * run.error, planar.error), (run.q, planar.q), (run.tau, planar.tau),
+        (run.state, planar.state),
+    ):  # fmt: skip
+        assert_allclose(found, known[:n], rtol=0, atol=1e-6 * np.abs(known[:n]).max(initial=0.0))
+
+
 def test_a_verdict_needs_linearization_and_run(results):
     stable, unstable = results[4], results[3]
     mixed = paper.Result(stable.experiment, unstable.run, stable.local, None)

@@ -181,6 +181,8 @@ def test_errors_of_a_camera():
     assert calibrated == {"focal_length": 610.0, "distance": 0.0, "roll": 0.0}
     same = cam.recalibrated({"focal_length": 793.0, "distance": 0.4, "roll": 0.5})
     assert_allclose(same.project(r), wrong.project(r))
+    with pytest.raises(aj.InvalidInputError, match=r"focal_length must be .* > 0 \[px\], got -5.0"):
+        cam.recalibrated({"focal_length": -5.0})
     planar = aj.PlanarCamera(0.05, 3.0)
     assert planar.recalibrated({"roll": 0.2, "distance": 2.0}) == aj.PlanarCamera(0.05, 2.0, 0.2)
 

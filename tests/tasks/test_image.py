@@ -113,6 +113,35 @@ def test_an_exact_depth_gives_the_exact_jacobian(panda, rng):
     assert_allclose(constant.jacobian(q), exact.jacobian(q), atol=1e-7)  # its own image
 
 
+@pytest.mark.parametrize("depth", ["believed", 0.5, "measured"])
+def test_a_sensor_moves_by_the_depths_that_are_so(panda, rng, depth):
+    q = panda.random_configuration(rng)
+    exact, sensor = watching(panda, q, points=2), watching(panda, q, points=2, depth=depth)
+    assert_allclose(sensor.sensor_jacobian(q), exact.jacobian(q))
+    position = aj.PositionTask(panda, axes="z")
+    stacked = aj.StackedTask(sensor, position)
+    assert_allclose(stacked.sensor_jacobian(q)[:4], exact.jacobian(q))
+    assert_allclose(stacked.sensor_jacobian(q)[4:], position.jacobian(q))
+    designed = aj.NonsingularTask(sensor, {"panda_joint4": 0.3})
+    assert_allclose(designed.sensor_jacobian(q), exact.jacobian(q))
+    with pytest.raises(aj.InvalidInputError, match=r"q must have shape \(7,\)"):
+        sensor.sensor_jacobian(q[:3])
+
+
+def test_all_points_must_be_seen(panda, rng):
+    q = panda.random_configuration(rng)
+    task = watching(panda, q, points=2)
+    assert task.sees(q)
+    assert aj.PositionTask(panda).sees(q)
+    camera = task.camera
+    for size in ((640, 480), (2, 2)):  # the second sees at most the first point
+        small = aj.PinholeCamera(
+            camera.focal_length, size, *camera.placement()[::-1],
+            center=task.value(q)[:2], distortion=(),
+        )  # fmt: skip
+        assert aj.ImageTask(panda, small, points=POINTS[:2]).sees(q) == (size == (640, 480))
+
+
 def test_with_a_depth_of_its_own_the_measured_image_counts(panda, rng):
     """Half the depth doubles Ĵ_I, and the ray is that of the measured image."""
     q = panda.random_configuration(rng)

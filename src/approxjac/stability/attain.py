@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 
@@ -14,18 +16,19 @@ _LONGEST = 0.3  # step [rad or m]
 
 
 def attain(sensor: Task, x_d: Array, q0: Array) -> Array | None:
-    """A posture whose task value is x_d, from a start (nq,); None if the search finds none.
+    """A posture that a sensor sees with the value x_d, from a start (nq,) that it sees, or None.
 
-    Damped Gauss–Newton steps, which also end at rest where the target is out of reach.
+    Damped Gauss–Newton steps, which also end at rest where the target is out of reach, and where
+    a camera loses its image.
     """
     q = np.array(q0)
     for _ in range(_STEPS):
-        e, J = sensor.error(sensor.value(q), x_d), sensor.jacobian(q)
+        e, J = sensor.error(sensor.value(q), x_d), sensor.sensor_jacobian(q)
         size = float(np.linalg.norm(J, 2))
         error = float(np.linalg.norm(e))
         if error <= _EXACT * size:
-            return q
-        if size == 0.0:  # no way to move the task
+            return q if sensor.sees(q) else None
+        if size == 0.0 or math.isnan(error):  # no way to move the task; behind the camera
             return None
         damping = (1e-3 * size) ** 2 * min(1.0, error / size)
         step = -J.T @ np.linalg.solve(J @ J.T + damping * np.eye(len(e)), e)

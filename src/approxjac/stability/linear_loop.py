@@ -74,9 +74,13 @@ class Timing(NamedTuple):
 
 
 def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> LinearLoop:
-    """Return the parts of the loop of a plant and a controller at a posture (nq,)."""
+    """Return the parts of the loop of a plant and a controller at a posture (nq,).
+
+    Where Ĵ uses the measured x it is taken at that of the target: its change with x is multiplied
+    by e and q̇, which are zero there.
+    """
     n, m = plant.robot.nv, plant.sensor.m
-    J_hat = np.array(controller.task.jacobian(q))
+    J_hat = np.array(controller.task.jacobian(q, plant.sensor.value(q)))
     learning = controller.adaptation
     Z, L, alpha, J_hat_pinv = np.zeros((n, 0)), np.zeros(0), 0.0, np.zeros((n, m))
     if learning is not None:
@@ -85,7 +89,7 @@ def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> Linea
     return LinearLoop(
         plant.dynamics.M(q),
         plant.dynamics.g_gradient(q),
-        np.array(plant.sensor.jacobian(q)),
+        np.array(plant.sensor.sensor_jacobian(q)),
         J_hat,
         J_hat_pinv,
         *controller.diagonals[:2],

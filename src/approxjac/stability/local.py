@@ -138,15 +138,21 @@ def local_stability(
         InvalidInputError: A controller of law (5), or with a `Posture`, whose linearisation is
             another; one whose gravity is not exact near `q_target` and cannot become so by
             learning, or whose θ̂ stands still there (torque_limits, bounds), so that it is no
-            equilibrium; another task than the sensor's; a `q_target` of the wrong shape; a plant
-            with Coulomb friction, frames, noise, rounding, dropouts or torque limits; delays or a
-            filter of q̇ without dt, or of very many samples.
+            equilibrium; another task than the sensor's; a `q_target` of the wrong shape, or that
+            the sensor does not see; a plant with Coulomb friction, frames, noise, rounding,
+            dropouts or torque limits; delays or a filter of q̇ without dt, or of very many samples.
     """
     require("plant", plant, Plant, "a Plant")
     require("controller", controller, SetpointController, "a SetpointController")
     plant.require_task(controller.task)
     timing = _timing(plant, dt)
     q = plant.robot.configuration(q_target, "q_target")
+    if not plant.sensor.sees(q):
+        raise InvalidInputError(
+            f"q_target must be a posture that the sensor sees, or no law acts there, got "
+            f"{q.tolist()} with {plant.sensor!r}",
+            given=q_target,
+        )
     _require_law(controller)
     _require_gravity(plant, controller, q)
     return linearised(plant, controller, q, timing)

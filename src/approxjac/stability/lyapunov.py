@@ -9,6 +9,7 @@ from approxjac.checks import Array, as_array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
+from approxjac.tasks.task import require_jacobian_of_q
 
 
 class LyapunovValue(NamedTuple):
@@ -49,8 +50,9 @@ def lyapunov(
 
     Raises:
         InvalidInputError: A controller of law (5); one that learns gravity without `state` and
-            `theta`, or with another α; another task than the sensor's; a singular Ĵ; a plant with
-            Coulomb friction, sensing, actuator delay or torque limits.
+            `theta`, or with another α; another task than the sensor's, or one whose Jacobian uses
+            the measured x; a q that the sensor does not see; a singular Ĵ; a plant with Coulomb
+            friction, sensing, actuator delay or torque limits.
     """
     require("plant", plant, Plant, "a Plant")
     require("controller", controller, SetpointController, "a SetpointController")
@@ -64,10 +66,17 @@ def lyapunov(
     q, v = plant.robot.configuration(q), as_array("v", v, (plant.robot.nv,))
     target = plant.sensor.target(target)
     task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
+    require_jacobian_of_q(task, "the Lyapunov function")
+    if not sensor.sees(q):
+        raise InvalidInputError(
+            f"q must be a posture that the sensor sees, or no law acts there, got {q.tolist()} "
+            f"with {sensor!r}",
+            given=q,
+        )
     kp, kv, damping = controller.diagonals
     e = sensor.error(sensor.value(q), target)
     s = controller.saturation.s(e)
-    J_e, J_hat = sensor.error_jacobian(e, sensor.jacobian(q)), task.jacobian(q)
+    J_e, J_hat = sensor.error_jacobian(e, sensor.sensor_jacobian(q)), task.jacobian(q)
     sigma_min, sigma_max = law.extreme_singular_values(J_hat)
     if sigma_min <= 1e-7 * sigma_max:
         raise InvalidInputError(

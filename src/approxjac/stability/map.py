@@ -22,11 +22,12 @@ from approxjac.stability.loop import (
 from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.scenarios import Sampler, Scenarios, UnattainedError
+from approxjac.stability.scenarios import Sampler, Scenarios, Targets
 from approxjac.stability.singular import singular_posture
 from approxjac.stability.targets import local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.stability.view import UnattainedError
 
 PARAMETERS: Mapping[str, str] = MappingProxyType(
     {
@@ -182,7 +183,9 @@ class _Grid:
     ) -> None:
         self._base, self._errors, self._region, self._seed = controller, uncertainty, region, seed
         self._target = None if target is None else controller.task.target(target)
-        self._kept: tuple[object, Scenarios, Sampler] | None = None
+        # those of one scale of the errors, and what they are for
+        self._drawn: tuple[object, Scenarios, Sampler] | None = None
+        self._hard: tuple[object, Targets, Sampler] | None = None
         self._singular: bool | None = None
         self._controllers: dict[tuple[float | None, ...], SetpointController] = {}
 
@@ -194,13 +197,13 @@ class _Grid:
 
     def decay_rate(self, at: Mapping[str, float], targets: int) -> float:
         """The slowest decay over targets and true robots [1/s]."""
-        scenarios, sampler = self._scenarios(at, targets, as_targets=True)
-        return float(local_test(sampler, scenarios, self._controller(at)).decay_rates.min())
+        hard, sampler = self._targets(at, targets)
+        return float(local_test(sampler, hard, self._controller(at)).decay_rates.min())
 
     def theorem1(self, at: Mapping[str, float], postures: int) -> float:
         """Margin of test 1, at least −1."""
         scenarios, sampler = self._scenarios(at, postures)
-        if self._is_singular(scenarios):
+        if self._is_singular(scenarios, sampler):
             return -1.0
         setting = setting_of(self._controller(at), sampler.plants[0])
         return max(-1.0, theorem1(scenarios, setting).margin)
@@ -208,7 +211,7 @@ class _Grid:
     def matrix(self, at: Mapping[str, float], postures: int) -> float:
         """Margin of test 2, at least −1."""
         scenarios, sampler = self._scenarios(at, postures)
-        if self._is_singular(scenarios):
+        if self._is_singular(scenarios, sampler):
             return -1.0
         setting = setting_of(self._controller(at), sampler.plants[0])
         return max(-1.0, float(first_that_passes(MatrixForm(scenarios, setting)).margins.min()))
@@ -222,11 +225,11 @@ class _Grid:
             runs=runs, duration=duration, seed=self._seed, executor=executor,
         ).share  # fmt: skip
 
-    def _is_singular(self, scenarios: Scenarios) -> bool:
+    def _is_singular(self, scenarios: Scenarios, sampler: Sampler) -> bool:
         """Whether Ĵ loses rank in the region, which no parameter of the map changes."""
         if self._singular is None:
             task = self._base.task
-            self._singular = singular_posture(self._region, task, scenarios) is not None
+            self._singular = singular_posture(sampler.parts, task, scenarios) is not None
         return self._singular
 
     def _scaled(self, at: Mapping[str, float]) -> Uncertainty:
@@ -249,23 +252,29 @@ class _Grid:
             saturation=base.saturation,
         )  # fmt: skip
 
-    def _scenarios(
-        self, at: Mapping[str, float], n: int, *, as_targets: bool = False
-    ) -> tuple[Scenarios, Sampler]:
-        key = (at.get("error", 1.0), n, as_targets)
-        if self._kept is None or self._kept[0] != key:
-            _, plants = true_plants(self._base, self._scaled(at))
-            sampler = Sampler(self._base, plants, self._region, self._target)
-            rng = np.random.default_rng(self._seed)
-            wanted = max(n, _POOL) if as_targets else n
-            scenarios = (sampler.targets if as_targets else sampler.draw)(wanted, rng)
-            if as_targets:
-                rates = local_test(sampler, scenarios).decay_rates
-                hard = np.argsort(rates, kind="stable")[: n // 2]
-                others = np.setdiff1d(np.arange(len(rates)), hard)
-                scenarios = scenarios.take(np.concatenate([hard, others[: n - n // 2]]))
-            self._kept = (key, scenarios, sampler)
-        return self._kept[1], self._kept[2]
+    def _scenarios(self, at: Mapping[str, float], n: int) -> tuple[Scenarios, Sampler]:
+        key = (at.get("error", 1.0), n)
+        if self._drawn is None or self._drawn[0] != key:
+            sampler, rng = self._sampler(at)
+            self._drawn = (key, sampler.draw(n, rng), sampler)
+        return self._drawn[1:]
+
+    def _targets(self, at: Mapping[str, float], n: int) -> tuple[Targets, Sampler]:
+        key = (at.get("error", 1.0), n)
+        if self._hard is None or self._hard[0] != key:
+            sampler, rng = self._sampler(at)
+            targets = sampler.targets(max(n, _POOL), rng)
+            rates = local_test(sampler, targets).decay_rates
+            hard = np.argsort(rates, kind="stable")[: n // 2]
+            others = np.setdiff1d(np.arange(len(rates)), hard)
+            chosen = targets.take(np.concatenate([hard, others[: n - n // 2]]))
+            self._hard = (key, chosen, sampler)
+        return self._hard[1:]
+
+    def _sampler(self, at: Mapping[str, float]) -> tuple[Sampler, np.random.Generator]:
+        _, plants = true_plants(self._base, self._scaled(at))
+        sampler = Sampler(self._base, plants, self._region, self._target)
+        return sampler, np.random.default_rng(self._seed)
 
 
 def _values(name: str, given: Sequence[float] | Array) -> Array:

@@ -15,6 +15,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
+from approxjac.tasks.task import require_jacobian_of_q
 
 _TRIES = 1000
 _THINNING = 25
@@ -193,7 +194,8 @@ class SublevelSet(Region):
 
     With V of eq. (12) and the paper's weights. It is the part connected with the start, drawn from
     by a random walk, so that its postures are not independent. A motion of this plant that starts
-    at rest in q₀ and along which this V falls stays in it; another true robot may leave it.
+    at rest in q₀ and along which this V falls stays in it, as long as a camera sees it; another
+    true robot may leave it.
 
     Args:
         plant: The true robot.
@@ -204,7 +206,8 @@ class SublevelSet(Region):
         within: Region that the postures must also be in; the joint limits by default.
 
     Raises:
-        InvalidInputError: A start outside `within`, or wrong shapes.
+        InvalidInputError: A start outside `within` or not seen by the sensor, wrong shapes, or an
+            α > 0 with a task whose Jacobian uses the measured x.
     """
 
     independent = False
@@ -232,6 +235,14 @@ class SublevelSet(Region):
                 f"q0 must be in {self.within!r}, or the region is empty, got {self.start.tolist()}",
                 given=q0,
             )
+        if not plant.sensor.sees(self.start):
+            raise InvalidInputError(
+                f"q0 must be a posture that the sensor sees, got {self.start.tolist()} with "
+                f"{plant.sensor!r}",
+                given=q0,
+            )
+        if self.alpha > 0.0:
+            require_jacobian_of_q(controller.task, "the set of V with alpha > 0")
         self.level = self._at_rest(self.start)
         self.spread = self.within.spread
 
@@ -245,7 +256,7 @@ class SublevelSet(Region):
         return np.array(drawn)
 
     def contains(self, q: Array) -> bool:
-        if not self.within.contains(q):
+        if not (self.within.contains(q) and self._plant.sensor.sees(q)):
             return False
         kinetic = 0.0
         if self.alpha > 0.0:

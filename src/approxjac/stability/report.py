@@ -257,7 +257,8 @@ def stability_report(
         controller: The controller, of law (6) or (28).
         truth: The true robot, as a plant or as a robot on which the controller's own task is
             measured; or the set of true robots, of which all corners are taken.
-        region: Where to look; the joint limits without near-singular postures by default.
+        region: Where to look, as far as the true robot's sensor sees; the joint limits without
+            near-singular postures by default.
         target: x_d, shape (n_x,), for the one target; by default the values of other postures of
             the region, so that the report speaks of all targets within it.
         postures: How many to draw, ≥ 20.
@@ -267,8 +268,9 @@ def stability_report(
         progress: Called with what is being done and the share of it.
 
     Raises:
-        InvalidInputError: Law (5) or a posture torque, an empty region, a target that no posture
-            of a true robot attains, or numbers out of range.
+        InvalidInputError: Law (5) or a posture torque, a task whose Jacobian uses the measured x,
+            an empty region or one that a true camera sees nothing of, a target that no posture of
+            a true robot attains, or numbers out of range.
     """
     require("controller", controller, SetpointController, "a SetpointController")
     require_law(controller)
@@ -346,7 +348,7 @@ def stability_report(
         outcome,
         corners,
         gravity_error(controller, plants, scenarios.q[:: max(1, len(scenarios) // 20)]),
-        singular_posture(region, controller.task, scenarios),
+        singular_posture(sampler.parts, controller.task, scenarios),
         seed,
     )
 

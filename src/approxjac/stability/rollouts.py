@@ -17,6 +17,7 @@ from approxjac.interface import Controller
 from approxjac.simulation import Trajectory, simulate
 from approxjac.stability.region import Region
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.stability.view import SeenPart, UnattainedError
 from approxjac.tasks import Task
 
 _RECORDS = 500  # of a run: 50 in its last tenth
@@ -32,7 +33,8 @@ class Rollout:
         values: True values of the uncertain coordinates, shape (d,).
         q0: Start, at rest, shape (nq,).
         target: x_d, shape (n_x,).
-        final_error: ‖e‖ at the end [unit of the task]; infinite if the run diverged.
+        final_error: ‖e‖ at the end [unit of the task]; infinite if the run diverged, or ended
+            behind the camera, where there is no image.
         settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
             recorded instant [s]; NaN if it is not at the end.
         converged: Whether it is at every recorded instant of the last tenth.
@@ -136,9 +138,10 @@ def rollouts(
 ) -> Rollouts:
     """Simulate the sampled closed loop from random starts, with random true robots.
 
-    Run k draws from a generator of its own, `numpy.random.default_rng([seed, k])`: the true
-    values, the start, and the posture that attains the target. So the result is the same whatever
-    carries out the runs, and more runs of the same seed begin with the same ones.
+    Starts and targets are those that the true robot's sensor sees. Run k draws from a generator
+    of its own, `numpy.random.default_rng([seed, k])`: the true values, the start, and the posture
+    that attains the target. So the result is the same whatever carries out the runs, and more runs
+    of the same seed begin with the same ones.
 
     Args:
         controller: The controller with its believed robot: anything with the interface of
@@ -163,8 +166,9 @@ def rollouts(
         All runs, their count and interval.
 
     Raises:
-        InvalidInputError: Numbers out of range, a controller of another task than the sensor's, or
-            something that cannot be sent to the processes of an executor.
+        InvalidInputError: Numbers out of range, a controller of another task than the sensor's, a
+            region of which a true camera sees nothing, or something that cannot be sent to the
+            processes of an executor.
     """
     _require_arguments(controller, uncertainty, region, executor, progress)
     for name, value, least in (("runs", runs, 1), ("seed", seed, 0)):
@@ -243,10 +247,16 @@ class _Job:
         rng = np.random.default_rng([self.seed, index])
         values = self.uncertainty.sample(rng)
         plant = self.uncertainty.plant(values)
-        q0 = self._posture(rng)
-        target = self.target
-        if target is None:
-            target = plant.sensor.value(self._posture(rng))
+        seen, target = SeenPart(self.region, plant.sensor), self.target
+        try:
+            q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
+            q0 = seen.instead(q0[None], rng)[0]
+            if target is None:
+                target = plant.sensor.value(seen.sample(1, rng)[0])
+        except UnattainedError as error:
+            raise UnattainedError(
+                f"{error}, with {self.uncertainty.describe(values)}", given=values, truth=index
+            ) from error
         every = max(1, round(self.duration / self.dt / _RECORDS)) * self.dt
         try:
             record = simulate(
@@ -262,20 +272,18 @@ class _Job:
         except SimulationError:
             return Rollout(index, values, q0, target, math.inf, math.nan, False, True, False)
         settling, converged = _judged(record, self.tolerance)
+        final_error = float(record.error_norm[-1])
         return Rollout(
             index,
             values,
             q0,
             target,
-            final_error=float(record.error_norm[-1]),
+            final_error=math.inf if math.isnan(final_error) else final_error,
             settling_time=settling,
             converged=converged,
             diverged=False,
             stayed=all(bool(self.region.contains(q)) for q in record.q),
         )
-
-    def _posture(self, rng: np.random.Generator) -> Array:
-        return np.array(self.region.sample(1, rng)[0])
 
 
 def _judged(record: Trajectory, tolerance: float) -> tuple[float, bool]:

@@ -15,23 +15,13 @@ from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 from approxjac.stability.attain import attain
 from approxjac.stability.region import Region
+from approxjac.stability.view import SeenPart, UnattainedError, between
+from approxjac.tasks.task import require_jacobian_of_q
 
 Indices = NDArray[np.intp]
 _STARTS = 20  # of the search for postures that attain a target
 _DECADES = 6.0  # of the sizes of small errors
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
-
-
-class UnattainedError(InvalidInputError):
-    """A target that a true robot does not attain within the region.
-
-    Attributes:
-        truth: Index of the true robot.
-    """
-
-    def __init__(self, message: str, *, given: object, truth: int) -> None:
-        super().__init__(message, given=given)
-        self.truth = truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +68,30 @@ class Scenarios:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """Postures that are taken as targets.
+
+    Attributes:
+        truth: Which of the true robots, shape (N,).
+        q: Posture, shape (N, nq).
+    """
+
+    truth: Indices
+    q: Array
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def take(self, which: Indices) -> Targets:
+        """Those of some indices."""
+        return Targets(self.truth[which], self.q[which])
+
+
 class Sampler:
     """Draws scenarios of a controller on one of several true robots.
+
+    Postures and targets are those that the true robot's sensor sees.
 
     Args:
         controller: The controller.
@@ -96,6 +108,7 @@ class Sampler:
         target: Array | None,
     ) -> None:
         self.controller, self.plants, self.region, self.target = controller, plants, region, target
+        self.parts = [SeenPart(region, plant.sensor, k) for k, plant in enumerate(plants)]
         self._attained: list[list[Array]] | None = None
 
     def draw(
@@ -107,24 +120,23 @@ class Sampler:
         sizes, and a third those between two postures of the region. Without the first two a
         saturated s(e) would be looked at where it is flat only.
         """
-        truths = np.arange(-(-n // len(self.plants)) * len(self.plants)) % len(self.plants)
-        postures = self.region.sample(len(truths), rng)
+        truths, postures = self._drawn(n, rng)
         away = self._away(len(truths), rng)
         model = self.region.robot.model
         if self.target is None:
-            others = self.region.sample(len(truths), rng)
+            others = self._seen(truths, self.region.sample(len(truths), rng), rng)
+            sensors = [self.plants[t].sensor for t in truths]
             ends = [
-                pin.interpolate(model, q, other, share)
-                for q, other, share in zip(postures, others, away, strict=True)
+                between(sensor, q, other, share)
+                for sensor, q, other, share in zip(sensors, postures, others, away, strict=True)
             ]
-            sensors = [plant.sensor for plant in self.plants]
-            x_d = np.array([sensors[t].value(q) for t, q in zip(truths, ends, strict=True)])
+            x_d = np.array([sensor.value(q) for sensor, q in zip(sensors, ends, strict=True)])
             return self._evaluate(truths, postures, x_d, progress)
         known = self.attained(rng)
         for i, (t, share) in enumerate(zip(truths, away, strict=True)):
             end = known[t][rng.integers(len(known[t]))]
             nearer = np.array(pin.interpolate(model, end, postures[i], share))
-            if self.region.contains(nearer):
+            if self.parts[t].contains(nearer):
                 postures[i] = nearer
         return self._evaluate(truths, postures, self._targets(len(truths)), progress)
 
@@ -138,13 +150,13 @@ class Sampler:
             self._attained = [self._attaining(index, rng) for index in range(len(self.plants))]
         return self._attained
 
-    def targets(self, n: int, rng: np.random.Generator) -> Scenarios:
+    def targets(self, n: int, rng: np.random.Generator) -> Targets:
         """What may be targets: postures that attain the one target, or n drawn ones."""
         if self.target is None:
-            return self.draw(n, rng)
+            return Targets(*self._drawn(n, rng))
         known = self.attained(rng)
         truths = np.repeat(np.arange(len(known)), [len(postures) for postures in known])
-        return self.at(truths, np.concatenate(known))
+        return Targets(truths, np.concatenate(known))
 
     def near(
         self, known: Scenarios, k: int, n: int, size: float, rng: np.random.Generator
@@ -152,13 +164,25 @@ class Sampler:
         """N scenarios of the same true robot as the k-th known one, at postures near its own."""
         truth = int(known.truth[k])
         sizes = size * 10.0 ** rng.uniform(-1.0, 0.5, n)
-        postures = np.array([self.region.near(known.q[k], each, rng) for each in sizes])
+        part = self.parts[truth]
+        postures = np.array([part.near(known.q[k], each, rng) for each in sizes])
         x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
         return self._evaluate(np.full(n, truth), postures, x_d, None)
 
     def at(self, truths: Indices, postures: Array) -> Scenarios:
         """Scenarios of chosen true robots and postures, with the one target."""
         return self._evaluate(truths, postures, self._targets(len(postures)), None)
+
+    def _drawn(self, n: int, rng: np.random.Generator) -> tuple[Indices, Array]:
+        """At least n true robots in turn, and postures that they see."""
+        truths = np.arange(-(-n // len(self.plants)) * len(self.plants)) % len(self.plants)
+        return truths, self._seen(truths, self.region.sample(len(truths), rng), rng)
+
+    def _seen(self, truths: Indices, postures: Array, rng: np.random.Generator) -> Array:
+        """Postures of the region, with others for those that their true robot does not see."""
+        for t, part in enumerate(self.parts):
+            postures[truths == t] = part.instead(postures[truths == t], rng)
+        return postures
 
     def _targets(self, n: int) -> Array:
         """The target n times; of a sampler that has one."""
@@ -173,7 +197,7 @@ class Sampler:
 
     def _attaining(self, index: int, rng: np.random.Generator) -> list[Array]:
         sensor, target = self.plants[index].sensor, self._targets(1)[0]
-        starts = self.region.sample(_STARTS, rng)
+        starts = self.parts[index].sample(_STARTS, rng)
         attained = [q for q in (attain(sensor, target, start) for start in starts) if q is not None]
         if not attained:
             raise UnattainedError(
@@ -201,6 +225,7 @@ class Sampler:
         progress: Callable[[int], None] | None,
     ) -> Scenarios:
         task, saturation = self.controller.task, self.controller.saturation
+        require_jacobian_of_q(task, "the conditions over a region")
         N, n, m = len(postures), task.robot.nv, task.m
         M, dM = np.empty((N, n, n)), np.empty((N, n, n, n))
         J, J_e, J_hat = np.empty((N, m, n)), np.empty((N, m, n)), np.empty((N, m, n))
@@ -210,7 +235,7 @@ class Sampler:
             dynamics, sensor = plant.dynamics, plant.sensor
             M[i] = dynamics.M(q)
             e[i] = sensor.error(sensor.value(q), x_d[i])
-            J[i] = sensor.jacobian(q)
+            J[i] = sensor.sensor_jacobian(q)
             J_e[i] = sensor.error_jacobian(e[i], J[i])
             J_hat[i] = task.jacobian(q)
             dM[i] = dynamics.M_gradient(q)

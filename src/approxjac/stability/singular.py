@@ -7,12 +7,14 @@ margins are relative to that block, so they stay positive however near such a po
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
 from approxjac.checks import Array
-from approxjac.stability.region import Region
 from approxjac.stability.scenarios import Scenarios
+from approxjac.stability.view import SeenPart
 from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
 
@@ -21,21 +23,27 @@ _STEPS = 20
 _SINGULAR = 1e-4  # of a tenth of the typical σ_max
 
 
-def singular_posture(region: Region, task: Task, scenarios: Scenarios) -> Array | None:
-    """A posture (nq,) of a region where Ĵ loses rank, or None if the search finds none.
+def singular_posture(parts: Sequence[SeenPart], task: Task, scenarios: Scenarios) -> Array | None:
+    """A posture (nq,) where Ĵ loses rank, or None if the search finds none.
 
     Newton steps towards σ_min(Ĵ) = 0 from the least regular of the scenarios, halved until they
     stay in the region.
+
+    Args:
+        parts: The region as each true robot's sensor sees it.
+        task: The believed task.
+        scenarios: Where to start.
     """
     sizes = np.linalg.svd(scenarios.J_hat, compute_uv=False)[:, -1]
     tiny = _SINGULAR * vanishing(task)
     for k in np.argsort(sizes)[:_STARTS]:
+        part = parts[int(scenarios.truth[k])]
         q, size, gradient = _approach(task, scenarios.q[k])
         for _ in range(_STEPS):
             if size <= tiny:
                 return q
             step = -size * gradient / max(float(gradient @ gradient), 1e-300)
-            found = _shorter(region, task, q, step, size)
+            found = _shorter(part, task, q, step, size)
             if found is None:
                 break
             q, size, gradient = found
@@ -51,12 +59,12 @@ def _approach(task: Task, q: Array) -> tuple[Array, float, Array]:
 
 
 def _shorter(
-    region: Region, task: Task, q: Array, step: Array, size: float
+    part: SeenPart, task: Task, q: Array, step: Array, size: float
 ) -> tuple[Array, float, Array] | None:
     """What a step leads to, halved until that is in the region and nearer to singular."""
     for _ in range(8):
         moved = np.array(pin.integrate(task.robot.model, q, step))
-        if region.contains(moved):
+        if part.contains(moved):
             found = _approach(task, moved)
             if found[1] < size:
                 return found

@@ -141,7 +141,7 @@ def suggest_gains(
     require("region", region, Region, "a Region, such as JointBox(robot)")
     sampler = Sampler(first, plants, region, x_d)
     scenarios, targets = sampler.draw(postures, rng), sampler.targets(_TARGETS, rng)
-    singular = singular_posture(region, task, scenarios) is not None
+    singular = singular_posture(sampler.parts, task, scenarios) is not None
     _, weighing = true_plants(first, heavy)
     weight = np.array(
         [weighing[t].dynamics.g(q) for t, q in zip(scenarios.truth, scenarios.q, strict=True)]

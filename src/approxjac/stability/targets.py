@@ -9,7 +9,7 @@ import numpy as np
 from approxjac.checks import Array
 from approxjac.controllers import SetpointController
 from approxjac.stability.local import linearised
-from approxjac.stability.scenarios import Indices, Sampler, Scenarios
+from approxjac.stability.scenarios import Indices, Sampler, Scenarios, Targets
 
 _LOCAL = 1000  # postures at most
 
@@ -48,23 +48,25 @@ class LocalTest:
 
 
 def local_test(
-    sampler: Sampler, scenarios: Scenarios, controller: SetpointController | None = None
+    sampler: Sampler,
+    targets: Scenarios | Targets,
+    controller: SetpointController | None = None,
 ) -> LocalTest:
     """Linearise the closed loop with each posture (of the first thousand) as a target.
 
     Args:
-        sampler: Of the scenarios, with their true robots.
-        scenarios: The postures.
+        sampler: Of the postures, with their true robots.
+        targets: The postures.
         controller: Another one than the sampler's, of the same task.
     """
-    few = scenarios.take(np.arange(min(len(scenarios), _LOCAL)))
+    truth, postures = targets.truth[:_LOCAL], targets.q[:_LOCAL]
     at = [
         linearised(sampler.plants[t], controller or sampler.controller, q)
-        for t, q in zip(few.truth, few.q, strict=True)
+        for t, q in zip(truth, postures, strict=True)
     ]
     return LocalTest(
         np.array([0.0 if each.singular else each.decay_rate for each in at]),
         np.array([each.damping_ratio for each in at]),
-        few.q,
-        few.truth,
+        postures,
+        truth,
     )

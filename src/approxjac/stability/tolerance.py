@@ -22,11 +22,12 @@ from approxjac.stability.loop import (
 from approxjac.stability.matrix_form import MatrixForm
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.scenarios import Sampler, UnattainedError
+from approxjac.stability.scenarios import Sampler
 from approxjac.stability.singular import singular_posture
 from approxjac.stability.targets import local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.stability.view import UnattainedError
 
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
@@ -95,7 +96,7 @@ def tolerance(
         uncertainty: The errors at scale 1.
         region: Where to look; see `stability_report`.
         tests: Which tests: "theorem1", "matrix", "local", and "rollouts", which passes if all
-            runs converge.
+            runs converge. The first two are not for a task whose Jacobian uses the measured x.
         target: x_d, shape (n_x,); see `stability_report`.
         largest: Scale at most > 0; less where robots beyond it cannot exist.
         precision: Of the scale, relative, > 0.
@@ -130,10 +131,15 @@ def tolerance(
         def failing(scale: float, test: Test = test) -> Array | None:
             errors = uncertainty.scaled(scale)
             if test == "rollouts":
-                outcome = rollouts(
-                    controller, errors, region, target=target, runs=runs, duration=duration,
-                    seed=seed,
-                )  # fmt: skip
+                try:
+                    outcome = rollouts(
+                        controller, errors, region, target=target, runs=runs, duration=duration,
+                        seed=seed,
+                    )  # fmt: skip
+                except UnattainedError as error:
+                    if scale <= 1.0:
+                        raise
+                    return np.array(error.given)  # grown errors: a camera that looks elsewhere
                 failed = [run for run in outcome.runs if not run.converged]
                 return max(failed, key=lambda run: run.final_error).values if failed else None
             return _failing(
@@ -192,26 +198,26 @@ def _failing(
     x_d = None if target is None else plants[0].sensor.target(target)
     sampler = Sampler(controller, plants, region, x_d)
     try:
-        scenarios = (sampler.targets if test == "local" else sampler.draw)(postures, rng)
+        if test == "local":
+            local = local_test(sampler, sampler.targets(postures, rng))
+            return None if local.stable else np.array(corners[local.truth[local.worst]])
+        scenarios = sampler.draw(postures, rng)
     except UnattainedError as error:
         if uncertainty.factor <= least_factor:
             raise
         return np.array(corners[error.truth])  # grown errors have put the target out of reach
-    if test != "local" and singular_posture(region, controller.task, scenarios) is not None:
+    if singular_posture(sampler.parts, controller.task, scenarios) is not None:
         return np.array(corners[0])  # whatever the errors: the arm may stand still there
     setting = setting_of(controller, plants[0])
     if test == "theorem1":
         scenarios = refine_constants(sampler, scenarios, setting, rng)
         first = theorem1(scenarios, setting)
         culprit = None if first.holds else scenarios.truth[first.worst["p"]]
-    elif test == "matrix":
+    else:
         form = MatrixForm(scenarios, setting)
         for family in setting.families:
             form, best = refine_weights(sampler, form, family, rng)
             if best.margins.min() > 0.0:
                 return None
         culprit = form.scenarios.truth[best.margins.argmin()]
-    else:
-        local = local_test(sampler, scenarios)
-        culprit = None if local.stable else local.truth[local.worst]
     return None if culprit is None else corners[int(culprit)]

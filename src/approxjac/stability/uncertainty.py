@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -15,20 +16,12 @@ from approxjac.checks import Array, as_array, as_number, is_scalar, require
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
-from approxjac.tasks import ImageTask, PlanarCamera, PositionTask, Task
+from approxjac.stability.coordinates import Coordinate, as_range, in_words
+from approxjac.tasks import Camera, ImageTask, PositionTask, Task
 
 _CORNER_SEED = 0
 _HALVINGS = 20
-
-
-class _Coordinate(NamedTuple):
-    """One number that is not known: what is believed of it, and the range that it may be in."""
-
-    name: str
-    unit: str
-    believed: float
-    low: float
-    high: float
+_CALIBRATION = ("focal_length", "distance", "roll")  # of a camera, in this order
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -44,9 +37,10 @@ class Uncertainty:
 
     Attributes:
         arm: The believed arm, without the object.
-        task: Makes the task of a robot, such as `functools.partial(PositionTask, axes="xz")` (a
-            function that is to go to other processes must not be a lambda). With a camera the
-            task is `ImageTask(robot, camera)`.
+        task: Makes the task of a robot, such as `functools.partial(PositionTask, axes="xz")`;
+            `PositionTask` by default. With a camera it makes that of a robot and a camera, such
+            as `functools.partial(ImageTask, points=...)`; `ImageTask` by default. (A function
+            that is to go to other processes must not be a lambda.)
         object_length: Smallest and largest true length of the object [m].
         object_mass: Smallest and largest true mass of the object [kg].
         believed_length: Length of the object that is believed, ≥ 0 [m].
@@ -56,10 +50,15 @@ class Uncertainty:
             side along each axis of the parent link, shape (3,) [m]; an axis with 0 is certain.
         joint_rotations: Joint name → the same for the rotation vector in the joint's own frame,
             shape (3,) [rad].
-        camera: The believed camera, if the task is an image.
-        focal_length: Smallest and largest true focal length [m].
-        distance: Smallest and largest true distance of the camera [m].
-        roll: Smallest and largest true roll of the camera [rad].
+        camera: The believed camera, if the task is an image. What may be wrong with it is its
+            `calibration`: the next three ranges are of that, in its units.
+        focal_length: Smallest and largest true focal length: of a `PlanarCamera` [m], f_x of a
+            `PinholeCamera` [px] (f_y along with it).
+        distance: Smallest and largest true distance of a `PlanarCamera` [m]; of a
+            `PinholeCamera` how far back along its optical axis it may truly stand from where it
+            is believed to be [m], with 0 believed.
+        roll: Smallest and largest true roll about the optical axis [rad]: of a `PinholeCamera`
+            relative to the believed one, with 0 believed.
         friction: Viscous friction B ≥ 0 of the true joints, which is certain, a number or shape
             (n_v,) [N m s/rad or N s/m].
         factor: What the ranges above are shrunk or grown by, about what is believed; see `scaled`.
@@ -67,8 +66,8 @@ class Uncertainty:
     Raises:
         InvalidInputError: Ranges that are reversed, not finite or do not hold what is believed;
             robots or cameras anywhere in the box that cannot exist; ranges of a camera without a
-            camera; a camera and a task.
-        UnknownNameError: No such joint.
+            camera; a task that is none of a robot (and a camera).
+        UnknownNameError: No such joint; a range that the camera's calibration does not have.
 
     Example:
         >>> arm = load_robot("panda")
@@ -77,7 +76,7 @@ class Uncertainty:
     """
 
     arm: Robot
-    task: Callable[[Robot], Task] = PositionTask
+    task: Callable[..., Task] | None = None
     _: KW_ONLY
     object_length: tuple[float, float] | None = None
     object_mass: tuple[float, float] | None = None
@@ -86,18 +85,18 @@ class Uncertainty:
     object_axis: str | Sequence[float] = "z"
     joint_shifts: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
     joint_rotations: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
-    camera: PlanarCamera | None = None
+    camera: Camera | None = None
     focal_length: tuple[float, float] | None = None
     distance: tuple[float, float] | None = None
     roll: tuple[float, float] | None = None
     friction: float | Sequence[float] | Array = 0.0
     factor: float = 1.0
-    _coordinates: tuple[_Coordinate, ...] = field(init=False)
+    _coordinates: tuple[Coordinate, ...] = field(init=False)
     _belief: Robot = field(init=False)
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
-        self._require_one_task()
+        self._require_task()
         as_number("believed_length", self.believed_length, unit="m", minimum=0.0)
         as_number("believed_mass", self.believed_mass, unit="kg", minimum=0.0)
         as_number("factor", self.factor, minimum=0.0)
@@ -107,7 +106,7 @@ class Uncertainty:
         if not is_scalar(self.friction):
             self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
         given = [*self._object_ranges(), *self._joint_ranges(), *self._camera_ranges()]
-        self._set("_coordinates", tuple(_scaled(known, self.factor) for known in given))
+        self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
         self._set("_belief", self._believed_robot())
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
@@ -221,20 +220,12 @@ class Uncertainty:
         """
         at = self._by_name(values)
         robot = self._true_robot(at)
-        camera = self.camera
-        if camera is not None:
-            camera = replace(
-                camera,
-                focal_length=at.get("camera focal_length", camera.focal_length),
-                distance=at.get("camera distance", camera.distance),
-                roll=at.get("camera roll", camera.roll),
-            )
-        return Plant(robot, self._task_of(robot, camera), self.friction)
+        return Plant(robot, self._task_of(robot, self._true_camera(at)), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Return values (d,) in words, such as "object_length 0.300 m, camera roll 0.349 rad"."""
         shown = [
-            _text(name, value, unit)
+            in_words(name, value, unit)
             for (name, value), unit in zip(self._by_name(values).items(), self.units, strict=True)
         ]
         return ", ".join(shown) or "no error"
@@ -271,10 +262,22 @@ class Uncertainty:
             return self.arm
         return self.arm.with_object(self.believed_length, self.believed_mass, axis=self.object_axis)
 
-    def _task_of(self, robot: Robot, camera: PlanarCamera | None) -> Task:
-        if camera is not None:
-            return ImageTask(robot, camera)
-        task = self.task(robot)
+    def _true_camera(self, at: Mapping[str, float]) -> Camera | None:
+        """The camera at some values; the believed one itself where nothing is wrong with it."""
+        if self.camera is None:
+            return None
+        wrong = {
+            name: at[f"camera {name}"]
+            for name, known in self.camera.calibration.items()
+            if at.get(f"camera {name}", known.value) != known.value
+        }
+        return self.camera.recalibrated(wrong) if wrong else self.camera
+
+    def _task_of(self, robot: Robot, camera: Camera | None) -> Task:
+        if camera is None:
+            task = (self.task or PositionTask)(robot)
+        else:
+            task = (self.task or ImageTask)(robot, camera)
         require("what task makes of a robot", task, Task, "a task, such as PositionTask(robot)")
         return task
 
@@ -283,21 +286,17 @@ class Uncertainty:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)  # frozen once it is built
 
-    def _require_one_task(self) -> None:
-        if not callable(self.task):
-            raise InvalidInputError(
-                f"task must be a function from a robot to its task, such as PositionTask, "
-                f"got {self.task!r}",
-                given=self.task,
-            )
+    def _require_task(self) -> None:
+        of: list[Robot | Camera] = [self.arm]
+        wanted = "from a robot to its task, such as PositionTask"
         if self.camera is not None:
-            require("camera", self.camera, PlanarCamera, "a PlanarCamera or None")
-            if self.task is not PositionTask:
-                raise InvalidInputError(
-                    f"task must not be given with a camera, whose image is the task, "
-                    f"got {self.task!r}",
-                    given=self.task,
-                )
+            require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
+            of.append(self.camera)
+            wanted = "of a robot and a camera, such as ImageTask"
+        if self.task is not None and not _takes(self.task, of):
+            raise InvalidInputError(
+                f"task must be a function {wanted}, got {self.task!r}", given=self.task
+            )
 
     def _bounds(self, name: str, unit: str) -> dict[str, tuple[float, ...]]:
         """`joint_shifts` or `joint_rotations`, checked, as a new dictionary."""
@@ -320,66 +319,69 @@ class Uncertainty:
                 )
         return {joint: tuple(bound.tolist()) for joint, bound in bounds.items()}
 
-    def _object_ranges(self) -> list[_Coordinate]:
+    def _object_ranges(self) -> list[Coordinate]:
         known = (
             ("object_length", self.object_length, self.believed_length, "m"),
             ("object_mass", self.object_mass, self.believed_mass, "kg"),
         )
         return [
-            _range(name, name, given, believed, unit)
+            as_range(name, name, given, believed, unit)
             for name, given, believed, unit in known
             if given is not None
         ]
 
-    def _joint_ranges(self) -> list[_Coordinate]:
+    def _joint_ranges(self) -> list[Coordinate]:
         joints = dict.fromkeys([*self.joint_shifts, *self.joint_rotations])
         kinds = (("shift", "m", self.joint_shifts), ("rotation", "rad", self.joint_rotations))
         return [
-            _Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
+            Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
             for joint in joints
             for kind, unit, bounds in kinds
             for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
             if bound > 0.0
         ]
 
-    def _camera_ranges(self) -> list[_Coordinate]:
+    def _camera_ranges(self) -> list[Coordinate]:
         ranges = []
-        for name, unit in (("focal_length", "m"), ("distance", "m"), ("roll", "rad")):
+        for name in _CALIBRATION:
             given = getattr(self, name)
             if given is None:
                 continue
             if self.camera is None:
                 raise InvalidInputError(
                     f"{name} is that of a camera, got {given!r} without one: give the believed "
-                    "camera as camera=PlanarCamera(f, z)",
+                    "camera as camera, such as PlanarCamera(f, z)",
                     given=given,
                 )
-            ranges.append(_range(name, f"camera {name}", given, getattr(self.camera, name), unit))
+            calibration = self.camera.calibration
+            if name not in calibration:
+                where = f"the calibration of {type(self.camera).__name__}"
+                raise UnknownNameError("range", name, where, calibration)
+            believed, unit = calibration[name]
+            ranges.append(as_range(name, f"camera {name}", given, believed, unit))
         return ranges
 
     def _require_physical(self) -> None:
         """Refuse a box that holds robots or cameras that cannot exist."""
-        box = {known.name: known for known in self._coordinates}
-        for name in ("object_length", "object_mass"):
-            if name in box and box[name].low < 0.0:
-                raise self._unphysical(box[name], ">= 0")
-        if self.camera is None:
-            return
-        focal, distance = box.get("camera focal_length"), box.get("camera distance")
-        if focal is not None and focal.low <= 0.0:
-            raise self._unphysical(focal, "> 0")
-        longest = self.camera.focal_length if focal is None else focal.high
-        nearest = self.camera.distance if distance is None else distance.low
-        if nearest <= longest:
-            raise InvalidInputError(
-                "camera distance must be > camera focal_length in the whole set [m], got a "
-                f"distance of {nearest:.4g} and a focal length of {longest:.4g}{self._grown}",
-                given=(nearest, longest),
-            )
+        for known in self._coordinates:
+            if known.name in ("object_length", "object_mass") and known.low < 0.0:
+                raise self._unphysical(known)
+        # a camera knows itself what it cannot be, and is that in a corner first
+        box = [known for known in self._coordinates if known.name.startswith("camera ")]
+        for corner in itertools.product(*((known.low, known.high) for known in box)):
+            at = {known.name: value for known, value in zip(box, corner, strict=True)}
+            try:
+                self._true_camera(at)
+            except InvalidInputError as error:
+                shown = ", ".join(in_words(known.name, at[known.name], known.unit) for known in box)
+                raise InvalidInputError(
+                    f"a camera must exist everywhere in the set, got {shown}{self._grown}: {error}",
+                    given=at,
+                ) from error
 
-    def _unphysical(self, known: _Coordinate, wanted: str) -> InvalidInputError:
+    def _unphysical(self, known: Coordinate) -> InvalidInputError:
         return InvalidInputError(
-            f"{known.name} must be {wanted} in the whole set [{known.unit}], "
+            f"{known.name} must be >= 0 in the whole set [{known.unit}], "
             f"got {known.low:.4g} to {known.high:.4g}{self._grown}",
             given=(known.low, known.high),
         )
@@ -397,35 +399,6 @@ class Uncertainty:
         return f"Uncertainty({self.arm.name!r}: {', '.join(shown) or 'no error'})"
 
 
-def _range(field_name: str, name: str, given: Any, believed: float, unit: str) -> _Coordinate:
-    """A coordinate whose range was given as (low, high).
-
-    Raises:
-        InvalidInputError: Not two finite numbers, reversed, or without what is believed in it.
-    """
-    low, high = as_array(field_name, given, (2,), unit).tolist()
-    if low > high:
-        raise InvalidInputError(
-            f"{field_name} must be (smallest, largest) [{unit}], got {(low, high)}; "
-            f"{(high, low)} is such a range",
-            given=given,
-        )
-    if not low <= believed <= high:
-        raise InvalidInputError(
-            f"{field_name} must hold what is believed, {believed:g} [{unit}], got {(low, high)}; "
-            f"{(min(low, believed), max(high, believed))} does",
-            given=given,
-        )
-    return _Coordinate(name, unit, float(believed), low, high)
-
-
-def _scaled(known: _Coordinate, factor: float) -> _Coordinate:
-    """Exact for the factors 0 and 1, and never without what is believed, whatever is rounded."""
-    believed = known.believed
-    low, high = (factor * end + (1.0 - factor) * believed for end in (known.low, known.high))
-    return known._replace(low=min(low, believed), high=max(high, believed))
-
-
 def _vectors(
     at: Mapping[str, float], kind: str, joints: Mapping[str, Any]
 ) -> dict[str, list[float]]:
@@ -441,7 +414,14 @@ def _joints(arm: Robot) -> list[str]:
     return [frame.name for frame in frames if frame.type in kinds]
 
 
-def _text(name: str, value: float, unit: str) -> str:
-    value += 0.0  # of -0 makes 0
-    degrees = f" ({math.degrees(value):.1f} deg)" if unit == "rad" else ""
-    return f"{name} {value:#.3g} {unit}{degrees}"
+def _takes(function: object, arguments: Sequence[object]) -> bool:
+    """Whether something can be called with so many arguments."""
+    if not callable(function):
+        return False
+    try:
+        inspect.signature(function).bind(*arguments)
+    except TypeError:
+        return False
+    except ValueError:  # builtins do not tell
+        return True
+    return True

@@ -123,7 +123,7 @@ def point_pattern(count: int, spread: float) -> Array:
     if not (isinstance(count, int) and 1 <= count <= 3):
         raise InvalidInputError(f"points must be 1, 2 or 3, got {count!r}", given=count)
     corner = math.sqrt(0.75)
-    return spread * np.array([[0, 0, 0], [0, 1, 0], [-0.3, 0.5, corner]], dtype=float)[:count]
+    return spread * np.array([[0, 0, 0], [0, 1, 0], [0.7, 0.5, corner]], dtype=float)[:count]
 
 
 def arm_reach(robot: Robot) -> float:

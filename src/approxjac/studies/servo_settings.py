@@ -90,7 +90,7 @@ class ServoSettings:
     camera_shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     camera_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     points: int = 1
-    spread: float = 0.15
+    spread: float = 0.2
     depth: Literal["believed", "constant", "measured"] | None = None
     start: tuple[float, ...] | None = None
     target: tuple[float, ...] | None = None

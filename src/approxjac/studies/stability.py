@@ -232,8 +232,7 @@ def _require_map(settings: StabilitySettings) -> None:
 
 
 def _uncertainty(arm: Robot, settings: StabilitySettings) -> Uncertainty:
-    camera = None
-    make = functools.partial(PositionTask, axes=settings.axes or best_axes(arm))
+    camera, make = None, functools.partial(PositionTask, axes=settings.axes or best_axes(arm))
     if settings.camera is not None:
         camera = PlanarCamera(*settings.camera)
         if settings.axes is not None:
@@ -244,7 +243,7 @@ def _uncertainty(arm: Robot, settings: StabilitySettings) -> Uncertainty:
             )
     return Uncertainty(
         arm,
-        PositionTask if camera is not None else make,
+        None if camera is not None else make,
         object_length=settings.object_length,
         object_mass=settings.object_mass,
         believed_length=settings.believed_length,

@@ -147,6 +147,9 @@ class CombinedTask(Task):
     def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         return np.asarray(self._C @ self._task.compute_jacobian(q, x))
 
+    def sensor_jacobian(self, q: Array) -> Array:
+        return np.asarray(self._C @ self._task.sensor_jacobian(q))
+
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.asarray(self._C @ self._task.jacobian_dot(q, v))
 

@@ -183,9 +183,13 @@ class ImageTask(Task):
         return np.array([self._camera.in_camera(r)[2] for r in self._kinematics.positions(q)])
 
     def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
-        at = None
-        if self.jacobian_uses_x:
-            at = self._located(q, x)
+        return self._jacobian(q, self._located(q, x) if self.jacobian_uses_x else None)
+
+    def sensor_jacobian(self, q: Array) -> Array:
+        return self._jacobian(self.robot.configuration(q), None)  # at the depths that are so
+
+    def _jacobian(self, q: Array, at: Array | None) -> Array:
+        """J with the points where they are, or elsewhere (k, 3); see `PointKinematics`."""
         r, J = self._kinematics.jacobians(q, at)
         if len(r) == 1:
             image_jacobian: Array = self._camera.interaction(r[0]) @ J[0]

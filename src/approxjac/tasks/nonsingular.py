@@ -130,6 +130,9 @@ class NonsingularTask(Task):
         designed: Array = J + P @ (self._task.compute_jacobian(self._bent(q), x) - J)
         return designed
 
+    def sensor_jacobian(self, q: Array) -> Array:
+        return self._task.sensor_jacobian(q)
+
     def design_error(self, q: Array) -> float:
         """‖Ĵ_d − Ĵ‖, the part of (7)'s bound p that the design adds at q; 0 away from singular."""
         return float(np.linalg.norm(self.jacobian(q) - self._task.jacobian(q), 2))

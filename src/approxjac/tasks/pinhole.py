@@ -288,9 +288,9 @@ class PinholeCamera(Camera):
     def recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
         """Return this camera with another f_x (f_y along with it), farther back, or rolled."""
         back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
-        factor = values.get("focal_length", self._f[0]) / self._f[0]
+        f = as_number("focal_length", values.get("focal_length", self._f[0]), unit="px", above=0.0)
         return self.with_error(
-            shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_length=factor
+            shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_length=f / self._f[0]
         )
 
     def _border(self) -> list[Array]:

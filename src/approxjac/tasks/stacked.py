@@ -89,6 +89,9 @@ class StackedTask(Task):
         each = zip(self._tasks, self._parts, strict=True)
         return np.vstack([task.compute_jacobian(q, x[part]) for task, part in each])
 
+    def sensor_jacobian(self, q: Array) -> Array:
+        return np.vstack([task.sensor_jacobian(q) for task in self._tasks])
+
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.vstack([task.jacobian_dot(q, v) for task in self._tasks])
 

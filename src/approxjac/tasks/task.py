@@ -77,6 +77,10 @@ class Task(ABC):
         """What a sensor delivers of a value x (n_x,): NaN in the parts that it cannot see."""
         return x
 
+    def sees(self, q: Array) -> bool:
+        """Whether a sensor delivers all of its value at q (nq,)."""
+        return bool(np.isfinite(self.seen(self.value(q))).all())
+
     @property
     def jacobian_uses_x(self) -> bool:
         """Whether the Jacobian depends on the measured x, and not on q only."""
@@ -98,6 +102,13 @@ class Task(ABC):
     @abstractmethod
     def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         """`jacobian` at a q that has been checked already, for loops."""
+
+    def sensor_jacobian(self, q: Array) -> Array:
+        """J by which what a sensor measures moves at q (nq,), shape (m, n_v).
+
+        For analysis of the true robot: `jacobian`, less whatever a controller is to assume in it.
+        """
+        return self.jacobian(q)
 
     @abstractmethod
     def jacobian_dot(self, q: Array, v: Array) -> Array:
@@ -179,7 +190,7 @@ def seen_postures(task: Task, count: int) -> list[Array]:
     found: list[Array] = []
     for _ in range(max(count, _TRIES)):
         q = task.robot.random_configuration(rng)
-        if np.isfinite(task.seen(task.value(q))).all():
+        if task.sees(q):
             found.append(q)
             if len(found) == count:
                 break
@@ -190,6 +201,17 @@ def seen_postures(task: Task, count: int) -> list[Array]:
             given=task,
         )
     return found
+
+
+def require_jacobian_of_q(task: Task, what: str) -> None:
+    """Refuse a task whose Jacobian uses the measured x, for an analysis that needs its rate."""
+    if task.jacobian_uses_x:
+        raise InvalidInputError(
+            f"{what} is for a task whose Jacobian depends on q only and has a rate, such as an "
+            f"ImageTask with depth='believed', got {task!r}; local_stability and rollouts are for "
+            "every task",
+            given=task,
+        )
 
 
 def require_rows(m: int, robot: Robot) -> None:

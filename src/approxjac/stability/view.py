@@ -1,0 +1,93 @@
+"""What a true sensor sees of a region: elsewhere no law acts, and no condition says anything."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array
+from approxjac.errors import InvalidInputError
+from approxjac.stability.region import Region
+from approxjac.tasks import Task
+
+_TRIES = 1000  # for each posture that is seen
+_NEARBY = 20  # tries
+_HALVINGS = 30  # of the way out of the view
+
+
+class UnattainedError(InvalidInputError):
+    """A target that a true robot does not attain in the region, or a region that it cannot see.
+
+    Attributes:
+        truth: Index of the true robot, or of the run.
+    """
+
+    def __init__(self, message: str, *, given: object, truth: int) -> None:
+        super().__init__(message, given=given)
+        self.truth = truth
+
+
+class SeenPart:
+    """The postures of a region that a sensor sees: all of them, but for cameras.
+
+    Args:
+        region: The region.
+        sensor: A task of the true robot.
+        truth: Index of that robot, for errors.
+    """
+
+    def __init__(self, region: Region, sensor: Task, truth: int = 0) -> None:
+        self.region, self.sensor, self.truth = region, sensor, truth
+
+    def sample(self, n: int, rng: np.random.Generator) -> Array:
+        """Draw n postures that are seen, shape (n, nq)."""
+        return self.instead(self.region.sample(n, rng), rng)
+
+    def instead(self, drawn: Array, rng: np.random.Generator) -> Array:
+        """Postures (n, nq) of the region, with others drawn for those that are not seen.
+
+        Raises:
+            UnattainedError: Hardly any is seen, as far as drawing can tell.
+        """
+        missing = [k for k, q in enumerate(drawn) if not self.sensor.sees(q)]
+        kept, tried = np.array(drawn), len(drawn)
+        while missing:
+            batch = self.region.sample(max(len(missing), 20), rng)
+            tried += len(batch)
+            for q in batch:
+                if missing and self.sensor.sees(q):
+                    kept[missing.pop()] = q
+            if missing and tried > _TRIES * (1 + len(drawn) - len(missing)):
+                raise UnattainedError(
+                    f"the region must hold postures that the true sensor sees: of {tried} of "
+                    f"{self.region!r} it sees {len(drawn) - len(missing)}, got {self.sensor!r}",
+                    given=self.sensor,
+                    truth=self.truth,
+                )
+        return kept
+
+    def contains(self, q: Array) -> bool:
+        """Whether a posture (nq,) belongs to the region and is seen."""
+        return self.region.contains(q) and self.sensor.sees(q)
+
+    def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
+        """A posture that is seen, about `size` spreads of the region away from such a q (nq,)."""
+        for _ in range(_NEARBY):
+            moved = self.region.near(q, size, rng)
+            if self.sensor.sees(moved):
+                return moved
+        return q
+
+    def __repr__(self) -> str:
+        return f"SeenPart({self.region!r}, {self.sensor!r})"
+
+
+def between(sensor: Task, seen: Array, other: Array, share: float) -> Array:
+    """A share of the way from a posture that is seen to another; halved until that is seen too."""
+    model = sensor.robot.model
+    for _ in range(_HALVINGS):
+        q = np.array(pin.interpolate(model, seen, other, share))
+        if sensor.sees(q):
+            return q
+        share *= 0.5
+    return np.array(seen)

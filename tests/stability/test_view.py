@@ -1,0 +1,255 @@
+"""Cameras that see a part of the region only: no posture or target is drawn that they miss."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+from approxjac.stability.attain import attain
+from approxjac.stability.loop import true_plants
+from approxjac.stability.scenarios import Sampler
+from approxjac.stability.view import SeenPart, UnattainedError, between
+
+ARM = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
+CAMERA = aj.PinholeCamera.looking_at((1.0, 0.0, 0.8), (1.0, -2.0, 0.8), 400.0, (320, 240))
+BOX = aj.JointBox(ARM, (-1.2, 0.4), (0.2, 2.4))
+ELSEWHERE = aj.JointBox.around(ARM, (3.0, 0.5), 0.2)
+GAINS = aj.Gains(2e-3, 1e-3, damping=0.5)
+
+
+def loop(task=None, **ranges):
+    errors = aj.Uncertainty(ARM, task, camera=CAMERA, **{"roll": (-0.3, 0.3), **ranges})
+    controller = aj.SetpointController(
+        errors.believed_task(), GAINS, gravity=aj.NoGravity(errors.belief())
+    )
+    return controller, errors
+
+
+def seen(plants, truths, values):
+    return all(
+        np.isfinite(plants[t].sensor.seen(x)).all() for t, x in zip(truths, values, strict=True)
+    )
+
+
+def test_half_of_the_region_is_out_of_view(rng):
+    task = aj.ImageTask(ARM, CAMERA)
+    assert 0.3 < np.mean([task.sees(q) for q in BOX.sample(400, rng)]) < 0.7
+
+
+@pytest.mark.parametrize("target", [None, (0.1, 1.2)])
+def test_scenarios_and_targets_are_seen_by_their_own_true_robot(rng, target):
+    controller, errors = loop(distance=(-0.2, 0.2))
+    corners, plants = true_plants(controller, errors)
+    x_d = None if target is None else controller.task.value(np.array(target))
+    sampler = Sampler(controller, plants, BOX, x_d)
+    drawn = sampler.draw(60, rng)
+    drawn = drawn.join(sampler.near(drawn, 5, 30, 1.0, rng))
+    assert len(corners) == 4
+    assert all(BOX.contains(q) for q in drawn.q)
+    values = [plants[t].sensor.value(q) for t, q in zip(drawn.truth, drawn.q, strict=True)]
+    assert seen(plants, drawn.truth, values)
+    assert seen(plants, drawn.truth, drawn.x_d)
+    targets = sampler.targets(40, rng)
+    values = [plants[t].sensor.value(q) for t, q in zip(targets.truth, targets.q, strict=True)]
+    assert seen(plants, targets.truth, values)
+
+
+def test_what_is_seen_anyway_is_drawn_as_it_was():
+    """Not one random number more: everything with a seed stays what it is."""
+    part = SeenPart(BOX, aj.PositionTask(ARM, axes="xz"))
+    ours, plain = np.random.default_rng(3), np.random.default_rng(3)
+    assert (part.sample(50, ours) == BOX.sample(50, plain)).all()
+    assert (part.near(BOX.center, 0.1, ours) == BOX.near(BOX.center, 0.1, plain)).all()
+    assert ours.random() == plain.random()
+    some = BOX.sample(50, np.random.default_rng(4))
+    task = aj.ImageTask(ARM, CAMERA)
+    others = SeenPart(BOX, task).instead(some, ours)
+    kept = [task.sees(q) for q in some]
+    assert ((others == some).all(axis=1) == kept).all()
+    assert "SeenPart(JointBox('two_link'" in repr(part)
+
+
+def test_the_way_to_a_posture_ends_in_view():
+    task = aj.ImageTask(ARM, CAMERA)
+    start, out = np.array([-0.2, 1.6]), np.array([-1.4, -1.5])
+    assert task.sees(start)
+    assert not task.sees(out)
+    for share in (0.0, 0.1, 1.0):
+        assert task.sees(between(task, start, out, share))
+    assert (between(task, out, out, 1.0) == out).all()  # nothing is seen: it stays where it is
+
+
+def test_a_target_is_not_attained_where_it_is_not_seen():
+    """The image beyond the edge, and a search that gets behind the camera, are no postures."""
+    task = aj.ImageTask(ARM, CAMERA)
+    start = np.array([-0.2, 1.6])
+    assert attain(task, task.value(start + 0.1), start) == pytest.approx(start + 0.1)
+    assert attain(task, np.array([-30.0, 100.0]), start) is None
+    # carried by the second link, with the point behind it
+    eye = aj.PinholeCamera(
+        300.0, (320, 240), rotation=((0, 0, 1), (1, 0, 0), (0, 1, 0)), mount="link2"
+    )
+    eye_task = aj.ImageTask(ARM, eye, points=[(-1.0, 0.3, 0.2)])
+    assert np.isnan(eye_task.value(np.zeros(2))).all()
+    assert attain(eye_task, np.array([100.0, 100.0]), np.zeros(2)) is None
+
+
+def test_a_region_out_of_view_is_refused():
+    controller, errors = loop()
+    for test in (
+        lambda: aj.stability_report(controller, errors, ELSEWHERE, postures=20),
+        lambda: aj.tolerance(controller, errors, ELSEWHERE, tests=("local",)),
+        lambda: aj.suggest_gains(errors, ELSEWHERE, postures=20),
+    ):
+        with pytest.raises(
+            aj.InvalidInputError,
+            match=r"the region must hold postures that the true sensor sees: of 1\d+ of Joint",
+        ):
+            test()
+    with pytest.raises(
+        aj.InvalidInputError, match=r"sees 0, got ImageTask.* with camera roll 0"
+    ) as e:
+        aj.rollouts(controller, errors, ELSEWHERE, runs=1, seed=1)
+    assert isinstance(e.value, UnattainedError)
+    assert e.value.given == pytest.approx(errors.sample(np.random.default_rng([1, 0])))
+
+
+def test_errors_that_turn_the_camera_away_are_errors_that_fail():
+    """Grown by ten, the camera stands before or behind the arm; that is no reason to stop."""
+    controller, errors = loop(distance=(-0.4, 0.4))
+    region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
+    found = aj.tolerance(controller, errors, region, tests=("local",), postures=8)["local"]
+    assert 1.0 < found.scale < found.fails_at < 6.0
+    with pytest.raises(aj.InvalidInputError, match="the region must hold postures"):
+        aj.tolerance(controller, errors.scaled(5.1), region, tests=("local",), postures=8)
+    slow = {"runs": 2, "duration": 0.01}  # no run gets there: the first scale fails already
+    assert (
+        aj.tolerance(controller, errors, region, tests=("rollouts",), **slow)["rollouts"].scale == 0
+    )
+
+
+def test_rollouts_start_and_end_in_view():
+    controller, errors = loop()
+    found = aj.rollouts(
+        controller, errors, BOX, runs=4, duration=4.0, dt=4e-3, tolerance=1.0, seed=2
+    )
+    for run in found.runs:
+        sensor = errors.plant(run.values).sensor
+        assert sensor.sees(run.q0)
+        assert np.isfinite(sensor.seen(run.target)).all()
+        assert run.converged
+
+
+def test_a_run_that_ends_behind_the_camera_is_the_worst():
+    """There is no image, and so no error to compare: it counts as infinite."""
+
+    class Pushed(aj.SetpointController):
+        def evaluate(self, state, measurement, target):
+            answer = super().evaluate(state, measurement, target)
+            return answer._replace(torque=np.array([-8.0, 0.0]))  # the first joint, upwards
+
+    within = aj.PinholeCamera.looking_at((1.5, 0.0, 0.0), (0.3, 0.5, 0.0), 200.0, (640, 480))
+    errors = aj.Uncertainty(ARM, camera=within, roll=(0.0, 0.1))
+    controller = Pushed(errors.believed_task(), GAINS, gravity=aj.NoGravity(ARM))
+    region = aj.JointBox.around(ARM, (-0.3, 0.6), 0.05)
+    found = aj.rollouts(controller, errors, region, runs=2, duration=1.2, dt=4e-3)
+    assert [run.final_error for run in found.runs] == [math.inf, math.inf]
+    assert found.n_diverged == found.n_converged == 0
+
+
+def test_a_set_that_v_lets_be_reached_is_in_view(rng):
+    controller, errors = loop()
+    plant = errors.plant([0.1])
+    target = plant.sensor.value(np.array([-0.2, 1.6]))
+    region = aj.SublevelSet(plant, controller, target, (0.1, 1.0), alpha=0.1, within=BOX)
+    for q in region.sample(20, rng):
+        assert plant.sensor.sees(q)
+    assert not region.contains(np.array([-1.1, 0.5]))
+    with pytest.raises(
+        aj.InvalidInputError, match="q0 must be a posture that the sensor sees, got"
+    ):
+        aj.SublevelSet(plant, controller, target, (-1.1, 0.5), within=BOX)
+
+
+def test_v_and_w_out_of_view_are_refused():
+    controller, errors = loop()
+    plant = errors.plant([0.0])
+    with pytest.raises(
+        aj.InvalidInputError, match="q must be a posture that the sensor sees, or no"
+    ):
+        aj.lyapunov(plant, controller, (-1.4, -1.5), np.zeros(2), np.array([100.0, 100.0]), 1.0)
+
+
+# -- Jacobians that use the measured x ------------------------------------------------------
+
+
+@pytest.mark.parametrize("depth", [2.0, "measured"])
+def test_a_jacobian_that_uses_x_has_the_local_test_and_rollouts(depth):
+    controller, errors = loop(functools.partial(aj.ImageTask, depth=depth))
+    region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
+    found = aj.tolerance(controller, errors, region, tests=("local",), postures=8, largest=6.0)
+    assert 3.0 < found["local"].scale < 0.5 * math.pi / 0.3
+    sketch = aj.stability_map(
+        controller, errors, region, names=("error", "damping"), x=(0.5, 1.0), y=(1.0, 2.0),
+        coarse=0, targets=4,
+    )  # fmt: skip
+    assert (sketch.decay_rate > 0.0).all()
+    runs = aj.rollouts(controller, errors, region, runs=2, duration=4.0, dt=4e-3, tolerance=1.0)
+    assert runs.n_converged == 2
+
+
+def test_the_other_tests_refuse_it():
+    controller, errors = loop(functools.partial(aj.ImageTask, depth=2.0))
+    plant, task = errors.plant([0.0]), controller.task
+    region, q = aj.JointBox.around(ARM, (0.1, 1.2), 0.1), np.array([0.1, 1.2])
+    tests = {
+        "the conditions over a region": [
+            lambda: aj.stability_report(controller, errors, region, postures=20),
+            lambda: aj.tolerance(controller, errors, region, tests=("matrix",), postures=20),
+            lambda: aj.suggest_gains(errors, region, postures=20),
+        ],
+        "the Lyapunov function": [
+            lambda: aj.lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
+        ],
+        "the set of V with alpha > 0": [
+            lambda: aj.SublevelSet(plant, controller, task.value(q), q, alpha=1.0)
+        ],
+    }
+    for what, calls in tests.items():
+        for call in calls:
+            with pytest.raises(
+                aj.InvalidInputError,
+                match=f"{what} is for a task whose Jacobian depends on q only and has a rate, such",
+            ):
+                call()
+
+
+# -- a Panda before a camera ----------------------------------------------------------------
+
+
+def test_a_panda_before_a_camera(panda):
+    """Certified for small errors of everything; one point lets the roll go to a right angle."""
+    arm = panda.with_gravity((0.0, 0.0, 0.0))
+    q = np.array([0.3, 0.4, -0.2, -1.8, 0.1, 2.0, 0.5])
+    tip = aj.PositionTask(arm).value(q)
+    camera = aj.PinholeCamera.looking_at(tip, tip + [0.9, -0.7, 0.5], 600.0, (640, 480))
+    tube = aj.Tube(arm, q[None], 0.05)
+    small = aj.Uncertainty(
+        arm, camera=camera, roll=(-0.1, 0.1), focal_length=(570.0, 630.0), distance=(-0.05, 0.05)
+    )
+    controller = aj.SetpointController(
+        small.believed_task(), aj.Gains(2e-4, 4e-4, damping=1.0), gravity=aj.NoGravity(arm)
+    )
+    report = aj.stability_report(controller, small, tube, postures=24)
+    assert report.certified_by is not None
+    assert report.local.stable
+    assert "camera" in report.describe_truth(0)
+    rolled = aj.Uncertainty(arm, camera=camera, roll=(-1.0, 1.0))
+    target = controller.task.value(q)
+    found = aj.tolerance(
+        controller, rolled, tube, tests=("local",), target=target, postures=4, largest=3.0
+    )["local"]
+    assert 85.0 < math.degrees(found.scale) < 90.0
+    assert "camera roll" in str(found)
