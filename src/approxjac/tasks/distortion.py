@@ -54,14 +54,16 @@ class RadialDistortion:
         """Where the lens shows a ray p (2,), shape (2,)."""
         return p if self._none else p * self._factors(float(p @ p))[0]
 
-    def jacobian(self, p: Array) -> Array:
-        """∂(distorted)/∂p, shape (2, 2)."""
-        factor, slope, _ = self._factors(float(p @ p))
-        J: Array = factor * np.eye(2) + 2.0 * slope * np.outer(p, p)
-        return J
+    def slopes(self, x: float, y: float) -> tuple[float, float, float]:
+        """∂(distorted)/∂p at p = (x, y), a symmetric matrix: its entries 11, 12 and 22."""
+        if self._none:
+            return 1.0, 0.0, 1.0
+        factor, slope, _ = self._factors(x * x + y * y)
+        twice = 2.0 * slope
+        return factor + twice * x * x, twice * x * y, factor + twice * y * y
 
-    def jacobian_dot(self, p: Array, p_dot: Array) -> Array:
-        """d/dt of `jacobian` for a ray that moves with ṗ (2,), shape (2, 2)."""
+    def slopes_dot(self, p: Array, p_dot: Array) -> Array:
+        """d/dt of the matrix of `slopes` for a ray that moves with ṗ (2,), shape (2, 2)."""
         rho_dot = 2.0 * float(p @ p_dot)
         _, slope, curve = self._factors(float(p @ p))
         turned = np.outer(p_dot, p)

@@ -33,6 +33,9 @@ class FrameKinematics:
         self._id = robot.frame_id(frame)
         self._model = robot.model
         self._data = self._model.createData()
+        # live views: reading an attribute of Pinocchio's costs as much as computing
+        self._rotation = self._data.oMf[self._id].rotation
+        self._translation = self._data.oMf[self._id].translation
         self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
         self._all = robot.coupling.model
@@ -48,8 +51,8 @@ class FrameKinematics:
 
     def placement(self, q: Array) -> tuple[Array, Array]:
         """Rotation (3, 3) of the frame's axes in the world's, and `position`."""
-        placement = self._placement(q)
-        return np.array(placement.rotation), np.array(placement.translation)
+        self._placement(q)
+        return np.array(self._rotation), np.array(self._translation)
 
     def pose(self, q: Array) -> Array:
         """Position [m] and unit quaternion (x, y, z, w) of the frame in the world, shape (7,)."""
@@ -63,6 +66,14 @@ class FrameKinematics:
         """`jacobian` at a q that has been checked already, for loops."""
         J: Array = pin.computeFrameJacobian(self._model, self._data, q, self._id, _LWA)
         return J if self._many else J.reshape(6, 1)
+
+    def compute_motion(self, q: Array) -> tuple[Array, Array, Array]:
+        """`compute_jacobian`, and the frame's rotation (3, 3) and position (3,) at the same q.
+
+        Rotation and position are scratch memory: use them before the next call, do not keep them.
+        """
+        J = self.compute_jacobian(q)  # places the frame, too
+        return J, self._rotation, self._translation
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Time derivative of `jacobian` along q̇, shape (6, n_v)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -226,14 +227,14 @@ class ImageTask(Task):
         """
         if x is None:
             x = self.value(q)
-        elif not np.isfinite(x).all():
+        elif not math.isfinite(math.hypot(*x.tolist())):
             x = np.where(np.isfinite(x), x, self.value(q))
         images = x.reshape(-1, self._stride)
         depths = images[:, 2] if self._measures_depth else np.asarray(self._depth)
-        found = np.full((len(images), 3), np.nan)
-        for i, (image, Z) in enumerate(zip(images[:, :2], depths, strict=True)):
-            if np.isfinite(image).all() and Z > 0.0:
-                found[i] = self._pinhole.locate(image, float(Z))
+        found = np.empty((len(images), 3))
+        for i, Z in enumerate(depths.tolist()):
+            # NaN where an image is that of a point that this robot would not see either
+            found[i] = self._pinhole.locate(images[i, :2], Z) if Z > 0.0 else np.nan
         return found
 
     @property

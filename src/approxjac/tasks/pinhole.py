@@ -62,6 +62,12 @@ class PinholeCamera(Camera):
     _p: Array = field(init=False, repr=False, compare=False)
     _low: Array = field(init=False, repr=False, compare=False)
     _high: Array = field(init=False, repr=False, compare=False)
+    # the same as floats and in the order that a control step needs, a thousand times a second
+    _R_t: Array = field(init=False, repr=False, compare=False)
+    _focal: tuple[float, float] = field(init=False, repr=False, compare=False)
+    _edges: tuple[tuple[float, float], tuple[float, float]] = field(
+        init=False, repr=False, compare=False
+    )
     _lens: RadialDistortion = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -104,11 +110,14 @@ class PinholeCamera(Camera):
         self._set("_c", c)
         self._set("_p", p)
         self._set("_R", R)
+        self._set("_R_t", R.T.copy())
+        self._set("_focal", tuple(f.tolist()))
         self._set("_lens", RadialDistortion(k))
         self._require_unfolded()
         border = np.array([self.ray(x) for x in self._border()])
         self._set("_low", border.min(axis=0))
         self._set("_high", border.max(axis=0))
+        self._set("_edges", tuple(zip(self._low.tolist(), self._high.tolist(), strict=True)))
 
     @classmethod
     def looking_at(
@@ -169,7 +178,7 @@ class PinholeCamera(Camera):
     @property
     def field_of_view(self) -> tuple[float, float]:
         """Angles that the image is wide and high [rad]."""
-        (left, top), (right, bottom) = self._low.tolist(), self._high.tolist()
+        (left, right), (top, bottom) = self._edges
         return (
             math.atan(right) - math.atan(left),
             math.atan(bottom) - math.atan(top),
@@ -183,7 +192,7 @@ class PinholeCamera(Camera):
 
     def in_camera(self, r: Array) -> Array:
         """A point r (3,) in the camera's own axes, shape (3,); its third entry is the depth Z."""
-        own: Array = self._R.T @ (r - self._p)
+        own: Array = self._R_t @ (r - self._p)
         return own
 
     def project(self, r: Array) -> Array:
@@ -212,7 +221,8 @@ class PinholeCamera(Camera):
 
     def locate(self, x: Array, depth: float) -> Array:
         """The point at a depth Z [m] whose image is x (2,) [px]; its position, shape (3,)."""
-        located: Array = self._R @ (depth * np.append(self.ray(x), 1.0)) + self._p
+        X, Y = self.ray(x).tolist()
+        located: Array = self._R @ np.array([depth * X, depth * Y, depth]) + self._p
         return located
 
     def interaction(self, r: Array) -> Array:
@@ -221,30 +231,37 @@ class PinholeCamera(Camera):
         With [−I, [r_c]ₓ] behind it, r_c the point and both in the camera's axes, it is the
         interaction matrix (2, 6) of the camera's own velocity in the literature.
         """
-        own = self.in_camera(r)
-        p, Z = self._within(own)
-        J = self._f[:, None] * self._lens.jacobian(p) @ _ray_jacobian(p, Z)
-        return np.asarray(J @ self._R.T)
+        x, y, Z = self._within(self.in_camera(r))
+        a, b, d = self._lens.slopes(x, y)
+        f_u, f_v = self._focal[0] / Z, self._focal[1] / Z
+        J = np.array([
+            [f_u * a, f_u * b, -f_u * (a * x + b * y)],
+            [f_v * b, f_v * d, -f_v * (b * x + d * y)],
+        ])  # fmt: skip  # in the camera's own axes
+        return np.asarray(J @ self._R_t)
 
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
         """d/dt of `interaction` for a point that moves with ṙ (3,), shape (2, 3)."""
-        own = self.in_camera(r)
-        p, Z = self._within(own)
-        X_dot, Y_dot, Z_dot = (self._R.T @ r_dot).tolist()
-        Z_dot = Z_dot if own[2] > self.near else 0.0
+        own, own_dot = self.in_camera(r), self._R_t @ r_dot
+        x, y, Z = self._within(own)
+        p = np.array([x, y])
+        Z_dot = float(own_dot[2]) if own[2] > self.near else 0.0
         free = (p > self._low) & (p < self._high)  # at an edge a ray stands still
-        p_dot = np.where(free, (np.array([X_dot, Y_dot]) - p * Z_dot) / Z, 0.0)
-        lens, lens_dot = self._lens.jacobian(p), self._lens.jacobian_dot(p, p_dot)
-        ray = _ray_jacobian(p, Z)
+        p_dot = np.where(free, (own_dot[:2] - p * Z_dot) / Z, 0.0)
+        a, b, d = self._lens.slopes(x, y)
+        lens, lens_dot = np.array([[a, b], [b, d]]), self._lens.slopes_dot(p, p_dot)
+        ray = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]]) / Z
         ray_dot = -(Z_dot / Z) * ray
         ray_dot[:, 2] -= p_dot / Z
         J_dot = self._f[:, None] * (lens_dot @ ray + lens @ ray_dot)
-        return np.asarray(J_dot @ self._R.T)
+        return np.asarray(J_dot @ self._R_t)
 
-    def _within(self, own: Array) -> tuple[Array, float]:
-        """Ray (2,) and depth of a point in the camera's axes, moved into what it can see."""
-        Z = max(float(own[2]), self.near)
-        return np.minimum(np.maximum(own[:2] / Z, self._low), self._high), Z
+    def _within(self, own: Array) -> tuple[float, float, float]:
+        """Ray (x, y) and depth of a point in the camera's axes, moved into what it can see."""
+        X, Y, Z = own.tolist()
+        Z = max(Z, self.near)
+        (left, right), (top, bottom) = self._edges
+        return min(max(X / Z, left), right), min(max(Y / Z, top), bottom), Z
 
     # -- calibration --------------------------------------------------------------------
 
@@ -316,11 +333,6 @@ class PinholeCamera(Camera):
 
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)  # frozen once it is built
-
-
-def _ray_jacobian(p: Array, Z: float) -> Array:
-    """∂(X/Z, Y/Z)/∂(X, Y, Z) at a ray p and a depth Z, shape (2, 3)."""
-    return np.array([[1.0, 0.0, -p[0]], [0.0, 1.0, -p[1]]]) / Z
 
 
 def _rotation(value: object) -> Array:

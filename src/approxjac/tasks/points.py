@@ -10,6 +10,13 @@ from approxjac.checks import Array, as_vector
 from approxjac.robots import Robot
 from approxjac.tasks.frame import FrameKinematics
 
+# a @ _CROSS is [a]ₓ, row by row
+_CROSS = np.array([
+    [0, 0, 0, 0, 0, -1, 0, 1, 0],
+    [0, 0, 1, 0, 0, 0, -1, 0, 0],
+    [0, -1, 0, 1, 0, 0, 0, 0, 0],
+], dtype=float)  # fmt: skip
+
 
 class PointMotion(NamedTuple):
     """Positions of k points, and how they change with q; seen from where the camera is fixed.
@@ -47,6 +54,7 @@ class PointKinematics:
         self.frame, self.mount = frame, mount
         self._frame = None if frame is None else FrameKinematics(robot, frame)
         self._mount = None if mount is None else FrameKinematics(robot, mount)
+        self._at_origin = len(points) == 1 and not points.any()
 
     def positions(self, q: Array) -> Array:
         """Positions of the points, shape (k, 3) [m]."""
@@ -67,22 +75,22 @@ class PointKinematics:
             at: Where to take the points as seen from the mount, shape (k, 3) [m]; rows that are
                 NaN, and all by default, where the frame has them.
         """
-        p, arms, J = self.points, self.points, np.zeros((6, self.robot.nv))
-        if self._frame is not None:
-            J = self._frame.compute_jacobian(q)
-            R, o = self._frame.placement(q)
-            arms = p @ R.T
-            p = arms + o
-        moved = np.array([J[:3] - _crossed(arm, J[3:]) for arm in arms])
+        p, moved = self._in_world(q)
         if self._mount is None:
             return _chosen(p, at), moved
-        J = self._mount.compute_jacobian(q)
-        R, o = self._mount.placement(q)
+        J, R, o = self._mount.compute_motion(q)
         r = _chosen((p - o) @ R, at)
-        own = R.T @ J[3:]
-        return r, np.array(
-            [R.T @ (A - J[:3]) + _crossed(x, own) for x, A in zip(r, moved, strict=True)]
-        )
+        return r, R.T @ (moved - J[:3]) + _skews(r) @ (R.T @ J[3:])
+
+    def _in_world(self, q: Array) -> tuple[Array, Array]:
+        """Positions (k, 3) of the points in the world, and their Jacobians (k, 3, n_v)."""
+        if self._frame is None:
+            return self.points, np.zeros((len(self.points), 3, self.robot.nv))
+        J, R, o = self._frame.compute_motion(q)
+        if self._at_origin:
+            return o[np.newaxis].copy(), J[np.newaxis, :3]
+        arms = self.points @ R.T
+        return arms + o, J[:3] - _skews(arms) @ J[3:]
 
     def motion(self, q: Array, v: Array) -> PointMotion:
         """All of it, with time derivatives along q̇.
@@ -93,40 +101,34 @@ class PointKinematics:
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         r, A = self.jacobians(q)
         r_dot: Array = A @ v
-        arms, J, J_dot = self.points, *np.zeros((2, 6, self.robot.nv))
+        moved, moved_dot = self._in_world(q)[1], np.zeros_like(A)
         if self._frame is not None:
-            J, J_dot = self._frame.compute_jacobian(q).copy(), self._frame.jacobian_dot(q, v)
-            arms = arms @ self._frame.placement(q)[0].T
-        swing = J[3:] @ v
-        moved = np.array([J[:3] - _crossed(arm, J[3:]) for arm in arms])
-        moved_dot = np.array(
-            [
-                J_dot[:3] - _crossed(np.cross(swing, arm), J[3:]) - _crossed(arm, J_dot[3:])
-                for arm in arms
-            ]
-        )
+            J, R, _ = self._frame.compute_motion(q)
+            arms, swing, J = self.points @ R.T, J[3:] @ v, J.copy()
+            J_dot = self._frame.jacobian_dot(q, v)
+            arms_dot = np.cross(swing, arms)
+            moved_dot = J_dot[:3] - _skews(arms_dot) @ J[3:] - _skews(arms) @ J_dot[3:]
         if self._mount is None:
             return PointMotion(r, A, r_dot, moved_dot)
-        J, J_dot = self._mount.compute_jacobian(q).copy(), self._mount.jacobian_dot(q, v)
-        R = self._mount.placement(q)[0]
-        own = R.T @ J[3:]
-        turn = own @ v  # the mount's angular velocity in its own axes
-        own_dot = R.T @ J_dot[3:] - _crossed(turn, own)
-        A_dot = [
-            R.T @ (B_dot - J_dot[:3])
-            - _crossed(turn, R.T @ (B - J[:3]))
-            + _crossed(x_dot, own)
-            + _crossed(x, own_dot)
-            for x, x_dot, B, B_dot in zip(r, r_dot, moved, moved_dot, strict=True)
-        ]
-        return PointMotion(r, A, r_dot, np.array(A_dot))
+        J, R, _ = self._mount.compute_motion(q)
+        J, R_t = J.copy(), R.T.copy()
+        J_dot = self._mount.jacobian_dot(q, v)
+        own = R_t @ J[3:]
+        turn = _skews((own @ v)[np.newaxis])[0]  # of the mount, in its own axes
+        own_dot = R_t @ J_dot[3:] - turn @ own
+        A_dot = (
+            R_t @ (moved_dot - J_dot[:3])
+            - turn @ (R_t @ (moved - J[:3]))
+            + _skews(r_dot) @ own
+            + _skews(r) @ own_dot
+        )
+        return PointMotion(r, A, r_dot, A_dot)
 
 
 def _chosen(r: Array, at: Array | None) -> Array:
     return r if at is None else np.where(np.isfinite(at), at, r)
 
 
-def _crossed(a: Array, B: Array) -> Array:
-    """[a]ₓ B for a (3,) and columns B (3, n)."""
-    x, y, z = a.tolist()
-    return np.array([y * B[2] - z * B[1], z * B[0] - x * B[2], x * B[1] - y * B[0]])
+def _skews(vectors: Array) -> Array:
+    """Matrices [a]ₓ with [a]ₓ b = a × b for each row a, shape (k, 3, 3)."""
+    return np.asarray(vectors @ _CROSS).reshape(-1, 3, 3)
