@@ -15,8 +15,10 @@ from approxjac.simulation import Plant, Trajectory
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import ImageTask
 
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
+
 _HALF_A_PIXEL = 0.5
-_GOES_WILD = 10.0  # torques that change by so many limits a second on average [1/s]
+_LATE = 1.5  # times that between images, after which one is missed
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +100,31 @@ class ServoResult:
         return float(self.run.t[beyond[-1] + 1])
 
     @property
-    def unseen(self) -> Array:
+    def unseen(self) -> Mask:
         """Whether a point was out of the true camera's view at each instant, shape (N,)."""
         sensor = self.servo.sensor
         return np.array([not np.isfinite(sensor.seen(x)).all() for x in self.run.x])
+
+    @property
+    def braked(self) -> Mask:
+        """Whether the last image of a point was too old to go by at each instant, shape (N,)."""
+        return np.asarray(self.run.status == Status.MEASUREMENT_LOST)
+
+    @property
+    def waiting(self) -> Mask:
+        """Whether the law went on although a point had no new image in time, shape (N,).
+
+        In time is one and a half times that between images. Without noise the images of an arm at
+        rest do not change, and are none that are new.
+        """
+        run, k = self.run, len(self.servo.sensor.points)
+        images = run.x_measured.reshape(len(run.t), k, -1)[:, :, :2]
+        new: Mask = np.all(np.isfinite(images), axis=2)
+        new[1:] &= np.any(images[1:] != images[:-1], axis=2)
+        last = np.maximum.accumulate(np.where(new, run.t[:, None], -math.inf), axis=0)
+        late = (run.t[:, None] - last).max(axis=1) > _LATE / self.servo.settings.frame_rate
+        waiting: Mask = late & ~self.braked
+        return waiting
 
     @property
     def stays_in_view(self) -> bool:
@@ -170,6 +193,8 @@ class ServoResult:
             "q_end": run.q[-1].tolist(),
             "controller": repr(servo.controller),
             "status_counts": counts,
+            "waiting_share": float(self.waiting.mean()),
+            "braked_share": float(self.braked.mean()),
             "settings": {f.name: getattr(servo.settings, f.name) for f in fields(ServoSettings)},
         }
 
