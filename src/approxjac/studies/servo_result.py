@@ -122,6 +122,7 @@ class ServoResult:
         new: Mask = np.all(np.isfinite(images), axis=2)
         new[1:] &= np.any(images[1:] != images[:-1], axis=2)
         last = np.maximum.accumulate(np.where(new, run.t[:, None], -math.inf), axis=0)
+        last = np.maximum(last, self.servo.settings.latency)  # before it none can arrive
         late = (run.t[:, None] - last).max(axis=1) > _LATE / self.servo.settings.frame_rate
         waiting: Mask = late & ~self.braked
         return waiting

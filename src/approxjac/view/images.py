@@ -179,7 +179,7 @@ def _images(camera: Camera, points: Array) -> Array:
 def _frame(ax: Axes, camera: Camera, title: str) -> None:
     """Draw the border of an image, and name the axes."""
     (u, v), unit = camera.labels, camera.unit
-    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_aspect("equal", adjustable="box", anchor="N")
     if isinstance(camera, PinholeCamera):
         width, height = camera.size
         corners = [(-0.5, -0.5), (width - 0.5, -0.5), (width - 0.5, height - 0.5)]
