@@ -56,6 +56,12 @@ def require_effect(settings: ServoSettings) -> None:
             "gravity must be exact, believed or none with ibvs, which learns nothing, got learnt",
             given=settings.gravity,
         )
+    if settings.law == "5" and settings.depth == "measured":
+        raise InvalidInputError(
+            "depth must be believed or constant with law 5, which differentiates the image alone, "
+            "got measured",
+            given=settings.depth,
+        )
     in_hand, law = settings.eye == "in-hand", settings.law
     _refuse(settings, "camera_target", in_hand, "is for an eye to hand", "one in hand")
     _refuse(settings, "differentiator", law != "5", "is for law 5", f"law {law}")
