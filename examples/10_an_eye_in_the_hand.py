@@ -32,7 +32,7 @@ wrong = camera.with_error(rotation=(0.0, 0.0, np.radians(20.0)), focal_length=1.
 
 # Two points of the room, 40 cm before the camera at the goal.
 goal = np.array([0.0, -1.2, 1.8, -0.6, 0.3, 0.0])
-start = goal + [0.25, 0.1, -0.15, 0.1, -0.2, 0.3]
+start = goal + [0.18, 0.15, -0.19, 0.13, 0.36, -0.23]
 in_camera = np.array([[-0.1, 0.02, 0.4], [0.1, -0.02, 0.4]])
 R, p = FrameKinematics(truth, "tool0").placement(goal)
 points = (in_camera @ axes_of_camera.T + camera.position) @ R.T + p

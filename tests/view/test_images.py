@@ -35,8 +35,8 @@ def drawn(ax):
 def test_the_paths_go_through_the_image_from_start_to_target(run, sensor):
     ax = view.plot_image(run, sensor.camera)
     lines = drawn(ax)
-    assert_allclose(lines["path of point 1"], run.x[:, :2])
-    assert_allclose(lines["path of point 2"], run.x[:, 2:])
+    assert_allclose(lines["path 1"], run.x[:, :2])
+    assert_allclose(lines["path 2"], run.x[:, 2:])
     assert_allclose(lines["start"], run.x[0].reshape(2, 2))
     assert_allclose(lines["end"], run.x[-1].reshape(2, 2))
     assert_allclose(lines["target"], run.target.reshape(2, 2))
@@ -60,7 +60,7 @@ def test_depths_that_are_measured_are_no_image(run, sensor):
     x = np.insert(run.x, (2, 4), 1.0, axis=1)
     target = np.insert(run.target, (2, 4), 1.0)
     deep = dataclasses.replace(run, x=x, x_measured=x, target=target)
-    assert_allclose(drawn(view.plot_image(deep, sensor.camera))["path of point 2"], run.x[:, 2:])
+    assert_allclose(drawn(view.plot_image(deep, sensor.camera))["path 2"], run.x[:, 2:])
 
 
 def test_a_planar_camera_has_an_image_without_a_border():

@@ -154,7 +154,10 @@ def _title(result: ServoResult, width: int) -> str:
     """What was run and is believed, in lines of so many letters."""
     settings = result.servo.settings
     eye = "camera in the world" if settings.eye == "to-hand" else "camera on the arm"
-    words = f"{result.run.robot_name}, {eye}. The controller believes: {believed(settings)}"
+    wrong = (
+        believed(settings).replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
+    )
+    words = f"{result.run.robot_name}, {eye}. The controller believes: {wrong}"
     return textwrap.fill(words, width)
 
 

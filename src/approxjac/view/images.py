@@ -54,7 +54,7 @@ def plot_image(
         ax = _axes(ax)
         for i in range(k):
             color = _POINTS[i % len(_POINTS)]
-            label = "path" if k == 1 else f"path of point {i + 1}"
+            label = "path" if k == 1 else f"path {i + 1}"
             ax.plot(*measured[:, i].T, ".", color=color, ms=3, mew=0, alpha=0.25, zorder=1)
             ax.plot(*true[:, i].T, color=color, label=label)
         ax.plot(*true[0].T, "o", color=TARGET, mfc="white", ms=7, label="start", zorder=4)
@@ -62,7 +62,7 @@ def plot_image(
         ax.plot(*true[-1].T, "o", color=TARGET, ms=4, label="end", zorder=4)
         ax.plot([], [], ".", color=TARGET, alpha=0.5, label="measured")
         _frame(ax, camera, title)
-        legend_below(ax)
+        legend_below(ax, 3)
     return ax
 
 
@@ -106,7 +106,7 @@ def plot_camera_view(
             ax.plot(*images.T, "x", color=TARGET, ms=9, mew=2, label="target", zorder=6)
             _number(ax, images, TARGET, (-12, -10))
         _frame(ax, sensor.camera, title)
-        legend_below(ax)
+        legend_below(ax, 3)
     return ax
 
 
