@@ -292,6 +292,14 @@ def test_a_point_that_leaves_the_view_is_named_as_the_reason():
     servo_report.draw_run(result)
 
 
+def test_an_arm_that_creeps_near_a_singular_posture_is_told_from_one_at_rest():
+    wrong = {"roll": 0.2, "focal_factor": 1.2, "depth_factor": 1.3, "rate": 300.0}
+    result = made("ur3", duration=8.0, **wrong)
+    assert result.reason.startswith("hardly moves: the believed Jacobian shows little of the error")
+    heavy = made("two_link", gravity="none", duration=4.0, rate=300.0)
+    assert "gravity is not exact" in heavy.reason
+
+
 # -- bad settings -----------------------------------------------------------------------
 
 ASIDE = {"camera_position": (1.7, -0.8, 0.6), "camera_target": (1.7, 0.5, 0.6)}
@@ -313,6 +321,7 @@ AWAY = {"camera_position": (-1.0, 0.0, 1.5), "camera_target": (-2.0, 0.0, 1.5)}
         ("panda", AWAY, "the true camera must see the points in some posture"),
         ("panda", {"camera_rotation": (0.0, 3.0, 0.0)}, "the believed camera must see the points"),
         ("panda", {"object_mass": 500.0}, "no posture of panda was found in which the camera"),
+        ("two_link", {"eye": "in-hand"}, "points must be such that two_link can move each of thei"),
         ("panda", {"start": (9.0,) * 7}, "start must be within the joint limits"),
         ("panda", {"gravity": "learnt", "law": "ibvs"}, "exact, believed or none with ibvs"),
         ("panda", {"law": "5", "depth": "measured"}, "depth must be believed or constant with la"),

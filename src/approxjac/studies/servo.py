@@ -35,6 +35,7 @@ _SAMPLES = 50  # postures by which it is judged what is usual
 _TRIES = 20000
 _STARTS = 20  # tries to find a start to a goal
 _AROUND = 0.5  # how far a camera in hand starts from its goal in each joint [rad]
+_SINGULAR = 1e-6  # σ_min/σ_max of J below which an arm is singular in a posture
 _SETTLED = 4.0  # time constants until 2 % are left
 
 
@@ -159,6 +160,14 @@ def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
     for sensor, q in usual:
         values = np.linalg.svd(sensor.jacobian(q, sensor.value(q)), compute_uv=False)
         ratios.append(values[-1] / values[0])
+    if not np.median(ratios) > _SINGULAR:
+        sensor = usual[0][0]
+        raise InvalidInputError(
+            f"points must be such that {sensor.robot.name} can move each of their "
+            f"{sensor.m} image coordinates by itself, and no posture was found in which it can: "
+            f"give fewer points, or another camera; got {sensor!r}",
+            given=sensor,
+        )
     return min(REGULAR, 0.5 * float(np.median(ratios)))
 
 

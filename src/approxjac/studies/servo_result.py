@@ -18,6 +18,7 @@ from approxjac.tasks import ImageTask
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 _HALF_A_PIXEL = 0.5
+_LITTLE = 0.2  # of an error, where forces along it are a fifth of what they are along others
 _LATE = 1.5  # times that between images, after which one is missed
 
 
@@ -169,9 +170,17 @@ class ServoResult:
         if not stands:
             return "still approaching its target at the end"
         if float(np.abs(run.v[quarter]).max()) < 0.1:
+            if self._share_of_error() < _LITTLE:
+                return "hardly moves: the believed Jacobian shows little of the error's direction"
             weight = "" if self.servo.settings.gravity == "learnt" else ", or gravity is not exact"
             return f"came to rest away from its target: out of reach{weight}"
         return "moves on without approaching: not stable with these errors"
+
+    def _share_of_error(self) -> float:
+        """‖Ĵᵀe‖ / (‖Ĵ‖ ‖e‖) at the end: how much of the error the believed Jacobian shows."""
+        run, task = self.run, self.servo.controller.task
+        e, J_hat = task.error(run.x[-1], run.target), task.jacobian(run.q[-1], run.x[-1])
+        return float(np.linalg.norm(J_hat.T @ e) / (np.linalg.norm(J_hat, 2) * np.linalg.norm(e)))
 
     def summary(self) -> dict[str, Any]:
         """What goes into summary.json."""
