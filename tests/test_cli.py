@@ -428,3 +428,76 @@ def test_limiters_that_fall_short_give_exit_code_1(tmp_path, capsys, monkeypatch
     words = ["--robots", "two_link", "--scales", "1", "--starts", "1", "--duration", "0.1"]
     assert main(["limiters", *words, "--jobs", "1", "--out", str(tmp_path)]) == 1
     assert "fell short: it broke a limit" in capsys.readouterr().out
+
+
+# -- approxjac servo --------------------------------------------------------------------
+
+SERVO = """
+robot = "two_link"
+roll = 0.3
+focal_factor = 1.3
+camera_shift = [-0.02, 0.0, 0.01]
+duration = 3.0
+rate = 400.0
+"""
+
+
+def test_servo_prints_and_writes_what_became_of_it(tmp_path):
+    process = run(
+        "servo", "two_link", "--roll", "0.3", "--depth-factor", "1.2", "--noise", "0.3",
+        "--duration", "3", "--rate", "400", "--out", str(tmp_path),
+    )  # fmt: skip
+    assert process.returncode == 0, process.stderr
+    assert process.stderr == ""
+    assert "verdict     converged" in process.stdout
+    assert "believed    camera rolled by 17.2°, depth × 1.2" in process.stdout
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "run.png", "run.svg", "image.png", "image.svg", "views.png", "views.svg", "run.npz",
+        "summary.json",
+    }  # fmt: skip
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["verdict"] == "converged"
+    assert summary["final_error_px"] < 0.3 == summary["tolerance_px"]
+    assert summary["settings"]["depth_factor"] == 1.2
+    assert aj.Trajectory.load(tmp_path / "run.npz").t[-1] == pytest.approx(3.0)
+
+
+def test_servo_takes_a_file_and_options_come_before_it(tmp_path, capsys):
+    path = tmp_path / "servo.toml"
+    path.write_text(SERVO, encoding="utf-8")
+    assert main(["servo", str(path), "--out", str(tmp_path / "a")]) == 0
+    options = [
+        "servo", "two_link", "--roll", "0.3", "--focal-factor", "1.3", "--camera-shift", "-0.02",
+        "0", "0.01", "--duration", "3", "--rate", "400", "--out", str(tmp_path / "b"),
+    ]  # fmt: skip
+    assert main(options) == 0
+    a, b = (json.loads((tmp_path / name / "summary.json").read_text()) for name in "ab")
+    assert a == b
+    words = ["--duration", "0.2", "--lost", "0.05", "0.1", "--out", str(tmp_path / "c")]
+    assert main(["servo", str(path), *words]) == 1
+    short = json.loads((tmp_path / "c" / "summary.json").read_text())
+    assert short["settings"]["lost"] == [0.05, 0.1]
+    assert short["settings"]["roll"] == 0.3
+    assert short["verdict"] == "not converged"
+    assert "verdict     not converged: " in capsys.readouterr().out
+
+
+def test_bad_options_of_servo_are_one_clear_line(tmp_path, capsys):
+    path = tmp_path / "bad.toml"
+    path.write_text('robot = "panda"\nrol = 0.3\n', encoding="utf-8")
+    for words, message in (
+        (["pando"], "robot 'pando' not in the robots known by name; did you mean"),
+        (["panda", "--points", "4"], "points must be at most half as many as joints"),
+        (["panda", "--focal-length", "0"], "focal_length must be > 0"),
+        (["panda", "--target", "700", "100"], "target must be within the image of 640 x 480 px"),
+        (["panda", "--law", "ibvs", "--gravity", "learnt"], "gravity must be exact, believed or"),
+        (["panda", "--lost-point", "1"], "lost_point must be one of the points"),
+        (["panda", "--eye", "in-hand", "--camera-target", "1", "0", "0"], "for an eye to hand"),
+        (["missing.toml"], "missing.toml cannot be read as TOML"),
+        ([str(path)], "did you mean 'roll'"),
+    ):
+        assert main(["servo", *words, "--out", str(tmp_path)]) == 2
+        captured = capsys.readouterr()
+        assert message in captured.err
+        assert captured.err.count("\n") == 1
+        assert captured.out == ""

@@ -20,9 +20,11 @@ from tqdm import tqdm
 import approxjac
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.studies.reach import Settings
+from approxjac.studies.servo_settings import ServoSettings
 from approxjac.studies.stability import StabilitySettings
 
 app = tyro.extras.SubcommandApp()
+_FROM_FILE = {"simulate": Settings, "servo": ServoSettings}  # commands that take a .toml file
 _SHARE = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}"
 _DESCRIPTION = (
     "Torque control of any URDF arm whose kinematics are not exactly known. "
@@ -147,6 +149,33 @@ def simulate(
     _make_folder(out)
     with tqdm(total=settings.duration, unit="s", disable=None) as bar:
         result = reach.run(prepared, progress=lambda t: bar.update(t - bar.n) and None)
+    report.write(result, out)
+    print(report.text(result))
+    print(f"\nPictures, the run and summary.json are in {out}")
+    return 0 if result.converged else 1
+
+
+@app.command(name="servo")
+def servo(
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")],
+    settings: Annotated[ServoSettings, tyro.conf.OmitArgPrefixes],
+    out: Path = Path("results/servo"),
+) -> int:
+    """Let an arm bring points to where they shall be in the image of a camera nobody calibrated.
+
+    Args:
+        robot: Name of an arm, a .urdf file, or a .toml file that names the robot and holds any of
+            these options, such as roll = 0.5; options given here come before it.
+        settings: What to simulate.
+        out: Folder for run, image and views as .png and .svg, run.npz and summary.json.
+    """
+    from approxjac.studies import servo as study
+    from approxjac.studies import servo_report as report
+
+    prepared = study.prepare(robot, settings)
+    _make_folder(out)
+    with tqdm(total=settings.duration, unit="s", disable=None) as bar:
+        result = study.run(prepared, progress=lambda t: bar.update(t - bar.n) and None)
     report.write(result, out)
     print(report.text(result))
     print(f"\nPictures, the run and summary.json are in {out}")
@@ -324,9 +353,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _with_file(arguments: list[str]) -> list[str]:
-    """Write the settings of `simulate FILE.toml` out as the options that they stand for."""
+    """Write the settings of `COMMAND FILE.toml` out as the options that they stand for."""
     files = [word for word in arguments if word.endswith(".toml")]
-    if arguments[:1] != ["simulate"] or not files:
+    if not files or arguments[0] not in _FROM_FILE:
         return arguments
     path, given = Path(files[0]), [word for word in arguments[1:] if word != files[0]]
     try:
@@ -338,7 +367,7 @@ def _with_file(arguments: list[str]) -> list[str]:
         raise InvalidInputError(
             f'{path} must name a robot, such as robot = "panda", got {robot!r}', given=path
         )
-    valid = {"out", *(field.name for field in fields(Settings))}
+    valid = {"out", *(field.name for field in fields(_FROM_FILE[arguments[0]]))}
     for name in settings:
         if name not in valid:
             raise UnknownNameError("setting", name, str(path), valid)
@@ -351,7 +380,7 @@ def _with_file(arguments: list[str]) -> list[str]:
             words += [option, *_words(value)]
         else:
             words.append(f"{option}={value}")  # as one word, so that "-x" is a value
-    return ["simulate", robot, *words, *given]
+    return [arguments[0], robot, *words, *given]
 
 
 def _words(value: object) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_number
+from approxjac.checks import Array, as_array
 from approxjac.controllers import (
     DifferentiatedVelocity,
     Gains,
@@ -22,6 +22,7 @@ from approxjac.robots import Dynamics, Robot, load_robot
 from approxjac.simulation import Plant, Sensing, simulate
 from approxjac.studies.postures import REGULAR, holdable, is_regular, posture_from
 from approxjac.studies.reach import given_or, gravity_from, outward_axis
+from approxjac.studies.servo_checks import require_effect
 from approxjac.studies.servo_result import Servo, ServoResult
 from approxjac.studies.servo_scene import Scene, carried_scene, watched_scene, well_within
 from approxjac.studies.servo_settings import ServoSettings
@@ -34,6 +35,7 @@ _SAMPLES = 50  # postures by which it is judged what is usual
 _TRIES = 20000
 _STARTS = 20  # tries to find a start to a goal
 _AROUND = 0.5  # how far a camera in hand starts from its goal in each joint [rad]
+_SINGULAR = 1e-6  # σ_min/σ_max of J below which an arm is singular in a posture
 _SETTLED = 4.0  # time constants until 2 % are left
 
 
@@ -43,26 +45,26 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
     Raises:
         ApproxJacError: Settings that are out of range or do not fit the robot.
     """
+    require_effect(settings)
     arm = load_robot(robot, tip=settings.tip, base=settings.base)
+    if 2 * settings.points > arm.nv:
+        raise InvalidInputError(
+            f"points must be at most half as many as joints, as each has two image coordinates: "
+            f"{arm.nv // 2} for {arm.name}, got {settings.points}",
+            given=settings.points,
+        )
     axis = settings.object_axis or outward_axis(arm)
     truth = arm.with_object(settings.object_length, settings.object_mass, axis=axis)
     belief = arm.with_object(settings.believed_length, settings.believed_mass, axis=axis)
-    as_number("rate", settings.rate, unit="Hz", above=0.0)
-    as_number("duration", settings.duration, unit="s", minimum=1.0 / settings.rate)
-    as_number("settling_time", settings.settling_time, unit="s", above=0.0)
-    if settings.tolerance is not None:
-        as_number("tolerance", settings.tolerance, unit="px", above=0.0)
-    if settings.seed < 0:
-        raise InvalidInputError(f"seed must be >= 0, got {settings.seed}", given=settings.seed)
     rng = np.random.default_rng(settings.seed)
     if settings.eye == "to-hand":
         scene, q0, q_goal = _watched(truth, belief, settings, rng)
     else:
         scene, q0, q_goal = _carried(truth, belief, arm.tip_or(None), settings, rng)
-    _require_seen(scene.sensor, q0)
+        _require_in_view(scene)
     target = scene.sensor.value(q_goal)
     if settings.target is not None:
-        target = scene.sensor.target(settings.target)
+        target = _target(scene.sensor, target, settings.target)
     gravity = gravity_from(truth, belief, settings.gravity)
     task: Task = scene.task
     if settings.points > 1 and settings.law != "5":
@@ -105,7 +107,11 @@ def _watched(
 ) -> tuple[Scene, Array, Array]:
     """Scene, start and goal for a camera in the world."""
     scene = watched_scene(truth, belief, settings)
-    sensor = scene.sensor
+    sensor, q0 = scene.sensor, None
+    if settings.start is not None:
+        q0 = posture_from(truth, settings.start)
+        _require_seen(sensor, q0)
+    _require_in_view(scene)
     ratio = _usual_ratio([(sensor, q) for q in seen_postures(sensor, _SAMPLES)])
 
     def draw() -> Array:
@@ -115,8 +121,7 @@ def _watched(
                 return q
         raise _none_found(sensor)
 
-    start = settings.start
-    q0 = draw() if start is None else posture_from(truth, start)
+    q0 = draw() if q0 is None else q0
     return scene, q0, draw()
 
 
@@ -135,7 +140,9 @@ def _carried(
         if not _is_usable(scene, q_goal, ratio):
             continue
         if settings.start is not None:
-            return scene, posture_from(truth, settings.start), q_goal
+            q0 = posture_from(truth, settings.start)
+            _require_seen(scene.sensor, q0)
+            return scene, q0, q_goal
         for _ in range(_STARTS):
             motion = rng.uniform(-_AROUND, _AROUND, truth.nv)
             q0 = pin.integrate(truth.model, q_goal, motion)
@@ -153,6 +160,14 @@ def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
     for sensor, q in usual:
         values = np.linalg.svd(sensor.jacobian(q, sensor.value(q)), compute_uv=False)
         ratios.append(values[-1] / values[0])
+    if not np.median(ratios) > _SINGULAR:
+        sensor = usual[0][0]
+        raise InvalidInputError(
+            f"points must be such that {sensor.robot.name} can move each of their "
+            f"{sensor.m} image coordinates by itself, and no posture was found in which it can: "
+            f"give fewer points, or another camera; got {sensor!r}",
+            given=sensor,
+        )
     return min(REGULAR, 0.5 * float(np.median(ratios)))
 
 
@@ -169,13 +184,40 @@ def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
 
 
 def _require_seen(sensor: ImageTask, q0: Array) -> None:
-    x = sensor.value(q0)
-    if not np.isfinite(sensor.seen(x)).all():
-        raise InvalidInputError(
-            f"start must be a posture in which the camera sees all points, got {q0.tolist()} with "
-            f"images {x.tolist()} and depths {sensor.depths(q0).tolist()} [m]",
-            given=q0,
-        )
+    images = sensor.value(q0).reshape(len(sensor.points), -1)[:, :2]
+    for i, (image, Z) in enumerate(zip(images, sensor.depths(q0), strict=True), start=1):
+        if not np.isfinite(sensor.camera.seen(image)).all():
+            behind = f"{-Z:.3g} m behind it"
+            near = f"{Z:.3g} m before it, which is too near or too far aside"
+            shown = f"at ({image[0]:.0f}, {image[1]:.0f}) px, outside its image"
+            where = behind if Z <= 0.0 else shown if np.isfinite(image).all() else near
+            raise InvalidInputError(
+                f"start must be a posture in which the camera sees all points, and point {i} is "
+                f"{where}: give another start, or none for one of the seed, or move the camera; "
+                f"got {q0.tolist()} for {sensor.camera!r}",
+                given=q0,
+            )
+
+
+def _require_in_view(scene: Scene) -> None:
+    for which, task in (("true", scene.sensor), ("believed", scene.task)):
+        try:
+            seen_postures(task, 1)
+        except InvalidInputError as error:
+            raise InvalidInputError(
+                f"the {which} camera must see the points in some posture: give another "
+                "camera_position or camera_target, or smaller errors of the believed camera; "
+                f"got {task!r}",
+                given=task,
+            ) from error
+
+
+def _target(sensor: ImageTask, usual: Array, images: tuple[float, ...]) -> Array:
+    """A target value from the image of each point; depths, if it has some, are not used."""
+    k = len(sensor.points)
+    target = usual.reshape(k, -1).copy()
+    target[:, :2] = np.reshape(as_array("target", images, (2 * k,), "px"), (k, 2))
+    return sensor.target(target.ravel())
 
 
 def _none_found(sensor: ImageTask) -> InvalidInputError:
@@ -191,12 +233,6 @@ def _controller(
     task: Task, gravity: Gravity, settings: ServoSettings
 ) -> SetpointController | VelocityServo:
     if settings.law == "ibvs":
-        for name in ("kp", "kv", "damping"):
-            if getattr(settings, name) is not None:
-                raise InvalidInputError(
-                    f"{name} is a gain of the laws 5 and 6, got {getattr(settings, name)} for ibvs",
-                    given=getattr(settings, name),
-                )
         return VelocityServo(task, _SETTLED / settings.settling_time, gravity=gravity)
     # damping acts as late as q̇ is known; that of law (5) as late as the image tells Ẋ
     lag = 1.0 / settings.rate + (settings.velocity_filter or 0.0)

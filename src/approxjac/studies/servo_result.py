@@ -15,8 +15,11 @@ from approxjac.simulation import Plant, Trajectory
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import ImageTask
 
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
+
 _HALF_A_PIXEL = 0.5
-_GOES_WILD = 10.0  # torques that change by so many limits a second on average [1/s]
+_LITTLE = 0.2  # of an error, where forces along it are a fifth of what they are along others
+_LATE = 1.5  # times that between images, after which one is missed
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +101,32 @@ class ServoResult:
         return float(self.run.t[beyond[-1] + 1])
 
     @property
-    def unseen(self) -> Array:
+    def unseen(self) -> Mask:
         """Whether a point was out of the true camera's view at each instant, shape (N,)."""
         sensor = self.servo.sensor
         return np.array([not np.isfinite(sensor.seen(x)).all() for x in self.run.x])
+
+    @property
+    def braked(self) -> Mask:
+        """Whether the last image of a point was too old to go by at each instant, shape (N,)."""
+        return np.asarray(self.run.status == Status.MEASUREMENT_LOST)
+
+    @property
+    def waiting(self) -> Mask:
+        """Whether the law went on although a point had no new image in time, shape (N,).
+
+        In time is one and a half times that between images. Without noise the images of an arm at
+        rest do not change, and are none that are new.
+        """
+        run, k = self.run, len(self.servo.sensor.points)
+        images = run.x_measured.reshape(len(run.t), k, -1)[:, :, :2]
+        new: Mask = np.all(np.isfinite(images), axis=2)
+        new[1:] &= np.any(images[1:] != images[:-1], axis=2)
+        last = np.maximum.accumulate(np.where(new, run.t[:, None], -math.inf), axis=0)
+        last = np.maximum(last, self.servo.settings.latency)  # before it none can arrive
+        late = (run.t[:, None] - last).max(axis=1) > _LATE / self.servo.settings.frame_rate
+        waiting: Mask = late & ~self.braked
+        return waiting
 
     @property
     def stays_in_view(self) -> bool:
@@ -145,9 +170,17 @@ class ServoResult:
         if not stands:
             return "still approaching its target at the end"
         if float(np.abs(run.v[quarter]).max()) < 0.1:
+            if self._share_of_error() < _LITTLE:
+                return "hardly moves: the believed Jacobian shows little of the error's direction"
             weight = "" if self.servo.settings.gravity == "learnt" else ", or gravity is not exact"
             return f"came to rest away from its target: out of reach{weight}"
         return "moves on without approaching: not stable with these errors"
+
+    def _share_of_error(self) -> float:
+        """‖Ĵᵀe‖ / (‖Ĵ‖ ‖e‖) at the end: how much of the error the believed Jacobian shows."""
+        run, task = self.run, self.servo.controller.task
+        e, J_hat = task.error(run.x[-1], run.target), task.jacobian(run.q[-1], run.x[-1])
+        return float(np.linalg.norm(J_hat.T @ e) / (np.linalg.norm(J_hat, 2) * np.linalg.norm(e)))
 
     def summary(self) -> dict[str, Any]:
         """What goes into summary.json."""
@@ -170,6 +203,8 @@ class ServoResult:
             "q_end": run.q[-1].tolist(),
             "controller": repr(servo.controller),
             "status_counts": counts,
+            "waiting_share": float(self.waiting.mean()),
+            "braked_share": float(self.braked.mean()),
             "settings": {f.name: getattr(servo.settings, f.name) for f in fields(ServoSettings)},
         }
 

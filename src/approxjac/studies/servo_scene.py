@@ -75,11 +75,6 @@ def carried_scene(
         q_goal: Posture at the goal, shape (nq,).
         settings: What was asked for.
     """
-    if settings.camera_target is not None:
-        raise InvalidInputError(
-            f"camera_target is for an eye to hand, got {settings.camera_target} for one in hand",
-            given=settings.camera_target,
-        )
     view = _axis(outward_axis(truth))
     right = np.cross(view, np.roll(np.abs(view), 1))
     R = np.column_stack([np.cross(right, view), right, view])

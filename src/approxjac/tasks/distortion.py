@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class RadialDistortion:
             2.0 * k2 + 6.0 * k3 * rho,
         )
 
-    @property
+    @cached_property  # each projection asks for it
     def largest_radius(self) -> float:
         """‖p‖ from which on the image folds back; infinite where it never does."""
         k1, k2, k3 = self._k

@@ -1,5 +1,6 @@
-"""Plots of runs and of stability."""
+"""Plots of runs, of what cameras see and of stability."""
 
+from approxjac.view.images import plot_camera_view, plot_image, plot_lanes
 from approxjac.view.plots import (
     plot_error,
     plot_parameters,
@@ -16,7 +17,10 @@ __all__ = [
     "legend_below",
     "new_figure",
     "plot_allowed_error",
+    "plot_camera_view",
     "plot_error",
+    "plot_image",
+    "plot_lanes",
     "plot_map",
     "plot_margins",
     "plot_parameters",

@@ -148,9 +148,9 @@ def plot_path(
         ax = _axes(ax)
         ax.plot(*tips.T, color=COLORS[0], linewidth=1.0, label=f"path of {frame}")
         for q, color, label in ((run.q[0], COLORS[5], "start"), (run.q[-1], COLORS[1], "end")):
-            ax.plot(*_skeleton(robot, frame, q)[:, rows].T, "o-", color=color, ms=4, label=label)
+            ax.plot(*skeleton(robot, frame, q)[:, rows].T, "o-", color=color, ms=4, label=label)
         if q_target is not None:
-            points = _skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
+            points = skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
             ax.plot(*points.T, "--", color=TARGET, linewidth=1.0, label="target")
             ax.plot(*points[-1], "x", color=TARGET, ms=8)
         ax.set_aspect("equal", adjustable="datalim")
@@ -206,7 +206,7 @@ def _axes(ax: Axes | None) -> Axes:
     return new_figure()[1][0] if ax is None else ax
 
 
-def _skeleton(robot: Robot, frame: str, q: Array) -> Array:
+def skeleton(robot: Robot, frame: str, q: Array) -> Array:
     """World positions of all joints and fixed frames from the base to a frame, shape (N, 3)."""
     model = robot.model
     data = model.createData()

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's colours, which people with colour-blindness can tell apart."""
 TARGET = "#555555"
+_LEGEND = 36.0  # below the axes, under their ticks and their label [pt]
 
 _RC: Mapping[str, Any] = {
     "axes.grid": True,
@@ -62,14 +63,25 @@ def new_figure(
     return figure, list(axes.flat)
 
 
-def legend_below(ax: Axes) -> None:
-    """Put the legend under the axes, where it covers no data."""
+def legend_below(ax: Axes, columns: int | None = None) -> None:
+    """Put the legend under the axes, where it covers no data.
+
+    Args:
+        ax: The axes.
+        columns: Entries side by side; as many as fit under a plot of usual width by default.
+    """
+    from matplotlib.transforms import offset_copy
+
     labels = ax.get_legend_handles_labels()[1]
     longest = max((len(label) for label in labels), default=1)
-    columns = max(1, min(len(labels), 44 // (longest + 4)))
+    if columns is None:
+        columns = max(1, min(len(labels), 44 // (longest + 4)))
+    # by a distance that does not change as the layout makes room for the legend
+    below = offset_copy(ax.transAxes, ax.get_figure(root=True), y=-_LEGEND, units="points")
     ax.legend(
-        loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=columns, frameon=False, fontsize=8
-    )
+        loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=below, ncols=columns,
+        borderaxespad=0.0, frameon=False, fontsize=8,
+    )  # fmt: skip
 
 
 def save_figure(figure: Figure, stem: str | Path) -> list[Path]:

@@ -1,0 +1,195 @@
+"""Plots of what cameras see. Each takes axes and returns them, as those of runs do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from approxjac.checks import Array, require
+from approxjac.errors import InvalidInputError
+from approxjac.simulation import Trajectory
+from approxjac.tasks import Camera, ImageTask, PinholeCamera
+from approxjac.view.plots import skeleton
+from approxjac.view.style import COLORS, TARGET, legend_below, new_figure, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_PIECES = 20  # of each link: a lens bends what is straight
+_AROUND = 0.06  # of the image, shown around its border
+_POINTS = (COLORS[0], COLORS[2], COLORS[3], COLORS[4], COLORS[5])
+
+
+def plot_image(
+    run: Trajectory, camera: Camera, ax: Axes | None = None, *, title: str = "Image plane"
+) -> Axes:
+    """Draw the true path of each point through the image, from its start to its target.
+
+    The images that were measured are faint dots. The border of a pinhole camera's image is its
+    field of view; as in all images v points down.
+
+    Args:
+        run: A run whose task is an image.
+        camera: The true camera.
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+
+    Raises:
+        InvalidInputError: A run of another task, or no camera.
+    """
+    require("camera", camera, Camera, "a camera, such as that of the plant's ImageTask")
+    if run.error.shape[1] % 2 or set(run.task_units) != {camera.unit}:
+        raise InvalidInputError(
+            f"run must be that of an image task, with coordinates in {camera.unit}, got "
+            f"{', '.join(run.task_labels)} in {run.task_unit}",
+            given=run,
+        )
+    k = run.error.shape[1] // 2
+    true, measured = (x.reshape(len(run.t), k, -1)[:, :, :2] for x in (run.x, run.x_measured))
+    target = run.target.reshape(k, -1)[:, :2]
+    with style():
+        ax = _axes(ax)
+        for i in range(k):
+            color = _POINTS[i % len(_POINTS)]
+            label = "path" if k == 1 else f"path {i + 1}"
+            ax.plot(*measured[:, i].T, ".", color=color, ms=3, mew=0, alpha=0.25, zorder=1)
+            ax.plot(*true[:, i].T, color=color, label=label)
+        ax.plot(*true[0].T, "o", color=TARGET, mfc="white", ms=7, label="start", zorder=4)
+        ax.plot(*target.T, "x", color=TARGET, ms=9, mew=2, label="target", zorder=5)
+        ax.plot(*true[-1].T, "o", color=TARGET, ms=4, label="end", zorder=4)
+        ax.plot([], [], ".", color=TARGET, alpha=0.5, label="measured")
+        _frame(ax, camera, title)
+        legend_below(ax, 3)
+    return ax
+
+
+def plot_camera_view(
+    sensor: ImageTask,
+    q: Sequence[float] | Array,
+    ax: Axes | None = None,
+    *,
+    believed: ImageTask | None = None,
+    target: Sequence[float] | Array | None = None,
+    title: str = "What the camera sees",
+) -> Axes:
+    """Draw what a camera sees of an arm at a posture, and what a controller believes it to see.
+
+    A camera in the world sees the arm, drawn as its skeleton, with the points that it watches. One
+    that the arm carries sees the points.
+
+    Args:
+        sensor: Task of the true robot with the true camera.
+        q: Posture, shape (nq,).
+        ax: Axes to draw into; new ones by default.
+        believed: Task of the believed robot with the believed camera; drawn dashed if given.
+        target: Images of the points at the target, shape (n_x,), drawn as crosses if given.
+        title: Of the axes.
+
+    Raises:
+        InvalidInputError: No image tasks, or a posture or a target of another shape.
+    """
+    require("sensor", sensor, ImageTask, "an ImageTask of the true robot")
+    q = sensor.robot.configuration(q)
+    with style():
+        ax = _axes(ax)
+        points = _draw(ax, sensor, q, "true", color=COLORS[0], zorder=4)
+        _number(ax, points, COLORS[0], (6, 5))
+        if believed is not None:
+            require("believed", believed, ImageTask, "an ImageTask of the believed robot")
+            look = {"linestyle": "--", "alpha": 0.7, "zorder": 3}
+            _draw(ax, believed, q, "believed", color=COLORS[1], **look)
+        if target is not None:
+            images = sensor.target(target).reshape(len(sensor.points), -1)[:, :2]
+            ax.plot(*images.T, "x", color=TARGET, ms=9, mew=2, label="target", zorder=6)
+            _number(ax, images, TARGET, (-12, -10))
+        _frame(ax, sensor.camera, title)
+        legend_below(ax, 3)
+    return ax
+
+
+def plot_lanes(
+    t: Array,
+    lanes: Mapping[str, np.ndarray[Any, np.dtype[np.bool_]]],
+    ax: Axes | None = None,
+    *,
+    title: str = "When it was so",
+) -> Axes:
+    """Draw when each of several things was so, a lane for each.
+
+    Args:
+        t: Instants, shape (N,) [s].
+        lanes: Name of each thing, from the uppermost, and whether it was so at each instant,
+            shape (N,); it holds until the next one.
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+    """
+    with style():
+        ax = _axes(ax)
+        ends = np.append(t[1:], t[-1])
+        for row, (name, mask) in enumerate(lanes.items()):
+            if np.shape(mask) != np.shape(t):
+                raise InvalidInputError(
+                    f"lane {name!r} must have shape {np.shape(t)}, got {np.shape(mask)}", given=mask
+                )
+            edges = np.diff(np.concatenate([[False], np.asarray(mask, dtype=bool), [False]]) * 1)
+            first, last = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0] - 1
+            spans = list(zip(t[first], ends[last] - t[first], strict=True))
+            ax.broken_barh(spans, (row - 0.35, 0.7), facecolors=COLORS[row % len(COLORS)])
+        ax.set_yticks(range(len(lanes)), list(lanes))
+        ax.set_ylim(len(lanes) - 0.4, -0.6)
+        ax.set_xlim(t[0], t[-1])
+        ax.set(xlabel="time [s]", title=title)
+    return ax
+
+
+def _draw(ax: Axes, task: ImageTask, q: Array, name: str, **look: Any) -> Array:
+    """Draw an arm, where it is seen from outside, and the points; return their images (k, 2)."""
+    camera = task.camera
+    dots = {key: value for key, value in look.items() if key != "linestyle"}
+    if camera.mount is None and task.frame is not None:
+        corners = skeleton(task.robot, task.frame, q)
+        share = np.linspace(0.0, 1.0, _PIECES, endpoint=False)[:, None]
+        line = np.concatenate([*(a + share * (b - a) for a, b in pairwise(corners)), corners[-1:]])
+        ax.plot(*_images(camera, line), linewidth=2.0, label=f"arm, {name}", **look)
+        ax.plot(*_images(camera, corners), "o", ms=4, **dots)
+    points: Array = task.value(q).reshape(len(task.points), -1)[:, :2]
+    ax.plot(*np.concatenate([points, points[:1]]).T, linewidth=1.0, **look)
+    ax.plot(*points.T, "s", ms=7, mfc="none", mew=1.6, label=f"points, {name}", **dots)
+    return points
+
+
+def _number(ax: Axes, points: Array, color: str, offset: tuple[int, int]) -> None:
+    """Write the number of each of several points beside it."""
+    for i, point in enumerate(points, start=1):
+        if len(points) > 1 and np.isfinite(point).all():
+            ax.annotate(
+                str(i), point, offset, textcoords="offset points", color=color, fontsize=8,
+                annotation_clip=True,
+            )  # fmt: skip
+
+
+def _images(camera: Camera, points: Array) -> Array:
+    """Images of points of the world, shape (2, N); NaN for those that have none."""
+    return np.array([camera.project(r) for r in points]).T
+
+
+def _frame(ax: Axes, camera: Camera, title: str) -> None:
+    """Draw the border of an image, and name the axes."""
+    (u, v), unit = camera.labels, camera.unit
+    ax.set_aspect("equal", adjustable="box", anchor="N")
+    if isinstance(camera, PinholeCamera):
+        width, height = camera.size
+        corners = [(-0.5, -0.5), (width - 0.5, -0.5), (width - 0.5, height - 0.5)]
+        corners += [(-0.5, height - 0.5), corners[0]]
+        ax.plot(*np.array(corners).T, color="black", linewidth=1.2, zorder=2)
+        around = _AROUND * max(width, height)
+        ax.set_xlim(-around, width + around)
+        ax.set_ylim(height + around, -around)  # v points down
+    ax.set(xlabel=f"{u} [{unit}]", ylabel=f"{v} [{unit}]", title=title)
+
+
+def _axes(ax: Axes | None) -> Axes:
+    return new_figure()[1][0] if ax is None else ax

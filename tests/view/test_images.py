@@ -1,0 +1,148 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac import view
+
+POINTS = [(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]
+HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    camera = aj.PinholeCamera.looking_at(
+        (0.5, 0.0, 0.4), (1.5, -0.8, 0.9), 600.0, (640, 480), distortion=(-0.1,)
+    )
+    return aj.ImageTask(aj.load_robot("panda").with_object(0.1), camera, points=POINTS)
+
+
+@pytest.fixture(scope="module")
+def run(sensor):
+    controller = aj.SetpointController(sensor, aj.default_gains(sensor))
+    plant = aj.Plant(sensor.robot, sensor, sensing=aj.Sensing(x_noise=2.0))
+    target = sensor.value(HOME + 0.1)
+    return aj.simulate(plant, controller, target, HOME, 0.2, dt=2e-3)
+
+
+def drawn(ax):
+    return {line.get_label(): np.array(line.get_data()).T for line in ax.get_lines()}
+
+
+def test_the_paths_go_through_the_image_from_start_to_target(run, sensor):
+    ax = view.plot_image(run, sensor.camera)
+    lines = drawn(ax)
+    assert_allclose(lines["path 1"], run.x[:, :2])
+    assert_allclose(lines["path 2"], run.x[:, 2:])
+    assert_allclose(lines["start"], run.x[0].reshape(2, 2))
+    assert_allclose(lines["end"], run.x[-1].reshape(2, 2))
+    assert_allclose(lines["target"], run.target.reshape(2, 2))
+    measured = [line for line in lines.values() if np.array_equal(line, run.x_measured[:, :2])]
+    assert len(measured) == 1
+    assert ax.get_xlabel() == "u [px]"
+    assert ax.get_ylabel() == "v [px]"
+
+
+def test_the_border_is_the_field_of_view_and_v_points_down(run, sensor):
+    ax = view.plot_image(run, sensor.camera)
+    border = next(line for line in drawn(ax).values() if len(line) == 5)
+    assert border.min(axis=0).tolist() == [-0.5, -0.5]
+    assert border.max(axis=0).tolist() == [639.5, 479.5]
+    assert ax.get_ylim()[0] > 480.0 > 0.0 > ax.get_ylim()[1]
+    assert ax.get_xlim()[0] < 0.0 < 640.0 < ax.get_xlim()[1]
+    assert ax.get_aspect() == 1.0
+
+
+def test_depths_that_are_measured_are_no_image(run, sensor):
+    x = np.insert(run.x, (2, 4), 1.0, axis=1)
+    target = np.insert(run.target, (2, 4), 1.0)
+    deep = dataclasses.replace(run, x=x, x_measured=x, target=target)
+    assert_allclose(drawn(view.plot_image(deep, sensor.camera))["path 2"], run.x[:, 2:])
+
+
+def test_a_planar_camera_has_an_image_without_a_border():
+    arm = aj.load_robot("two_link")
+    task = aj.ImageTask(arm, aj.PlanarCamera(0.05, 3.0))
+    controller = aj.SetpointController(task, aj.Gains(100.0, 100.0))
+    run = aj.simulate(aj.Plant(arm, task), controller, task.value([1.5, 1.5]), (1.0, 1.5), 0.1)
+    ax = view.plot_image(run, task.camera)
+    assert_allclose(drawn(ax)["path"], run.x)
+    assert not any(len(line) == 5 for line in drawn(ax).values())
+
+
+def test_a_run_of_another_task_is_refused(sensor):
+    arm = aj.load_robot("two_link")
+    task = aj.PositionTask(arm, axes="xz")
+    controller = aj.SetpointController(task, aj.Gains(60.0, 20.0))
+    run = aj.simulate(aj.Plant(arm, task), controller, (0.5, 1.2), (0.3, 0.8), 0.1)
+    with pytest.raises(aj.InvalidInputError, match="run must be that of an image task, with coord"):
+        view.plot_image(run, sensor.camera)
+    with pytest.raises(aj.InvalidInputError, match="camera must be a camera"):
+        view.plot_image(run, "camera")
+
+
+def test_a_camera_in_the_world_sees_the_arm_to_its_object(sensor):
+    believed = aj.ImageTask(
+        aj.load_robot("panda").with_object(0.0),
+        sensor.camera.with_error(rotation=(0.0, 0.0, 0.3)),
+        points=POINTS,
+    )
+    target = sensor.value(HOME + 0.1)
+    lines = drawn(view.plot_camera_view(sensor, HOME, believed=believed, target=target))
+    assert_allclose(lines["points, true"], sensor.value(HOME).reshape(2, 2))
+    assert_allclose(lines["points, believed"], believed.value(HOME).reshape(2, 2))
+    assert_allclose(lines["target"], target.reshape(2, 2))
+    arm = lines["arm, true"]
+    assert_allclose(arm[-1], sensor.value(HOME)[:2])  # the first point is at the tip
+    assert_allclose(arm[0], sensor.camera.project(np.zeros(3)))
+    assert_allclose(lines["arm, believed"][-1], believed.value(HOME)[:2])
+
+
+def test_a_camera_on_the_arm_sees_points_and_no_arm():
+    arm = aj.load_robot("panda")
+    camera = aj.PinholeCamera(600.0, (640, 480), mount="panda_hand_tcp")
+    task = aj.ImageTask(arm, camera, points=[(0.5, 0.0, 0.0)])
+    ax = view.plot_camera_view(task, HOME, title="what it sees")
+    assert_allclose(drawn(ax)["points, true"], task.value(HOME)[None])
+    assert not any("arm" in label for label in drawn(ax))
+    assert ax.get_title() == "what it sees"
+
+
+def test_points_behind_the_camera_are_not_drawn(sensor):
+    camera = sensor.camera.with_error(rotation=(0.0, np.pi, 0.0))
+    away = aj.ImageTask(sensor.robot, camera, points=POINTS)
+    ax = view.plot_camera_view(away, HOME, target=(10, 10, 20, 20))
+    assert np.isnan(drawn(ax)["points, true"]).all()
+    assert [text.get_text() for text in ax.texts] == ["1", "2"]  # of the targets
+
+
+def test_lanes_are_where_things_were_so():
+    t = np.array([0.0, 1.0, 2.0, 3.0])
+    ax = view.plot_lanes(t, {"a": t < 1.5, "b": t > 1.5, "never": t < 0.0})
+    boxes = [[p.get_extents() for p in lane.get_paths()] for lane in ax.collections]
+    assert [[(b.x0, b.x1) for b in lane] for lane in boxes] == [[(0.0, 2.0)], [(2.0, 3.0)], []]
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b", "never"]
+    assert boxes[0][0].y1 < boxes[1][0].y0
+    assert ax.yaxis_inverted()
+    with pytest.raises(aj.InvalidInputError, match=r"lane 'c' must have shape \(4,\), got \(2,\)"):
+        view.plot_lanes(t, {"c": t[:2] > 0.0})
+
+
+def test_axes_go_in_and_come_out(run, sensor):
+    figure = Figure()
+    ax = figure.subplots()
+    assert view.plot_image(run, sensor.camera, ax) is ax
+    assert view.plot_camera_view(sensor, HOME, figure.subplots()) in figure.axes
+    assert view.plot_lanes(run.t, {"a": run.t > 0.1}, figure.subplots()) in figure.axes
+
+
+def test_bad_views_are_refused(sensor):
+    with pytest.raises(aj.InvalidInputError, match="sensor must be an ImageTask of the true robot"):
+        view.plot_camera_view(sensor.camera, HOME)
+    with pytest.raises(aj.InvalidInputError, match="believed must be an ImageTask of the believed"):
+        view.plot_camera_view(sensor, HOME, believed=sensor.camera)
+    with pytest.raises(aj.ApproxJacError, match="q must have shape"):
+        view.plot_camera_view(sensor, HOME[:3])
