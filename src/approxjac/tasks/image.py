@@ -45,8 +45,8 @@ class ImageTask(Task):
     Raises:
         UnknownNameError: No such frame.
         InvalidInputError: More image coordinates than joints; points that are the same or three
-            that lie on one line, whose image never tells how the body is turned about it; a depth
-            for a camera that has none.
+            that lie on one line, whose image never tells how the body is turned about it; points
+            that move with the camera; a depth for a camera that has none.
     """
 
     def __init__(
@@ -66,6 +66,13 @@ class ImageTask(Task):
         if frame is not None or camera.mount is None:
             frame = robot.tip_or(frame)
         self._kinematics = PointKinematics(robot, self._points, frame, camera.mount)
+        if camera.mount is not None and _joint_of(robot, frame) == _joint_of(robot, camera.mount):
+            watched = "the world" if frame is None else repr(frame)
+            raise InvalidInputError(
+                f"frame must move relative to the camera, or its image never changes, got "
+                f"{watched} and a camera on {camera.mount!r}",
+                given=frame,
+            )
         self._depth = _depth(depth, camera, len(self._points))
 
     @property
@@ -139,6 +146,11 @@ class ImageTask(Task):
         moved[:, :2] += e.reshape(-1, 2)
         return moved.ravel()
 
+    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
+        placed = x.reshape(-1, self._stride).copy()
+        placed[:, :2] = self._images(x_d) + e.reshape(-1, 2)
+        return placed.ravel()
+
     def error_jacobian(self, e: Array, J: Array) -> Array:
         return J
 
@@ -162,11 +174,12 @@ class ImageTask(Task):
         target = super().target(x_d)
         outside = np.nonzero(~np.isfinite(self._images(self.seen(target))).all(axis=1))[0]
         if len(outside):
-            width, height = self._pinhole.size
+            size = ""
+            if isinstance(self._camera, PinholeCamera):
+                size = f" of {self._camera.size[0]} x {self._camera.size[1]} px"
             wrong = self._images(target)[outside[0]].tolist()
             raise InvalidInputError(
-                f"target must be within the image of {width} x {height} px, "
-                f"got {wrong} for point {outside[0] + 1}",
+                f"target must be within the image{size}, got {wrong} for point {outside[0] + 1}",
                 given=x_d,
             )
         return target
@@ -251,6 +264,11 @@ class ImageTask(Task):
             depth = self._depth if isinstance(self._depth, str) else self._depth.tolist()
             shown += f", depth={depth!r}"
         return shown + ")"
+
+
+def _joint_of(robot: Robot, frame: str | None) -> int:
+    """Index of the joint that a frame moves with; 0 is the world."""
+    return 0 if frame is None else int(robot.model.frames[robot.frame_id(frame)].parentJoint)
 
 
 def _points(points: object) -> Array:

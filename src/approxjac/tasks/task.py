@@ -144,6 +144,10 @@ class Task(ABC):
         """Value whose error to x (n_x,) is e (m,); shape (n_x,)."""
         return x + e
 
+    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
+        """Value whose error to x_d (n_x,) is e (m,); what no error tells is as in x (n_x,)."""
+        return self.displaced(x_d, e)
+
     def error_rate(self, e: Array, Jv: Array) -> Array:
         """ė where the error is e and the Jacobian gives J q̇; shape (m,)."""
         return Jv
