@@ -1,6 +1,7 @@
 """`HeldMeasurement`: between images, without them, and with a camera that hangs."""
 
 import copy
+import math
 import pickle
 
 import numpy as np
@@ -566,9 +567,10 @@ def test_absurd_images_have_a_finite_answer_or_a_named_error(panda, rng, combine
     seen = image.value(START)
     measurement = aj.Measurement(0.0, START, V, np.array([x, -x, x, seen[3]]))
     state = held.initial_state(measurement)
-    try:
-        answer = held.evaluate(state, measurement, seen)
-    except aj.MeasurementError as error:
-        assert "overflows" in str(error)
-    else:
-        assert np.isfinite(answer.torque).all() and np.isfinite(answer.state_rate).all()
+    if abs(x) > 1e303 and math.isfinite(x):  # x / dt is beyond what floats can be
+        with pytest.raises(aj.MeasurementError, match="overflows"):
+            held.evaluate(state, measurement, seen)
+        return
+    answer = held.evaluate(state, measurement, seen)
+    assert np.isfinite(answer.torque).all()
+    assert np.isfinite(answer.state_rate).all()

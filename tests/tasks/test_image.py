@@ -318,3 +318,24 @@ def test_a_target_that_a_camera_of_ones_own_does_not_see_is_refused(panda):
 
     with pytest.raises(aj.InvalidInputError, match="target must be within the image, got"):
         aj.ImageTask(panda, Narrow(0.05, 3.0)).target([1.0, 1.0])
+
+
+def test_a_target_outside_the_image_is_refused_in_every_wrapping(panda):
+    task = watching(panda, np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]))
+    outside = [700.0, 100.0]
+    text = r"target must be within the image of 640 x 480 px, got \[700.0, 100.0\] for point 1"
+    height = aj.PositionTask(panda, "panda_link4", axes="z")
+    for wrapped, x_d in (
+        (task, outside),
+        (aj.CombinedTask(task, np.eye(2)), outside),
+        (aj.NonsingularTask(task, {"panda_joint4": 0.2}), outside),
+        (aj.StackedTask(height, task), [0.3, *outside]),
+    ):
+        with pytest.raises(aj.InvalidInputError, match=text):
+            wrapped.target(x_d)
+
+
+def test_a_depth_cannot_be_changed(panda):
+    task = watching(panda, np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]), depth=0.5)
+    with pytest.raises(ValueError, match="read-only"):
+        task.depth[0] = 1.0

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_number
+from approxjac.checks import Array, as_array, as_number
 from approxjac.controllers import (
     DifferentiatedVelocity,
     Gains,
@@ -17,7 +17,7 @@ from approxjac.controllers import (
     VelocityServo,
     default_gains,
 )
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Dynamics, Robot, load_robot
 from approxjac.simulation import Plant, Sensing, simulate
 from approxjac.studies.postures import REGULAR, holdable, is_regular, posture_from
@@ -34,6 +34,11 @@ _SAMPLES = 50  # postures by which it is judged what is usual
 _TRIES = 20000
 _STARTS = 20  # tries to find a start to a goal
 _AROUND = 0.5  # how far a camera in hand starts from its goal in each joint [rad]
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "eye": ("to-hand", "in-hand"),
+    "law": ("6", "5", "ibvs"),
+    "gravity": ("learnt", "exact", "believed", "none"),
+}
 _SETTLED = 4.0  # time constants until 2 % are left
 
 
@@ -43,12 +48,16 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
     Raises:
         ApproxJacError: Settings that are out of range or do not fit the robot.
     """
+    for name, valid in _CHOICES.items():
+        if getattr(settings, name) not in valid:
+            raise UnknownNameError(name, getattr(settings, name), "the settings", valid)
     arm = load_robot(robot, tip=settings.tip, base=settings.base)
     axis = settings.object_axis or outward_axis(arm)
     truth = arm.with_object(settings.object_length, settings.object_mass, axis=axis)
     belief = arm.with_object(settings.believed_length, settings.believed_mass, axis=axis)
     as_number("rate", settings.rate, unit="Hz", above=0.0)
     as_number("duration", settings.duration, unit="s", minimum=1.0 / settings.rate)
+    as_number("depth_factor", settings.depth_factor, above=0.0)
     as_number("settling_time", settings.settling_time, unit="s", above=0.0)
     if settings.tolerance is not None:
         as_number("tolerance", settings.tolerance, unit="px", above=0.0)
@@ -62,7 +71,9 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
     _require_seen(scene.sensor, q0)
     target = scene.sensor.value(q_goal)
     if settings.target is not None:
-        target = scene.sensor.target(settings.target)
+        images = as_array("target", settings.target, (scene.sensor.m,), "px")
+        target = scene.sensor.with_error(target, scene.sensor.origin, images)
+        target = scene.sensor.target(target)
     gravity = gravity_from(truth, belief, settings.gravity)
     task: Task = scene.task
     if settings.points > 1 and settings.law != "5":

@@ -40,7 +40,8 @@ class ImageTask(Task):
         points: Positions of the points in that frame, shape (k, 3) [m]; its origin by default.
         depth: "believed"; or Z > 0 that is taken for every point, or one for each point [m]; or
             "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …) and has n_x = 3k
-            entries. The depths are no part of the error, and those of a target are not used.
+            entries. The depths are no part of the error, and those of a target are not used. Where
+            none is measured (Z is not finite, or not > 0) it is the believed one.
 
     Raises:
         UnknownNameError: No such frame.
@@ -305,6 +306,7 @@ def _depth(depth: object, camera: Camera, k: int) -> str | Array:
         chosen: str | Array = depth
     elif is_scalar(depth):
         chosen = np.full(k, as_number("depth", depth, unit="m", above=0.0))
+        chosen.flags.writeable = False
     else:
         chosen = as_array("depth", depth, (k,), "m")
         if not (chosen > 0.0).all():

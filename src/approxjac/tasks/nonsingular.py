@@ -130,6 +130,9 @@ class NonsingularTask(Task):
     def error_rate(self, e: Array, Jv: Array) -> Array:
         return self._task.error_rate(e, Jv)
 
+    def target(self, x_d: object) -> Array:
+        return self._task.target(x_d)
+
     def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         J = self._task.compute_jacobian(q, x)
         squares, U = np.linalg.eigh(J @ J.T)

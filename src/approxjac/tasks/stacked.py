@@ -132,6 +132,12 @@ class StackedTask(Task):
         each = zip(self._tasks, self._rows, strict=True)
         return np.concatenate([task.error_rate(e[rows], Jv[rows]) for task, rows in each])
 
+    def target(self, x_d: object) -> Array:
+        target = super().target(x_d)
+        for task, part in zip(self._tasks, self._parts, strict=True):
+            task.target(target[part])  # as it may have edges, such as those of an image
+        return target
+
     def on(self, robot: Robot) -> StackedTask:
         return StackedTask(*(task.on(robot) for task in self._tasks))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError
@@ -191,9 +192,11 @@ def seen_postures(task: Task, count: int) -> list[Array]:
         InvalidInputError: None was found.
     """
     rng = np.random.default_rng(0)
+    # as random_configuration, whose range is the same for all of them
+    model, neutral, usual = task.robot.model, task.robot.neutral(), task.robot.usual_range()
     found: list[Array] = []
     for _ in range(max(count, _TRIES)):
-        q = task.robot.random_configuration(rng)
+        q = np.array(pin.integrate(model, neutral, rng.uniform(*usual)))
         if task.sees(q):
             found.append(q)
             if len(found) == count:
