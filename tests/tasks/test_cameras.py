@@ -275,3 +275,9 @@ def test_the_interaction_matrix_is_exact_up_to_the_edges(distortion):
 def test_rays_of_absurd_pixels_are_finite(distortion, far):
     cam = aj.PinholeCamera(600.0, (640, 480), distortion=distortion)
     assert np.isfinite(cam.ray(np.array([far, -3.0]))).all()
+
+
+@pytest.mark.parametrize("cam", [aj.PlanarCamera(0.05, 3.0), camera()])
+def test_names_that_are_not_in_the_calibration_are_refused(cam):
+    with pytest.raises(aj.UnknownNameError, match="value 'focal' not in the calibration of P"):
+        cam.recalibrated({"focal": 1.0})

@@ -30,8 +30,9 @@ class CombinedTask(Task):
     Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
     visual servoing in robotics", IEEE Trans. Robotics and Automation 8 (1992).
 
-    For controllers: the plant's sensor is the task itself. Stability tests, which need errors of
-    both in the same coordinates, take a plant whose sensor is `CombinedTask(sensor, C)`.
+    For controllers: the plant's sensor is the task itself, also that of rollouts. The other
+    stability tests, which need errors of both in the same coordinates, take a plant whose sensor
+    is `CombinedTask(sensor, C)` with the same C.
 
     Args:
         task: The task of the believed robot.
