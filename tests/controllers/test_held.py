@@ -1,6 +1,7 @@
 """`HeldMeasurement`: between images, without them, and with a camera that hangs."""
 
 import copy
+import math
 import pickle
 
 import numpy as np
@@ -534,3 +535,42 @@ def test_a_run_has_the_sampling_time_that_it_counts_with(task, dt):
     held = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
     with pytest.raises(aj.InvalidInputError, match=r"dt must be that of the controller, 0\.001"):
         aj.simulate(aj.Plant(PANDA, task), held, task.value(START), START, 0.1, dt=dt)
+
+
+def two_points(panda, **options):
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (1.6, -0.8, 0.9), 600.0, (640, 480))
+    points = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]
+    return aj.ImageTask(panda, camera, points=points, **options)
+
+
+def test_of_combined_points_one_is_new_while_the_other_is_lost(panda, rng):
+    image = two_points(panda)
+    task = aj.CombinedTask(image, rng.normal(size=(4, 4)))
+    held = aj.HeldMeasurement(aj.SetpointController(task), unseen=40.0)
+    x = image.value(START)
+    first = aj.Measurement(0.0, START, np.zeros(7), x)
+    state = held.initial_state(first)
+    state = state + DT * held.evaluate(state, first, x).state_rate
+    later = x + [np.nan, np.nan, 10.0, 5.0]
+    answer = held.evaluate(state, aj.Measurement(DT, START, np.zeros(7), later), x)
+    assert_allclose(answer.e, task.error(x + [0.0, 0.0, 10.0, 5.0], x), rtol=1e-9)
+    assert answer.status is not Status.MEASUREMENT_HELD
+
+
+@pytest.mark.parametrize("combined", [False, True])
+@pytest.mark.parametrize("x", [np.inf, 1e300, -1e306, 1e308])
+def test_absurd_images_have_a_finite_answer_or_a_named_error(panda, rng, combined, x):
+    image = two_points(panda)
+    task = aj.CombinedTask(image, 1e9 * rng.normal(size=(4, 4))) if combined else image
+    gains = aj.Gains(kp=1e-4, kv=1e-4, damping=1.0)
+    held = aj.HeldMeasurement(aj.SetpointController(task, gains), unseen=40.0)
+    seen = image.value(START)
+    measurement = aj.Measurement(0.0, START, V, np.array([x, -x, x, seen[3]]))
+    state = held.initial_state(measurement)
+    if abs(x) > 1e303 and math.isfinite(x):  # x / dt is beyond what floats can be
+        with pytest.raises(aj.MeasurementError, match="overflows"):
+            held.evaluate(state, measurement, seen)
+        return
+    answer = held.evaluate(state, measurement, seen)
+    assert np.isfinite(answer.torque).all()
+    assert np.isfinite(answer.state_rate).all()

@@ -816,3 +816,18 @@ def test_another_law_is_limited_without_a_proof(panda):
     fastest = np.minimum(panda.velocity_limits, 10.0 * (high - measurement.q))
     assert (tends[0] <= fastest + 1e-9).all()
     assert not ((tends[1] <= fastest) & (tends[1] >= -panda.velocity_limits)).all()
+
+
+@pytest.mark.parametrize("proof", [True, False])
+def test_absurd_errors_and_postures_do_not_warn(panda, proof):
+    """With gains per pixel a torque may be usual where the error or the posture is not."""
+    task, q = aj.PositionTask(panda), np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    law = aj.SetpointController(task, aj.Gains(kp=1e-60, kv=1.0, damping=1.0))
+    limited = aj.TorqueLimited(law, aj.Limits.of(panda), proof=proof)
+    far = q.copy()
+    far[6] = -1e308
+    for posture, size in ((q, 1e200), (q, 1e60), (far, 1.0)):
+        measurement = aj.Measurement(0.0, posture, np.full(7, 0.5), np.array([size, -size, 0.5]))
+        answer = limited.evaluate(limited.initial_state(measurement), measurement, np.zeros(3))
+        assert np.isfinite(answer.torque).all()
+        assert (np.abs(answer.torque) <= panda.effort_limits).all()

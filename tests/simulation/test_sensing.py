@@ -929,3 +929,16 @@ def test_a_run_goes_on_where_the_sensor_sees_nothing(panda, dt, tmp_path):
     loaded = aj.Trajectory.load(run.save(tmp_path / "run"))
     assert all(same(run, loaded, name) for name in FIELDS)
     assert len(view.plot_run(run).axes) > 0
+
+
+def test_rounding_images_leaves_measured_depths_as_they_are(panda):
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (1.6, -0.8, 0.9), 600.0, (640, 480))
+    points = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]
+    image = aj.ImageTask(panda, camera, points=points, depth="measured")
+    for task in (image, aj.StackedTask(image), aj.CombinedTask(image, 2.0 * np.eye(4))):
+        truth = still(task, START, 1)
+        read = readings(aj.Sensing(x_quantum=0.5), truth, task)[0].x.reshape(2, 3)
+        true = truth[0].x.reshape(2, 3)
+        assert_array_equal(read[:, 2], true[:, 2])
+        step = 0.25 if isinstance(task, aj.CombinedTask) else 0.5
+        assert_array_equal(read[:, :2], step * np.round(true[:, :2] / step))

@@ -253,3 +253,16 @@ def test_a_panda_before_a_camera(panda):
     )["local"]
     assert 85.0 < math.degrees(found.scale) < 90.0
     assert "camera roll" in str(found)
+
+
+def test_rollouts_take_a_combined_task_with_the_sensor_as_it_is():
+    plain, errors = loop()
+    task = aj.CombinedTask(plain.task, [[1.0, 0.3], [-0.2, 1.1]])
+    controller = aj.SetpointController(task, GAINS, gravity=aj.NoGravity(errors.belief()))
+    region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
+    found = aj.rollouts(
+        controller, errors, region, runs=2, duration=4.0, dt=4e-3, tolerance=1.0, seed=2
+    )
+    assert found.n_converged == 2
+    with pytest.raises(aj.InvalidInputError, match="the coordinates of the plant's sensor"):
+        aj.stability_report(controller, errors, region, postures=20)

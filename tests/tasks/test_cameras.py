@@ -255,3 +255,29 @@ def test_calibrations_that_do_not_exist_are_refused():
     assert Flat().mount is None
     with pytest.raises(aj.InvalidInputError, match="Flat has no calibration to change, got"):
         Flat().recalibrated({"roll": 1.0})
+
+
+@pytest.mark.parametrize("distortion", [(0.3,), (0.5, 0.2), (-0.25, 0.1, -0.01)])
+def test_the_interaction_matrix_is_exact_up_to_the_edges(distortion):
+    # off-centre, rays reach farthest somewhere along an edge and not at a corner or its middle
+    cam = aj.PinholeCamera(500.0, (640, 480), center=(100.0, 60.0), distortion=distortion)
+    edges = [(u, v) for u in np.linspace(0, 639, 25) for v in (0, 479)]
+    edges += [(u, v) for u in (0, 639) for v in np.linspace(0, 479, 25)]
+    h = 1e-6 * np.eye(3)
+    for x in np.array(edges, dtype=float):
+        r = cam.locate(x, 1.3)
+        columns = [(cam.project(r + step) - cam.project(r - step)) / 2e-6 for step in h]
+        assert_allclose(cam.interaction(r), np.transpose(columns), atol=1e-4)
+
+
+@pytest.mark.parametrize("distortion", [(-1e-16,), (-1e-13,), (0.0, -1e-20), (1e-300,), (0.2,)])
+@pytest.mark.parametrize("far", [1e5, 1e12, 1e29, 1e300])
+def test_rays_of_absurd_pixels_are_finite(distortion, far):
+    cam = aj.PinholeCamera(600.0, (640, 480), distortion=distortion)
+    assert np.isfinite(cam.ray(np.array([far, -3.0]))).all()
+
+
+@pytest.mark.parametrize("cam", [aj.PlanarCamera(0.05, 3.0), camera()])
+def test_names_that_are_not_in_the_calibration_are_refused(cam):
+    with pytest.raises(aj.UnknownNameError, match="value 'focal' not in the calibration of P"):
+        cam.recalibrated({"focal": 1.0})

@@ -158,3 +158,39 @@ def test_what_is_no_task_or_no_target_is_refused(image):
         aj.CombinedTask(None, np.eye(4))
     with pytest.raises(aj.InvalidInputError, match="target must be within the image of 640 x 480"):
         aj.CombinedTask.balanced(image, [700.0, 0.0, 10.0, 10.0])
+
+
+def test_a_plant_with_another_combination_is_refused_by_the_local_test(image, C, rng):
+    controller = aj.SetpointController(aj.CombinedTask(image, C))
+    aj.local_stability(aj.Plant(image.robot, aj.CombinedTask(image, C)), controller, Q)
+    for other in (rng.normal(size=(4, 4)), 2.0 * C):
+        plant = aj.Plant(image.robot, aj.CombinedTask(image, other))
+        with pytest.raises(aj.InvalidInputError, match="must combine its coordinates as"):
+            aj.local_stability(plant, controller, Q)
+
+
+def test_stacked_and_designed_tasks_take_what_is_measured(image, rng):
+    C = rng.normal(size=(4, 4))
+    posture = aj.PositionTask(image.robot, "panda_link4", axes="z")
+    stacked = aj.StackedTask(aj.CombinedTask(image, C), posture)
+    designed = aj.NonsingularTask(aj.CombinedTask(image, C), {"panda_joint4": 0.2})
+    v = rng.normal(size=7)
+    for task, sensor in ((stacked, aj.StackedTask(image, posture)), (designed, image)):
+        assert task.measured.labels == sensor.labels
+        if task is stacked:
+            assert_allclose(task.measured_rate(task.jacobian(Q) @ v), sensor.jacobian(Q) @ v)
+        else:  # as the design has it
+            assert_allclose(C @ task.measured_rate(task.jacobian(Q) @ v), task.jacobian(Q) @ v)
+        held = aj.HeldMeasurement(aj.SetpointController(task), unseen=50.0)
+        x_d = sensor.value(Q)
+        record = aj.simulate(aj.Plant(image.robot, sensor), held, x_d, Q, 0.01, dt=1e-3)
+        assert record.error_norm.max() < 1e-2
+
+
+def test_depths_of_a_target_are_not_used_to_balance(image):
+    depth = aj.ImageTask(image.robot, image.camera, points=POINTS, depth="measured")
+    x_d = depth.value(Q)
+    other = x_d.copy()
+    other[2::3] = 1e3
+    found = [aj.CombinedTask.balanced(depth, target).C for target in (x_d, other)]
+    assert_array_equal(*found)

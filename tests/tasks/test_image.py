@@ -300,3 +300,42 @@ def test_bad_mounts_targets_and_uses_are_refused(panda, rng):
     away = aj.PinholeCamera.looking_at((9, 9, 9), (5, 5, 5), 500.0, SIZE)
     with pytest.raises(aj.InvalidInputError, match="task must be one that its own sensor sees"):
         aj.default_gains(aj.ImageTask(panda, away))
+
+
+@pytest.mark.parametrize("frame", ["panda_hand_tcp", "panda_hand", "panda_link7"])
+def test_points_that_move_with_the_camera_are_refused(panda, frame):
+    eye = aj.PinholeCamera(600.0, SIZE, (0.0, 0.0, -0.5), mount="panda_hand_tcp")
+    with pytest.raises(aj.InvalidInputError, match="frame must move relative to the camera"):
+        aj.ImageTask(panda, eye, frame)
+    with pytest.raises(aj.InvalidInputError, match="got the world and a camera on 'panda_link0'"):
+        aj.ImageTask(panda, aj.PinholeCamera(600.0, SIZE, mount="panda_link0"))
+
+
+def test_a_target_that_a_camera_of_ones_own_does_not_see_is_refused(panda):
+    class Narrow(aj.PlanarCamera):
+        def seen(self, x):
+            return x if np.abs(x).max() < 0.01 else np.full(2, np.nan)
+
+    with pytest.raises(aj.InvalidInputError, match="target must be within the image, got"):
+        aj.ImageTask(panda, Narrow(0.05, 3.0)).target([1.0, 1.0])
+
+
+def test_a_target_outside_the_image_is_refused_in_every_wrapping(panda):
+    task = watching(panda, np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]))
+    outside = [700.0, 100.0]
+    text = r"target must be within the image of 640 x 480 px, got \[700.0, 100.0\] for point 1"
+    height = aj.PositionTask(panda, "panda_link4", axes="z")
+    for wrapped, x_d in (
+        (task, outside),
+        (aj.CombinedTask(task, np.eye(2)), outside),
+        (aj.NonsingularTask(task, {"panda_joint4": 0.2}), outside),
+        (aj.StackedTask(height, task), [0.3, *outside]),
+    ):
+        with pytest.raises(aj.InvalidInputError, match=text):
+            wrapped.target(x_d)
+
+
+def test_a_depth_cannot_be_changed(panda):
+    task = watching(panda, np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]), depth=0.5)
+    with pytest.raises(ValueError, match="read-only"):
+        task.depth[0] = 1.0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.checks import Array, as_limits, as_number
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Controller, Evaluation, Measurement, Status
 from approxjac.tasks import Task
 
@@ -94,8 +94,9 @@ class HeldMeasurement:
             )
         self.unseen = as_limits("unseen", unseen, task.m, unit=task.measured.unit)
         self._task: Task = task
-        self._parts = task.measured.parts
-        self._subtracts = task.subtracts  # as most do, and then x is as finite as its error
+        self._measured = task.measured  # whose parts are lost one by one
+        self._parts = self._measured.parts
+        self._subtracts = self._measured.subtracts  # as most, and then x is as finite as its error
         self._origin = task.origin
         self._limits = [self.unseen[coordinates].tolist() for _, coordinates in self._parts]
         self._n_inner = controller.n_state
@@ -137,17 +138,29 @@ class HeldMeasurement:
             where it is held, NaN where it is too old.
 
         Raises:
-            MeasurementError: As the controller.
+            MeasurementError: As the controller, or an x beyond what a state can keep.
             InvalidInputError: As the controller, or a controller that answers without Ĵ.
         """
         self._require(state, measurement)
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is a named error
+            answer = self._answer(state, measurement, target)
+        if not math.isfinite(math.hypot(*answer.state_rate.tolist())):
+            raise MeasurementError(
+                f"the state overflows: x = {measurement[3].tolist()} and v = "
+                f"{measurement[2].tolist()} are beyond what can be kept",
+                given=measurement,
+            )
+        return answer
+
+    def _answer(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
+        """`evaluate` with a state and an x that have been checked."""
         t, q, v, x = measurement
         after = state.copy()
         last, p = after[self._n_inner : self._x_end], after[self._x_end : self._p_end]
         seen = after[self._p_end :]
         measured, before, moved = x.tolist(), last.tolist(), p.tolist()
         # numbers may be no measurement all the same, such as a quaternion of zeros
-        errors = measured if self._subtracts else self.task.error(x, self._origin).tolist()
+        errors = measured if self._subtracts else self._measured.error(x, self._origin).tolist()
         used, counts = x.copy(), None
         any_new = False
         for k, (entries, coordinates) in enumerate(self._parts):

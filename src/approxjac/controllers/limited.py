@@ -163,7 +163,12 @@ class TorqueLimited(Limiter):
     def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
         if self._only_clips:
             return asked.clipped, _LIMITED, math.nan
-        if math.hypot(*asked.answer.torque.tolist(), *asked.measurement.v.tolist()) < _HUGE:
+        _, q, v, _ = asked.measurement
+        answer = asked.answer
+        size = math.hypot(
+            *answer.torque.tolist(), *answer.e.tolist(), *q.tolist(), *v.tolist()
+        )  # NaN where x is lost
+        if size < _HUGE:
             return self._nearest(asked)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
             return self._nearest(asked)

@@ -82,7 +82,8 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
     damping = rate * np.median([np.diag(M) for M in inertias], axis=0) + quieting
     most = fastest / np.max([np.diag(inverse) for inverse in inverses], axis=0)
     damping = np.minimum(damping, most)
-    return Gains(kp=position_gains(task, kv, damping, settling_time), kv=kv, damping=damping)
+    kp = rate * (kv + _felt_damping(task, damping, jacobians))
+    return Gains(kp=kp, kv=kv, damping=damping)
 
 
 def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:

@@ -116,12 +116,23 @@ class Plant:
             )
 
     def require_task(self, task: Task) -> None:
-        """Refuse a controller's task whose coordinates are not those that the sensor measures.
+        """Refuse a controller's task whose errors are not in the coordinates of the sensor's.
 
         Raises:
-            InvalidInputError: Other coordinates, or another number of joints.
+            InvalidInputError: Other coordinates, another combination of them, or another number
+                of joints.
         """
         self._require_same(task, self.sensor, task)
+        origin = self.sensor.origin
+        for unit in np.eye(task.m):
+            x = self.sensor.displaced(origin, unit)
+            ours, theirs = self.sensor.error(x, origin), task.error(x, origin)
+            if not np.allclose(ours, theirs, rtol=1e-6, atol=1e-6):
+                raise InvalidInputError(
+                    f"the controller's task must combine its coordinates as the plant's sensor "
+                    f"{self.sensor!r} does, got {task!r}",
+                    given=task,
+                )
 
     def require_measured(self, task: Task) -> None:
         """Refuse a controller's task that takes another x than the sensor measures.

@@ -154,7 +154,8 @@ class SensorReadings:
             x = self._task.displaced(x, self._x_noise * self._rng.standard_normal(self._task.m))
         if self._x_quantum.any():
             origin = self._task.origin
-            x = self._task.displaced(origin, _rounded(self._task.error(x, origin), self._x_quantum))
+            e = _rounded(self._task.error(x, origin), self._x_quantum)
+            x = self._task.with_error(x, origin, e)
         lost = [entries for start, end, entries in self._lost if start <= t < end]
         if lost:
             x = x.copy()

@@ -336,7 +336,7 @@ def _require_arguments(
         )
     task = getattr(controller, "task", None)
     if isinstance(task, Task):
-        uncertainty.plant(uncertainty.believed).require_task(task)
+        uncertainty.plant(uncertainty.believed).require_measured(task)
     require("region", region, Region, "a Region, such as JointBox(robot)")
     if executor is not None:
         require("executor", executor, Executor, "an executor of concurrent.futures or None")

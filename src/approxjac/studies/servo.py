@@ -64,7 +64,9 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
         _require_in_view(scene)
     target = scene.sensor.value(q_goal)
     if settings.target is not None:
-        target = _target(scene.sensor, target, settings.target)
+        images = as_array("target", settings.target, (scene.sensor.m,), "px")
+        target = scene.sensor.with_error(target, scene.sensor.origin, images)
+        target = scene.sensor.target(target)
     gravity = gravity_from(truth, belief, settings.gravity)
     task: Task = scene.task
     if settings.points > 1 and settings.law != "5":
@@ -210,14 +212,6 @@ def _require_in_view(scene: Scene) -> None:
                 f"got {task!r}",
                 given=task,
             ) from error
-
-
-def _target(sensor: ImageTask, usual: Array, images: tuple[float, ...]) -> Array:
-    """A target value from the image of each point; depths, if it has some, are not used."""
-    k = len(sensor.points)
-    target = usual.reshape(k, -1).copy()
-    target[:, :2] = np.reshape(as_array("target", images, (2 * k,), "px"), (k, 2))
-    return sensor.target(target.ravel())
 
 
 def _none_found(sensor: ImageTask) -> InvalidInputError:

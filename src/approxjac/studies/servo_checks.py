@@ -6,9 +6,14 @@ from dataclasses import fields
 from typing import Any
 
 from approxjac.checks import as_number
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.studies.servo_settings import ServoSettings
 
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "eye": ("to-hand", "in-hand"),
+    "law": ("6", "5", "ibvs"),
+    "gravity": ("learnt", "exact", "believed", "none"),
+}
 _DEFAULTS = {field.name: field.default for field in fields(ServoSettings)}
 
 
@@ -17,7 +22,11 @@ def require_effect(settings: ServoSettings) -> None:
 
     Raises:
         InvalidInputError: Such settings.
+        UnknownNameError: A choice that is none.
     """
+    for name, valid in _CHOICES.items():
+        if getattr(settings, name) not in valid:
+            raise UnknownNameError(name, getattr(settings, name), "the settings", valid)
     rate = as_number("rate", settings.rate, unit="Hz", above=0.0)
     duration = as_number("duration", settings.duration, unit="s", minimum=1.0 / rate)
     as_number("settling_time", settings.settling_time, unit="s", above=0.0)

@@ -161,7 +161,7 @@ class ServoResult:
         limits = self.servo.plant.robot.effort_limits
         if (np.abs(run.tau[quarter]) > limits).any(axis=1).mean() > 0.1:
             return "the law asks for more torque than the motors deliver"
-        norms = np.linalg.norm(run.error, axis=1)
+        norms = np.nan_to_num(np.linalg.norm(run.error, axis=1), nan=math.inf)  # behind the camera
         singular = float((run.status[quarter] == Status.NEAR_SINGULAR).mean())
         before = norms[: -len(norms[quarter])][-len(norms[quarter]) :]
         stands = len(before) > 0 and norms[quarter].min() > 0.9 * before.min()

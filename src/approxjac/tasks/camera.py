@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.checks import Array, as_array, as_number, axis_rows
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, UnknownNameError
 
 
 class Calibrated(NamedTuple):
@@ -64,11 +64,23 @@ class Camera(ABC):
         return {}
 
     def recalibrated(self, values: Mapping[str, float]) -> Camera:
-        """Return this camera with other values of its calibration."""
+        """Return this camera with other values of its calibration.
+
+        Raises:
+            InvalidInputError: A camera without calibration, or numbers that no camera has.
+            UnknownNameError: A name that is not in its calibration.
+        """
         raise InvalidInputError(
             f"{type(self).__name__} has no calibration to change, got {dict(values)}",
             given=values,
         )
+
+    def _require_calibrated(self, values: Mapping[str, float]) -> None:
+        """Refuse names that are not in the calibration."""
+        for name in values:
+            if name not in self.calibration:
+                where = f"the calibration of {type(self).__name__}"
+                raise UnknownNameError("value", name, where, self.calibration)
 
 
 @dataclass(frozen=True)
@@ -154,5 +166,6 @@ class PlanarCamera(Camera):
 
     def recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
         """Return this camera with other values of its calibration."""
+        self._require_calibrated(values)
         changed: dict[str, Any] = {**values}
         return replace(self, **changed)

@@ -30,8 +30,9 @@ class CombinedTask(Task):
     Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
     visual servoing in robotics", IEEE Trans. Robotics and Automation 8 (1992).
 
-    For controllers: the plant's sensor is the task itself. Stability tests, which need errors of
-    both in the same coordinates, take a plant whose sensor is `CombinedTask(sensor, C)`.
+    For controllers: the plant's sensor is the task itself, also that of rollouts. The other
+    stability tests, which need errors of both in the same coordinates, take a plant whose sensor
+    is `CombinedTask(sensor, C)` with the same C.
 
     Args:
         task: The task of the believed robot.
@@ -73,7 +74,8 @@ class CombinedTask(Task):
         far = [np.linalg.norm(task.error(task.value(q), x_d)) for q in postures]
         dynamics, A = Dynamics(task.robot), np.zeros((task.m, task.m))
         for k in np.argsort(far)[:_NEAREST]:
-            J = task.jacobian(postures[k], x_d)
+            x = task.value(postures[k])
+            J = task.jacobian(postures[k], task.with_error(x, x_d, np.zeros(task.m)))
             mobility = J @ np.linalg.solve(dynamics.M(postures[k]), J.T)
             A += mobility / np.trace(mobility)
         values, U = np.linalg.eigh(A)
@@ -140,6 +142,9 @@ class CombinedTask(Task):
 
     def displaced(self, x: Array, e: Array) -> Array:
         return self._task.displaced(x, self._inverse @ e)
+
+    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
+        return self._task.with_error(x, x_d, self._inverse @ e)
 
     def error_rate(self, e: Array, Jv: Array) -> Array:
         return np.asarray(self._C @ self._task.error_rate(self._inverse @ e, self._inverse @ Jv))

@@ -12,6 +12,7 @@ from approxjac.checks import Array
 
 _HALVINGS = 55
 _TINY = 1e-15  # a coefficient below it folds nothing
+_LONGEST = 10.0  # times what it shows: no ray of a lens that never folds is longer
 _FAR = 1e12  # a fold beyond this ρ is none
 
 
@@ -28,6 +29,7 @@ class RadialDistortion:
     def __init__(self, coefficients: Sequence[float]) -> None:
         self._k = (*coefficients, 0.0, 0.0, 0.0)[:3]
         self._none = not any(self._k)
+        self._fold = self._largest_radius()
 
     def _factors(self, rho: float) -> tuple[float, float, float]:
         """1 + k₁ρ + k₂ρ² + k₃ρ³ and its first two derivatives by ρ."""
@@ -41,6 +43,9 @@ class RadialDistortion:
     @cached_property  # each projection asks for it
     def largest_radius(self) -> float:
         """‖p‖ from which on the image folds back; infinite where it never does."""
+        return self._fold
+
+    def _largest_radius(self) -> float:
         k1, k2, k3 = self._k
         slope = np.array([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])  # of the radius, in ρ
         slope = np.trim_zeros(np.where(np.abs(slope) > _TINY, slope, 0.0), "b")
@@ -79,12 +84,12 @@ class RadialDistortion:
         # the radius grows up to the fold: bisection cannot fail, and nothing here is in a hurry
         low, high = 0.0, self.largest_radius
         if math.isinf(high):
-            high = 1.0
-            while high * self._factors(high**2)[0] < wanted:
+            high, most = 1.0, _LONGEST * wanted
+            while high < most and high * self._factors(high * high)[0] < wanted:
                 high *= 2.0
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            if middle * self._factors(middle**2)[0] < wanted:
+            if middle * self._factors(middle * middle)[0] < wanted:
                 low = middle
             else:
                 high = middle

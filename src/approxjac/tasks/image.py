@@ -40,13 +40,14 @@ class ImageTask(Task):
         points: Positions of the points in that frame, shape (k, 3) [m]; its origin by default.
         depth: "believed"; or Z > 0 that is taken for every point, or one for each point [m]; or
             "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …) and has n_x = 3k
-            entries. The depths are no part of the error, and those of a target are not used.
+            entries. The depths are no part of the error, and those of a target are not used. Where
+            none is measured (Z is not finite, or not > 0) it is the believed one.
 
     Raises:
         UnknownNameError: No such frame.
         InvalidInputError: More image coordinates than joints; points that are the same or three
-            that lie on one line, whose image never tells how the body is turned about it; a depth
-            for a camera that has none.
+            that lie on one line, whose image never tells how the body is turned about it; points
+            that move with the camera; a depth for a camera that has none.
     """
 
     def __init__(
@@ -66,6 +67,13 @@ class ImageTask(Task):
         if frame is not None or camera.mount is None:
             frame = robot.tip_or(frame)
         self._kinematics = PointKinematics(robot, self._points, frame, camera.mount)
+        if camera.mount is not None and _joint_of(robot, frame) == _joint_of(robot, camera.mount):
+            watched = "the world" if frame is None else repr(frame)
+            raise InvalidInputError(
+                f"frame must move relative to the camera, or its image never changes, got "
+                f"{watched} and a camera on {camera.mount!r}",
+                given=frame,
+            )
         self._depth = _depth(depth, camera, len(self._points))
 
     @property
@@ -139,6 +147,11 @@ class ImageTask(Task):
         moved[:, :2] += e.reshape(-1, 2)
         return moved.ravel()
 
+    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
+        placed = x.reshape(-1, self._stride).copy()
+        placed[:, :2] = self._images(x_d) + e.reshape(-1, 2)
+        return placed.ravel()
+
     def error_jacobian(self, e: Array, J: Array) -> Array:
         return J
 
@@ -162,11 +175,12 @@ class ImageTask(Task):
         target = super().target(x_d)
         outside = np.nonzero(~np.isfinite(self._images(self.seen(target))).all(axis=1))[0]
         if len(outside):
-            width, height = self._pinhole.size
+            size = ""
+            if isinstance(self._camera, PinholeCamera):
+                size = f" of {self._camera.size[0]} x {self._camera.size[1]} px"
             wrong = self._images(target)[outside[0]].tolist()
             raise InvalidInputError(
-                f"target must be within the image of {width} x {height} px, "
-                f"got {wrong} for point {outside[0] + 1}",
+                f"target must be within the image{size}, got {wrong} for point {outside[0] + 1}",
                 given=x_d,
             )
         return target
@@ -253,6 +267,11 @@ class ImageTask(Task):
         return shown + ")"
 
 
+def _joint_of(robot: Robot, frame: str | None) -> int:
+    """Index of the joint that a frame moves with; 0 is the world."""
+    return 0 if frame is None else int(robot.model.frames[robot.frame_id(frame)].parentJoint)
+
+
 def _points(points: object) -> Array:
     """Points as an array of shape (k, 3), no two the same and no three on one line."""
     shape = shape_of(points)
@@ -287,6 +306,7 @@ def _depth(depth: object, camera: Camera, k: int) -> str | Array:
         chosen: str | Array = depth
     elif is_scalar(depth):
         chosen = np.full(k, as_number("depth", depth, unit="m", above=0.0))
+        chosen.flags.writeable = False
     else:
         chosen = as_array("depth", depth, (k,), "m")
         if not (chosen > 0.0).all():

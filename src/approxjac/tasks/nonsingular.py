@@ -90,6 +90,13 @@ class NonsingularTask(Task):
         return self._task.n_x
 
     @property
+    def measured(self) -> Task:
+        return self._task.measured
+
+    def measured_rate(self, Jv: Array) -> Array:
+        return self._task.measured_rate(Jv)
+
+    @property
     def parts(self) -> tuple[tuple[slice, slice], ...]:
         return self._task.parts
 
@@ -117,8 +124,14 @@ class NonsingularTask(Task):
     def displaced(self, x: Array, e: Array) -> Array:
         return self._task.displaced(x, e)
 
+    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
+        return self._task.with_error(x, x_d, e)
+
     def error_rate(self, e: Array, Jv: Array) -> Array:
         return self._task.error_rate(e, Jv)
+
+    def target(self, x_d: object) -> Array:
+        return self._task.target(x_d)
 
     def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         J = self._task.compute_jacobian(q, x)

@@ -15,6 +15,7 @@ from approxjac.tasks.camera import Calibrated, Camera
 from approxjac.tasks.distortion import RadialDistortion
 
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_ON_AN_EDGE = 17  # points of each edge of the image
 _ORTHONORMAL = 1e-6  # how far from it a rotation may be, to be made so
 
 
@@ -304,6 +305,7 @@ class PinholeCamera(Camera):
 
     def recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
         """Return this camera with another f_x (f_y along with it), farther back, or rolled."""
+        self._require_calibrated(values)
         back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
         f = as_number("focal_length", values.get("focal_length", self._f[0]), unit="px", above=0.0)
         return self.with_error(
@@ -311,10 +313,19 @@ class PinholeCamera(Camera):
         )
 
     def _border(self) -> list[Array]:
-        """Corners of the image and middles of its edges [px]."""
-        ends = [(-0.5, 0.5 * (n - 1.0), n - 0.5) for n in self.size]
-        middle = (ends[0][1], ends[1][1])
-        return [np.array([u, v]) for u in ends[0] for v in ends[1] if (u, v) != middle]
+        """Corners of the image, and with a lens points of its edges that are close enough [px].
+
+        Rays may reach farthest anywhere on an edge, mostly where it is nearest to the axis.
+        """
+        count = _ON_AN_EDGE if any(self.distortion) else 2
+        (left, right), (top, bottom) = ends = [(-0.5, n - 0.5) for n in self.size]
+        along = [
+            np.append(np.linspace(*end, count), np.clip(c, *end))
+            for end, c in zip(ends, self._c, strict=True)
+        ]
+        return [np.array([u, v]) for u in along[0] for v in (top, bottom)] + [
+            np.array([u, v]) for u in (left, right) for v in along[1]
+        ]
 
     def _require_unfolded(self) -> None:
         """Refuse a lens whose image folds back before it reaches the corners."""

@@ -64,6 +64,16 @@ class StackedTask(Task):
         return sum(task.n_x for task in self._tasks)
 
     @property
+    def measured(self) -> Task:
+        plain = [task.measured for task in self._tasks]
+        same = all(a is b for a, b in zip(plain, self._tasks, strict=True))
+        return self if same else StackedTask(*plain)
+
+    def measured_rate(self, Jv: Array) -> Array:
+        each = zip(self._tasks, self._rows, strict=True)
+        return np.concatenate([task.measured_rate(Jv[rows]) for task, rows in each])
+
+    @property
     def parts(self) -> tuple[tuple[slice, slice], ...]:
         each = zip(self._tasks, self._parts, self._rows, strict=True)
         return tuple(
@@ -112,9 +122,21 @@ class StackedTask(Task):
         each = zip(self._tasks, self._parts, self._rows, strict=True)
         return np.concatenate([task.displaced(x[part], e[rows]) for task, part, rows in each])
 
+    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
+        each = zip(self._tasks, self._parts, self._rows, strict=True)
+        return np.concatenate(
+            [task.with_error(x[part], x_d[part], e[rows]) for task, part, rows in each]
+        )
+
     def error_rate(self, e: Array, Jv: Array) -> Array:
         each = zip(self._tasks, self._rows, strict=True)
         return np.concatenate([task.error_rate(e[rows], Jv[rows]) for task, rows in each])
+
+    def target(self, x_d: object) -> Array:
+        target = super().target(x_d)
+        for task, part in zip(self._tasks, self._parts, strict=True):
+            task.target(target[part])  # as it may have edges, such as those of an image
+        return target
 
     def on(self, robot: Robot) -> StackedTask:
         return StackedTask(*(task.on(robot) for task in self._tasks))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError
@@ -144,6 +145,10 @@ class Task(ABC):
         """Value whose error to x (n_x,) is e (m,); shape (n_x,)."""
         return x + e
 
+    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
+        """Value whose error to x_d (n_x,) is e (m,); what no error tells is as in x (n_x,)."""
+        return self.displaced(x_d, e)
+
     def error_rate(self, e: Array, Jv: Array) -> Array:
         """ė where the error is e and the Jacobian gives J q̇; shape (m,)."""
         return Jv
@@ -187,9 +192,11 @@ def seen_postures(task: Task, count: int) -> list[Array]:
         InvalidInputError: None was found.
     """
     rng = np.random.default_rng(0)
+    # as random_configuration, whose range is the same for all of them
+    model, neutral, usual = task.robot.model, task.robot.neutral(), task.robot.usual_range()
     found: list[Array] = []
     for _ in range(max(count, _TRIES)):
-        q = task.robot.random_configuration(rng)
+        q = np.array(pin.integrate(model, neutral, rng.uniform(*usual)))
         if task.sees(q):
             found.append(q)
             if len(found) == count:
