@@ -354,3 +354,26 @@ def test_bad_settings_are_refused(robot, options, text):
     with pytest.raises(aj.ApproxJacError, match=text) as caught:
         servo.prepare(robot, ServoSettings(**options))
     assert "\n" not in str(caught.value)
+
+
+# -- limits of the arm -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", ["6", "ibvs"])
+def test_limits_of_torques_and_joints_are_kept(law):
+    """Without them a joint of this run leaves its range by a radian and more."""
+    free = made(law=law, duration=6.0, **WRONG)
+    kept = made(law=law, duration=6.0, torque_limits="0.7", **WRONG)
+    assert free.joint_limit_excess > 0.5
+    assert kept.joint_limit_excess < 0.01
+    assert kept.peak_torque_ratio <= 1.0 + 1e-9
+    assert_allclose(kept.motor_limits, 0.7 * free.motor_limits)
+    assert kept.converged, kept.reason
+    assert "beyond its position limits, which --torque-limits urdf keeps" in servo_report.text(free)
+    assert "limits      FREE" in servo_report.text(kept)
+    assert kept.summary()["joint_limit_excess"] == kept.joint_limit_excess
+
+
+def test_torque_limits_that_are_none_are_refused():
+    with pytest.raises(aj.InvalidInputError, match='torque_limits must be "urdf" or a positive'):
+        made(torque_limits="half")

@@ -339,3 +339,13 @@ def test_a_depth_cannot_be_changed(panda):
     task = watching(panda, np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]), depth=0.5)
     with pytest.raises(ValueError, match="read-only"):
         task.depth[0] = 1.0
+
+
+def test_an_image_far_outside_does_not_lengthen_the_lever_of_a_camera_on_the_arm(panda, rng):
+    q = panda.random_configuration(rng)
+    task = carried(panda, q, 2, depth=0.5)
+    usual = np.linalg.norm(task.jacobian(q))
+    for far in (700.0, 1e6, -1e12):
+        assert np.linalg.norm(task.jacobian(q, np.full(4, far))) < 3.0 * usual
+    edge = task.jacobian(q, np.array([639.5, 200.0, 300.0, 479.5]))
+    assert_allclose(task.jacobian(q, np.array([9e3, 200.0, 300.0, 9e3])), edge)

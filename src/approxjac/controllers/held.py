@@ -46,6 +46,9 @@ class HeldMeasurement:
     The status is that of the controller, or `MEASUREMENT_HELD` where that is `OK` and no part of x
     is new.
 
+    What a controller or a limiter around it says of V is about the x that it was given, here the
+    held one.
+
     Its state is that of the controller, then the last x (n_x,), p (m,), and for each part 1 if it
     was ever seen, else 0. All of it is finite always. Law (5) differentiates the x that is held, a
     staircase: with a time constant below the time between images its torque jumps at each of them.

@@ -12,6 +12,7 @@ from approxjac.controllers import (
     TaskTorqueScaled,
     TorqueClipped,
     TorqueLimited,
+    VelocityServo,
 )
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
@@ -23,7 +24,7 @@ _PATIENCE = 10.0  # [s]
 
 
 def limited(
-    controller: SetpointController,
+    controller: SetpointController | VelocityServo,
     limits: Limits,
     limiter: str,
     dt: float = 1e-3,
@@ -42,7 +43,10 @@ def limited(
         UnknownNameError: No such limiter or solver.
     """
     if limiter == "qp":
-        return TorqueLimited(controller, limits, dt=dt, solver=solver, time_budget=_PATIENCE)
+        proof = isinstance(controller, SetpointController)  # the others have none
+        return TorqueLimited(
+            controller, limits, dt=dt, solver=solver, time_budget=_PATIENCE, proof=proof
+        )
     if limiter == "clip":
         return TorqueClipped(controller, limits, dt=dt)
     if limiter == "scale":
@@ -76,6 +80,17 @@ def limits_from(settings: Settings, robot: Robot) -> Limits | None:
             f"solver is for the limiter qp, got {settings.solver} for {settings.limiter}",
             given=settings.solver,
         )
+    limits = limits_named(text, robot)
+    rate = settings.torque_rate
+    return Limits(limits.effort, rate, limits.position, limits.velocity).for_joints(robot.nv)
+
+
+def limits_named(text: str, robot: Robot) -> Limits:
+    """Limits of a robot's URDF, with an entry for each joint: "urdf", or a share of its torques.
+
+    Raises:
+        InvalidInputError: Neither, or a URDF without effort limits.
+    """
     scale = _scale(text)
     if not np.isfinite(robot.effort_limits).any():
         raise InvalidInputError(
@@ -83,9 +98,7 @@ def limits_from(settings: Settings, robot: Robot) -> Limits | None:
             f"has none, got {text}",
             given=text,
         )
-    limits = Limits.of(robot, scale)
-    rate = settings.torque_rate
-    return Limits(limits.effort, rate, limits.position, limits.velocity).for_joints(robot.nv)
+    return Limits.of(robot, scale).for_joints(robot.nv)
 
 
 def _scale(text: object) -> float:

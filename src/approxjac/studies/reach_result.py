@@ -7,12 +7,12 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac.checks import Array
 from approxjac.controllers import Limits, SetpointController
 from approxjac.interface import Controller, LimitStatus, Status
 from approxjac.simulation import Plant, Trajectory
+from approxjac.studies.postures import beyond_positions
 from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Tally
 
@@ -145,10 +145,7 @@ class Result:
 
     def _beyond_positions(self) -> Array:
         """How far each joint is beyond its position limits, shape (N, n_v); negative within."""
-        robot = self.reach.plant.robot
-        low, high = robot.position_limits
-        motions = np.array([pin.difference(robot.model, robot.neutral(), q) for q in self.run.q])
-        return np.asarray(np.maximum(motions - high, low - motions))
+        return beyond_positions(self.reach.plant.robot, self.run.q)
 
     @property
     def speed_limits(self) -> Array:

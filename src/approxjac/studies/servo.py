@@ -18,8 +18,10 @@ from approxjac.controllers import (
     default_gains,
 )
 from approxjac.errors import InvalidInputError
+from approxjac.interface import Controller
 from approxjac.robots import Dynamics, Robot, load_robot
 from approxjac.simulation import Plant, Sensing, simulate
+from approxjac.studies.limiting import limited, limits_named
 from approxjac.studies.postures import REGULAR, holdable, is_regular, posture_from
 from approxjac.studies.reach import given_or, gravity_from, outward_axis
 from approxjac.studies.servo_checks import require_effect
@@ -72,11 +74,14 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
     if settings.points > 1 and settings.law != "5":
         task = CombinedTask.balanced(task, target)
     controller = _controller(task, gravity, settings)
-    plant = Plant(
-        truth, scene.sensor, sensing=_sensing(settings), torque_limits=truth.effort_limits
-    )
-    dt = 1.0 / settings.rate
-    held = HeldMeasurement(controller, settings.unseen, dt=dt)
+    dt, motors = 1.0 / settings.rate, truth.effort_limits
+    inner: Controller = controller
+    if settings.torque_limits is not None:
+        limits = limits_named(settings.torque_limits, belief)
+        motors = np.asarray(limits.effort)
+        inner = limited(controller, limits, "qp", dt)
+    plant = Plant(truth, scene.sensor, sensing=_sensing(settings), torque_limits=motors)
+    held = HeldMeasurement(inner, settings.unseen, dt=dt)
     return Servo(robot, settings, plant, controller, held, q0, q_goal, target)
 
 

@@ -42,6 +42,7 @@ def text(result: ServoResult) -> str:
     ratio, settled = result.peak_torque_ratio, result.settling_time
     within = f"to {3.0 * servo.tolerance:g} px after {settled:.3g} s"
     lost = result.unseen
+    asks = "asks for up to" if settings.torque_limits is None else "up to"
     lines = [
         f"{servo.plant.robot!r}",
         f"believed    {believed(settings)}",
@@ -54,12 +55,31 @@ def text(result: ServoResult) -> str:
         f"at the end up to {result.final_error:.2g} px RMS, tolerance {servo.tolerance:g}",
         f"in view     {'always' if not lost.any() else f'not for {100.0 * lost.mean():.3g} %'}",
         f"settled     {'not' if math.isnan(settled) else within}",
-        f"torque      {'no limit known' if math.isnan(ratio) else f'up to {ratio:.2f} of limits'}",
+        f"torque      {'no limit known' if math.isnan(ratio) else f'{asks} {ratio:.2f} of limits'}",
         f"images      {_images(result)}",
         f"status      {', '.join(f'{s.name} {share:.3g} %' for s, share in shares.items())}",
         f"verdict     {'converged' if result.converged else 'not converged: ' + result.reason}",
     ]
+    lines[-1:-1] = _limits(result)
     return "\n".join(lines)
+
+
+def _limits(result: ServoResult) -> list[str]:
+    """What limits did, and joints beyond theirs; nothing where there is nothing to say."""
+    run, told = result.run, []
+    if result.servo.settings.torque_limits is not None:
+        counts = run.limit_status_counts()
+        shares = [f"{s.name} {100.0 * n / len(run.t):.3g} %" for s, n in counts.items()]
+        told.append(f"limits      {', '.join(shares)}")
+    if result.joint_limit_excess > 0.0:
+        cure = ""
+        if result.servo.settings.torque_limits is None:
+            cure = ", which --torque-limits urdf keeps"
+        told.append(
+            f"limits      a joint was {result.joint_limit_excess:.2g} rad or m beyond its position "
+            f"limits{cure}"
+        )
+    return told
 
 
 def believed(settings: ServoSettings) -> str:

@@ -12,6 +12,7 @@ from approxjac.checks import Array
 from approxjac.controllers import HeldMeasurement, SetpointController, VelocityServo
 from approxjac.interface import Status
 from approxjac.simulation import Plant, Trajectory
+from approxjac.studies.postures import beyond_positions
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import ImageTask
 
@@ -135,11 +136,22 @@ class ServoResult:
 
     @property
     def peak_torque_ratio(self) -> float:
-        """Largest recorded torque as a share of its joint's limit; NaN where none is known."""
-        limits = self.servo.plant.robot.effort_limits
+        """Largest torque asked for, as a share of what its motor delivers; NaN if not known."""
+        limits = self.motor_limits
         if not np.isfinite(limits).any():
             return math.nan
         return float((np.abs(self.run.tau) / limits).max())
+
+    @property
+    def motor_limits(self) -> Array:
+        """What the true motors deliver, shape (n_v,) [N m or N]."""
+        limits = self.servo.plant.torque_limits
+        return self.servo.plant.robot.effort_limits if limits is None else limits
+
+    @property
+    def joint_limit_excess(self) -> float:
+        """How far a joint was beyond its position limits at most [rad or m]; 0 if none was."""
+        return max(0.0, float(beyond_positions(self.servo.plant.robot, self.run.q).max()))
 
     @property
     def torque_roughness(self) -> float:
@@ -158,7 +170,7 @@ class ServoResult:
             return "a point left the camera's view: the arm stands still without it"
         if float((run.status[quarter] == Status.MEASUREMENT_LOST).mean()) > 0.5:
             return "no new image comes: the arm stands still without it"
-        limits = self.servo.plant.robot.effort_limits
+        limits = self.motor_limits
         if (np.abs(run.tau[quarter]) > limits).any(axis=1).mean() > 0.1:
             return "the law asks for more torque than the motors deliver"
         norms = np.nan_to_num(np.linalg.norm(run.error, axis=1), nan=math.inf)  # behind the camera
@@ -192,6 +204,7 @@ class ServoResult:
             "tolerance_px": servo.tolerance,
             "settling_time_s": _number(self.settling_time),
             "peak_torque_ratio": _number(self.peak_torque_ratio),
+            "joint_limit_excess": self.joint_limit_excess,
             "verdict": "converged" if self.converged else "not converged",
             "reason": self.reason,
             "stays_in_view": self.stays_in_view,

@@ -64,6 +64,9 @@ class ServoSettings:
         unseen: Motion of the image that the controller believes to have made since the last new
             one, above which it only brakes, px.
         velocity_filter: Time constant of q̇ from differences of q; an exact tachometer by default.
+        torque_limits: Lets the controller keep limits of torques, joint speeds and positions:
+            "urdf" those of the URDF, a number with its effort limits times that, which are then
+            the motors' too. Unknown by default.
         duration: Of the run.
         rate: Of control, Hz.
         tolerance: RMS of each image coordinate's true error over the last tenth of the run below
@@ -111,6 +114,7 @@ class ServoSettings:
     frozen: tuple[float, float] | None = None
     unseen: float = 40.0
     velocity_filter: float | None = None
+    torque_limits: str | None = None
     duration: float = 15.0
     rate: float = 1000.0
     tolerance: float | None = None

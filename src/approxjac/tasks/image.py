@@ -248,7 +248,9 @@ class ImageTask(Task):
         found = np.empty((len(images), 3))
         for i, Z in enumerate(depths.tolist()):
             # NaN where an image is that of a point that this robot would not see either
-            found[i] = self._pinhole.locate(images[i, :2], Z) if Z > 0.0 else np.nan
+            found[i] = np.nan
+            if Z > 0.0:  # within the image, as a lever arm grows with the ray
+                found[i] = self._pinhole.locate(self._pinhole.nearest(images[i, :2]), Z)
         return found
 
     @property

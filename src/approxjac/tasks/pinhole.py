@@ -216,6 +216,11 @@ class PinholeCamera(Camera):
         inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
         return x if inside else np.full(2, np.nan)
 
+    def nearest(self, x: Array) -> Array:
+        """Image coordinates within the image that are nearest to x (2,); shape (2,)."""
+        (u, v), (width, height) = x.tolist(), self.size
+        return np.array([min(max(u, -0.5), width - 0.5), min(max(v, -0.5), height - 0.5)])
+
     def ray(self, x: Array) -> Array:
         """Ray (X/Z, Y/Z) whose image is x (2,) [px]; shape (2,)."""
         return self._lens.undistorted((x - self._c) / self._f)
