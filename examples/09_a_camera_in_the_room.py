@@ -29,7 +29,7 @@ camera = aj.PinholeCamera.looking_at(
     (0.45, 0.0, 0.4), (1.5, -0.8, 0.9), focal_length=600.0, size=(640, 480), distortion=(-0.1,)
 )
 wrong = aj.PinholeCamera(600.0, (640, 480), camera.position, camera.rotation).with_error(
-    shift=(0.0, 0.0, -0.7), rotation=(0.0, 0.0, np.radians(20.0)), focal_length=1.3
+    shift=(0.0, 0.0, -0.7), rotation=(0.0, 0.0, np.radians(20.0)), focal_factor=1.3
 )
 sensor, task = (
     aj.ImageTask(truth, camera, points=points),

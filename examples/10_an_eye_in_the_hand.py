@@ -28,7 +28,7 @@ truth, belief = arm.with_object(0.1, 0.3, axis="y"), arm  # its load is not know
 # Looks along the hand's y axis, out of the arm, from 5 cm beside it.
 axes_of_camera = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 camera = aj.PinholeCamera(600.0, (640, 480), (0.0, 0.0, 0.05), axes_of_camera, mount="tool0")
-wrong = camera.with_error(rotation=(0.0, 0.0, np.radians(20.0)), focal_length=1.3)
+wrong = camera.with_error(rotation=(0.0, 0.0, np.radians(20.0)), focal_factor=1.3)
 
 # Two points of the room, 40 cm before the camera at the goal.
 goal = np.array([0.0, -1.2, 1.8, -0.6, 0.3, 0.0])

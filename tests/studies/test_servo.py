@@ -111,7 +111,7 @@ def test_without_images_the_arm_stops_and_goes_on_after(done, outage):
 
 def test_what_never_comes_is_named_as_the_reason():
     result = made(duration=1.0, dropout=1.0, **WRONG)
-    assert result.reason == "no new image comes: the arm stands still without it"
+    assert result.reason == "no new image comes: without it there are only brakes"
     assert result.braked.all()
 
 
@@ -286,7 +286,7 @@ def test_a_run_that_is_too_short_is_not_converged_and_says_why():
 def test_a_point_that_leaves_the_view_is_named_as_the_reason():
     result = made(roll=math.pi, seed=1, duration=4.0, rate=400.0, distortion=())
     assert not result.stays_in_view
-    assert result.reason == "a point left the camera's view: the arm stands still without it"
+    assert result.reason == "a point left the camera's view: without it there are only brakes"
     assert "in view     not for" in servo_report.text(result)
     assert np.isfinite(result.run.tau).all()
     servo_report.draw_run(result)

@@ -164,7 +164,7 @@ def test_beyond_the_fold_of_a_lens_there_is_no_image():
 def test_errors_of_a_camera():
     cam = camera(LENSES["barrel"])
     R, p = cam.placement()
-    wrong = cam.with_error(shift=(0.0, 0.0, -0.4), rotation=(0.0, 0.0, 0.5), focal_length=1.3)
+    wrong = cam.with_error(shift=(0.0, 0.0, -0.4), rotation=(0.0, 0.0, 0.5), focal_factor=1.3)
     assert_allclose(wrong.placement()[1], p - 0.4 * R[:, 2])
     assert_allclose(wrong.placement()[0], R @ pin.exp3(np.array([0.0, 0.0, 0.5])), atol=1e-12)
     assert wrong.focal_length == pytest.approx((1.3 * 610.0, 1.3 * 590.0))
@@ -281,3 +281,34 @@ def test_rays_of_absurd_pixels_are_finite(distortion, far):
 def test_names_that_are_not_in_the_calibration_are_refused(cam):
     with pytest.raises(aj.UnknownNameError, match="value 'focal' not in the calibration of P"):
         cam.recalibrated({"focal": 1.0})
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_camera_that_opencv_calibrated(lens, rng):
+    known = camera(LENSES[lens])
+    rvec, tvec, K, five = opencv(known)
+    cam = aj.PinholeCamera.from_opencv(K, five, rvec, tvec.reshape(3, 1), known.size)
+    assert_allclose(cam.placement()[0], known.placement()[0], atol=1e-12)
+    for r in points_in_view(known, rng, 10)[0]:
+        assert_allclose(cam.project(r), known.project(r), atol=1e-8)
+    assert repr(known).startswith("PinholeCamera(640 x 480 px, f = (610, 590) px, position=(1.6,")
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"distortion": (0.1, 0.0, 1e-3, 0.0, 0.0)}, "with the tangential p1 = p2 = 0, which this"),
+        ({"distortion": (0.1, 0.0, 0.0)}, r"must be \(k1, k2, p1, p2, k3\), or the first four or"),
+        (
+            {"K": np.diag([1.0, 2.0, 3.0])},
+            r"K must be \[\[fx, 0, cx\], \[0, fy",
+        ),
+        ({"K": np.eye(2)}, r"K must have shape \(3, 3\) \[px\], got shape \(2, 2\)"),
+        ({"tvec": (1.0, 2.0)}, r"tvec must have shape \(3,\) \[m\], got shape \(2,\)"),
+    ],
+)
+def test_bad_calibrations_are_refused(changes, text):
+    K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
+    given = {"K": K, "distortion": (), "rvec": (0.0, 0.0, 0.0), "tvec": (0.0, 0.0, 0.0)}
+    with pytest.raises(aj.InvalidInputError, match=text):
+        aj.PinholeCamera.from_opencv(**{**given, **changes}, size=(640, 480))

@@ -194,3 +194,17 @@ def test_depths_of_a_target_are_not_used_to_balance(image):
     other[2::3] = 1e3
     found = [aj.CombinedTask.balanced(depth, target).C for target in (x_d, other)]
     assert_array_equal(*found)
+
+
+def test_inertias_along_pixels_and_metres_do_not_compare(image):
+    height = aj.PositionTask(image.robot, "panda_link4", "z")
+    stack = aj.StackedTask(image, height)
+    with pytest.raises(aj.InvalidInputError, match="must have coordinates of one unit to be"):
+        aj.CombinedTask.balanced(stack, stack.value(Q))
+    parts = aj.StackedTask(aj.CombinedTask.balanced(image, image.value(Q)), height)
+    start = pin.integrate(image.robot.model, Q, np.full(7, 0.05))
+    run = aj.simulate(
+        aj.Plant(image.robot, stack), aj.SetpointController(parts), stack.value(Q), start, 4.0,
+        dt=2e-3,
+    )  # fmt: skip
+    assert np.abs(run.error[-1]).max() < 0.5

@@ -272,7 +272,9 @@ def test_bad_image_tasks_are_refused(panda, options, text):
 def test_bad_mounts_targets_and_uses_are_refused(panda, rng):
     q = panda.random_configuration(rng)
     with pytest.raises(aj.UnknownNameError, match="frame 'hand' not in panda"):
-        aj.ImageTask(panda, aj.PinholeCamera(500.0, SIZE, mount="hand"))
+        aj.ImageTask(panda, aj.PinholeCamera(500.0, SIZE, mount="hand"), points=POINTS[:1])
+    with pytest.raises(aj.InvalidInputError, match="points must be given for a camera"):
+        aj.ImageTask(panda, aj.PinholeCamera(500.0, SIZE, mount="panda_hand"))
     task = watching(panda, q, points=2)
     for x_d in ((10.0, 10.0, 700.0, 20.0), (10.0, 10.0, 20.0, -3.0)):
         with pytest.raises(
@@ -308,7 +310,7 @@ def test_points_that_move_with_the_camera_are_refused(panda, frame):
     with pytest.raises(aj.InvalidInputError, match="frame must move relative to the camera"):
         aj.ImageTask(panda, eye, frame)
     with pytest.raises(aj.InvalidInputError, match="got the world and a camera on 'panda_link0'"):
-        aj.ImageTask(panda, aj.PinholeCamera(600.0, SIZE, mount="panda_link0"))
+        aj.ImageTask(panda, aj.PinholeCamera(600.0, SIZE, mount="panda_link0"), points=POINTS[:1])
 
 
 def test_a_target_that_a_camera_of_ones_own_does_not_see_is_refused(panda):

@@ -82,6 +82,10 @@ class HeldMeasurement:
     ) -> None:
         task = getattr(controller, "task", None)
         evaluates = hasattr(controller, "evaluate") and hasattr(controller, "initial_state")
+        if isinstance(controller, HeldMeasurement):
+            raise InvalidInputError(
+                f"controller must be one that is not held yet, got {controller!r}", given=controller
+            )
         if isinstance(controller, type) or not evaluates or not isinstance(task, Task):
             raise InvalidInputError(
                 "controller must be a controller with a task, such as SetpointController(task), "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
 from typing import Any
 
@@ -30,6 +31,12 @@ def require_effect(settings: ServoSettings) -> None:
     rate = as_number("rate", settings.rate, unit="Hz", above=0.0)
     duration = as_number("duration", settings.duration, unit="s", minimum=1.0 / rate)
     as_number("settling_time", settings.settling_time, unit="s", above=0.0)
+    if abs(as_number("roll", settings.roll, unit="rad")) > math.pi:
+        raise InvalidInputError(
+            f"roll must be within -pi and pi [rad], got {settings.roll:g}"
+            f" ({math.radians(settings.roll):.4g} rad would be {settings.roll:g} degrees)",
+            given=settings.roll,
+        )
     as_number("depth_factor", settings.depth_factor, above=0.0)
     if settings.tolerance is not None:
         as_number("tolerance", settings.tolerance, unit="px", above=0.0)

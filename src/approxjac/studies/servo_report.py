@@ -40,7 +40,7 @@ def text(result: ServoResult) -> str:
     run, servo, settings = result.run, result.servo, result.servo.settings
     shares = {k: 100.0 * n / len(run.t) for k, n in run.status_counts().items()}
     ratio, settled = result.peak_torque_ratio, result.settling_time
-    within = f"to {3.0 * servo.tolerance:g} px after {settled:.3g} s"
+    within = f"within three tolerances ({3.0 * servo.tolerance:g} px) after {settled:.3g} s"
     lost = result.unseen
     asks = "asks for up to" if settings.torque_limits is None else "up to"
     lines = [

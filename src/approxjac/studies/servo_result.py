@@ -22,6 +22,8 @@ _HALF_A_PIXEL = 0.5
 _LITTLE = 0.2  # of an error, where forces along it are a fifth of what they are along others
 _LATE = 1.5  # times that between images, after which one is missed
 
+_LONG_ENOUGH = 4.0  # settling times before a run is called unstable
+
 
 @dataclass(frozen=True, eq=False)
 class Servo:
@@ -166,13 +168,13 @@ class ServoResult:
             return ""
         run = self.run
         quarter = slice(-max(1, len(run.t) // 4), None)
-        if self.unseen[quarter].mean() > 0.5:
-            return "a point left the camera's view: the arm stands still without it"
-        if float((run.status[quarter] == Status.MEASUREMENT_LOST).mean()) > 0.5:
-            return "no new image comes: the arm stands still without it"
-        limits = self.motor_limits
-        if (np.abs(run.tau[quarter]) > limits).any(axis=1).mean() > 0.1:
+        beyond = np.abs(run.tau[quarter]) > self.motor_limits * (1.0 + 1e-9)  # solvers round
+        if beyond.any(axis=1).mean() > 0.1:
             return "the law asks for more torque than the motors deliver"
+        if self.unseen[quarter].mean() > 0.5:
+            return "a point left the camera's view: without it there are only brakes"
+        if float((run.status[quarter] == Status.MEASUREMENT_LOST).mean()) > 0.5:
+            return "no new image comes: without it there are only brakes"
         norms = np.nan_to_num(np.linalg.norm(run.error, axis=1), nan=math.inf)  # behind the camera
         singular = float((run.status[quarter] == Status.NEAR_SINGULAR).mean())
         before = norms[: -len(norms[quarter])][-len(norms[quarter]) :]
@@ -181,12 +183,20 @@ class ServoResult:
             return "stands where the believed Jacobian is singular along the error"
         if not stands:
             return "still approaching its target at the end"
+        settings = self.servo.settings
+        if settings.duration < _LONG_ENOUGH * settings.settling_time:
+            return f"too short to tell: {settings.duration:g} s, {_LONG_ENOUGH:g} settling times do"
         if float(np.abs(run.v[quarter]).max()) < 0.1:
             if self._share_of_error() < _LITTLE:
                 return "hardly moves: the believed Jacobian shows little of the error's direction"
-            weight = "" if self.servo.settings.gravity == "learnt" else ", or gravity is not exact"
-            return f"came to rest away from its target: out of reach{weight}"
-        return "moves on without approaching: not stable with these errors"
+            return f"came to rest away from its target: out of reach{self._weight}"
+        return f"moves on without approaching: not stable with these errors{self._weight}"
+
+    @property
+    def _weight(self) -> str:
+        """What may be to blame besides, in words."""
+        exact = self.servo.settings.gravity in ("learnt", "exact")
+        return "" if exact else ", or gravity, which is not compensated as it is"
 
     def _share_of_error(self) -> float:
         """‖Ĵᵀe‖ / (‖Ĵ‖ ‖e‖) at the end: how much of the error the believed Jacobian shows."""

@@ -136,7 +136,7 @@ def _believed(camera: PinholeCamera, settings: ServoSettings, back: float) -> Pi
     wrong = camera.with_error(
         shift=shift,
         rotation=pin.log3(pin.exp3(np.array([0.0, 0.0, roll])) @ tilt),
-        focal_length=as_number("focal_factor", settings.focal_factor, above=0.0),
+        focal_factor=as_number("focal_factor", settings.focal_factor, above=0.0),
     )
     return PinholeCamera(
         wrong.focal_length, wrong.size, wrong.position, wrong.rotation, center=wrong.center,

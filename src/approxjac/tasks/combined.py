@@ -66,9 +66,16 @@ class CombinedTask(Task):
             target: x_d, shape (n_x,).
 
         Raises:
-            InvalidInputError: A target that is none, or a task that no sensor sees.
+            InvalidInputError: A target that is none, a task that no sensor sees, or coordinates of
+                different units, whose inertias do not compare.
         """
         require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
+        if len(set(task.units)) > 1:
+            raise InvalidInputError(
+                f"task must have coordinates of one unit to be balanced, got {task.unit}: balance "
+                "each part, StackedTask(CombinedTask.balanced(image, x_d), position)",
+                given=task,
+            )
         x_d = task.target(target)
         postures = seen_postures(task, _POSTURES)
         far = [np.linalg.norm(task.error(task.value(q), x_d)) for q in postures]

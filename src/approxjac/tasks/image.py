@@ -37,7 +37,8 @@ class ImageTask(Task):
         camera: The camera, true or believed.
         frame: Frame that the points are fixed to. By default the robot's `tip`, or the world where
             the camera is carried by the robot.
-        points: Positions of the points in that frame, shape (k, 3) [m]; its origin by default.
+        points: Positions of the points in that frame, shape (k, 3) [m]; its origin by default. To
+            be given for points of the world.
         depth: "believed"; or Z > 0 that is taken for every point, or one for each point [m]; or
             "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …) and has n_x = 3k
             entries. The depths are no part of the error, and those of a target are not used. Where
@@ -55,14 +56,20 @@ class ImageTask(Task):
         robot: Robot,
         camera: Camera,
         frame: str | None = None,
-        points: Sequence[Sequence[float]] | Array = ((0.0, 0.0, 0.0),),
+        points: Sequence[Sequence[float]] | Array | None = None,
         *,
         depth: str | float | Sequence[float] | Array = "believed",
     ) -> None:
         require("robot", robot, Robot, "a Robot")
         require("camera", camera, Camera, "a camera, such as PlanarCamera(f, z)")
         self._camera = camera
-        self._points = _points(points)
+        if points is None and frame is None and camera.mount is not None:
+            raise InvalidInputError(
+                f"points must be given for a camera that is carried by the robot: positions in the "
+                f"world, shape (k, 3) [m], which it watches; got None with {camera!r}",
+                given=points,
+            )
+        self._points = _points(((0.0, 0.0, 0.0),) if points is None else points)
         require_rows(2 * len(self._points), robot)
         if frame is not None or camera.mount is None:
             frame = robot.tip_or(frame)

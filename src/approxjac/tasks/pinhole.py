@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,7 +20,7 @@ _ON_AN_EDGE = 17  # points of each edge of the image
 _ORTHONORMAL = 1e-6  # how far from it a rotation may be, to be made so
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PinholeCamera(Camera):
     """A camera with perspective: u = f_x x″ + c_x, v = f_y y″ + c_y, in pixels.
 
@@ -91,7 +92,8 @@ class PinholeCamera(Camera):
         R = _rotation(self.rotation)
         if not (np.ndim(self.distortion) == 1 and len(self.distortion) <= 3):
             raise InvalidInputError(
-                f"distortion must be (k1, k2, k3) or fewer of them, got {self.distortion!r}",
+                f"distortion must be (k1, k2, k3) or fewer of them, OpenCV's without its "
+                f"tangential p1 and p2, got {self.distortion!r}",
                 given=self.distortion,
             )
         k = tuple(as_number("distortion", value) for value in self.distortion)
@@ -162,6 +164,51 @@ class PinholeCamera(Camera):
         return cls(
             focal_length, size, p, np.column_stack([x, np.cross(z, x), z]),
             center=center, distortion=distortion, mount=mount,
+        )  # fmt: skip
+
+    @classmethod
+    def from_opencv(
+        cls,
+        K: Any,
+        distortion: Sequence[float] | Array,
+        rvec: Any,
+        tvec: Any,
+        size: Sequence[int],
+        *,
+        mount: str | None = None,
+    ) -> PinholeCamera:
+        """Return the camera that OpenCV's calibration tells.
+
+        Args:
+            K: Camera matrix, shape (3, 3), without skew [px].
+            distortion: OpenCV's (k₁, k₂, p₁, p₂, k₃), or the first four or two; p₁ = p₂ = 0.
+            rvec: Rotation vector from the world (or the mount) to the camera, 3 numbers [rad].
+            tvec: Translation, 3 numbers [m].
+            size: Width and height of the image [px].
+            mount: See `PinholeCamera`.
+
+        Raises:
+            InvalidInputError: Wrong shapes, skew, tangential or other distortion.
+        """
+        k = as_array("K", K, (3, 3), "px")
+        if np.abs(k - [[k[0, 0], 0.0, k[0, 2]], [0.0, k[1, 1], k[1, 2]], [0.0, 0.0, 1.0]]).any():
+            raise InvalidInputError(
+                f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}", given=K
+            )
+        five = np.zeros(5)
+        given = np.ravel(np.asarray(distortion, dtype=float))
+        five[: min(5, len(given))] = given[:5]
+        if len(given) not in (0, 2, 4, 5) or five[2:4].any():
+            raise InvalidInputError(
+                f"distortion must be (k1, k2, p1, p2, k3), or the first four or two, with the "
+                f"tangential p1 = p2 = 0, which this camera does not have, got {given.tolist()}",
+                given=distortion,
+            )
+        R = pin.exp3(np.array(as_array("rvec", np.ravel(rvec), (3,), "rad")))
+        t = as_array("tvec", np.ravel(tvec), (3,), "m")
+        return cls(
+            (k[0, 0], k[1, 1]), size, -R.T @ t, R.T, center=(k[0, 2], k[1, 2]),
+            distortion=tuple(five[[0, 1, 4]].tolist()), mount=mount,
         )  # fmt: skip
 
     # -- what it is ---------------------------------------------------------------------
@@ -276,7 +323,7 @@ class PinholeCamera(Camera):
         *,
         shift: Sequence[float] | Array = (0.0, 0.0, 0.0),
         rotation: Sequence[float] | Array = (0.0, 0.0, 0.0),
-        focal_length: float = 1.0,
+        focal_factor: float = 1.0,
     ) -> PinholeCamera:
         """Return a camera that stands elsewhere and has another focal length.
 
@@ -284,14 +331,14 @@ class PinholeCamera(Camera):
             shift: Of its centre along its own axes (right, down, forward), shape (3,) [m]. A
                 shift of (0, 0, −d) makes all depths larger by d.
             rotation: Rotation vector in its own axes, shape (3,) [rad]; (0, 0, δ) is a roll by δ.
-            focal_length: Factor of both focal lengths, > 0.
+            focal_factor: Of both focal lengths, > 0.
 
         Raises:
             InvalidInputError: Wrong shapes, not finite, or a factor that is not positive.
         """
         moved = self._R @ as_array("shift", shift, (3,), "m")
         turned = self._R @ pin.exp3(np.array(as_array("rotation", rotation, (3,), "rad")))
-        factor = as_number("focal_length", focal_length, above=0.0)
+        factor = as_number("focal_factor", focal_factor, above=0.0)
         return replace(
             self,
             position=self._p + moved,
@@ -314,8 +361,17 @@ class PinholeCamera(Camera):
         back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
         f = as_number("focal_length", values.get("focal_length", self._f[0]), unit="px", above=0.0)
         return self.with_error(
-            shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_length=f / self._f[0]
+            shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_factor=f / self._f[0]
         )
+
+    def __repr__(self) -> str:
+        shown = [f"{self.size[0]} x {self.size[1]} px", f"f = {_short(self.focal_length)} px"]
+        shown += [f"position={_short(self.position)}", f"view={_short(self._R[:, 2].tolist())}"]
+        if any(self.distortion):
+            shown.append(f"distortion={_short(self.distortion)}")
+        if self.mount is not None:
+            shown.append(f"mount={self.mount!r}")
+        return f"PinholeCamera({', '.join(shown)})"
 
     def _border(self) -> list[Array]:
         """Corners of the image, and with a lens points of its edges that are close enough [px].
@@ -361,3 +417,8 @@ def _rotation(value: object) -> Array:
         )
     U, _, V = np.linalg.svd(R)  # the nearest one, so that products of many stay rotations
     return np.asarray(U @ V)
+
+
+def _short(values: Any) -> str:
+    """Numbers to four digits, in brackets."""
+    return f"({', '.join(f'{value:.4g}' for value in np.ravel(values))})"
