@@ -224,6 +224,56 @@ def limiters(
     return 0 if summary["verdict"] == "ok" else 1
 
 
+@app.command(name="servo-study")
+def servo_study(
+    starts: int = 100,
+    comparisons: int = 8,
+    map_goals: int = 3,
+    jobs: int | None = None,
+    out: Path = Path("results/servo-study"),
+) -> int:
+    """Servo a Panda with a badly wrong camera from many starts; compare laws; map tolerated roll.
+
+    Exit code 1 means that fewer than 95 % of the starts whose path stays in view converged to
+    within the noise.
+
+    Args:
+        starts: Seeded starts whose path stays in view.
+        comparisons: Seeded starts from which each law runs with each noise; 0 compares nothing.
+        map_goals: Seeded goals of the map of tolerated roll; 0 makes no map.
+        jobs: Processes that share the work; as many as there are processors by default.
+        out: Folder for table.md, noise and map as .png and .svg, and summary.json.
+    """
+    from approxjac.studies import servo_map, servo_study_report, servo_study_view
+    from approxjac.studies import servo_study as study
+    from approxjac.view import save_figure
+
+    compared, cells = study.cases(comparisons), servo_map.cases(map_goals)
+    _make_folder(out)
+    with tqdm(total=starts + len(compared) + len(cells), unit="run", disable=None) as bar:
+
+        def advance() -> None:
+            bar.update()
+
+        result = servo_study_report.Result(
+            starts,
+            study.must_show(starts, jobs, advance),
+            study.compare(compared, jobs, advance),
+            servo_map.run(cells, jobs, advance),
+        )
+    table, summary = servo_study_report.table(result), servo_study_report.summary(result)
+    (out / "table.md").write_text(table, encoding="utf-8")
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    if result.compared:
+        save_figure(servo_study_view.draw_noise(result.compared), out / "noise")
+    if result.cells:
+        save_figure(servo_study_view.draw_map(result.cells), out / "map")
+    print(table)
+    print("\n".join(f"fell short: {text}" for text in summary["shortcomings"]) or "all shown")
+    print(f"\ntable.md, the pictures and summary.json are in {out}")
+    return 0 if summary["verdict"] == "ok" else 1
+
+
 @app.command(name="certify")
 def certify(
     cases: int = 500,

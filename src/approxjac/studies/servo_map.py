@@ -38,7 +38,7 @@ Verdict = Literal["converges", "diverges", "undecided"]
 LOOPS: tuple[Loop, ...] = ("ideal", "late")
 
 _DT = 1.0 / SETTINGS.rate
-_START = {"ideal": 5.0, "late": 20.0}  # distance of the start's image from the goal's [px]
+START = {"ideal": 5.0, "late": 20.0}  # distance of the start's image from the goal's [px]
 _EVERY = 10  # samples from one look at a run to the next
 _LONG = 1.0  # how long an error has to stay small [s]
 _SHRUNK = 0.05  # of the start, without noise
@@ -69,6 +69,9 @@ class Cell(NamedTuple):
         verdict: Of the simulated run.
         duration: Until it was decided [s].
         end: RMS error over its last second, as a share of the start's.
+        moved: How far the joints were from the goal's posture at the end, ‖Δq‖ [rad].
+        end_rate: Decay rate of the local test at the posture where a run converged, on a redundant
+            arm another one than the goal's; NaN elsewhere [1/s].
     """
 
     loop: Loop
@@ -80,6 +83,8 @@ class Cell(NamedTuple):
     verdict: Verdict
     duration: float
     end: float
+    moved: float
+    end_rate: float
 
     @property
     def predicted(self) -> Verdict:
@@ -117,6 +122,10 @@ def run_case(case: Case) -> list[Cell]:
         for loop in LOOPS:
             test = local_test(loop, ready, controller, q_goal)
             watch = simulated(loop, ready, controller, q_goal, case.goal)
+            end_rate = math.nan
+            if watch.judged() == "converges":
+                end_rate = local_test(loop, ready, controller, watch.q).decay_rate
+            moved = pin.difference(ready.plant.robot.model, q_goal, watch.q)
             cells.append(
                 Cell(
                     loop,
@@ -128,6 +137,8 @@ def run_case(case: Case) -> list[Cell]:
                     watch.judged(),
                     watch.duration,
                     watch.end,
+                    float(np.linalg.norm(moved)),
+                    end_rate,
                 )
             )
     return cells
@@ -178,7 +189,7 @@ def simulated(
     loop: Loop, ready: Servo, controller: SetpointController, q_goal: Array, seed: int
 ) -> Watch:
     """Run a loop from a start near the goal, until its fate is decided."""
-    sensor, distance = ready.sensor, _START[loop]
+    sensor, distance = ready.sensor, START[loop]
     plant, law, noise = ready.plant, controller, 0.0
     held: Controller = law
     if loop == "ideal":
@@ -228,6 +239,7 @@ class Watch:
 
     Attributes:
         errors: ‖e‖, true, at every look [px].
+        q: Where the arm was at the last look, shape (nq,).
         verdict: None until it is decided.
 
     Args:
@@ -242,6 +254,7 @@ class Watch:
         self, controller: Controller, sensor: Task, target: Array, small: float, large: float
     ) -> None:
         self.errors: list[float] = []
+        self.q = sensor.robot.neutral()
         self.verdict: Verdict | None = None
         self._controller = controller
         self._sensor, self._target = sensor, target
@@ -287,6 +300,7 @@ class Watch:
         Raises:
             Decided: The fate of the run is decided.
         """
+        self.q = q.copy()
         self.see(float(np.linalg.norm(self._sensor.error(self._sensor.value(q), self._target))))
 
     def see(self, error: float) -> None:
