@@ -248,6 +248,7 @@ def servo_study(
     from approxjac.studies import servo_study as study
     from approxjac.view import save_figure
 
+    starts = study.require_starts(starts)
     compared, cells = study.cases(comparisons), servo_map.cases(map_goals)
     _make_folder(out)
     with tqdm(total=starts + len(compared) + len(cells), unit="run", disable=None) as bar:

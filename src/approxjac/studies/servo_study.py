@@ -197,6 +197,17 @@ def run_case(case: Case) -> Outcome:
     )
 
 
+def require_starts(starts: int) -> int:
+    """Refuse no starts.
+
+    Raises:
+        InvalidInputError: Less than one.
+    """
+    if starts < 1:
+        raise InvalidInputError(f"starts must be at least 1, got {starts}", given=starts)
+    return starts
+
+
 def must_show(
     starts: int, jobs: int | None = None, progress: Callable[[], None] | None = None
 ) -> list[Outcome]:
@@ -213,8 +224,7 @@ def must_show(
     Raises:
         InvalidInputError: No starts.
     """
-    if starts < 1:
-        raise InvalidInputError(f"starts must be at least 1, got {starts}", given=starts)
+    starts = require_starts(starts)
     outcomes: list[Outcome] = []
     while len(outcomes) < _MOST_SEEDS * starts:
         missing = starts - sum(outcome.in_view for outcome in outcomes)

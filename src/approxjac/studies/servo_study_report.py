@@ -46,7 +46,8 @@ class Row(NamedTuple):
         converged: How many reached their target to within the noise.
         settled: Median settling time of the runs, infinite where half do not settle [s].
         error: Median RMS error at the end [px].
-        roughness: Median RMS change of torques from record to record at the end [N m].
+        roughness: Median RMS change of torques from record to record at the end, of the runs that
+            stayed in view: an arm that sees nothing stands still [N m].
         peak_torque: Median of the largest torque, as a share of its limit.
         too_much: How many asked for more torque than the motors deliver.
         left: How many left the view.
@@ -306,8 +307,8 @@ def _difference(cell: Cell) -> str:
     return (
         f"- {_LOOP_NAMES[cell.loop]}, roll {cell.roll:g}°, a = {cell.ratio:g} 1/s, goal "
         f"{cell.goal}: the test says {cell.predicted} ({cell.decay_rate:.3g} 1/s), simulation "
-        f"{cell.verdict} (from {servo_map.START[cell.loop]:g} px to {cell.end:.2g} times that after "
-        f"{cell.duration:.1f} s{elsewhere})"
+        f"{cell.verdict} (from {servo_map.START[cell.loop]:g} px to {cell.end:.2g} times that "
+        f"after {cell.duration:.1f} s{elsewhere})"
     )
 
 
@@ -322,7 +323,7 @@ def _row(scene: str, law: str, noise: float, mine: Sequence[Outcome]) -> Row:
         converged=sum(outcome.converged for outcome in mine),
         settled=float(np.median(times)),
         error=float(np.median([outcome.final_error for outcome in mine])),
-        roughness=_median([outcome.roughness for outcome in mine]),
+        roughness=_median([outcome.roughness for outcome in in_view(mine)]),
         peak_torque=_median([outcome.peak_torque for outcome in mine]),
         too_much=sum(outcome.peak_torque > 1.0 for outcome in mine),
         left=sum(not outcome.in_view for outcome in mine),

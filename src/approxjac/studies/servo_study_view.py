@@ -13,6 +13,7 @@ from approxjac.studies.servo_map import LOOPS, Cell, Loop
 from approxjac.studies.servo_study import LAWS, ONE_POINT, Outcome
 from approxjac.studies.servo_study_report import Row, rows
 from approxjac.view import COLORS, new_figure, style
+from approxjac.view.style import TARGET
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 _MARKERS = "osv^D<>P"
 _LEAST = 0.01  # error below which no picture need tell more [px]
+_SMOOTH = 1e-3  # the same of the torque's roughness [N m]
+_WORTH = {"converges": 1.0, "undecided": 0.5, "diverges": 0.0}
+_HUES = (*COLORS, TARGET)  # one for each law
 _TITLES: dict[Loop, str] = {
     "ideal": "ideal camera, continuous control",
     "late": "camera of 30 Hz, late and noisy",
@@ -34,7 +38,8 @@ def draw_noise(outcomes: Sequence[Outcome]) -> Figure:
         ("converged to within the noise [%]", lambda r: 100.0 * r.converged / r.runs, False),
         (f"error at the end, median [px], at least {_LEAST:g}",
          lambda r: max(_LEAST, r.error), True),
-        ("roughness of the torque at the end, median [N m]", lambda r: r.roughness, True),
+        (f"roughness of the torque at the end, median [N m], at least {_SMOOTH:g}",
+         lambda r: r.roughness if math.isnan(r.roughness) else max(_SMOOTH, r.roughness), True),
         ("peak torque / its limit, median", lambda r: r.peak_torque, True),
     ]  # fmt: skip
     figure, axes = new_figure(2, 2, size=(9.4, 8.2), title=ONE_POINT)
@@ -47,6 +52,8 @@ def draw_noise(outcomes: Sequence[Outcome]) -> Figure:
             ax.set(xlabel="noise of the image [px]", ylabel=label)
             if wide:
                 ax.set_yscale("log")
+        axes[3].set_yscale("log", base=2)
+        axes[3].yaxis.set_major_formatter("{x:g}")
         axes[3].axhline(1.0, color="#555555", linewidth=1.0)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
@@ -65,7 +72,7 @@ def _lines(
         return
     ax.plot(
         *zip(*shown, strict=True), _MARKERS[k], linestyle="--" if foreign else "-", ms=5,
-        color=COLORS[k % len(COLORS)], label=law,
+        color=_HUES[k % len(_HUES)], label=law,
     )  # fmt: skip
 
 
@@ -78,10 +85,10 @@ def draw_map(cells: Sequence[Cell]) -> Figure:
     with style():
         for ax, loop in zip(axes, loops, strict=True):
             mine = [cell for cell in cells if cell.loop == loop]
-            share = _grid(mine, rolls, ratios, lambda cell: float(cell.verdict == "converges"))
+            share = _grid(mine, rolls, ratios, lambda cell: _WORTH[cell.verdict])
             heights = np.log2(ratios)
             shown = ax.pcolormesh(
-                rolls, heights, share, cmap="RdYlBu", vmin=0.0, vmax=1.0, shading="nearest",
+                rolls, heights, share, cmap="RdYlBu", vmin=-0.25, vmax=1.25, shading="nearest",
                 rasterized=True,
             )  # fmt: skip
             _boundaries(ax, mine, rolls, ratios, goals)
@@ -94,7 +101,10 @@ def draw_map(cells: Sequence[Cell]) -> Figure:
             ax.set(xlabel="error of the believed roll [°]", ylabel="a = k_p / k_v [1/s]",
                    title=_TITLES[loop])  # fmt: skip
             ax.grid(visible=False)
-        figure.colorbar(shown, ax=axes, label="share of goals that simulation converges to")
+        bar = figure.colorbar(
+            shown, ax=axes, label="share of goals that simulation converges to (undecided: half)"
+        )
+        bar.ax.set_ylim(0.0, 1.0)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
     return figure
