@@ -38,7 +38,7 @@ def draw_noise(outcomes: Sequence[Outcome]) -> Figure:
         ("converged to within the noise [%]", lambda r: 100.0 * r.converged / r.runs, False),
         (f"error at the end, median [px], at least {_LEAST:g}",
          lambda r: max(_LEAST, r.error), True),
-        (f"roughness of the torque at the end, median [N m], at least {_SMOOTH:g}",
+        (f"torque roughness at the end, median [N m], at least {_SMOOTH:g}",
          lambda r: r.roughness if math.isnan(r.roughness) else max(_SMOOTH, r.roughness), True),
         ("peak torque / its limit, median", lambda r: r.peak_torque, True),
     ]  # fmt: skip
