@@ -144,9 +144,9 @@ def test_a_run_counts_as_its_result_says(monkeypatch):
 @pytest.mark.parametrize("scene", list(SCENES)[1:])
 def test_the_scenes_of_two_points_run(monkeypatch, scene):
     short(monkeypatch, scene, duration=0.2)
-    for law in SCENES[scene].laws:
-        outcome = servo_study.run_case(Case(scene, law, 0.5, "exact", 0))
-        assert math.isfinite(outcome.final_error)
+    outcome = servo_study.run_case(Case(scene, SCENES[scene].laws[-1], 0.5, "exact", 0))
+    assert math.isfinite(outcome.final_error)
+    assert outcome.in_view
 
 
 def test_a_divergence_is_a_failure_and_no_way_out_of_the_count(monkeypatch):
