@@ -9,8 +9,6 @@ import io
 import json
 import math
 import sys
-import tomllib
-from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,9 +16,10 @@ import tyro
 from tqdm import tqdm
 
 import approxjac
-from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
+from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.studies.reach import Settings
 from approxjac.studies.servo_settings import ServoSettings
+from approxjac.studies.settings_file import with_file
 from approxjac.studies.stability import StabilitySettings
 
 app = tyro.extras.SubcommandApp()
@@ -253,6 +252,57 @@ def limiters(
     return 0 if summary["verdict"] == "ok" else 1
 
 
+@app.command(name="servo-study")
+def servo_study(
+    starts: int = 100,
+    comparisons: int = 8,
+    map_goals: int = 3,
+    jobs: int | None = None,
+    out: Path = Path("results/servo-study"),
+) -> int:
+    """Servo a Panda with a badly wrong camera from many starts; compare laws; map tolerated roll.
+
+    Exit code 1 means that fewer than 95 % of the starts whose path stays in view converged to
+    within the noise.
+
+    Args:
+        starts: Seeded starts whose path stays in view.
+        comparisons: Seeded starts from which each law runs with each noise; 0 compares nothing.
+        map_goals: Seeded goals of the map of tolerated roll; 0 makes no map.
+        jobs: Processes that share the work; as many as there are processors by default.
+        out: Folder for table.md, noise and map as .png and .svg, and summary.json.
+    """
+    from approxjac.studies import servo_map, servo_study_report, servo_study_view
+    from approxjac.studies import servo_study as study
+    from approxjac.view import save_figure
+
+    starts = study.require_starts(starts)
+    compared, cells = study.cases(comparisons), servo_map.cases(map_goals)
+    _make_folder(out)
+    with tqdm(total=starts + len(compared) + len(cells), unit="run", disable=None) as bar:
+
+        def advance() -> None:
+            bar.update()
+
+        result = servo_study_report.Result(
+            starts,
+            study.must_show(starts, jobs, advance),
+            study.compare(compared, jobs, advance),
+            servo_map.run(cells, jobs, advance),
+        )
+    table, summary = servo_study_report.table(result), servo_study_report.summary(result)
+    (out / "table.md").write_text(table, encoding="utf-8")
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    if result.compared:
+        save_figure(servo_study_view.draw_noise(result.compared), out / "noise")
+    if result.cells:
+        save_figure(servo_study_view.draw_map(result.cells), out / "map")
+    print(table)
+    print("\n".join(f"fell short: {text}" for text in summary["shortcomings"]) or "all shown")
+    print(f"\ntable.md, the pictures and summary.json are in {out}")
+    return 0 if summary["verdict"] == "ok" else 1
+
+
 @app.command(name="certify")
 def certify(
     cases: int = 500,
@@ -342,7 +392,7 @@ def main(arguments: list[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
     try:
-        arguments = _with_file(arguments)
+        arguments = with_file(arguments, _FROM_FILE)
         return int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
     except KeyboardInterrupt:
         print("\napproxjac: stopped", file=sys.stderr)
@@ -350,46 +400,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
         print(f"approxjac: {error}", file=sys.stderr)
         return 2
-
-
-def _with_file(arguments: list[str]) -> list[str]:
-    """Write the settings of `COMMAND FILE.toml` out as the options that they stand for."""
-    files = [word for word in arguments if word.endswith(".toml")]
-    if not files or arguments[0] not in _FROM_FILE:
-        return arguments
-    path, given = Path(files[0]), [word for word in arguments[1:] if word != files[0]]
-    try:
-        settings = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InvalidInputError(f"{path} cannot be read as TOML: {error}", given=path) from error
-    robot = settings.pop("robot", None)
-    if not isinstance(robot, str):
-        raise InvalidInputError(
-            f'{path} must name a robot, such as robot = "panda", got {robot!r}', given=path
-        )
-    valid = {"out", *(field.name for field in fields(_FROM_FILE[arguments[0]]))}
-    for name in settings:
-        if name not in valid:
-            raise UnknownNameError("setting", name, str(path), valid)
-    if any(word.split("=")[0] in ("--target", "--target-offset") for word in given):
-        settings = {k: v for k, v in settings.items() if k not in ("target", "target_offset")}
-    words = []
-    for name, value in settings.items():
-        option = f"--{name.replace('_', '-')}"
-        if isinstance(value, dict | list):
-            words += [option, *_words(value)]
-        else:
-            words.append(f"{option}={value}")  # as one word, so that "-x" is a value
-    return [arguments[0], robot, *words, *given]
-
-
-def _words(value: object) -> list[str]:
-    """Return a TOML value as it is written on a command line."""
-    if isinstance(value, dict):
-        return [word for key, entry in value.items() for word in (str(key), *_words(entry))]
-    if isinstance(value, list):
-        return [word for entry in value for word in _words(entry)]
-    return [str(value)]
 
 
 def _make_folder(out: Path) -> None:

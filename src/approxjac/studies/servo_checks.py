@@ -88,7 +88,8 @@ def require_effect(settings: ServoSettings) -> None:
     _refuse(settings, "settling_time", given, "is for default gains", "given ones")
     # what a camera in hand watches is not the object, which is then no more than a weight
     for kind in ("object", "believed"):
-        weightless = in_hand and getattr(settings, f"{kind}_mass") == 0.0
+        length, mass = getattr(settings, f"{kind}_length"), getattr(settings, f"{kind}_mass")
+        weightless = in_hand and mass == 0.0 and length != 0.0
         _refuse(settings, f"{kind}_length", weightless, f"needs {kind}_mass", "an eye in hand")
 
 

@@ -184,8 +184,12 @@ class ServoResult:
         if not stands:
             return "still approaching its target at the end"
         settings = self.servo.settings
-        if settings.duration < _LONG_ENOUGH * settings.settling_time:
-            return f"too short to tell: {settings.duration:g} s, {_LONG_ENOUGH:g} settling times do"
+        enough = _LONG_ENOUGH * settings.settling_time
+        if settings.duration < enough:
+            return (
+                f"too short to tell: {settings.duration:g} s, of {settings.settling_time:g} s to "
+                f"settle, where {enough:g} s do"
+            )
         if float(np.abs(run.v[quarter]).max()) < 0.1:
             if self._share_of_error() < _LITTLE:
                 return "hardly moves: the believed Jacobian shows little of the error's direction"
