@@ -24,7 +24,7 @@ def run_console(example: Example) -> None:
         words = shlex.split(line.removeprefix("$ "))
         known = {"approxjac": [sys.executable, "-m", "approxjac"], "python": [sys.executable]}
         assert words[0] in known, f"not a command that the tests know how to run: {line}"
-        paths = [str(ROOT / word) if (ROOT / word).exists() else word for word in words[1:]]
+        paths = [str(ROOT / word) if (ROOT / word).is_file() else word for word in words[1:]]
         subprocess.run([*known[words[0]], *paths], check=True, stdout=subprocess.DEVNULL)
 
 

@@ -257,6 +257,7 @@ def servo_study(
     starts: int = 100,
     comparisons: int = 8,
     map_goals: int = 3,
+    limits: bool = False,
     jobs: int | None = None,
     out: Path = Path("results/servo-study"),
 ) -> int:
@@ -269,6 +270,8 @@ def servo_study(
         starts: Seeded starts whose path stays in view.
         comparisons: Seeded starts from which each law runs with each noise; 0 compares nothing.
         map_goals: Seeded goals of the map of tolerated roll; 0 makes no map.
+        limits: Let the starts, not the comparisons, keep the URDF's limits of torques, speeds and
+            joints, which the controller does not know otherwise.
         jobs: Processes that share the work; as many as there are processors by default.
         out: Folder for table.md, noise and map as .png and .svg, and summary.json.
     """
@@ -286,7 +289,9 @@ def servo_study(
 
         result = servo_study_report.Result(
             starts,
-            study.must_show(starts, jobs, advance),
+            study.must_show(
+                starts, jobs, advance, study.WITHIN_LIMITS if limits else study.ONE_POINT
+            ),
             study.compare(compared, jobs, advance),
             servo_map.run(cells, jobs, advance),
         )

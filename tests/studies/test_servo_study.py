@@ -141,7 +141,7 @@ def test_a_run_counts_as_its_result_says(monkeypatch):
     assert outcome.reason == result.reason == "still approaching its target at the end"
 
 
-@pytest.mark.parametrize("scene", list(SCENES)[1:])
+@pytest.mark.parametrize("scene", [name for name in SCENES if "two points" in name])
 def test_the_scenes_of_two_points_run(monkeypatch, scene):
     short(monkeypatch, scene, duration=0.2)
     outcome = servo_study.run_case(Case(scene, SCENES[scene].laws[-1], 0.5, "exact", 0))
@@ -415,3 +415,9 @@ def test_bad_arguments_are_refused_in_one_line(tmp_path, capsys, words, message)
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_starts_that_keep_the_limits_are_a_scene_of_their_own():
+    case = servo_study.Case(servo_study.WITHIN_LIMITS, "law 6", 0.5, "exact", 0)
+    assert servo_study.settings_of(case).torque_limits == "urdf"
+    assert all(case.scene != servo_study.WITHIN_LIMITS for case in servo_study.cases(1))

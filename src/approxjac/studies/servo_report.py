@@ -128,7 +128,8 @@ def draw_run(result: ServoResult) -> Figure:
 
 def draw_image(result: ServoResult) -> Figure:
     """The paths of the points through the image."""
-    figure, (ax,) = new_figure(size=(6.4, 5.8), title=_title(result, 60))
+    title = _title(result, 60)
+    figure, (ax,) = new_figure(size=(6.4, 5.6 + 0.25 * title.count("\n")), title=title)
     plot_image(result.run, result.servo.sensor.camera, ax, title="The true camera's image")
     return figure
 

@@ -73,8 +73,10 @@ class Scene(NamedTuple):
 
 
 ONE_POINT = "panda, one point"
+WITHIN_LIMITS = "panda, one point, limits kept"
 SCENES = {
     ONE_POINT: Scene("panda", ServoSettings(), tuple(LAWS), NOISES),
+    WITHIN_LIMITS: Scene("panda", ServoSettings(torque_limits="urdf"), (), ()),
     "panda, two points": Scene(
         "panda", ServoSettings(points=2), ("law 6", "IBVS"), (_USUAL_NOISE,)
     ),
@@ -209,7 +211,10 @@ def require_starts(starts: int) -> int:
 
 
 def must_show(
-    starts: int, jobs: int | None = None, progress: Callable[[], None] | None = None
+    starts: int,
+    jobs: int | None = None,
+    progress: Callable[[], None] | None = None,
+    scene: str = ONE_POINT,
 ) -> list[Outcome]:
     """Run law (6) from seed after seed, until enough paths stayed in view.
 
@@ -220,6 +225,7 @@ def must_show(
         starts: How many paths have to stay in view.
         jobs: Processes; as many as there are processors by default.
         progress: Called after each run.
+        scene: `ONE_POINT`, or `WITHIN_LIMITS` where the URDF's limits are known and kept.
 
     Raises:
         InvalidInputError: No starts.
@@ -231,7 +237,7 @@ def must_show(
         if missing == 0:
             break
         cases = [
-            Case(ONE_POINT, "law 6", _USUAL_NOISE, "learnt" if seed % 2 else "exact", seed)
+            Case(scene, "law 6", _USUAL_NOISE, "learnt" if seed % 2 else "exact", seed)
             for seed in range(len(outcomes), len(outcomes) + missing)
         ]
         outcomes += run_in_processes(run_case, cases, jobs, progress)

@@ -10,6 +10,7 @@ from approxjac.checks import Array, as_array, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks.task import Task, seen_postures
+from approxjac.tasks.wrapped import WrappedTask
 
 _POSTURES = 400
 _NEAREST = 30  # of these, by their value's distance to the target
@@ -17,7 +18,7 @@ _LEAST = 0.01  # mobility that a direction is taken to have at least, as a share
 _REGULAR = 1e-9  # σ_min/σ_max of C below which it has no inverse
 
 
-class CombinedTask(Task):
+class CombinedTask(WrappedTask):
     """e = C (error of another task): the same task, with gains along other directions.
 
     K_p and K_v are diagonal, so they weigh the coordinates and nothing between them. The images of
@@ -90,15 +91,6 @@ class CombinedTask(Task):
         return cls(task, (U * np.sqrt(values[0] / values)) @ U.T)
 
     @property
-    def robot(self) -> Robot:
-        return self._task.robot
-
-    @property
-    def task(self) -> Task:
-        """The task whose coordinates are combined."""
-        return self._task
-
-    @property
     def C(self) -> Array:
         """The combination, shape (m, m)."""
         return self._C
@@ -111,14 +103,6 @@ class CombinedTask(Task):
     def units(self) -> tuple[str, ...]:
         return (self._task.unit,) * self._task.m
 
-    @property
-    def n_x(self) -> int:
-        return self._task.n_x
-
-    @property
-    def measured(self) -> Task:
-        return self._task.measured
-
     def measured_rate(self, Jv: Array) -> Array:
         return self._task.measured_rate(self._inverse @ Jv)
 
@@ -127,22 +111,8 @@ class CombinedTask(Task):
         return ((slice(0, self.n_x), slice(0, self.m)),)
 
     @property
-    def jacobian_uses_x(self) -> bool:
-        return self._task.jacobian_uses_x
-
-    @property
-    def origin(self) -> Array:
-        return self._task.origin
-
-    @property
     def subtracts(self) -> bool:
         return False
-
-    def value(self, q: Array) -> Array:
-        return self._task.value(q)
-
-    def seen(self, x: Array) -> Array:
-        return self._task.seen(x)
 
     def error(self, x: Array, x_d: Array) -> Array:
         return np.asarray(self._C @ self._task.error(x, x_d))
@@ -164,9 +134,6 @@ class CombinedTask(Task):
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.asarray(self._C @ self._task.jacobian_dot(q, v))
-
-    def target(self, x_d: object) -> Array:
-        return self._task.target(x_d)
 
     def on(self, robot: Robot) -> CombinedTask:
         return CombinedTask(self._task.on(robot), self._C)

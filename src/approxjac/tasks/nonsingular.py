@@ -11,11 +11,12 @@ from approxjac.checks import Array, as_number, require
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.tasks.task import Task, vanishing
+from approxjac.tasks.wrapped import WrappedTask
 
 _TINY = 1e-300
 
 
-class NonsingularTask(Task):
+class NonsingularTask(WrappedTask):
     """A task whose Ĵ is designed to stay of full rank at the robot's singular postures.
 
     The paper (section 6) remarks that Ĵ may be chosen so that the arm does not stall there. Here
@@ -68,71 +69,6 @@ class NonsingularTask(Task):
         self._bend = offset
         self._scale = vanishing(task)
 
-    @property
-    def robot(self) -> Robot:
-        return self._task.robot
-
-    @property
-    def task(self) -> Task:
-        """The task as the robot has it."""
-        return self._task
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return self._task.labels
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return self._task.units
-
-    @property
-    def n_x(self) -> int:
-        return self._task.n_x
-
-    @property
-    def measured(self) -> Task:
-        return self._task.measured
-
-    def measured_rate(self, Jv: Array) -> Array:
-        return self._task.measured_rate(Jv)
-
-    @property
-    def parts(self) -> tuple[tuple[slice, slice], ...]:
-        return self._task.parts
-
-    @property
-    def jacobian_uses_x(self) -> bool:
-        return self._task.jacobian_uses_x
-
-    def seen(self, x: Array) -> Array:
-        return self._task.seen(x)
-
-    def value(self, q: Array) -> Array:
-        return self._task.value(q)
-
-    def error(self, x: Array, x_d: Array) -> Array:
-        return self._task.error(x, x_d)
-
-    @property
-    def subtracts(self) -> bool:
-        return self._task.subtracts
-
-    @property
-    def origin(self) -> Array:
-        return self._task.origin
-
-    def displaced(self, x: Array, e: Array) -> Array:
-        return self._task.displaced(x, e)
-
-    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
-        return self._task.with_error(x, x_d, e)
-
-    def error_rate(self, e: Array, Jv: Array) -> Array:
-        return self._task.error_rate(e, Jv)
-
-    def target(self, x_d: object) -> Array:
-        return self._task.target(x_d)
-
     def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
         J = self._task.compute_jacobian(q, x)
         squares, U = np.linalg.eigh(J @ J.T)
@@ -142,9 +78,6 @@ class NonsingularTask(Task):
         P = (U * weights) @ U.T
         designed: Array = J + P @ (self._task.compute_jacobian(self._bent(q), x) - J)
         return designed
-
-    def sensor_jacobian(self, q: Array) -> Array:
-        return self._task.sensor_jacobian(q)
 
     def design_error(self, q: Array) -> float:
         """‖Ĵ_d − Ĵ‖, the part of (7)'s bound p that the design adds at q; 0 away from singular."""
