@@ -97,3 +97,17 @@ def test_an_import_loads_nothing_heavy():
         if name not in sys.stdlib_module_names and not name.startswith(("_", "approxjac"))
     }
     assert third_party == set()
+
+
+def test_stability_is_loaded_when_it_is_asked_for():
+    code = (
+        "import sys, approxjac as aj\n"
+        "assert 'approxjac.stability' not in sys.modules\n"
+        "assert set(aj.__all__) <= set(dir(aj))\n"
+        "from approxjac import stability_report\n"
+        "assert stability_report is aj.stability.stability_report is aj.stability_report\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert all(hasattr(approxjac, name) for name in approxjac.__all__)
+    with pytest.raises(AttributeError, match="module 'approxjac' has no attribute 'stabilty'"):
+        approxjac.stabilty  # noqa: B018

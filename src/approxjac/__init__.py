@@ -4,6 +4,9 @@ The plant owns the true robot, the controller the believed one; only measurement
 pass between them. Import as `import approxjac as aj`.
 """
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from approxjac import law
 from approxjac.controllers import (
     AdaptiveGravity,
@@ -47,29 +50,6 @@ from approxjac.robots import (
     robot_names,
 )
 from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
-from approxjac.stability import (
-    JointBox,
-    LocalStability,
-    LyapunovValue,
-    Region,
-    RegularPart,
-    Rollout,
-    Rollouts,
-    StabilityMap,
-    StabilityReport,
-    SublevelSet,
-    Suggestion,
-    Tolerance,
-    Tube,
-    Uncertainty,
-    local_stability,
-    lyapunov,
-    rollouts,
-    stability_map,
-    stability_report,
-    suggest_gains,
-    tolerance,
-)
 from approxjac.tasks import (
     Camera,
     CombinedTask,
@@ -82,6 +62,31 @@ from approxjac.tasks import (
     StackedTask,
     Task,
 )
+
+if TYPE_CHECKING:
+    from approxjac.stability import (  # type: ignore[no-redef]  # of functions named as modules
+        JointBox,
+        LocalStability,
+        LyapunovValue,
+        Region,
+        RegularPart,
+        Rollout,
+        Rollouts,
+        StabilityMap,
+        StabilityReport,
+        SublevelSet,
+        Suggestion,
+        Tolerance,
+        Tube,
+        Uncertainty,
+        local_stability,
+        lyapunov,
+        rollouts,
+        stability_map,
+        stability_report,
+        suggest_gains,
+        tolerance,
+    )
 
 __version__ = "0.1.0"
 
@@ -165,3 +170,16 @@ __all__ = [
     "suggest_gains",
     "tolerance",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load `approxjac.stability` when one of its names is asked for: many programs never do."""
+    if name == "stability" or name in __all__:
+        module = importlib.import_module("approxjac.stability")
+        found = globals()[name] = module if name == "stability" else getattr(module, name)
+        return found
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
