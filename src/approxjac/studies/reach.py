@@ -23,13 +23,15 @@ from approxjac.controllers import (
     default_gains,
 )
 from approxjac.errors import InvalidInputError
+from approxjac.interface import Controller
 from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
-from approxjac.simulation import MujocoPlant, Plant, Sensing, simulate
+from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
 from approxjac.studies.limiting import limited, limits_from
 from approxjac.studies.postures import posture_from, regular_posture
 from approxjac.studies.reach_result import Reach, Result
 from approxjac.studies.reach_settings import Settings
+from approxjac.studies.servo_settings import ServoSettings
 from approxjac.studies.watch import Watched
 from approxjac.tasks import PoseTask, PositionTask, Task
 
@@ -92,23 +94,11 @@ def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result
         SimulationError: The closed loop diverged.
     """
     settings = reach.settings
-    dt = 1.0 / settings.rate
-    every = max(1, round(settings.rate * settings.duration / 2000.0))
     watched = None
     if reach.limiter is not None and reach.limits is not None:
         watched = Watched(reach.limiter, np.asarray(reach.limits.effort))
-    record = simulate(
-        reach.plant,
-        watched or reach.controller,
-        reach.target,
-        reach.q0,
-        max(1, round(settings.duration / (dt * every))) * dt * every,
-        dt=dt,
-        record_every=every * dt,
-        integrator="semi_implicit_euler",
-        seed=settings.seed,
-        progress=progress,
-    )
+    controller = watched or reach.controller
+    record = sampled(reach.plant, controller, reach.target, reach.q0, settings, progress)
     above = np.nonzero(record.error_norm > settings.tolerance)[0]
     if len(above) == 0:
         settling = 0.0
@@ -121,6 +111,35 @@ def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result
         ratio = float((np.abs(record.tau) / result.motor_limits).max())
         result = replace(result, peak_torque_ratio=ratio)
     return result
+
+
+def sampled(
+    plant: Plant,
+    controller: Controller,
+    target: Array,
+    q0: Array,
+    settings: Settings | ServoSettings,
+    progress: Callable[[float], None] | None = None,
+) -> Trajectory:
+    """Simulate for the duration and at the rate of settings, with some 2000 records.
+
+    Raises:
+        SimulationError: The closed loop diverged.
+    """
+    dt = 1.0 / settings.rate
+    every = max(1, round(settings.rate * settings.duration / 2000.0))
+    return simulate(
+        plant,
+        controller,
+        target,
+        q0,
+        max(1, round(settings.duration / (dt * every))) * dt * every,
+        dt=dt,
+        record_every=every * dt,
+        integrator="semi_implicit_euler",
+        seed=settings.seed,
+        progress=progress,
+    )
 
 
 def best_axes(robot: Robot) -> str:

@@ -20,10 +20,10 @@ from approxjac.controllers import (
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.robots import Dynamics, Robot, load_robot
-from approxjac.simulation import Plant, Sensing, simulate
+from approxjac.simulation import Plant, Sensing
 from approxjac.studies.limiting import limited, limits_named
 from approxjac.studies.postures import REGULAR, holdable, is_regular, posture_from
-from approxjac.studies.reach import given_or, gravity_from, outward_axis
+from approxjac.studies.reach import given_or, gravity_from, outward_axis, sampled
 from approxjac.studies.servo_checks import require_effect
 from approxjac.studies.servo_result import Servo, ServoResult
 from approxjac.studies.servo_scene import Scene, carried_scene, watched_scene, well_within
@@ -91,21 +91,7 @@ def run(servo: Servo, progress: Callable[[float], None] | None = None) -> ServoR
     Raises:
         SimulationError: The closed loop diverged.
     """
-    settings = servo.settings
-    dt = 1.0 / settings.rate
-    every = max(1, round(settings.rate * settings.duration / 2000.0))
-    record = simulate(
-        servo.plant,
-        servo.held,
-        servo.target,
-        servo.q0,
-        max(1, round(settings.duration / (dt * every))) * dt * every,
-        dt=dt,
-        record_every=every * dt,
-        integrator="semi_implicit_euler",
-        seed=settings.seed,
-        progress=progress,
-    )
+    record = sampled(servo.plant, servo.held, servo.target, servo.q0, servo.settings, progress)
     return ServoResult(servo, record)
 
 
