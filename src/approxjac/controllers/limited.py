@@ -23,7 +23,7 @@ from approxjac.controllers.limits import (
 )
 from approxjac.controllers.quadratic import QuadraticProgram, Verdict, as_solver
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.tuning import slow_rate, usual_inertias
+from approxjac.controllers.tuning import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Status
 from approxjac.robots import Dynamics
@@ -38,7 +38,6 @@ _TASK_FORCE_KEPT = 100.0  # how much dearer it is to turn the task force than to
 _ROUND_OFF = 1e-10
 _MARGIN = 1e-6
 _HUGE = 1e30  # below it nothing overflows
-_ALPHA_SHARE = 0.3
 _NO_LOWER, _NO_UPPER = np.array([-np.inf]), np.array([np.inf])
 
 
@@ -295,9 +294,7 @@ class TorqueLimited(Limiter):
             return 0.0 if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
         learning = controller.adaptation
         if alpha is None:
-            if learning is not None:
-                return learning.alpha
-            return _ALPHA_SHARE * slow_rate(self.task, controller.diagonals)
+            return controller.alpha
         alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
         if learning is not None and alpha != learning.alpha:
             raise InvalidInputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +22,7 @@ from approxjac.controllers.gravity import (
     require_gravity,
 )
 from approxjac.controllers.posture import Posture
-from approxjac.controllers.tuning import default_adaptation, default_gains
+from approxjac.controllers.tuning import default_adaptation, default_gains, slow_rate
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Status
 from approxjac.law import Linear, Saturation
@@ -29,6 +30,7 @@ from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
+_ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
 _SATURATED, _SINGULAR = Status.TORQUE_SATURATED, Status.NEAR_SINGULAR
 
 
@@ -161,6 +163,70 @@ class SetpointController(CheckedController):
             return v
         w, _ = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=self._scale)
         return law.passive_output(v, w.dot(J_hat), alpha)
+
+    def task_torque(self, answer: Evaluation, v: Array) -> Array:
+        """−Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of a torque of this law that acts on the task.
+
+        Args:
+            answer: What this controller answered, with Ĵ.
+            v: The joint velocity that it was given for, shape (n_v,).
+
+        Returns:
+            Shape (n_v,) [N m or N]; with K_v Ẋ for law (5), without K_p s(e) where x was lost.
+        """
+        J_hat, kp, kv = answer.J_hat, self.diagonals.kp, self.diagonals.kv
+        assert J_hat is not None  # this controller has one
+        s = np.nan_to_num(self.saturation.s(answer.e))
+        x_dot = J_hat @ v if self.velocity is None else answer.state_rate[self._p :]
+        torque: Array = -(kp * s + kv * x_dot) @ J_hat
+        return torque
+
+    @functools.cached_property
+    def alpha(self) -> float:
+        """α of the Lyapunov function where none is given [1/s].
+
+        That of the adaptation where gravity is learnt, else 0.3 of the rate of the task's slow
+        pole.
+        """
+        if self.adaptation is not None:
+            return self.adaptation.alpha
+        return _ALPHA_SHARE * slow_rate(self.task, self.diagonals)
+
+    def lyapunov_value(
+        self,
+        answer: Evaluation,
+        v: Array,
+        M: Array,
+        alpha: float,
+        state: Array,
+        theta: Array | None,
+    ) -> float:
+        """V of (12), or (31) where gravity is learnt [J]; with Ĵ⁺ damped near singular poses.
+
+        Args:
+            answer: What this controller answered, with Ĵ, and with the true error for the true V.
+            v: The joint velocity that it was given for, shape (n_v,).
+            M: True inertia matrix, shape (n_v, n_v).
+            alpha: α [1/s].
+            state: State of this controller, shape (n_state,).
+            theta: True gravity parameters in its regressor, shape (p,), where gravity is learnt.
+
+        Returns:
+            V; NaN where the error is not known.
+        """
+        e, J_hat = answer.e, answer.J_hat
+        if J_hat is None or not np.isfinite(e).all():
+            return math.nan
+        kp, kv, _ = self.diagonals
+        G, units = J_hat @ J_hat.T, np.eye(len(e))
+        solved = [law.damped_gram_solve(G, unit, scale=self._scale)[0] for unit in units]
+        J_hat_pinv = (np.array(solved) @ J_hat).T
+        s, potential = self.saturation.s(e), self.saturation.S(e)
+        V = law.V(v, s, potential, J_hat_pinv, M, kp, kv, alpha)
+        if self.adaptation is None or theta is None:
+            return V
+        theta_error = theta - self.theta_hat(state)
+        return V + law.parameter_potential(theta_error, self.adaptation.L)
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from approxjac.checks import Array, as_number, require
-from approxjac.errors import InvalidInputError, TrajectoryFileError
+from approxjac.errors import ApproxJacError, InvalidInputError, TrajectoryFileError
 from approxjac.interface import LimitStatus, Status
+from approxjac.simulation.scene import Scene
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """What happened in one run. The first axis of every array but `target` is time.
+    """What happened in one run. The first axis of every array is time.
 
     Attributes:
         t: Time, shape (N,) [s].
@@ -27,19 +28,24 @@ class Trajectory:
         v: Velocity, shape (N, n_v).
         x: True task value, shape (N, n_x).
         x_measured: What was measured of it, NaN where it was lost, shape (N, n_x).
+        x_d: Target, which only an observer of the run moves, shape (N, n_x).
         error: True error of x to the target, shape (N, m).
         tau: Torque, shape (N, n_v).
+        task_torque: −Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of the law's torque that acts on the task;
+            NaN of laws that have none, shape (N, n_v).
+        V: Lyapunov function (12) of the true arm, or (31) where gravity is learnt, with the
+            controller's α; NaN of laws that have none, shape (N,) [J].
         state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
         status: `Status` at these instants, shape (N,).
         limit_status: `LimitStatus` at these instants, shape (N,).
         slack: σ, what limits add to V̇, NaN where it is not known, shape (N,) [W].
         sigma_min: Smallest singular value of Ĵ, shape (N,).
-        target: x_d, shape (n_x,).
         robot_name: Name of the true robot.
         joint_names: In the order of v and τ.
         joint_units: "rad", or "m" for prismatic joints, in the same order.
         task_labels: Names of the task coordinates, length m.
         task_units: Their units, length m.
+        scene: Who took part, as one needs it to draw the run; None if that is not known.
     """
 
     t: Array
@@ -47,19 +53,27 @@ class Trajectory:
     v: Array
     x: Array
     x_measured: Array
+    x_d: Array
     error: Array
     tau: Array
+    task_torque: Array
+    V: Array
     state: Array
     status: np.ndarray[Any, np.dtype[np.int64]]
     limit_status: np.ndarray[Any, np.dtype[np.int64]]
     slack: Array
     sigma_min: Array
-    target: Array
     robot_name: str
     joint_names: tuple[str, ...]
     joint_units: tuple[str, ...]
     task_labels: tuple[str, ...]
     task_units: tuple[str, ...]
+    scene: Scene | None = None
+
+    @property
+    def target(self) -> Array:
+        """x_d at the end, shape (n_x,)."""
+        return np.array(self.x_d[-1])
 
     @property
     def task_unit(self) -> str:
@@ -77,11 +91,13 @@ class Trajectory:
             "q": " or ".join(kinds),
             "v": " or ".join(f"{kind}/s" for kind in kinds),
             "x": task,
+            "x_d": task,
             "error": task,
             "tau": " or ".join(torque[kind] for kind in kinds),
+            "task_torque": " or ".join(torque[kind] for kind in kinds),
+            "V": "J",
             "slack": "W",
             "sigma_min": " or ".join(f"{task}/{kind}" for kind in kinds),
-            "target": task,
         }
 
     @property
@@ -125,8 +141,9 @@ class Trajectory:
             TrajectoryFileError: The file cannot be written.
         """
         path = _npz(path)
-        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
         texts = {name: getattr(self, name) for name in _TEXTS}
+        texts["scene"] = None if self.scene is None else self.scene.to_dict()
         try:
             # an open file, because numpy would add a second ending to .NPZ
             with path.open("wb") as file:
@@ -149,10 +166,11 @@ class Trajectory:
             # opened here, because NumPy leaves a damaged file open
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 texts = json.loads(str(file["texts"]))
-                arrays = {f.name: file[f.name] for f in fields(cls) if f.name not in _TEXTS}
+                arrays = {name: file[name] for name in _ARRAYS}
+            scene = texts.pop("scene")
             for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])
-            run = cls(**arrays, **texts)
+            run = cls(**arrays, **texts, scene=None if scene is None else Scene.from_dict(scene))
             run._require_shapes()
             return run
         except FileNotFoundError as error:
@@ -168,12 +186,12 @@ class Trajectory:
         """Raise a ValueError if arrays do not fit together."""
         n, joints, m = len(self.t), len(self.joint_names), len(self.task_labels)
         shapes: dict[str, tuple[int, ...]]
-        shapes = {"v": (n, joints), "tau": (n, joints), "error": (n, m)}
-        shapes |= dict.fromkeys(("t", "status", "limit_status", "slack", "sigma_min"), (n,))
-        shapes |= {"target": self.target.shape[:1]}
-        shapes |= dict.fromkeys(("x", "x_measured"), (n, *self.target.shape))
+        shapes = {"error": (n, m)}
+        shapes |= dict.fromkeys(("v", "tau", "task_torque"), (n, joints))
+        shapes |= dict.fromkeys(("t", "V", "status", "limit_status", "slack", "sigma_min"), (n,))
         # of these the second length is not known here, but they must have one
-        shapes |= {name: (n, getattr(self, name).shape[-1]) for name in ("q", "state")}
+        shapes |= {name: (n, getattr(self, name).shape[-1]) for name in ("q", "x_d", "state")}
+        shapes |= dict.fromkeys(("x", "x_measured"), shapes["x_d"])
         for name, shape in shapes.items():
             array = getattr(self, name)
             if array.shape != shape or array.dtype.kind not in "if":
@@ -191,6 +209,9 @@ class Trajectory:
             or not all(isinstance(name, str) for name in (*names, self.robot_name))
         ):
             raise ValueError("its names and units do not fit its arrays")
+        scene = self.scene
+        if scene is not None and (scene.truth.nv, scene.truth.nq) != (joints, self.q.shape[1]):
+            raise ValueError("its scene has another number of joints")
 
     def __repr__(self) -> str:
         norm = self.error_norm
@@ -215,7 +236,8 @@ def _npz(path: str | Path) -> Path:
 
 # what NumPy, zipfile and json raise on damaged files
 _UNREADABLE = (
-    OSError, EOFError, ValueError, KeyError, TypeError, IndexError, RuntimeError,
-    NotImplementedError, zipfile.BadZipFile, zlib.error,
+    ApproxJacError, OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, IndexError,
+    RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
+_ARRAYS = tuple(f.name for f in fields(Trajectory) if f.name not in (*_TEXTS, "scene"))

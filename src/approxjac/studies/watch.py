@@ -51,37 +51,38 @@ class Watched:
         effort: What its torques must not exceed, shape (n_v,) [N m or N].
 
     Attributes:
+        controller: The controller.
         tally: The count.
     """
 
     def __init__(self, controller: Controller, effort: Array) -> None:
         self.tally = Tally()
-        self._controller = controller
+        self.controller = controller
         self._effort = effort
         self._last = -math.inf
 
     @property
     def task(self) -> Task | None:
         """That of the controller."""
-        return getattr(self._controller, "task", None)
+        return getattr(self.controller, "task", None)
 
     @property
     def dt(self) -> float | None:
         """That of the controller [s]."""
-        return getattr(self._controller, "dt", None)
+        return getattr(self.controller, "dt", None)
 
     @property
     def n_state(self) -> int:
         """That of the controller."""
-        return self._controller.n_state
+        return self.controller.n_state
 
     def initial_state(self, measurement: Measurement) -> Array:
         """That of the controller."""
-        return self._controller.initial_state(measurement)
+        return self.controller.initial_state(measurement)
 
     def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
         """What the controller answers."""
-        answer = self._controller.evaluate(state, measurement, target)
+        answer = self.controller.evaluate(state, measurement, target)
         if measurement.t > self._last:  # `simulate` asks for the first answer twice
             self._last = measurement.t
             self._count(answer)

@@ -1,0 +1,120 @@
+"""Observers of sampled runs: they see every step, and change nothing unless they mean to."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+
+
+def parts(panda, believed_length=0.0):
+    truth = panda.with_object(0.2, 0.5, axis="x")
+    belief = panda.with_object(believed_length, 0.0, axis="x")
+    plant = aj.Plant(truth, aj.PositionTask(truth))
+    gravity = aj.AdaptiveGravity(aj.GravityRegressor(belief), L=0.5, alpha=2.0)
+    gains = aj.Gains(kp=400.0, kv=80.0, damping=1.0)
+    controller = aj.SetpointController(aj.PositionTask(belief), gains, gravity=gravity)
+    return plant, controller, plant.sensor.value(START) + [0.05, -0.05, 0.05]
+
+
+def run(panda, observer=None, **options):
+    plant, controller, target = parts(panda)
+    options = {"duration": 0.2, "dt": 1e-3, **options}
+    return aj.simulate(plant, controller, target, START, observer=observer, **options)
+
+
+def test_an_observer_that_looks_changes_no_bit(panda):
+    seen = []
+
+    def look(loop):
+        seen.append((loop.t, *loop.truth.q, *loop.answer.torque, *loop.state, *loop.measurement.x))
+
+    alone, watched = run(panda), run(panda, look)
+    for field in dataclasses.fields(alone):
+        if field.name != "scene":
+            a, b = getattr(alone, field.name), getattr(watched, field.name)
+            assert_array_equal(a, b)
+    expected = np.column_stack([alone.t, alone.q, alone.tau, alone.state, alone.x_measured])
+    assert_array_equal(np.array(seen), expected)  # every step, once
+
+
+def test_it_moves_the_target(panda):
+    _, _, first = parts(panda)
+    second = first + [0.0, 0.1, 0.0]
+
+    def move(loop):
+        if loop.step == 100:
+            loop.aim_at(second)
+
+    moved, alone = run(panda, move, duration=4.0, record_every=0.05), run(panda)
+    assert_array_equal(moved.x_d[:3], np.tile(first, (3, 1)))  # that of 0.1 s had the first one
+    assert_array_equal(moved.x_d[3:], np.tile(second, (78, 1)))
+    assert_array_equal(moved.target, second)
+    assert_allclose(moved.error, moved.x - moved.x_d)
+    assert_array_equal(moved.q[:3], alone.q[:101:50])
+    assert moved.error_norm[3] > moved.error_norm[2] + 0.01
+    assert moved.error_norm[-1] < 0.03  # it follows
+
+
+def test_it_exchanges_the_controller_which_goes_on_with_what_was_learnt(panda):
+    better = parts(panda, 0.15)[1]
+    states = {}
+
+    def exchange(loop):
+        states[loop.step] = loop.state
+        if loop.step == 100:
+            loop.exchange(better)
+
+    changed, alone = run(panda, exchange), run(panda)
+    assert_array_equal(changed.tau[:101], alone.tau[:101])
+    assert np.abs(changed.tau[101] - alone.tau[101]).max() > 1e-3
+    assert_array_equal(states[101], alone.state[101])  # as the rate was that of the first one
+    assert changed.scene.belief == better.task.robot
+
+
+def test_a_controller_that_does_not_fit_is_refused(panda):
+    belief = panda.with_object(0.0)
+    task = aj.PositionTask(belief)
+    known = aj.SetpointController(task)
+    other = aj.SetpointController(aj.PositionTask(belief, axes="xy"))
+    rated = aj.TorqueLimited(known, aj.Limits(effort=80.0, rate=1e3), dt=2e-3)
+    for controller, message in (
+        (known, r"controller must have a state of length \d+ to go on with, got .* with 0"),
+        (other, "must have the coordinates of the plant's sensor"),
+        (rated, r"dt must be that of the controller, 0.002 \[s\]"),
+        (aj.SetpointController, r"controller must be a controller, such as SetpointController"),
+    ):
+        with pytest.raises(aj.InvalidInputError, match=message):
+            run(panda, lambda loop, new=controller: loop.exchange(new))
+
+
+@pytest.mark.parametrize("every", [None, 0.02])
+def test_it_stops_the_run(panda, every):
+    def stop(loop):
+        if loop.t >= 0.05:
+            loop.stop()
+
+    alone, stopped = run(panda), run(panda, stop, record_every=every)
+    assert stopped.t[-1] == pytest.approx(0.05)
+    assert_array_equal(stopped.q[-1], alone.q[50])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dt": None}, "dt must be given for an observer: it looks at every step"),
+        ({"observer": "me"}, "observer must be a function of a SampledLoop, got 'me'"),
+    ],
+)
+def test_what_is_no_observer_is_refused(panda, options, message):
+    with pytest.raises(aj.InvalidInputError, match=message):
+        run(panda, **{"observer": lambda loop: None, **options})
+
+
+def test_a_target_that_is_none_is_refused(panda):
+    with pytest.raises(aj.InvalidInputError, match=r"target must have shape \(3,\)"):
+        run(panda, lambda loop: loop.aim_at([0.1, 0.2]))

@@ -1,0 +1,192 @@
+"""What a run records of the law, V and the scene, and what a file keeps of them."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac import law
+from approxjac.simulation.scene import features
+
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+GAINS = aj.Gains(kp=[300.0, 400.0, 500.0], kv=80.0, damping=1.5)
+
+
+def belief_of(panda):
+    return panda.with_object(0.05, 0.0, axis="x")
+
+
+def reach(panda, controller_of, *, dt=1e-3, axes="xyz"):
+    truth = panda.with_object(0.2, 0.5, axis="x")
+    plant = aj.Plant(truth, aj.PositionTask(truth, axes=axes))
+    controller = controller_of(aj.PositionTask(belief_of(panda), axes=axes))
+    target = plant.sensor.value(START) + 0.05
+    run = aj.simulate(plant, controller, target, START, 0.05, dt=dt, record_every=0.005)
+    return plant, controller, run
+
+
+def setpoint(task, **options):
+    regressor = aj.GravityRegressor(task.robot)
+    options = {"gravity": aj.AdaptiveGravity(regressor, L=0.5, alpha=2.0), **options}
+    return aj.SetpointController(task, GAINS, **options)
+
+
+def test_the_task_torque_is_the_law_without_damping_and_gravity(panda):
+    _, controller, run = reach(panda, setpoint)
+    task = controller.task
+    Z = controller.adaptation.regressor
+    for k in range(len(run.t)):
+        rest = -1.5 * run.v[k] + Z.Z(run.q[k]) @ run.state[k]
+        assert_allclose(run.task_torque[k], run.tau[k] - rest, atol=1e-9)
+        J_hat = task.jacobian(run.q[k])
+        F = np.array([300.0, 400.0, 500.0]) * run.error[k] + 80.0 * J_hat @ run.v[k]
+        assert_allclose(run.task_torque[k], -J_hat.T @ F, atol=1e-9)
+
+
+def test_the_task_torque_of_law_5_has_the_measured_velocity(panda):
+    def controller_of(task):
+        return setpoint(
+            task, gravity=aj.NoGravity(task.robot), velocity=aj.DifferentiatedVelocity()
+        )
+
+    _, _, run = reach(panda, controller_of)
+    assert_allclose(run.task_torque, run.tau + 1.5 * run.v, atol=1e-9)
+
+
+def test_limiters_show_the_torque_that_the_law_wants(panda):
+    limits = aj.Limits(effort=10.0)
+    _, _, free = reach(panda, setpoint)
+    for limited in (aj.TorqueClipped, aj.TorqueLimited):
+        _, _, run = reach(panda, lambda task, kind=limited: kind(setpoint(task), limits))
+        assert_allclose(run.task_torque[0], free.task_torque[0])
+        assert np.abs(run.tau).max() <= 10.0 < np.abs(free.tau).max()
+        assert_allclose(run.V[0], free.V[0])
+
+
+def test_laws_without_a_task_force_or_V_have_none(panda):
+    class Nothing:
+        n_state = 0
+
+        def initial_state(self, measurement):
+            return np.zeros(0)
+
+        def evaluate(self, state, measurement, target):
+            e = measurement.x - target
+            return aj.Evaluation(np.zeros(7), np.zeros(0), aj.Status.OK, e)
+
+    _, _, run = reach(panda, lambda task: Nothing())
+    assert np.isnan(run.task_torque).all()
+    assert np.isnan(run.V).all()
+    assert run.scene.belief is run.scene.task is None
+
+
+@pytest.mark.parametrize("learnt", [True, False])
+def test_V_is_that_of_the_analysis(panda, learnt):
+    """The record's V against `lyapunov`, which refuses what it is not for."""
+    options = {} if learnt else {"gravity": None}
+    plant, controller, run = reach(panda, lambda task: setpoint(task, **options), dt=None)
+    theta = controller.adaptation.regressor.fit(plant.robot)[0] if learnt else None
+    for k in (0, 4, 10):
+        state = run.state[k] if learnt else None
+        V, _ = aj.lyapunov(
+            plant, controller, run.q[k], run.v[k], run.target, controller.alpha,
+            state=state, theta=theta,
+        )  # fmt: skip
+        assert_allclose(run.V[k], V, rtol=1e-9)
+    assert run.V[0] > run.V[-1] > 0.0
+
+
+def test_V_at_a_singular_pose_is_finite():
+    arm = aj.load_robot("two_link")
+    task, q = aj.PositionTask(arm, axes="xz"), np.zeros(2)
+    run = aj.simulate(aj.Plant(arm, task), aj.SetpointController(task), [1.0, 1.0], q, 0.01)
+    assert law.extreme_singular_values(task.jacobian(q))[0] < 1e-6
+    assert np.isfinite(run.V).all()
+
+
+def test_a_file_keeps_the_scene(panda, tmp_path):
+    _, _, run = reach(panda, setpoint, axes="xzy")
+    again = aj.Trajectory.load(run.save(tmp_path / "run"))
+    for field in dataclasses.fields(run):
+        if field.name != "scene":
+            assert_array_equal(getattr(run, field.name), getattr(again, field.name))
+    assert again.scene.to_dict() == run.scene.to_dict()
+    assert again.scene.truth == run.scene.truth
+    assert again.scene.belief == run.scene.belief != run.scene.truth
+    assert_array_equal(again.scene.sensor.value(run.q[-1]), run.x[-1])
+    assert_array_equal(again.scene.torque_limits, run.scene.truth.effort_limits)
+
+
+CAMERA = aj.PinholeCamera.looking_at(
+    (0.4, 0.0, 0.5), (1.5, -0.8, 0.9), 600.0, (640, 480), distortion=(0.02, -0.01)
+)
+MOUNTED = aj.PinholeCamera(500.0, (640, 480), mount="panda_hand")
+
+
+@pytest.mark.parametrize(
+    "task_of",
+    [
+        aj.PoseTask,
+        lambda robot: aj.ImageTask(robot, CAMERA),
+        lambda robot: aj.ImageTask(
+            robot, CAMERA, points=[(0, 0, 0), (0.05, 0, 0)], depth="measured"
+        ),
+        lambda robot: aj.ImageTask(robot, MOUNTED, None, [(0.6, 0.0, 0.1)], depth=[0.4]),
+        lambda robot: aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0, roll=0.2)),
+        lambda robot: aj.StackedTask(aj.PositionTask(robot, axes="z"), aj.ImageTask(robot, CAMERA)),
+        lambda robot: aj.CombinedTask(aj.ImageTask(robot, CAMERA), np.eye(2)),
+        lambda robot: aj.NonsingularTask(aj.PositionTask(robot), {"panda_joint4": 0.3}),
+    ],
+)
+def test_every_kind_of_task_is_kept(panda, task_of, tmp_path):
+    truth, belief = panda.with_object(0.2, 0.5), panda.with_object(0.0)
+    sensor, task = task_of(truth).measured, task_of(belief)
+    controller = aj.SetpointController(task)
+    x_d = sensor.value(START)
+    run = aj.simulate(aj.Plant(truth, sensor), controller, x_d, START, 0.002, dt=1e-3)
+    again = aj.Trajectory.load(run.save(tmp_path / "run"))
+    for kept, given in ((again.scene.sensor, sensor), (again.scene.task, task)):
+        assert_allclose(kept.value(START), given.value(START), rtol=1e-13)
+        assert kept.measured.labels == given.measured.labels
+        for a, b in zip(features(kept), features(given), strict=True):
+            assert (a.entries, a.frame, a.axes) == (b.entries, b.frame, b.axes)
+            assert type(a.camera) is type(b.camera)
+            assert_array_equal(a.points, b.points)
+            assert len(given.value(START)[a.entries]) == a.entries.stop - a.entries.start
+
+
+def test_a_task_of_ones_own_leaves_the_robots(panda, tmp_path):
+    class Height(aj.PositionTask):
+        def value(self, q):
+            return super().value(q) + 0.1
+
+    task = Height(panda)
+    x_d = task.value(START)
+    run = aj.simulate(
+        aj.Plant(panda, task), aj.SetpointController(task), x_d, START, 0.002, dt=1e-3
+    )
+    again = aj.Trajectory.load(run.save(tmp_path / "run"))
+    assert again.scene.sensor is again.scene.task is None
+    assert again.scene.truth == again.scene.belief == panda
+
+
+def test_a_damaged_scene_is_a_named_error(panda, tmp_path):
+    _, _, run = reach(panda, setpoint)
+    path = run.save(tmp_path / "run")
+    with np.load(path) as file:
+        arrays = dict(file)
+    texts = json.loads(str(arrays.pop("texts")))
+    for change in (
+        {"truth": 3},
+        {"truth": {**texts["scene"]["truth"], "urdf": "<robot/>"}},
+        {"sensor": {"kind": "dance"}},
+        {"sensor": {"kind": "position", "frame": "nowhere", "axes": "xyz"}},
+        {"torque_limits": [1.0]},
+    ):
+        broken = {**texts, "scene": {**texts["scene"], **change}}
+        np.savez(path, texts=np.array(json.dumps(broken)), **arrays)
+        with pytest.raises(aj.TrajectoryFileError, match="is not a trajectory written by"):
+            aj.Trajectory.load(path)
