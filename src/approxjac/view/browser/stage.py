@@ -138,22 +138,45 @@ class Stage:
                     clones.append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
                     commands.append(self._mesh(path, shape, colours.BELIEVED, _GHOST))
+        self._bones(commands)
         return clones
+
+    def _bones(self, commands: list[bytes]) -> None:
+        """Draw a rod along each link that the controller believes longer, shorter or bent.
+
+        Wrong joint origins change no mesh: without it one would see gaps in the ghost only.
+        """
+        g, tree = self._geometry, self._trees["believed"]
+        origins = {joint.name: joint.origin for joint in self._trees["true"].joints}
+        for joint in tree.joints:
+            end = joint.origin[:3, 3]
+            length = float(np.linalg.norm(end))
+            origin = origins.get(joint.name)
+            if length < 1e-6 or (origin is not None and np.allclose(origin, joint.origin)):
+                continue
+            if joint.parent in _objects(self.scene.belief or self.scene.truth):
+                continue  # an object is as long as it is believed to be
+            material = g.MeshLambertMaterial(color=colours.as_number(colours.BELIEVED))
+            rod = g.Mesh(g.Cylinder(length, 0.006 * self.size), material)
+            path = (*tree.paths[joint.parent], f"bone_{len(commands)}")
+            commands.append(self._object(path, rod, _along(end)))
 
     def _markers(self, commands: list[bytes]) -> None:
         """Draw the target, the tips and the arrow of the force, at the origin and of unit size."""
         g, r = self._geometry, 0.013 * self.size
+        # seen through the arm, in which tips often are
+        look = {"side": 0, "transparent": True, "depthTest": False, "depthWrite": False}
         for name, radius, colour, opacity in (
-            ("target", 1.5 * r, colours.TARGET, 0.85),
-            ("tip", r, colours.TRUE, 1.0),
-            ("measured", 0.7 * r, colours.MEASURED, 1.0),
+            ("target", 2.0 * r, colours.TARGET, 0.5),
             ("believed_tip", r, colours.BELIEVED, 1.0),
+            ("measured", r, colours.MEASURED, 1.0),
+            ("tip", r, colours.TRUE, 1.0),
         ):
             material = g.MeshLambertMaterial(
-                color=colours.as_number(colour), opacity=opacity, transparent=opacity < 1.0
+                color=colours.as_number(colour), opacity=opacity, **look
             )
             commands.append(self._object((name,), g.Mesh(g.Sphere(radius), material)))
-        black = g.MeshLambertMaterial(color=colours.as_number(colours.FORCE))
+        black = g.MeshBasicMaterial(color=colours.as_number(colours.FORCE), **look)
         # three.js' cylinders lie along y; page.js turns and stretches them
         shaft = g.Cylinder(1.0, 0.35 * r)
         head = g.Cylinder(3.2 * r, radiusTop=0.0, radiusBottom=1.1 * r)
@@ -210,11 +233,14 @@ class Stage:
         mesh = g.TriangularMeshGeometry(shape.vertices, shape.faces)
         return self._object(path, g.Mesh(mesh, material))
 
-    def _object(self, path: tuple[str, ...], thing: Any) -> bytes:
+    def _object(self, path: tuple[str, ...], thing: Any, placed: Array | None = None) -> bytes:
+        """A command that puts a thing at a node, as it is or placed (4, 4) in the node's axes."""
         import umsgpack
 
-        command = self._commands.SetObject(thing)
-        packed: bytes = umsgpack.packb({**command.lower(), "path": "/".join(path)})
+        command = self._commands.SetObject(thing).lower() | {"path": "/".join(path)}
+        if placed is not None:
+            command["object"]["object"]["matrix"] = placed.T.ravel().tolist()
+        packed: bytes = umsgpack.packb(command)
         return packed
 
     def _node(self, role: str, mount: str | None) -> tuple[str, ...]:
@@ -232,6 +258,16 @@ def _joints(tree: Tree) -> list[dict[str, Any]]:
         }
         for joint in tree.joints
     ]
+
+
+def _along(end: Array) -> Array:
+    """Placement (4, 4) of a cylinder of three.js, which lies along y, from the origin to `end`."""
+    y = end / np.linalg.norm(end)
+    x = np.cross(y, np.eye(3)[np.abs(y).argmin()])
+    x = x / np.linalg.norm(x)
+    placed = np.eye(4)
+    placed[:3] = np.column_stack([x, y, np.cross(x, y), 0.5 * end])
+    return placed
 
 
 def _objects(robot: Robot) -> set[str]:

@@ -91,7 +91,12 @@ def viewpoint(
         elif abs(normal[2]) > 0.9:  # a floor plan is looked at from its near side
             direction = normal + np.array([0.0, -0.8, 0.0])
     else:
-        direction = _widest(moving, points, stands)
+        views = [
+            camera["corner"] + 0.5 * (camera["right"] + camera["down"]) - camera["apex"]
+            for camera in cameras
+            if camera["mount"] is None
+        ]
+        direction = _widest(moving, points, stands, views)
     return {
         "direction": direction / np.linalg.norm(direction),
         "points": _outermost(points),
@@ -99,8 +104,18 @@ def viewpoint(
     }
 
 
-def _widest(moving: Array, points: Array, stands: list[Array]) -> Array:
-    """The direction from which the motion, the arm and the cameras lie widest apart."""
+def _widest(moving: Array, points: Array, stands: list[Array], views: list[Array]) -> Array:
+    """The direction from which the motion, the arm and the cameras lie widest apart.
+
+    Of cameras one sees most from half beside them: neither their image from its edge nor all that
+    they look at behind it.
+
+    Args:
+        moving: What the eye shall follow, shape (n, 3) [m].
+        points: What must be in view, shape (N, 3) [m].
+        stands: Where cameras are, each (3,) [m].
+        views: Where they look, each (3,).
+    """
     moving = moving[np.isfinite(moving).all(axis=1)]
     parts = [(moving, 1.0), (points, 0.15), (np.array([points.mean(axis=0), *stands]), 0.15)]
     best, found = -np.inf, np.array([1.0, -1.0, 0.0])
@@ -108,6 +123,9 @@ def _widest(moving: Array, points: Array, stands: list[Array]) -> Array:
         azimuth = np.deg2rad(degrees)
         right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
         width = sum(weight * float(np.std(p @ right)) for p, weight in parts if len(p) > 1)
+        for view in views:
+            along = abs(float(view[:2] @ right[:2])) / float(np.linalg.norm(view))
+            width -= 0.3 * float(np.std(points)) * abs(along - 0.75)
         # of two that show the same, the one in front of the arm
         width += 1e-3 * np.cos(azimuth + np.pi / 4)
         if width > best:

@@ -61,6 +61,9 @@ approxjac.ImagePlane = class {
     const side = image.down ? 1 : -1;
     this.toPage = (u, v) => [x0 + scale * (u - 0.5 * (u0 + u1)), y0 + side * scale * (v - 0.5 * (v0 + v1))];
     this.fromPage = (x, y) => [(x - x0) / scale + 0.5 * (u0 + u1), side * (y - y0) / scale + 0.5 * (v0 + v1)];
+    const halfWidth = scale * (0.5 * (u1 - u0) + room), halfHeight = scale * (0.5 * (v1 - v0) + room);
+    Object.assign(edge, { left: x0 - halfWidth, right: width - x0 - halfWidth,
+      top: y0 - halfHeight, bottom: height - y0 - halfHeight });
     const ctx = canvas.getContext("2d");
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     ctx.clearRect(0, 0, width, height);
@@ -168,9 +171,9 @@ approxjac.ImagePlane = class {
       ctx.fillText(text, edge.left - 5, y + 4);
     });
     ctx.textAlign = "center";
-    ctx.fillText(`${image.labels[0]} [${image.unit}]`, 0.5 * (edge.left + right), height - 6);
+    ctx.fillText(`${image.labels[0]} [${image.unit}]`, 0.5 * (edge.left + right), bottom + 29);
     ctx.save();
-    ctx.translate(11, 0.5 * (edge.top + bottom));
+    ctx.translate(edge.left - 44, 0.5 * (edge.top + bottom));
     ctx.rotate(-Math.PI / 2);
     ctx.fillText(`${image.labels[1]} [${image.unit}]`, 0, 0);
     ctx.restore();

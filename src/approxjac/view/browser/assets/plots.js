@@ -19,7 +19,7 @@ approxjac.Plot = class {
         { ...axis, size: 46, label: spec.unit, labelSize: 16, space: 26 },
       ],
       series: [{}, ...spec.labels.map((label, i) => ({
-        label, stroke: spec.colours[i], width: 1.5, points: { show: false },
+        label, stroke: spec.colours[i], width: 1.5, points: { show: false }, pxAlign: 0,
       }))],
       hooks: { drawAxes: [(u) => this._lines(u)], setSize: [() => this.mark()], setScale: [() => this.mark()] },
     }, this.arrays, this.area);

@@ -82,7 +82,8 @@ approxjac.Scene = class {
   _ghost() {
     if (!this.viewer.scene_tree.children.believed) return;
     this.object(["believed"]).traverse((object) => {
-      if (!object.isMesh || object.parent.name.startsWith("camera") || object.name === "image") return;
+      if (!object.isMesh || object.parent.name.startsWith("camera") ||
+        object.parent.name.startsWith("bone")) return;
       Object.assign(object.material, {
         transparent: true, opacity: 0.42, depthWrite: true, side: MeshCat.THREE.FrontSide,
         polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4,
@@ -95,11 +96,14 @@ approxjac.Scene = class {
   _moving(data) {
     const THREE = MeshCat.THREE, { viewer } = this, colours = this.data.colours, size = this.data.size;
     this.markers = {};
-    for (const name of ["target", "tip", "measured", "believed_tip"]) {
+    // they are drawn over the arm, in this order
+    ["target", "believed_tip", "measured", "tip"].forEach((name, i) => {
       this.markers[name] = this.object([name]);
-    }
+      this.object([name, "<object>"]).renderOrder = 10 + i;
+    });
     this.force = { node: this.object(["force"]), shaft: this.object(["force", "shaft"]),
       head: this.object(["force", "head"]) };
+    for (const part of ["shaft", "head"]) this.object(["force", part, "<object>"]).renderOrder = 9;
     const dot = new THREE.SphereGeometry(0.009 * size, 12, 8);
     const line = new THREE.CylinderGeometry(0.0022 * size, 0.0022 * size, 1, 6);
     this.images = [];
