@@ -245,6 +245,26 @@ class SetpointController(CheckedController):
             posture=self.posture,
         )
 
+    def with_task(self, task: Task) -> SetpointController:
+        """Return this controller with another task, such as that of another believed robot.
+
+        Gravity, and what is learnt of it, stays that of the robot that it was made for.
+
+        Args:
+            task: A task with the same coordinates, of a robot with the same joints.
+        """
+        gravity = self.gravity
+        if self.adaptation is not None:
+            gravity = AdaptiveGravity(*self.adaptation)
+        return type(self)(
+            task,
+            self.gains,
+            gravity=gravity,
+            saturation=self.saturation,
+            velocity=self.velocity,
+            posture=self.posture,
+        )
+
     def _answer(
         self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
     ) -> Evaluation:
