@@ -177,7 +177,9 @@ class SetpointController(CheckedController):
         J_hat, kp, kv = answer.J_hat, self.diagonals.kp, self.diagonals.kv
         assert J_hat is not None  # this controller has one
         s = np.nan_to_num(self.saturation.s(answer.e))
-        x_dot = J_hat @ v if self.velocity is None else answer.state_rate[self._p :]
+        # what limits it or holds measurements for it adds its own state at the end
+        rate = answer.state_rate[self._p : self._n_state]
+        x_dot = J_hat @ v if self.velocity is None else rate
         torque: Array = -(kp * s + kv * x_dot) @ J_hat
         return torque
 
