@@ -29,7 +29,7 @@ start, goal = np.radians([60.0, 90.0]), np.radians([90.0, 90.0])
 target = plant.sensor.value(goal)
 
 figure, axes = view.new_figure(
-    columns=2, rows=2, title="A camera believed to be rolled by 60 degrees, with two gain ratios a"
+    columns=2, rows=2, title="Errors of the image and paths: a camera believed to be rolled by 60°"
 )
 for left, right, kv in ((axes[0], axes[1], 5000.0), (axes[2], axes[3], 10000.0)):
     controller = aj.SetpointController(

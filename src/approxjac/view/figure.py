@@ -15,7 +15,11 @@ class StyledFigure(Figure):
 
     def draw(self, renderer: Any) -> None:
         """Draw it in the look: ticks are made only now, from the settings of this moment."""
+        layout = self.get_layout_engine()
         with style():
+            # one pass takes the room beside an image of fixed shape for room under its legend
+            if layout is not None and any(ax.get_aspect() != "auto" for ax in self.axes):
+                layout.execute(self)
             super().draw(renderer)
 
     def _repr_png_(self) -> bytes:

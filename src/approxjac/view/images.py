@@ -71,7 +71,7 @@ def plot_image(
             label = "path" if k == 1 else f"path {i + 1}"
             # an image that is held is one image; as pixels, or files would grow with the run
             new = np.append(True, (np.diff(measured[:, i], axis=0) != 0.0).any(axis=1))
-            ax.plot(*measured[new, i].T, ".", color=color, ms=3, mew=0, alpha=0.25, zorder=1,
+            ax.plot(*measured[new, i].T, ".", color=color, ms=4, mew=0, alpha=0.5, zorder=1,
                     rasterized=True)  # fmt: skip
             ax.plot(*true[:, i].T, color=color, label=label)
         ax.plot(*true[0].T, "o", color=NEUTRAL, mfc="white", ms=7, label="start", zorder=4)

@@ -37,6 +37,7 @@ _LEGEND = 36.0  # below the axes, under their ticks and their label [pt]
 _LEGEND_WIDTH = 270.0  # of a plot of usual size [pt]; a letter takes 4.4 of them, a line 34
 
 _RC: Mapping[str, Any] = {
+    "axes.axisbelow": True,
     "axes.grid": True,
     "axes.spines.right": False,
     "axes.spines.top": False,
@@ -48,6 +49,7 @@ _RC: Mapping[str, Any] = {
     "grid.alpha": 0.3,
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
+    "path.simplify_threshold": 0.5,  # pixels, unseen; a third of the file where torques are rough
     "svg.hashsalt": "approxjac",  # the same SVG from the same run
 }
 
