@@ -153,12 +153,17 @@ def plot_path(
         title: Of the axes; says frame and plane by default.
 
     Raises:
-        InvalidInputError: A plane, a posture or a target of another shape.
+        InvalidInputError: A plane, a posture or a target of another shape, or another arm.
     """
     rows = axis_rows("plane", plane)
     if len(rows) != 2:
         raise InvalidInputError(
             f"plane must name two world axes, such as 'xz', got {plane!r}", given=plane
+        )
+    if believed is not None and believed.joint_names != robot.joint_names:
+        raise InvalidInputError(
+            f"believed must have the joints of the robot, got {', '.join(believed.joint_names)}",
+            given=believed,
         )
     seen = None if believed is None else _tips(run, believed, believed.tip_or(frame))[:, rows]
     frame = robot.tip_or(frame)
