@@ -169,7 +169,8 @@ def test_a_notebook_shows_a_figure_of_the_library_and_leaves_those_of_users_alon
 def test_pictures_of_long_rough_runs_are_small(run, image_run, seen, tmp_path):
     t = np.linspace(0.0, 10.0, 10_001)
     rough = rng.normal(size=(len(t), 7))
-    long = dataclasses.replace(run, t=t, error=rough[:, :3], tau=rough)
+    errors = np.exp(-np.outer(t, [1.0, 2.0, 3.0]))  # of a true arm: smooth
+    long = dataclasses.replace(run, t=t, error=errors, tau=rough)
     paths = view.save_figure(view.plot_run(long)[0], tmp_path / "run")
     images = np.cumsum(rough[:, :4], axis=0) + 200.0
     noisy = images + rng.normal(size=images.shape)

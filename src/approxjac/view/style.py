@@ -49,7 +49,7 @@ _RC: Mapping[str, Any] = {
     "grid.alpha": 0.3,
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
-    "path.simplify_threshold": 0.5,  # pixels, unseen; a third of the file where torques are rough
+    "path.simplify_threshold": 0.3,  # pixels, hardly seen; half the file where torques are rough
     "svg.hashsalt": "approxjac",  # the same SVG from the same run
 }
 
