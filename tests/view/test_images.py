@@ -1,5 +1,6 @@
 import dataclasses
 
+import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -127,6 +128,9 @@ def test_lanes_are_where_things_were_so():
     assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b", "never"]
     assert boxes[0][0].y1 < boxes[1][0].y0
     assert ax.yaxis_inverted()
+    coloured = view.plot_lanes(t, {"a": t < 1.5, "b": t > 1.5}, colors={"b": view.SATURATED})
+    faces = [matplotlib.colors.to_hex(lane.get_facecolor()[0]) for lane in coloured.collections]
+    assert faces == [view.NEUTRAL.lower(), view.SATURATED.lower()]
     with pytest.raises(aj.InvalidInputError, match=r"lane 'c' must have shape \(4,\), got \(2,\)"):
         view.plot_lanes(t, {"c": t[:2] > 0.0})
 
