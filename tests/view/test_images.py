@@ -59,8 +59,8 @@ def test_the_border_is_the_field_of_view_and_v_points_down(run, sensor):
 
 def test_depths_that_are_measured_are_no_image(run, sensor):
     x = np.insert(run.x, (2, 4), 1.0, axis=1)
-    target = np.insert(run.target, (2, 4), 1.0)
-    deep = dataclasses.replace(run, x=x, x_measured=x, target=target)
+    x_d = np.insert(run.x_d, (2, 4), 1.0, axis=1)
+    deep = dataclasses.replace(run, x=x, x_measured=x, x_d=x_d)
     assert_allclose(drawn(view.plot_image(deep, sensor.camera))["path 2"], run.x[:, 2:])
 
 
