@@ -28,7 +28,7 @@ _AGGRESSIVE = 5.0
 # It gets stuck in the slivers that CAD writes, unless vertices that are close are welded: those in
 # the same cell of a grid. Wider cells are for what narrower ones do not get small enough, the
 # widest for what has many small parts.
-_CELLS = (0.2, 0.6, 1.8, 3.6, 7.2)
+_CELLS = (0.2, 0.6, 1.8, 5.4)
 _THIN = 1.0  # of narrower cells the two sides of a thin wall stay apart
 
 _SHARP = np.deg2rad(35.0)  # edges sharper than this stay edges when shaded smoothly
@@ -144,9 +144,9 @@ def shares(counts: Sequence[int], sizes: Sequence[float], budget: float) -> list
     has, weight = np.array(counts, dtype=float), np.array(sizes)
 
     def given(rate: float) -> Array:
-        return np.minimum(has, np.maximum(FEW, np.floor(rate * weight)))
+        return np.asarray(np.minimum(has, np.maximum(FEW, np.floor(rate * weight))))
 
-    if has.sum() <= budget:
+    if not len(has) or has.sum() <= budget:
         return list(counts)
     low, high = 0.0, float((has / weight).max())
     for _ in range(60):
