@@ -42,12 +42,7 @@ print(run)
 title = "A Panda with a 20 cm tool that its controller believes absent"
 figure, (left, middle, right) = view.new_figure(3, title=title)
 view.plot_error(run, left)
-view.plot_path(run, truth, plane="xz", ax=middle)
-tips = np.array([aj.PositionTask(belief).value(q) for q in run.q])
-middle.plot(tips[:, 0], tips[:, 2], color="#CC79A7", label="believed tip", zorder=5)
-middle.plot(tips[-1, 0], tips[-1, 2], "o", color="#CC79A7", ms=4, zorder=5)
-middle.plot(target[0], target[2], "x", color="#555555", ms=8, label="target", zorder=5)
-view.legend_below(middle)
+view.plot_path(run, truth, plane="xz", ax=middle, believed=belief, target=target)
 view.plot_torque(run, right)
 for path in view.save_figure(figure, out / "panda_unknown_tool"):
     print(path)

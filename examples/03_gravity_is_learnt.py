@@ -35,7 +35,7 @@ gravities = {
 q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 target = plant.sensor.value(q0) + [0.10, -0.10, 0.10]
 
-figure, axes = view.new_figure(2, title="A Panda with 1.5 kg that it believes absent")
+figure, axes = view.new_figure(2, title="Task error of a Panda with 1.5 kg that it believes absent")
 for ax, (name, gravity) in zip(axes, gravities.items(), strict=True):
     controller = aj.SetpointController(task, gains, gravity=gravity)
     run = aj.simulate(plant, controller, target, q0, duration=10.0, dt=2e-3)

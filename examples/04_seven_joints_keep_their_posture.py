@@ -30,7 +30,7 @@ ARMS = {
     ),
 }
 PUSHED = np.array([0.3, 0.2, -0.5, -0.2, 0.4, 0.2, 0.0])  # how far from home an arm starts
-POSTURE, COLORS = 10.0, {"damped only": "#D55E00", "posture kept": "#0072B2"}
+POSTURE, COLORS = 10.0, {"damped only": view.COLORS[1], "posture kept": view.COLORS[0]}
 
 figure, axes = view.new_figure(3, 2, title="Seven joints, three coordinates, an unknown tool")
 for column, (name, (home, tool)) in enumerate(ARMS.items()):
@@ -53,8 +53,14 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
         error.semilogy(run.t, 1e3 * run.error_norm, color=COLORS[label], label=label)
         away.plot(run.t, distance, color=COLORS[label], label=label)
     with view.style():
-        error.set(xlabel="time [s]", ylabel="‖x − x_d‖ [mm]", title=f"Task error: {name}")
-        away.set(xlabel="time [s]", ylabel="‖q − q_home‖ [rad]", title=f"Posture: {name}")
+        error.set(
+            xlabel="time [s]", ylabel="‖x − x_d‖ [mm]", title=f"Size of the task error: {name}"
+        )
+        away.set(
+            xlabel="time [s]",
+            ylabel="‖q − q_home‖ [rad]",
+            title=f"Distance from the posture: {name}",
+        )
     view.legend_below(error)
     view.legend_below(away)
 for path in view.save_figure(figure, out / "seven_joints"):

@@ -49,9 +49,8 @@ print(
 figure, axes = view.new_figure(3, 2, title="Out of a singular pose, with an unknown object")
 for row, (name, run) in enumerate(runs.items()):
     view.plot_error(run, axes[3 * row], title=f"Task error: {name}")
-    view.plot_torque(run, axes[3 * row + 1])
-    path = view.plot_path(run, truth, plane="xz", ax=axes[3 * row + 2])
-    path.plot(target[0], target[1], "x", color="#555555", ms=9, mew=2, label="target", zorder=6)
-    view.legend_below(path)
+    view.plot_torque(run, axes[3 * row + 1], title=f"Torque of each joint: {name}")
+    in_world = (target[0], 0.0, target[1])
+    view.plot_path(run, truth, plane="xz", ax=axes[3 * row + 2], target=in_world)
 for path in view.save_figure(figure, out / "singular_pose"):
     print(path)

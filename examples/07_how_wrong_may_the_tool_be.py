@@ -53,7 +53,7 @@ NAMES = {"theorem1": "Theorem 1", "matrix": "matrix form", "local": "local test,
 with view.style():
     for (test, lengths), color, marker in zip(tolerated.items(), view.COLORS, "os^", strict=False):
         ax.loglog(DAMPING, lengths, color=color, marker=marker, label=NAMES[test])
-    ax.axhline(0.30, color="0.4", linestyle="--", label="the tools of up to 30 cm")
+    ax.axhline(0.30, color=view.NEUTRAL, linestyle="--", label="the tools of up to 30 cm")
     ax.set_xticks(DAMPING, [f"{damping:g}" for damping in DAMPING])
     ax.set_xticks([], minor=True)
     ax.set(

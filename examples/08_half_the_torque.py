@@ -51,12 +51,13 @@ for row, (name, limiter) in enumerate(
         f"{statuses}"
     )
     view.plot_error(run, axes[3 * row], title=f"Task error: {name}")
-    view.plot_torque(run, axes[3 * row + 1], limits=limits.effort, title="Torque")
+    view.plot_torque(run, axes[3 * row + 1], limits=limits.effort, title=f"Torque: {name}")
     with view.style():
         speeds = axes[3 * row + 2]
-        speeds.plot(run.t, np.abs(run.v) / arm.velocity_limits)
-        speeds.axhline(1.0, color="#555555", linestyle="--")
+        speeds.plot(run.t, np.abs(run.v) / arm.velocity_limits, label=arm.joint_names)
+        speeds.axhline(1.0, color=view.NEUTRAL, linewidth=1.0, linestyle="--", label="limit")
         speeds.set_ylim(0.0, 11.0)  # the same for both
-        speeds.set(xlabel="time [s]", ylabel="speed / limit", title="Speed of each joint")
+        speeds.set(xlabel="time [s]", ylabel="|q̇| / limit [–]", title=f"Speed: {name}")
+        view.legend_below(speeds)
 for path in view.save_figure(figure, out / "half_the_torque"):
     print(path)

@@ -56,10 +56,10 @@ print(f"RMS of each coordinate over the last second: {np.sqrt((last**2).mean(axi
 figure, axes = view.new_figure(
     2, 2, size=(11.5, 10.5), title="Two points of an unknown tool, in an uncalibrated camera"
 )
-view.plot_image(run, camera, axes[0], title="Image plane of the true camera")
-view.plot_error(run, axes[1], title="Error of each coordinate")
+view.plot_image(run, camera, axes[0], title="Paths of the points in the true camera's image")
+view.plot_error(run, axes[1])
 for ax, q, when in ((axes[2], start, "start"), (axes[3], run.q[-1], "end")):
-    title = f"What the camera sees, and is believed to see: {when}"
+    title = f"What the camera sees, and what is believed: {when}"
     view.plot_camera_view(sensor, q, ax, believed=task.task, target=target, title=title)
 for path in view.save_figure(figure, out / "camera_in_the_room"):
     print(path)

@@ -54,14 +54,17 @@ vision = aj.Sensing(x_rate=30.0, x_delay=0.03, x_noise=0.5)
 plant = aj.Plant(truth, sensor, sensing=vision, torque_limits=truth.effort_limits)
 
 figure, axes = view.new_figure(
-    3, 2, size=(15.0, 10.0), title="An eye in the hand that is not known"
+    3,
+    2,
+    size=(15.0, 10.0),
+    title="A camera on the hand, calibrated badly: law (6) above, the classical law below",
 )
 for row, (name, law) in enumerate(laws.items()):
     held = aj.HeldMeasurement(law, unseen=40.0)
     run = aj.simulate(plant, held, target, start, 5.0, dt=1e-3, integrator="semi_implicit_euler")
     print(f"{name}: {run}")
-    view.plot_image(run, camera, axes[3 * row], title=f"Image plane: {name}")
-    view.plot_error(run, axes[3 * row + 1], title="Error of each coordinate")
-    view.plot_torque(run, axes[3 * row + 2], limits=truth.effort_limits, title="Torque")
+    view.plot_image(run, camera, axes[3 * row], title=f"Paths in the image: {name}")
+    view.plot_error(run, axes[3 * row + 1], title=f"Task error: {name}")
+    view.plot_torque(run, axes[3 * row + 2], limits=truth.effort_limits, title=f"Torque: {name}")
 for path in view.save_figure(figure, out / "eye_in_the_hand"):
     print(path)

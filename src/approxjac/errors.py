@@ -65,5 +65,9 @@ class SimulationError(ApproxJacError, RuntimeError):
     """A simulation that could not be carried to its end."""
 
 
+class MissingPackageError(ApproxJacError, ImportError):
+    """A package is not installed that only a part of this library needs."""
+
+
 class TrajectoryFileError(ApproxJacError, ValueError):
     """A file that is missing or does not hold a trajectory."""

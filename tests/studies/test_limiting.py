@@ -75,10 +75,10 @@ def test_what_limits_did_is_counted_in_every_step(done, tmp_path):
 def test_the_picture_shows_slack_and_speeds(done):
     axes = {ax.get_title(): ax for ax in reach_report.draw(done).axes}
     assert len(axes) == 8
-    assert "Slack of V̇ ≤ −W + σ" in axes
-    torque = axes["Torque"].get_lines()[0].get_ydata()
+    assert "Slack σ of V̇ ≤ −W + σ, and status" in axes
+    torque = axes["Torque of each joint"].get_lines()[0].get_ydata()
     assert torque == pytest.approx(done.run.tau[:, 0] / (0.7 * 87.0))
-    speed = axes["Joint speed"].get_lines()[0].get_ydata()
+    speed = axes["Speed of each joint"].get_lines()[0].get_ydata()
     assert speed == pytest.approx(done.run.v[:, 0] / 2.175)
 
 

@@ -249,7 +249,7 @@ def test_the_pictures_show_the_points_the_lanes_and_both_cameras(done, in_hand):
     labels = [line.get_label() for line in error.get_lines()]
     assert labels == ["point 1", "point 2", "tolerance"]
     assert_allclose(error.get_lines()[0].get_ydata(), done.errors[:, 0])
-    assert torque.get_ylabel() == "τ / limit"
+    assert torque.get_ylabel() == "τ / limit [–]"
     assert [label.get_text() for label in lanes.get_yticklabels()] == [
         "new images", "last one held", "too old: brakes", "out of view",
     ]  # fmt: skip

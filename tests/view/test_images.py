@@ -1,5 +1,6 @@
 import dataclasses
 
+import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -58,8 +59,8 @@ def test_the_border_is_the_field_of_view_and_v_points_down(run, sensor):
 
 def test_depths_that_are_measured_are_no_image(run, sensor):
     x = np.insert(run.x, (2, 4), 1.0, axis=1)
-    target = np.insert(run.target, (2, 4), 1.0)
-    deep = dataclasses.replace(run, x=x, x_measured=x, target=target)
+    x_d = np.insert(run.x_d, (2, 4), 1.0, axis=1)
+    deep = dataclasses.replace(run, x=x, x_measured=x, x_d=x_d)
     assert_allclose(drawn(view.plot_image(deep, sensor.camera))["path 2"], run.x[:, 2:])
 
 
@@ -127,6 +128,9 @@ def test_lanes_are_where_things_were_so():
     assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b", "never"]
     assert boxes[0][0].y1 < boxes[1][0].y0
     assert ax.yaxis_inverted()
+    coloured = view.plot_lanes(t, {"a": t < 1.5, "b": t > 1.5}, colors={"b": view.SATURATED})
+    faces = [matplotlib.colors.to_hex(lane.get_facecolor()[0]) for lane in coloured.collections]
+    assert faces == [view.NEUTRAL.lower(), view.SATURATED.lower()]
     with pytest.raises(aj.InvalidInputError, match=r"lane 'c' must have shape \(4,\), got \(2,\)"):
         view.plot_lanes(t, {"c": t[:2] > 0.0})
 

@@ -163,6 +163,11 @@ class BoundedController(CheckedController):
             status = _LOST
         return Evaluation(torque, self._no_rate, status, e, J_hat)
 
+    def with_task(self, task: Task) -> BoundedController:
+        """Return this controller with another task; gains are shared out anew for its bounds."""
+        where = self.joint_range
+        return type(self)(task, self.torque_limits, gravity=self.gravity, joint_range=where)
+
     def __reduce__(self) -> tuple[Any, ...]:
         # a copy has scratch memory of its own, down to that of its task and its gravity
         names = ("task", "torque_limits", "gains", "gravity", "joint_range", "guaranteed")

@@ -100,6 +100,14 @@ class CheckedController(ABC):
         """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
 
     @abstractmethod
+    def with_task(self, task: Task) -> CheckedController:
+        """Return this controller with another task, such as that of another believed robot.
+
+        Args:
+            task: A task with the same coordinates, of a robot with the same joints.
+        """
+
+    @abstractmethod
     def _answer(
         self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
     ) -> Evaluation:

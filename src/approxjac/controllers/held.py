@@ -222,6 +222,11 @@ class HeldMeasurement:
         if not math.isfinite(math.hypot(*state[self._n_inner :].tolist())):
             raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
 
+    def with_task(self, task: Task) -> HeldMeasurement:
+        """Return this for its controller with another task."""
+        controller: Any = self.controller
+        return type(self)(controller.with_task(task), self.unseen, self.dt)
+
     def __reduce__(self) -> tuple[Any, ...]:
         # a copy has scratch memory of its own, down to that of its controller
         return type(self), (self.controller, self.unseen, self.dt)

@@ -172,6 +172,10 @@ class Limiter(abc.ABC):
             raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
         return state[: self._n_inner], before
 
+    def with_task(self, task: Task) -> Limiter:
+        """Return this limiter for its controller with another task."""
+        return type(self)(self.controller.with_task(task), **self._options())
+
     def __reduce__(self) -> tuple[Any, ...]:
         # a copy has scratch memory of its own, down to that of its controller
         return _with_options, (type(self), self.controller, self._options())

@@ -177,7 +177,9 @@ class SetpointController(CheckedController):
         J_hat, kp, kv = answer.J_hat, self.diagonals.kp, self.diagonals.kv
         assert J_hat is not None  # this controller has one
         s = np.nan_to_num(self.saturation.s(answer.e))
-        x_dot = J_hat @ v if self.velocity is None else answer.state_rate[self._p :]
+        # what limits it or holds measurements for it adds its own state at the end
+        rate = answer.state_rate[self._p : self._n_state]
+        x_dot = J_hat @ v if self.velocity is None else rate
         torque: Array = -(kp * s + kv * x_dot) @ J_hat
         return torque
 
@@ -238,6 +240,26 @@ class SetpointController(CheckedController):
         """Return this controller with another source of gravity."""
         return type(self)(
             self.task,
+            self.gains,
+            gravity=gravity,
+            saturation=self.saturation,
+            velocity=self.velocity,
+            posture=self.posture,
+        )
+
+    def with_task(self, task: Task) -> SetpointController:
+        """Return this controller with another task, such as that of another believed robot.
+
+        Gravity, and what is learnt of it, stays that of the robot that it was made for.
+
+        Args:
+            task: A task with the same coordinates, of a robot with the same joints.
+        """
+        gravity = self.gravity
+        if self.adaptation is not None:
+            gravity = AdaptiveGravity(*self.adaptation)
+        return type(self)(
+            task,
             self.gains,
             gravity=gravity,
             saturation=self.saturation,

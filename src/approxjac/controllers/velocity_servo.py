@@ -137,6 +137,11 @@ class VelocityServo(CheckedController):
         status = _LOST if lost else _SINGULAR if damping > 0.0 else _OK
         return Evaluation(moving + g, self._no_rate, status, e, J_hat)
 
+    def with_task(self, task: Task) -> VelocityServo:
+        """Return this controller with another task; gravity stays that of its robot."""
+        own = (self.rate, self.inner_bandwidth, self.gravity, self.saturation)
+        return _copied(type(self), task, *own)
+
     def __reduce__(self) -> tuple[Any, ...]:
         # a copy has scratch memory of its own, down to that of its task and its gravity
         names = ("task", "rate", "inner_bandwidth", "gravity", "saturation")

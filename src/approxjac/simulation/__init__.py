@@ -2,8 +2,9 @@
 
 from approxjac.simulation.mujoco_plant import MujocoPlant
 from approxjac.simulation.plant import Plant
+from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.simulation.sensing import Sensing
 from approxjac.simulation.simulate import simulate
 from approxjac.simulation.trajectory import Trajectory
 
-__all__ = ["MujocoPlant", "Plant", "Sensing", "Trajectory", "simulate"]
+__all__ = ["MujocoPlant", "Plant", "SampledLoop", "Sensing", "Trajectory", "simulate"]

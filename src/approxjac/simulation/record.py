@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,17 @@ from approxjac.simulation.trajectory import Trajectory
 from approxjac.tasks import Task
 
 
+class _Instant(NamedTuple):
+    truth: Measurement
+    x_measured: Array
+    state: Array
+    answer: Evaluation
+    target: Array
+    error: Array
+    task_torque: Array
+    V: float
+
+
 class Record:
     """Collects instants of a run of a plant, and makes a `Trajectory` of them.
 
@@ -25,14 +36,7 @@ class Record:
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self._truths: list[Measurement] = []
-        self._seen: list[Array] = []
-        self._states: list[Array] = []
-        self._answers: list[Evaluation] = []
-        self._targets: list[Array] = []
-        self._errors: list[Array] = []
-        self._task_torques: list[Array] = []
-        self._V: list[float] = []
+        self._kept: list[_Instant] = []
         self._theta: dict[int, Array | None] = {}
 
     def add(
@@ -59,18 +63,14 @@ class Record:
             truth = truth._replace(x=plant.sensor.value(truth.q))
         # to keep it: a controller may use one buffer for all its torques
         answer = answer._replace(torque=answer.torque.copy())
-        self._truths.append(truth)
-        self._seen.append(x_measured)
-        self._states.append(state)
-        self._answers.append(answer)
-        self._targets.append(target)
-        self._errors.append(plant.sensor.error(truth.x, target))
+        error = plant.sensor.error(truth.x, target)
         chain = _chain(controller)
         law: Any = chain[-1]
-        unknown = np.full(plant.robot.nv, np.nan)
-        acts = hasattr(law, "task_torque") and answer.J_hat is not None
-        self._task_torques.append(law.task_torque(answer, truth.v) if acts else unknown)
-        self._V.append(self._lyapunov_value(chain, truth, state, answer, target))
+        task_torque = np.full(plant.robot.nv, np.nan)
+        if hasattr(law, "task_torque") and answer.J_hat is not None:
+            task_torque = law.task_torque(answer, truth.v)
+        V = self._lyapunov_value(chain, truth, state, answer, target)
+        self._kept.append(_Instant(truth, x_measured, state, answer, target, error, task_torque, V))
 
     def trajectory(self, controller: Controller) -> Trajectory:
         """All that was kept, as arrays with time as their first axis.
@@ -78,31 +78,37 @@ class Record:
         Args:
             controller: The last one.
         """
-        plant, answers = self._plant, self._answers
+        plant, kept = self._plant, self._kept
         robot, sensor = plant.robot, plant.sensor
         return Trajectory(
-            t=np.array([truth.t for truth in self._truths]),
-            q=np.array([truth.q for truth in self._truths]),
-            v=np.array([truth.v for truth in self._truths]),
-            x=np.array([truth.x for truth in self._truths]),
-            x_measured=np.array(self._seen),
-            x_d=np.array(self._targets),
-            error=np.array(self._errors),
-            tau=np.array([answer.torque for answer in answers]),
-            task_torque=np.array(self._task_torques),
-            V=np.array(self._V),
-            state=np.array(self._states),
-            status=np.array([int(answer.status) for answer in answers], dtype=np.int64),
-            limit_status=np.array([int(answer.limit_status) for answer in answers], dtype=np.int64),
-            slack=np.array([answer.slack for answer in answers]),
-            sigma_min=np.array([answer.sigma_min for answer in answers]),
+            t=np.array([k.truth.t for k in kept]),
+            q=np.array([k.truth.q for k in kept]),
+            v=np.array([k.truth.v for k in kept]),
+            x=np.array([k.truth.x for k in kept]),
+            x_measured=np.array([k.x_measured for k in kept]),
+            x_d=np.array([k.target for k in kept]),
+            error=np.array([k.error for k in kept]),
+            tau=np.array([k.answer.torque for k in kept]),
+            task_torque=np.array([k.task_torque for k in kept]),
+            V=np.array([k.V for k in kept]),
+            state=np.array([k.state for k in kept]),
+            status=np.array([int(k.answer.status) for k in kept], dtype=np.int64),
+            limit_status=np.array([int(k.answer.limit_status) for k in kept], dtype=np.int64),
+            slack=np.array([k.answer.slack for k in kept]),
+            sigma_min=np.array([k.answer.sigma_min for k in kept]),
             robot_name=robot.name,
             joint_names=robot.joint_names,
             joint_units=robot.joint_units,
             task_labels=sensor.labels,
             task_units=sensor.units,
-            scene=_scene(plant, controller),
+            scene=scene_of(plant, controller),
         )
+
+    def taken(self, controller: Controller) -> Trajectory:
+        """`trajectory`, of which nothing is kept any longer."""
+        run = self.trajectory(controller)
+        self._kept.clear()
+        return run
 
     def _lyapunov_value(
         self,
@@ -134,7 +140,7 @@ class Record:
         return value
 
 
-def _scene(plant: Plant, controller: Controller) -> Scene:
+def scene_of(plant: Plant, controller: Controller) -> Scene:
     """Who takes part in a run."""
     task = getattr(controller, "task", None)
     task = task if isinstance(task, Task) else None

@@ -31,10 +31,10 @@ from approxjac.stability.view import UnattainedError
 
 PARAMETERS: Mapping[str, str] = MappingProxyType(
     {
-        "error": "scale of the errors",
-        "a": "gain ratio k_p / k_v [1/s], k_v kept",
-        "kv": "K_v and K_p, times the controller's",
-        "damping": "added damping B_c, times the controller's",
+        "error": "scale of the errors [–]",
+        "a": "gain ratio k_p / k_v, k_v kept [1/s]",
+        "kv": "K_v and K_p, times the controller's [–]",
+        "damping": "added damping B_c, times the controller's [–]",
     }
 )
 """What a map can have along its axes."""

@@ -32,7 +32,7 @@ def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
         title=f"Figure {experiment.figure}: {experiment.title} "
         f"(K_p = {experiment.kp:g} I, K_v = {experiment.kv:g} I) — {result.verdict}",
     )
-    plot_error(result.run, axes[0], title="Task error in the image")
+    plot_error(result.run, axes[0], title="Error of the image, coordinate by coordinate")
     plot_path(result.run, truth, q_target=setup.target, ax=axes[1])
     plot_torque(result.run, axes[2])
     if learnt:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,14 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
-from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
+from approxjac.simulation import (
+    MujocoPlant,
+    Plant,
+    SampledLoop,
+    Sensing,
+    Trajectory,
+    simulate,
+)
 from approxjac.studies.limiting import limited, limits_from
 from approxjac.studies.postures import posture_from, regular_posture
 from approxjac.studies.reach_result import Reach, Result
@@ -55,9 +63,8 @@ def prepare(robot: str, settings: Settings) -> Reach:
     arm = load_robot(robot, tip=settings.tip, base=settings.base, free=settings.free)
     axis = settings.object_axis or outward_axis(arm)
     truth = arm.with_object(settings.object_length, settings.object_mass, axis=axis)
-    belief = arm.with_object(settings.believed_length, settings.believed_mass, axis=axis)
-    if settings.joint_shifts or settings.joint_rotations:
-        belief = belief.with_kinematic_error(settings.joint_shifts, settings.joint_rotations)
+    believe = partial(_believed, arm, axis, settings)
+    belief = believe(settings.believed_length)
     sensor, task = _task(truth, settings), _task(belief, settings)
     as_number("rate", settings.rate, unit="Hz", above=0.0)
     as_number("tolerance", settings.tolerance, above=0.0)
@@ -84,11 +91,15 @@ def prepare(robot: str, settings: Settings) -> Reach:
     if limits is not None:
         kind, solver = settings.limiter or "qp", settings.solver or "daqp"
         limiter = limited(controller, limits, kind, 1.0 / settings.rate, solver)
-    return Reach(settings, plant, controller, q0, target, limiter, limits)
+    return Reach(settings, plant, controller, q0, target, limiter, limits, believe)
 
 
-def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result:
-    """Simulate a reach and judge it.
+def run(
+    reach: Reach,
+    progress: Callable[[float], None] | None = None,
+    observer: Callable[[SampledLoop], None] | None = None,
+) -> Result:
+    """Simulate a reach and judge it; `progress` and `observer` are those of `simulate`.
 
     Raises:
         SimulationError: The closed loop diverged.
@@ -98,7 +109,7 @@ def run(reach: Reach, progress: Callable[[float], None] | None = None) -> Result
     if reach.limiter is not None and reach.limits is not None:
         watched = Watched(reach.limiter, np.asarray(reach.limits.effort))
     controller = watched or reach.controller
-    record = sampled(reach.plant, controller, reach.target, reach.q0, settings, progress)
+    record = sampled(reach.plant, controller, reach.target, reach.q0, settings, progress, observer)
     above = np.nonzero(record.error_norm > settings.tolerance)[0]
     if len(above) == 0:
         settling = 0.0
@@ -120,6 +131,7 @@ def sampled(
     q0: Array,
     settings: Settings | ServoSettings,
     progress: Callable[[float], None] | None = None,
+    observer: Callable[[SampledLoop], None] | None = None,
 ) -> Trajectory:
     """Simulate for the duration and at the rate of settings, with some 2000 records.
 
@@ -139,6 +151,7 @@ def sampled(
         integrator="semi_implicit_euler",
         seed=settings.seed,
         progress=progress,
+        observer=observer,
     )
 
 
@@ -166,6 +179,14 @@ def outward_axis(robot: Robot) -> str:
     lever = -tip.actInv(data.oMi[wrist].translation)
     k = int(np.abs(lever).argmax())
     return ("" if lever[k] >= 0.0 else "-") + "xyz"[k]
+
+
+def _believed(arm: Robot, axis: str, settings: Settings, length: float) -> Robot:
+    """The arm with the object that the controller believes, of a length [m]."""
+    belief = arm.with_object(length, settings.believed_mass, axis=axis)
+    if settings.joint_shifts or settings.joint_rotations:
+        belief = belief.with_kinematic_error(settings.joint_shifts, settings.joint_rotations)
+    return belief
 
 
 def _task(robot: Robot, settings: Settings) -> Task:

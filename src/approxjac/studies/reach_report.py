@@ -7,11 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from approxjac.checks import Array
 from approxjac.studies.reach import Result
-from approxjac.tasks import FrameKinematics
 from approxjac.view import (
     legend_below,
     new_figure,
@@ -22,7 +19,7 @@ from approxjac.view import (
     save_figure,
     style,
 )
-from approxjac.view.style import COLORS, TARGET
+from approxjac.view.style import COLORS, NEUTRAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -94,21 +91,16 @@ def draw(result: Result) -> Figure:
     plot_error(run, error)
     with style():
         size.semilogy(run.t, run.error_norm, color=COLORS[0])
-        size.axhline(settings.tolerance, color=TARGET, linewidth=1.0, linestyle="--")
+        size.axhline(settings.tolerance, color=NEUTRAL, linewidth=1.0, linestyle="--")
         label = f"‖x − x_d‖ [{run.task_unit}]"
-        size.set(xlabel="time [s]", ylabel=label, title="Size of the error, tolerance dashed")
-    asked = "Torque asked for" if settings.torque_limits is None else "Torque"
+        size.set(
+            xlabel="time [s]", ylabel=label, title="Size of the task error (dashed: tolerance)"
+        )
+    asked = "Torque of each joint" + (", asked for" if settings.torque_limits is None else "")
     plot_torque(run, torque, limits=result.motor_limits, title=asked)
     target = _position(result)
-    believed = FrameKinematics(belief, belief.tip_or(None))
-    seen = np.array([believed.position(q) for q in run.q])
     for ax, plane in zip(paths, ("xz", "xy", "yz"), strict=True):
-        rows = ["xyz".index(axis) for axis in plane]
-        plot_path(run, truth, plane=plane, ax=ax, title=f"Path, {plane[0]}-{plane[1]} plane")
-        ax.plot(*seen[:, rows].T, color=COLORS[3], label="believed tip", zorder=5)
-        if target is not None:
-            ax.plot(*target[rows], "x", color=TARGET, ms=8, mew=2, label="target", zorder=6)
-        legend_below(ax)
+        plot_path(run, truth, plane=plane, ax=ax, believed=belief, target=target)
     return figure
 
 
@@ -120,9 +112,9 @@ def _plot_speed(result: Result, ax: Axes) -> None:
             if math.isfinite(limits[i]):
                 color = COLORS[i % len(COLORS)]
                 ax.plot(run.t, run.v[:, i] / limits[i], color=color, label=joint)
-        for side in (-1.0, 1.0):
-            ax.axhline(side, color=TARGET, linewidth=1.0, linestyle="--")
-        ax.set(xlabel="time [s]", ylabel="q̇ / limit", title="Joint speed")
+        for side, name in ((1.0, "limit"), (-1.0, None)):
+            ax.axhline(side, color=NEUTRAL, linewidth=1.0, linestyle="--", label=name)
+        ax.set(xlabel="time [s]", ylabel="q̇ / limit [–]", title="Speed of each joint")
     legend_below(ax)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from approxjac.checks import Array
 from approxjac.controllers import Limits, SetpointController
 from approxjac.interface import Controller, LimitStatus, Status
+from approxjac.robots import Robot
 from approxjac.simulation import Plant, Trajectory
 from approxjac.studies.postures import beyond_positions
 from approxjac.studies.reach_settings import Settings
@@ -33,6 +35,8 @@ class Reach:
         limiter: What acts in the controller's place, most often a limiter of its torque; None
             where the controller knows no limits.
         limits: What the limiter has to keep, with an entry for each joint.
+        believe: Makes the believed robot from the length that is believed of the object [m]; None
+            where that does not change.
     """
 
     settings: Settings
@@ -42,6 +46,7 @@ class Reach:
     target: Array
     limiter: Controller | None = None
     limits: Limits | None = None
+    believe: Callable[[float], Robot] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +21,7 @@ from approxjac.controllers import (
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.robots import Dynamics, Robot, load_robot
-from approxjac.simulation import Plant, Sensing
+from approxjac.simulation import Plant, SampledLoop, Sensing
 from approxjac.studies.limiting import limited, limits_named
 from approxjac.studies.postures import REGULAR, holdable, is_regular, posture_from
 from approxjac.studies.reach import given_or, gravity_from, outward_axis, sampled
@@ -57,7 +58,8 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
         )
     axis = settings.object_axis or outward_axis(arm)
     truth = arm.with_object(settings.object_length, settings.object_mass, axis=axis)
-    belief = arm.with_object(settings.believed_length, settings.believed_mass, axis=axis)
+    believe = partial(arm.with_object, mass=settings.believed_mass, axis=axis)
+    belief = believe(settings.believed_length)
     rng = np.random.default_rng(settings.seed)
     if settings.eye == "to-hand":
         scene, q0, q_goal = _watched(truth, belief, settings, rng)
@@ -82,16 +84,21 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
         inner = limited(controller, limits, "qp", dt)
     plant = Plant(truth, scene.sensor, sensing=_sensing(settings), torque_limits=motors)
     held = HeldMeasurement(inner, settings.unseen, dt=dt)
-    return Servo(robot, settings, plant, controller, held, q0, q_goal, target)
+    return Servo(robot, settings, plant, controller, held, q0, q_goal, target, believe)
 
 
-def run(servo: Servo, progress: Callable[[float], None] | None = None) -> ServoResult:
-    """Simulate a visual servoing run and judge it.
+def run(
+    servo: Servo,
+    progress: Callable[[float], None] | None = None,
+    observer: Callable[[SampledLoop], None] | None = None,
+) -> ServoResult:
+    """Simulate a visual servoing run and judge it; as `simulate`'s are `progress` and `observer`.
 
     Raises:
         SimulationError: The closed loop diverged.
     """
-    record = sampled(servo.plant, servo.held, servo.target, servo.q0, servo.settings, progress)
+    plant, settings = servo.plant, servo.settings
+    record = sampled(plant, servo.held, servo.target, servo.q0, settings, progress, observer)
     return ServoResult(servo, record)
 
 

@@ -26,13 +26,12 @@ from approxjac.view import (
     save_figure,
     style,
 )
-from approxjac.view.style import COLORS, TARGET
+from approxjac.view.images import POINTS
+from approxjac.view.style import NEUTRAL, SATURATED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_POINTS = (COLORS[0], COLORS[2], COLORS[3])  # as in the image plane
 
 
 def text(result: ServoResult) -> str:
@@ -113,7 +112,7 @@ def draw_run(result: ServoResult) -> Figure:
     run = result.run
     figure, (error, torque, images) = new_figure(3, size=(12.9, 5.0), title=_title(result, 110))
     _plot_errors(result, error)
-    plot_torque(run, torque, limits=result.servo.plant.robot.effort_limits, title="Torque")
+    plot_torque(run, torque, limits=result.servo.plant.robot.effort_limits)
     lanes = {
         "new images": ~result.waiting & ~result.braked,
         "last one held": result.waiting,
@@ -122,7 +121,8 @@ def draw_run(result: ServoResult) -> Figure:
     }
     words = {Status.NEAR_SINGULAR: "near singular", Status.TORQUE_SATURATED: "torque saturated"}
     lanes |= {words[s]: run.status == s for s in run.status_counts() if s in words}
-    plot_lanes(run.t, lanes, images, title="What the controller goes by")
+    colors = {words[Status.TORQUE_SATURATED]: SATURATED}
+    plot_lanes(run.t, lanes, images, colors=colors, title="What the controller goes by, and when")
     return figure
 
 
@@ -130,7 +130,12 @@ def draw_image(result: ServoResult) -> Figure:
     """The paths of the points through the image."""
     title = _title(result, 60)
     figure, (ax,) = new_figure(size=(6.4, 5.6 + 0.25 * title.count("\n")), title=title)
-    plot_image(result.run, result.servo.sensor.camera, ax, title="The true camera's image")
+    plot_image(
+        result.run,
+        result.servo.sensor.camera,
+        ax,
+        title="Paths of the points in the true camera's image",
+    )
     return figure
 
 
@@ -164,10 +169,14 @@ def _plot_errors(result: ServoResult, ax: Axes) -> None:
     tolerance = result.servo.tolerance
     with style():
         for i, error in enumerate(result.errors.T):
-            ax.semilogy(result.run.t, error, color=_POINTS[i], label=f"point {i + 1}")
-        ax.axhline(tolerance, color=TARGET, linewidth=1.0, linestyle="--", label="tolerance")
+            ax.semilogy(result.run.t, error, color=POINTS[i], label=f"point {i + 1}")
+        ax.axhline(tolerance, color=NEUTRAL, linewidth=1.0, linestyle="--", label="tolerance")
         ax.set_ylim(bottom=0.05 * tolerance)  # what is smaller is noise
-        ax.set(xlabel="time [s]", ylabel="distance to the target [px]", title="True error")
+        ax.set(
+            xlabel="time [s]",
+            ylabel="distance to the target [px]",
+            title="True distance of each point to its target",
+        )
     legend_below(ax)
 
 

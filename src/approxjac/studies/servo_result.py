@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from approxjac.checks import Array
 from approxjac.controllers import HeldMeasurement, SetpointController, VelocityServo
 from approxjac.interface import Status
+from approxjac.robots import Robot
 from approxjac.simulation import Plant, Trajectory
 from approxjac.studies.postures import beyond_positions
 from approxjac.studies.servo_settings import ServoSettings
@@ -38,6 +40,7 @@ class Servo:
         q0: Start, shape (nq,).
         q_goal: Posture whose image the target is, shape (nq,), unless one was given.
         target: x_d, shape (n_x,).
+        believe: Makes the believed robot from the length that is believed of the object [m].
     """
 
     robot: str
@@ -48,6 +51,7 @@ class Servo:
     q0: Array
     q_goal: Array
     target: Array
+    believe: Callable[[float], Robot]
 
     @property
     def sensor(self) -> ImageTask:

@@ -13,7 +13,7 @@ from approxjac.studies.servo_map import LOOPS, Cell, Loop
 from approxjac.studies.servo_study import LAWS, ONE_POINT, Outcome
 from approxjac.studies.servo_study_report import Row, rows
 from approxjac.view import COLORS, new_figure, style
-from approxjac.view.style import TARGET
+from approxjac.view.style import NEUTRAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ _MARKERS = "osv^D<>P"
 _LEAST = 0.01  # error below which no picture need tell more [px]
 _SMOOTH = 1e-3  # the same of the torque's roughness [N m]
 _WORTH = {"converges": 1.0, "undecided": 0.5, "diverges": 0.0}
-_HUES = (*COLORS, TARGET)  # one for each law
+_HUES = (*COLORS, NEUTRAL)  # one for each law
 _TITLES: dict[Loop, str] = {
     "ideal": "ideal camera, continuous control",
     "late": "camera of 30 Hz, late and noisy",
@@ -54,7 +54,7 @@ def draw_noise(outcomes: Sequence[Outcome]) -> Figure:
                 ax.set_yscale("log")
         axes[3].set_yscale("log", base=2)
         axes[3].yaxis.set_major_formatter("{x:g}")
-        axes[3].axhline(1.0, color="#555555", linewidth=1.0)
+        axes[3].axhline(1.0, color=NEUTRAL, linewidth=1.0)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return figure

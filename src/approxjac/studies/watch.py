@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -87,6 +88,13 @@ class Watched:
             self._last = measurement.t
             self._count(answer)
         return answer
+
+    def with_task(self, task: Task) -> Watched:
+        """Return this for its controller with another task; what was counted stays."""
+        controller: Any = self.controller
+        other = Watched(controller.with_task(task), self._effort)
+        other.tally, other._last = self.tally, self._last
+        return other
 
     def _count(self, answer: Evaluation) -> None:
         tally, status = self.tally, answer.limit_status

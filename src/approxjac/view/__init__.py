@@ -10,10 +10,30 @@ from approxjac.view.plots import (
     plot_torque,
 )
 from approxjac.view.stability import plot_allowed_error, plot_map, plot_margins
-from approxjac.view.style import COLORS, legend_below, new_figure, save_figure, style
+from approxjac.view.style import (
+    AT_LIMIT,
+    BELIEVED,
+    COLORS,
+    FORCE,
+    NEUTRAL,
+    SATURATED,
+    TARGET,
+    TRUE,
+    legend_below,
+    new_figure,
+    save_figure,
+    style,
+)
 
 __all__ = [
+    "AT_LIMIT",
+    "BELIEVED",
     "COLORS",
+    "FORCE",
+    "NEUTRAL",
+    "SATURATED",
+    "TARGET",
+    "TRUE",
     "legend_below",
     "new_figure",
     "plot_allowed_error",

@@ -13,18 +13,32 @@ from approxjac.errors import InvalidInputError
 from approxjac.simulation import Trajectory
 from approxjac.tasks import Camera, ImageTask, PinholeCamera
 from approxjac.view.plots import skeleton
-from approxjac.view.style import COLORS, TARGET, legend_below, new_figure, style
+from approxjac.view.style import (
+    BELIEVED,
+    COLORS,
+    NEUTRAL,
+    TARGET,
+    TRUE,
+    axes_or_new,
+    legend_below,
+    style,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _PIECES = 20  # of each link: a lens bends what is straight
 _AROUND = 0.06  # of the image, shown around its border
-_POINTS = (COLORS[0], COLORS[2], COLORS[3], COLORS[4], COLORS[5])
+POINTS = (TRUE, COLORS[4], COLORS[5], COLORS[6], COLORS[1])
+"""Of the paths of points: none of them is that of targets or of what is believed."""
 
 
 def plot_image(
-    run: Trajectory, camera: Camera, ax: Axes | None = None, *, title: str = "Image plane"
+    run: Trajectory,
+    camera: Camera,
+    ax: Axes | None = None,
+    *,
+    title: str = "Paths of the points in the image",
 ) -> Axes:
     """Draw the true path of each point through the image, from its start to its target.
 
@@ -51,16 +65,19 @@ def plot_image(
     true, measured = (x.reshape(len(run.t), k, -1)[:, :, :2] for x in (run.x, run.x_measured))
     target = run.target.reshape(k, -1)[:, :2]
     with style():
-        ax = _axes(ax)
+        ax = axes_or_new(ax)
         for i in range(k):
-            color = _POINTS[i % len(_POINTS)]
+            color = POINTS[i % len(POINTS)]
             label = "path" if k == 1 else f"path {i + 1}"
-            ax.plot(*measured[:, i].T, ".", color=color, ms=3, mew=0, alpha=0.25, zorder=1)
+            # an image that is held is one image; as pixels, or files would grow with the run
+            new = np.append(True, (np.diff(measured[:, i], axis=0) != 0.0).any(axis=1))
+            ax.plot(*measured[new, i].T, ".", color=color, ms=4, mew=0, alpha=0.5, zorder=1,
+                    rasterized=True)  # fmt: skip
             ax.plot(*true[:, i].T, color=color, label=label)
-        ax.plot(*true[0].T, "o", color=TARGET, mfc="white", ms=7, label="start", zorder=4)
+        ax.plot(*true[0].T, "o", color=NEUTRAL, mfc="white", ms=7, label="start", zorder=4)
         ax.plot(*target.T, "x", color=TARGET, ms=9, mew=2, label="target", zorder=5)
-        ax.plot(*true[-1].T, "o", color=TARGET, ms=4, label="end", zorder=4)
-        ax.plot([], [], ".", color=TARGET, alpha=0.5, label="measured")
+        ax.plot(*true[-1].T, "o", color=NEUTRAL, ms=4, label="end", zorder=6)
+        ax.plot([], [], ".", color=NEUTRAL, alpha=0.5, label="measured")
         _frame(ax, camera, title)
         legend_below(ax, 3)
     return ax
@@ -94,13 +111,13 @@ def plot_camera_view(
     require("sensor", sensor, ImageTask, "an ImageTask of the true robot")
     q = sensor.robot.configuration(q)
     with style():
-        ax = _axes(ax)
-        points = _draw(ax, sensor, q, "true", color=COLORS[0], zorder=4)
-        _number(ax, points, COLORS[0], (6, 5))
+        ax = axes_or_new(ax)
+        points = _draw(ax, sensor, q, "true", color=TRUE, zorder=4)
+        _number(ax, points, TRUE, (6, 5))
         if believed is not None:
             require("believed", believed, ImageTask, "an ImageTask of the believed robot")
-            look = {"linestyle": "--", "alpha": 0.7, "zorder": 3}
-            _draw(ax, believed, q, "believed", color=COLORS[1], **look)
+            look = {"linestyle": "--", "zorder": 3}
+            _draw(ax, believed, q, "believed", color=BELIEVED, **look)
         if target is not None:
             images = sensor.target(target).reshape(len(sensor.points), -1)[:, :2]
             ax.plot(*images.T, "x", color=TARGET, ms=9, mew=2, label="target", zorder=6)
@@ -115,7 +132,8 @@ def plot_lanes(
     lanes: Mapping[str, np.ndarray[Any, np.dtype[np.bool_]]],
     ax: Axes | None = None,
     *,
-    title: str = "When it was so",
+    colors: Mapping[str, str] | None = None,
+    title: str = "When each thing was so",
 ) -> Axes:
     """Draw when each of several things was so, a lane for each.
 
@@ -124,10 +142,11 @@ def plot_lanes(
         lanes: Name of each thing, from the uppermost, and whether it was so at each instant,
             shape (N,); it holds until the next one.
         ax: Axes to draw into; new ones by default.
+        colors: Of lanes whose colour has a meaning, such as `SATURATED`; the others are grey.
         title: Of the axes.
     """
     with style():
-        ax = _axes(ax)
+        ax = axes_or_new(ax)
         ends = np.append(t[1:], t[-1])
         for row, (name, mask) in enumerate(lanes.items()):
             if np.shape(mask) != np.shape(t):
@@ -137,7 +156,7 @@ def plot_lanes(
             edges = np.diff(np.concatenate([[False], np.asarray(mask, dtype=bool), [False]]) * 1)
             first, last = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0] - 1
             spans = list(zip(t[first], ends[last] - t[first], strict=True))
-            ax.broken_barh(spans, (row - 0.35, 0.7), facecolors=COLORS[row % len(COLORS)])
+            ax.broken_barh(spans, (row - 0.35, 0.7), facecolors=(colors or {}).get(name, NEUTRAL))
         ax.set_yticks(range(len(lanes)), list(lanes))
         ax.set_ylim(len(lanes) - 0.4, -0.6)
         ax.set_xlim(t[0], t[-1])
@@ -184,12 +203,8 @@ def _frame(ax: Axes, camera: Camera, title: str) -> None:
         width, height = camera.size
         corners = [(-0.5, -0.5), (width - 0.5, -0.5), (width - 0.5, height - 0.5)]
         corners += [(-0.5, height - 0.5), corners[0]]
-        ax.plot(*np.array(corners).T, color="black", linewidth=1.2, zorder=2)
+        ax.plot(*np.array(corners).T, color=NEUTRAL, linewidth=1.2, zorder=2)
         around = _AROUND * max(width, height)
         ax.set_xlim(-around, width + around)
         ax.set_ylim(height + around, -around)  # v points down
     ax.set(xlabel=f"{u} [{unit}]", ylabel=f"{v} [{unit}]", title=title)
-
-
-def _axes(ax: Axes | None) -> Axes:
-    return new_figure()[1][0] if ax is None else ax

@@ -9,24 +9,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, axis_rows
+from approxjac.checks import Array, as_vector, axis_rows
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
-from approxjac.view.style import COLORS, TARGET, legend_below, new_figure, style
+from approxjac.view.style import (
+    BELIEVED,
+    COLORS,
+    NEUTRAL,
+    TARGET,
+    TRUE,
+    axes_or_new,
+    legend_below,
+    new_figure,
+    style,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _STATUS_COLORS = dict(
-    zip(LimitStatus, ("#BBBBBB", *(COLORS[i] for i in (2, 3, 0, 1, 6, 4))), strict=True)
+    zip(LimitStatus, ("#BBBBBB", *(COLORS[i] for i in (2, 3, 5, 1, 6, 4))), strict=True)
 )
 
 
-def plot_error(run: Trajectory, ax: Axes | None = None, *, title: str = "Task error") -> Axes:
+def plot_error(
+    run: Trajectory, ax: Axes | None = None, *, title: str = "Task error of each coordinate"
+) -> Axes:
     """Draw each coordinate of the task error against time.
 
     Args:
@@ -35,10 +47,10 @@ def plot_error(run: Trajectory, ax: Axes | None = None, *, title: str = "Task er
         title: Of the axes.
     """
     with style():
-        ax = _axes(ax)
+        ax = axes_or_new(ax)
         scales = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}
         units = [scales.get(unit, (unit, 1.0)) for unit in run.task_units]
-        ax.axhline(0.0, color=TARGET, linewidth=0.8)
+        ax.axhline(0.0, color=NEUTRAL, linewidth=0.8)
         for i, (label, (_, factor)) in enumerate(zip(run.task_labels, units, strict=True)):
             ax.plot(run.t, factor * run.error[:, i], color=COLORS[i % len(COLORS)], label=label)
         shown = " or ".join(dict.fromkeys(unit for unit, _ in units))
@@ -52,7 +64,7 @@ def plot_torque(
     ax: Axes | None = None,
     *,
     limits: Array | None = None,
-    title: str = "Joint torque",
+    title: str = "Torque of each joint",
 ) -> Axes:
     """Draw the torque of each joint against time.
 
@@ -64,7 +76,7 @@ def plot_torque(
         title: Of the axes.
     """
     with style():
-        ax = _axes(ax)
+        ax = axes_or_new(ax)
         scale = np.ones(run.tau.shape[1])
         known = limits is not None and bool(np.isfinite(limits).any())
         if limits is not None and known:
@@ -73,16 +85,16 @@ def plot_torque(
             color = COLORS[i % len(COLORS)]
             ax.plot(run.t, run.tau[:, i] / scale[i], color=color, label=joint)
         if known:
-            for side in (-1.0, 1.0):
-                ax.axhline(side, color=TARGET, linewidth=1.0, linestyle="--")
-        label = "τ / limit" if known else f"τ [{run.units['tau']}]"
+            for side, name in ((1.0, "limit"), (-1.0, None)):
+                ax.axhline(side, color=NEUTRAL, linewidth=1.0, linestyle="--", label=name)
+        label = "τ / limit [–]" if known else f"τ [{run.units['tau']}]"
         ax.set(xlabel="time [s]", ylabel=label, title=title)
         legend_below(ax)
     return ax
 
 
 def plot_slack(
-    run: Trajectory, ax: Axes | None = None, *, title: str = "Slack of V̇ ≤ −W + σ"
+    run: Trajectory, ax: Axes | None = None, *, title: str = "Slack σ of V̇ ≤ −W + σ, and status"
 ) -> Axes:
     """Draw the slack that limits took from the proof against time, and what limits did.
 
@@ -94,8 +106,8 @@ def plot_slack(
         title: Of the axes.
     """
     with style():
-        ax = _axes(ax)
-        ax.plot(run.t, run.slack, color=TARGET)
+        ax = axes_or_new(ax)
+        ax.plot(run.t, run.slack, color=COLORS[0])
         largest = np.nanmax(run.slack) if np.isfinite(run.slack).any() else 0.0
         ax.set_ylim(0.0, 1.2 * float(largest) or 1.0)
         # a status holds from its instant to the next one
@@ -123,7 +135,9 @@ def plot_path(
     q_target: Sequence[float] | Array | None = None,
     ax: Axes | None = None,
     *,
-    title: str = "Path of the arm",
+    believed: Robot | None = None,
+    target: Sequence[float] | Array | None = None,
+    title: str | None = None,
 ) -> Axes:
     """Draw the path of a frame in a plane of the world, with the arm at start and end.
 
@@ -134,27 +148,46 @@ def plot_path(
         plane: Two world axes, such as "xz".
         q_target: Posture that attains the target, shape (nq,), drawn dashed if given.
         ax: Axes to draw into; new ones by default.
-        title: Of the axes.
+        believed: Robot that the controller believes; the path of its frame is drawn if given.
+        target: Where in the world the frame shall go, shape (3,) [m], a cross if given.
+        title: Of the axes; says frame and plane by default.
+
+    Raises:
+        InvalidInputError: A plane, a posture or a target of another shape, or another arm.
     """
     rows = axis_rows("plane", plane)
     if len(rows) != 2:
         raise InvalidInputError(
             f"plane must name two world axes, such as 'xz', got {plane!r}", given=plane
         )
+    if believed is not None and believed.joint_names != robot.joint_names:
+        raise InvalidInputError(
+            f"believed must have the joints of the robot, got {', '.join(believed.joint_names)}",
+            given=believed,
+        )
+    seen = None if believed is None else _tips(run, believed, believed.tip_or(frame))[:, rows]
     frame = robot.tip_or(frame)
-    kinematics = FrameKinematics(robot, frame)
-    tips = np.array([kinematics.position(q) for q in run.q])[:, rows]
+    tips = _tips(run, robot, frame)[:, rows]
+    if target is not None:
+        target = as_vector("target", target, 3)[rows]
     with style():
-        ax = _axes(ax)
-        ax.plot(*tips.T, color=COLORS[0], linewidth=1.0, label=f"path of {frame}")
-        for q, color, label in ((run.q[0], COLORS[5], "start"), (run.q[-1], COLORS[1], "end")):
-            ax.plot(*skeleton(robot, frame, q)[:, rows].T, "o-", color=color, ms=4, label=label)
+        ax = axes_or_new(ax)
+        ax.plot(*tips.T, color=TRUE, linewidth=1.0, label=f"path of {frame}")
+        for q, alpha, label in ((run.q[0], 0.35, "start"), (run.q[-1], 1.0, "end")):
+            corners = skeleton(robot, frame, q)[:, rows]
+            ax.plot(*corners.T, "o-", color=TRUE, alpha=alpha, ms=4, label=label)
+        if seen is not None:
+            ax.plot(*seen.T, color=BELIEVED, label="believed path", zorder=5)
+            ax.plot(*seen[-1], "o", color=BELIEVED, ms=4, zorder=5)
         if q_target is not None:
             points = skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
-            ax.plot(*points.T, "--", color=TARGET, linewidth=1.0, label="target")
-            ax.plot(*points[-1], "x", color=TARGET, ms=8)
+            ax.plot(*points.T, "--", color=TARGET, linewidth=1.0, label="arm at the target")
+            target = points[-1] if target is None else target
+        if target is not None:
+            ax.plot(*target, "x", color=TARGET, ms=8, mew=2, label="target", zorder=6)
         ax.set_aspect("equal", adjustable="datalim")
-        ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title=title)
+        ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]")
+        ax.set_title(f"Path of {frame}, {plane[0]}-{plane[1]} plane" if title is None else title)
         legend_below(ax)
     return ax
 
@@ -165,7 +198,7 @@ def plot_parameters(
     ax: Axes | None = None,
     *,
     theta: Sequence[float] | Array | None = None,
-    title: str = "Learnt gravity",
+    title: str = "Learnt gravity parameters",
 ) -> Axes:
     """Draw the gravity parameters θ̂ that were learnt against time.
 
@@ -183,27 +216,31 @@ def plot_parameters(
             given=names,
         )
     with style():
-        ax = _axes(ax)
+        ax = axes_or_new(ax)
         for i, name in enumerate(names):
             color = COLORS[i % len(COLORS)]
             ax.plot(run.t, run.state[:, i], color=color, label=name)
             if theta is not None:
                 ax.axhline(theta[i], color=color, linestyle="--", linewidth=0.8)
+        if theta is not None:
+            ax.plot([], [], "--", color=NEUTRAL, linewidth=0.8, label="true values")
         ax.set(xlabel="time [s]", ylabel="θ̂ [kg m, kg]", title=title)
         legend_below(ax)
     return ax
 
 
-def plot_run(run: Trajectory) -> Figure:
-    """Return a new figure with the task error and the torques of a run."""
-    figure, (left, right) = new_figure(2)
-    plot_error(run, left)
-    plot_torque(run, right)
-    return figure
+def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
+    """Return a new figure with the task error and the torques of a run, and its two axes."""
+    figure, axes = new_figure(2, title=f"{run.robot_name}: error and torque")
+    plot_error(run, axes[0])
+    plot_torque(run, axes[1])
+    return figure, axes
 
 
-def _axes(ax: Axes | None) -> Axes:
-    return new_figure()[1][0] if ax is None else ax
+def _tips(run: Trajectory, robot: Robot, frame: str) -> Array:
+    """World positions of a frame in all postures of a run, shape (N, 3)."""
+    kinematics = FrameKinematics(robot, frame)
+    return np.array([kinematics.position(q) for q in run.q])
 
 
 def skeleton(robot: Robot, frame: str, q: Array) -> Array:

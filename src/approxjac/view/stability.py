@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.checks import Array, axis_rows
-from approxjac.view.style import COLORS, TARGET, legend_below, new_figure, style
+from approxjac.view.style import COLORS, NEUTRAL, axes_or_new, legend_below, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +47,7 @@ def plot_allowed_error(
     velocity = law.allowed_p_velocity(a, alpha, lambda2)
     position = law.allowed_p_position(a, alpha)
     with style():
-        ax = new_figure(size=(6.5, 4.8))[1][0] if ax is None else ax
+        ax = axes_or_new(ax, (6.5, 4.8))
         allowed = np.minimum(velocity, position)
         ax.fill_between(a, allowed, color=COLORS[2], alpha=0.15, label="p allowed by (23)")
         ax.plot(a, velocity, color=COLORS[0], label="2λ₂/(a + α)")
@@ -55,7 +55,7 @@ def plot_allowed_error(
         if alpha > 0.0:
             label = f"crossing: a = λ₂/α = {alpha:.4f}, p = √λ₂ = {alpha:.4f}"
             ax.plot([alpha], [alpha], "o", color=COLORS[6], ms=5, label=label)
-        ax.axhline(p, color=TARGET, linestyle="--", label=f"{p_label}: {p:.4f}")
+        ax.axhline(p, color=NEUTRAL, linestyle="--", label=f"{p_label}: {p:.4f}")
         if own_a is not None:
             at = np.array(own_a)
             bounds = law.allowed_p_velocity(at, alpha, lambda2), law.allowed_p_position(at, alpha)
@@ -94,7 +94,7 @@ def plot_margins(
     rows = axis_rows("plane", plane)
     top = np.argsort(-margins)
     with style():
-        ax = new_figure()[1][0] if ax is None else ax
+        ax = axes_or_new(ax)
         # one that is far below zero would leave all others without colour
         reach = min(1.0, max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0))))
         for passes, marker, name in ((True, "o", "holds in"), (False, "x", "fails in")):
@@ -113,7 +113,7 @@ def plot_margins(
                 label=f"worst: {margins.min():.3g}")  # fmt: skip
         ax.set_aspect("equal", adjustable="datalim")
         ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title=title)
-        ax.figure.colorbar(dots, ax=ax, label="margin", shrink=0.8)
+        ax.figure.colorbar(dots, ax=ax, label="margin [–]", shrink=0.8)
         legend_below(ax)
     return ax
 
@@ -149,7 +149,7 @@ def plot_map(
     from matplotlib.patheffects import Normal, TickedStroke
 
     with style():
-        ax = new_figure(size=(7.0, 5.6))[1][0] if ax is None else ax
+        ax = axes_or_new(ax, (7.0, 5.6))
         reach = float(np.nanquantile(np.abs(decay_rate), 0.95)) or 1.0
         shown = ax.pcolormesh(
             x, y, np.clip(decay_rate, -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,

@@ -1,0 +1,379 @@
+"""What a robot looks like: its meshes as Pinocchio reads them, capsules where there are none."""
+
+import sys
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+from lxml import etree
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.robots import urdf as urdf_xml
+from approxjac.robots.meshes import find_mesh
+from approxjac.robots.named import NAMED, share_dir
+from approxjac.view.shapes import robot_look
+from approxjac.view.triangles import Shape, load_mesh, shares, simplify, smooth
+
+ROBOTS = share_dir() / "example-robot-data/robots"
+WITHOUT_MESHES = {"two_link", "two_link_point_mass", "double_pendulum"}  # cylinders and boxes
+IDENTITY = np.eye(4)
+
+
+def bounds(vertices):
+    return np.array([np.min(vertices, axis=0), np.max(vertices, axis=0)])
+
+
+def numbers(element, name, default):
+    text = default if element is None else element.get(name, default)
+    return np.array([float(word) for word in text.split()])
+
+
+def by_coal(path, scale=(1.0, 1.0, 1.0)):
+    """Vertices as Pinocchio would show them."""
+    return np.array(coal.MeshLoader().load(str(path), np.array(scale)).vertices())
+
+
+def visuals(robot):
+    """Link, mesh file or None, scale and origin of each <visual>."""
+    for link in urdf_xml.parse(robot.urdf, "").iterfind("link"):
+        for visual in link.iterfind("visual"):
+            origin = visual.find("origin")
+            placed = pin.SE3(
+                pin.utils.rpyToMatrix(*numbers(origin, "rpy", "0 0 0")),
+                numbers(origin, "xyz", "0 0 0"),
+            ).homogeneous
+            mesh = visual.find("geometry/mesh")
+            path = None if mesh is None else find_mesh(mesh.get("filename"), robot.urdf_dir)
+            yield link.get("name"), path, numbers(mesh, "scale", "1 1 1"), placed
+
+
+def check(shape):
+    assert np.isfinite(shape.vertices).all()
+    assert shape.vertices.shape[1:] == shape.faces.shape[1:] == (3,)
+    assert shape.faces.min() >= 0
+    assert set(np.unique(shape.faces)) == set(range(len(shape.vertices)))
+    assert not shape.vertices.flags.writeable
+    assert not shape.faces.flags.writeable
+
+
+def urdf(link="", joints="", links=""):
+    """An arm of 1 m, whose link looks as the text says."""
+    return f"""<robot name="arm">
+      <link name="base"/>
+      <link name="arm">
+        <inertial><mass value="1"/>
+          <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>{link}
+      </link>
+      <link name="end"/>{links}
+      <joint name="turn" type="continuous"><parent link="base"/><child link="arm"/></joint>
+      <joint name="tip" type="fixed"><origin xyz="0 0.6 0.8"/>
+        <parent link="arm"/><child link="end"/></joint>{joints}
+    </robot>"""
+
+
+def visual(geometry, origin=""):
+    return f"<visual>{origin}<geometry>{geometry}</geometry></visual>"
+
+
+def look_of(*texts, **kwargs):
+    return robot_look(aj.Robot(urdf("".join(texts)), **kwargs))
+
+
+# -- the arms ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def look(arm):
+    return robot_look(arm)
+
+
+def test_arms_look_as_pinocchio_shows_them(arm, look):
+    assert look.missing == ()
+    assert set(look.shapes) <= set(arm.frame_names)
+    places, checked = {}, {}
+    for link, path, scale, origin in visuals(arm):
+        place = places[link] = places.get(link, -1) + 1
+        if path is None:
+            continue
+        key = (path, *scale)
+        if key not in checked:
+            vertices = by_coal(path, scale)
+            size = np.linalg.norm(np.ptp(vertices, axis=0))
+            read = load_mesh(path).scaled(scale)
+            assert_allclose(bounds(read.vertices), bounds(vertices), atol=1e-6 * size)
+            checked[key] = vertices, size
+        vertices, size = checked[key]
+        shown = look.shapes[link][place]
+        expected = bounds(vertices @ origin[:3, :3].T + origin[:3, 3])
+        assert_allclose(bounds(shown.vertices), expected, atol=max(0.005, 0.02 * size))
+
+
+def test_arms_are_light(arm, look):
+    shapes = [shape for shapes in look.shapes.values() for shape in shapes]
+    for shape in shapes:
+        check(shape)
+    many_parts = 1.3 if arm.name == "talos" else 1.0
+    assert sum(len(shape.faces) for shape in shapes) <= many_parts * 25_000
+
+
+def test_the_panda_keeps_its_form(panda):
+    """Both ways between what is in the files and what is shown, where 2 mm is little."""
+    from scipy.spatial import cKDTree
+
+    look = robot_look(panda)
+    for link, path, _, origin in visuals(panda):
+        full, light = load_mesh(path).moved(origin), look.shapes[link][0]
+        points = [
+            trimesh.sample.sample_surface(trimesh.Trimesh(s.vertices, s.faces), 30_000, seed=1)[0]
+            for s in (full, light)
+        ]
+        for a, b in (points, points[::-1]):
+            gap = cKDTree(a).query(b[:3000])[0]
+            assert np.quantile(gap, 0.95) < 0.004, link  # 1 to 3 mm is between samples
+
+
+def test_an_arm_whose_meshes_are_gone_is_drawn_as_capsules(arm):
+    text = arm.urdf.replace(".dae", ".gone").replace(".DAE", ".gone")
+    text = text.replace(".stl", ".gone").replace(".STL", ".gone")
+    moved = aj.Robot(text, tip=arm.tip, urdf_dir=arm.urdf_dir)
+    look = robot_look(moved)
+    assert look.missing == tuple(
+        f"{name}: no such file" for name in dict.fromkeys(look_names(text))
+    )
+    seen = {
+        link.get("name")
+        for link in urdf_xml.parse(text, "").iterfind("link")
+        if any(g.tag != "mesh" for g in link.iterfind("visual/geometry/*"))
+    }
+    wanted = {link for link, *_ in visuals(moved)}
+    assert wanted <= set(look.shapes)
+    for link, joint in moving_joints(moved):
+        length = np.linalg.norm(joint)
+        if link in seen or length < 0.01:
+            continue
+        ends = [(shape.vertices - joint) @ joint / length for shape in look.shapes.get(link, ())]
+        # past the joint by a radius, as one of the capsules from the link's origin
+        assert any(0.0 < end.max() < 0.1 and end.min() < -length for end in ends), link
+    for shapes in look.shapes.values():
+        for shape in shapes:
+            check(shape)
+
+
+def look_names(text):
+    root = urdf_xml.parse(text, "")
+    return [mesh.get("filename") for mesh in root.iterfind("link/visual/geometry/mesh")]
+
+
+def moving_joints(robot):
+    """Parent link of each moving joint, and where the joint is in it."""
+    for joint in urdf_xml.parse(robot.urdf, "").iterfind("joint"):
+        if joint.get("type") != "fixed":
+            yield joint.find("parent").get("link"), numbers(joint.find("origin"), "xyz", "0 0 0")
+
+
+# -- mesh files -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "panda_description/meshes/visual/finger.dae",
+        "tiago_description/meshes/arm/arm_6.stl",
+        "laikago_description/meshes/hip.obj",
+    ],
+)
+def test_every_format_is_read_as_pinocchio_does(name):
+    path = ROBOTS / name
+    look = look_of(visual(f'<mesh filename="package://{name}" scale="2 -1 1"/>'), urdf_dir=ROBOTS)
+    assert look.missing == ()
+    expected = bounds(by_coal(path, (2.0, -1.0, 1.0)))
+    assert_allclose(bounds(look.shapes["arm"][0].vertices), expected, atol=2e-3)
+
+
+def test_a_mirrored_mesh_is_not_inside_out(tmp_path):
+    trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "box.stl")
+    look = look_of(visual('<mesh filename="box.stl" scale="1 -1 1"/>'), urdf_dir=tmp_path)
+    shape = look.shapes["arm"][0]
+    assert trimesh.Trimesh(shape.vertices, shape.faces).volume == pytest.approx(6.0)
+
+
+def test_unit_and_up_axis_of_a_file_are_ignored(tmp_path):
+    text = (ROBOTS / "panda_description/meshes/visual/finger.dae").read_text()
+    text = text.replace('meter="1"', 'meter="0.01"').replace("Z_UP", "Y_UP")
+    assert 'meter="0.01"' in text
+    path = tmp_path / "finger.dae"
+    path.write_text(text)
+    assert_allclose(bounds(load_mesh(path).vertices), bounds(by_coal(path)), atol=1e-7)
+    assert load_mesh(path).size == pytest.approx(0.06, abs=0.01)
+
+
+@pytest.mark.parametrize("ending", ["dae", "stl", "obj", "ply", "unknown"])
+@pytest.mark.parametrize("content", [b"", b"solid nothing", b"\x00\xff" * 200])
+def test_a_broken_mesh_is_named(ending, content, tmp_path):
+    (tmp_path / f"a.{ending}").write_bytes(content)
+    look = look_of(visual(f'<mesh filename="a.{ending}"/>'), urdf_dir=tmp_path)
+    (text,) = look.missing
+    assert text.startswith(f"a.{ending}: ")
+    assert "cannot be read: " in text or "holds no triangles" in text
+    assert_tip_is_reached(look)
+
+
+def assert_tip_is_reached(look):
+    (capsule,) = look.shapes["arm"]
+    along = capsule.vertices @ [0.0, 0.6, 0.8]
+    assert_allclose([along.min(), along.max()], [-0.05, 1.05], atol=1e-9)  # 5 % of 1 m
+    assert_allclose(np.ptp(capsule.vertices[:, 0]), 0.1, atol=0.002)
+
+
+@pytest.mark.parametrize(
+    ("element", "text"),
+    [
+        (visual('<mesh filename="no.stl"/>'), "no.stl: no such file"),
+        (visual("<mesh/>"), "<mesh> of link 'arm': no such file"),
+        (visual('<cone radius="1"/>'), "<cone> of link 'arm': this geometry is not known"),
+        (visual(""), "<visual> of link 'arm': there is no <geometry>"),
+        ("<visual/>", "<visual> of link 'arm': there is no <geometry>"),
+        (
+            visual('<box size="1 1"/>'),
+            "<box> of link 'arm': size must be 3 numbers > 0, got '1 1'",
+        ),
+        (
+            visual('<sphere radius="-1"/>'),
+            "<sphere> of link 'arm': radius must be a number > 0, got '-1'",
+        ),
+        (
+            visual('<sphere radius="1"/>', '<origin xyz="0 0 nan"/>'),
+            "<sphere> of link 'arm': xyz must be 3 numbers, got '0 0 nan'",
+        ),
+        (visual('<mesh filename="a.stl" scale="0 1 1"/>'), "a.stl: its scale is 0"),
+    ],
+)
+def test_what_cannot_be_shown_is_named(element, text):
+    look = look_of(element)
+    assert look.missing == (text,)
+    assert_tip_is_reached(look)
+
+
+def test_a_link_of_which_something_is_found_keeps_that():
+    look = look_of(visual('<mesh filename="no.stl"/>'), visual('<sphere radius="0.1"/>'))
+    assert look.missing == ("no.stl: no such file",)
+    (sphere,) = look.shapes["arm"]
+    assert_allclose(bounds(sphere.vertices), [[-0.1] * 3, [0.1] * 3])
+
+
+# -- what is not from files -------------------------------------------------------------
+
+
+def test_a_robot_that_says_nothing_is_drawn_as_capsules():
+    look = look_of()
+    assert look.missing == ()
+    assert set(look.shapes) == {"arm"}
+    assert_tip_is_reached(look)
+
+
+def test_frames_are_not_drawn():
+    camera = '<link name="camera"/>'
+    joint = """<joint name="camera" type="fixed"><origin xyz="1 0 0"/>
+      <parent link="arm"/><child link="camera"/></joint>"""
+    robot = aj.Robot(urdf(links=camera, joints=joint), tip="end")
+    assert_tip_is_reached(robot_look(robot))
+
+
+def test_the_last_link_is_a_ball_where_its_mesh_is_gone(two_link):
+    root = etree.fromstring(two_link.urdf.encode())
+    (tip,) = (link for link in root.iterfind("link") if link.get("name") == "object_tip")
+    tip.append(etree.fromstring(visual('<mesh filename="no.stl"/>')))
+    look = robot_look(aj.Robot(etree.tostring(root, encoding="unicode")))
+    (ball,) = look.shapes["object_tip"]
+    assert_allclose(np.linalg.norm(ball.vertices, axis=1), 0.05)  # 5 % from joint1 to joint2
+
+
+@pytest.mark.parametrize(
+    ("geometry", "size"),
+    [
+        ('<box size="0.2 0.4 0.6"/>', (0.2, 0.4, 0.6)),
+        ('<cylinder radius="0.1" length="0.5"/>', (0.2, 0.2, 0.5)),
+        ('<sphere radius="0.3"/>', (0.6, 0.6, 0.6)),
+    ],
+)
+def test_primitives_have_their_size_where_their_origin_is(geometry, size):
+    origin = '<origin xyz="1 2 3" rpy="0.3 -0.5 1.1"/>'
+    look = look_of(visual(geometry), visual(geometry, origin))
+    plain, placed = look.shapes["arm"]
+    for shape in (plain, placed):
+        check(shape)
+    assert_allclose(bounds(plain.vertices), [-0.5 * np.array(size), 0.5 * np.array(size)])
+    pose = pin.SE3(pin.utils.rpyToMatrix(0.3, -0.5, 1.1), np.array([1.0, 2.0, 3.0]))
+    back = (placed.vertices - pose.translation) @ pose.rotation
+    assert_allclose(back, plain.vertices, atol=1e-12)
+    volume = trimesh.Trimesh(plain.vertices, plain.faces).volume
+    full = {"b": 0.048, "c": np.pi * 0.005, "s": 4 / 3 * np.pi * 0.027}[geometry[1]]
+    assert 0.94 * full < volume < 1.0001 * full
+
+
+def test_an_object_reaches_from_its_parent_to_its_tip(panda):
+    look = robot_look(panda.with_object(0.2, 0.5, radius=0.03))
+    (cylinder,) = look.shapes["object"]
+    assert_allclose(bounds(cylinder.vertices), [[-0.03, -0.03, 0.0], [0.03, 0.03, 0.2]], atol=1e-12)
+    assert "object" not in robot_look(panda.with_object(0.0)).shapes
+
+
+def test_the_two_link_arm_is_its_cylinders(two_link):
+    look = robot_look(two_link)
+    assert set(look.shapes) == {"link1", "link2", "object"}
+    for link in ("link1", "link2"):
+        (rod,) = look.shapes[link]
+        expected = [[0.0, -0.02, -0.02], [1.0, 0.02, 0.02]]
+        assert_allclose(bounds(rod.vertices), expected, atol=1e-12)
+
+
+# -- triangles --------------------------------------------------------------------------
+
+
+def test_sharp_edges_are_kept_and_others_shared():
+    look = look_of(visual('<box size="1 1 1"/>'), visual('<cylinder radius="1" length="1"/>'))
+    box, cylinder = look.shapes["arm"]
+    assert len(box.vertices) == 24  # each corner three times
+    assert len(cylinder.vertices) == 2 * 32 * 2 + 2  # a ring for the wall and one for each end
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    round_ = smooth(Shape(np.array(ball.vertices), np.array(ball.faces, dtype=np.int32)))
+    assert len(round_.vertices) == len(ball.vertices)
+
+
+def test_shares_are_by_size_and_leave_small_meshes_alone():
+    assert shares([10_000, 10_000, 100], [2.0, 1.0, 1.0], 3100) == [2000, 1000, 100]
+    assert shares([10_000, 500, 100], [1.0, 1.0, 1.0], 3100) == [2500, 500, 100]
+    assert shares([300, 300], [1.0, 2.0], 1000) == [300, 300]
+    assert shares([300, 300], [1.0, 2.0], 10) == [200, 200]
+    assert shares([], [], 10) == shares([], [], -10) == []
+    assert shares([300], [1.0], -10) == [200]
+
+
+def test_what_is_small_is_not_touched():
+    box = look_of(visual('<box size="1 1 1"/>')).shapes["arm"][0]
+    assert simplify(box, 200) is box
+
+
+def test_a_budget_is_kept(panda):
+    shapes = robot_look(panda, triangles=10_000).shapes
+    assert 9000 < sum(len(shape.faces) for link in shapes.values() for shape in link) <= 10_000
+    with pytest.raises(aj.InvalidInputError, match="triangles must be a finite number > 0"):
+        robot_look(panda, triangles=0)
+    with pytest.raises(aj.InvalidInputError, match="robot must be a Robot, got 'panda'"):
+        robot_look("panda")
+
+
+def test_without_the_package_the_error_says_what_to_install(panda, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fast_simplification", None)
+    with pytest.raises(aj.MissingPackageError, match=r"pip install 'approxjac\[view\]'"):
+        robot_look(panda)
+
+
+def test_which_arms_have_no_meshes():
+    without = {
+        name for name in NAMED if all(path is None for _, path, *_ in visuals(aj.load_robot(name)))
+    }
+    assert without == WITHOUT_MESHES
