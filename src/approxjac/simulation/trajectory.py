@@ -169,7 +169,7 @@ class Trajectory:
 
         Raises:
             InvalidInputError: A run without `scene`, or a file that cannot be written.
-            MissingMeshcatError: The package meshcat is not installed.
+            MissingPackageError: The package meshcat is not installed.
         """
         from approxjac.view.browser import page  # a run shows itself; nothing else here may
 
@@ -199,7 +199,7 @@ class Trajectory:
 
         Raises:
             InvalidInputError: A run without `scene`.
-            MissingMeshcatError: The package meshcat is not installed.
+            MissingPackageError: The package meshcat is not installed.
         """
         from approxjac.view.browser import show
 

@@ -2,6 +2,6 @@
 
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.html import document, page, page_data, show
-from approxjac.view.browser.stage import MissingMeshcatError, Stage
+from approxjac.view.browser.stage import Stage
 
-__all__ = ["Frames", "MissingMeshcatError", "Stage", "document", "page", "page_data", "show"]
+__all__ = ["Frames", "Stage", "document", "page", "page_data", "show"]

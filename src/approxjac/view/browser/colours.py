@@ -1,13 +1,7 @@
 """Colours of the page, by role, as #rrggbb."""
 
-from approxjac.view.style import COLORS
+from approxjac.view.style import AT_LIMIT, BELIEVED, COLORS, FORCE, SATURATED, TARGET, TRUE
 
-TRUE = "#0072B2"
-BELIEVED = "#CC79A7"
-TARGET = "#009E73"
-SATURATED = "#D55E00"
-AT_LIMIT = "#E69F00"
-FORCE = "#000000"
 MEASURED = "#56B4E9"
 """What was measured, where it differs from what is true."""
 ARM = "#C9CED4"

@@ -19,11 +19,13 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene
+from approxjac.view import style
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import image_axes
 from approxjac.view.browser.frames import Frames, display_unit
-from approxjac.view.browser.stage import Stage, load_meshcat
+from approxjac.view.browser.stage import Stage
 from approxjac.view.browser.viewpoint import link_points, reach_points, viewpoint
+from approxjac.view.packages import view_package
 
 _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
@@ -43,7 +45,7 @@ def page(run: Trajectory, *, title: str | None = None) -> str:
 
     Raises:
         InvalidInputError: A run that does not know who took part in it.
-        MissingMeshcatError: meshcat is not installed.
+        MissingPackageError: meshcat is not installed.
     """
     require("run", run, Trajectory, "a Trajectory, as simulate returns it")
     if run.scene is None:
@@ -154,6 +156,7 @@ def document(data: Mapping[str, Any], scripts: Sequence[str] = ()) -> str:
     return (
         text("page.html")
         .replace("{{title}}", html.escape(str(data["title"])))
+        .replace("{{description}}", html.escape("; ".join(f"{n}: {x}" for n, x in data["facts"])))
         .replace("{{css}}", text("uPlot.min.css") + text("page.css"))
         .replace("{{data}}", values)
         .replace("{{scripts}}", "\n".join(_script(part) for part in code))
@@ -231,15 +234,15 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
     if any(name.endswith("_tip_joint") for name in scene.truth.frame_names):
         entries.append((colours.OBJECT, "bar", "object that it holds"))
     if scene.belief is not None:
-        entries.append((colours.BELIEVED, "bar", "arm and camera as the controller believes them"))
-    entries.append((colours.TRUE, "", "true tip and its path"))
-    entries.append((colours.TARGET, "", "target, line of sight" if image else "target"))
+        entries.append((style.BELIEVED, "bar", "arm and camera as the controller believes them"))
+    entries.append((style.TRUE, "", "true tip and its path"))
+    entries.append((style.TARGET, "", "target, line of sight" if image else "target"))
     if scene.task is not None:
-        entries.append((colours.FORCE, "dash", "force that the control means to exert"))
+        entries.append((style.FORCE, "dash", "force that the control means to exert"))
     if np.isfinite(scene.torque_limits).any():
-        entries.append((colours.SATURATED, "bar", "link whose torque is at its limit"))
+        entries.append((style.SATURATED, "bar", "link whose torque is at its limit"))
     if np.isfinite(np.array(scene.truth.position_limits)).any():
-        entries.append((colours.AT_LIMIT, "bar", "link whose joint is at its limit"))
+        entries.append((style.AT_LIMIT, "bar", "link whose joint is at its limit"))
     return entries
 
 
@@ -274,7 +277,7 @@ def _packed(column: Array) -> str:
 
 
 def _meshcat_js() -> str:
-    load_meshcat()  # for its error
+    view_package("meshcat")  # for its error
     viewer = resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
     return viewer.read_text(encoding="utf-8")
 

@@ -9,36 +9,18 @@ from typing import Any
 import numpy as np
 
 from approxjac.checks import Array
-from approxjac.errors import ApproxJacError
 from approxjac.robots import Robot
 from approxjac.simulation.scene import Scene, features
+from approxjac.view import style
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import camera_view
 from approxjac.view.browser.tree import Tree, robot_tree
 from approxjac.view.browser.viewpoint import reach_points
+from approxjac.view.packages import view_package
 from approxjac.view.shapes import Look, robot_look
 
 _GHOST = 0.38  # opacity of the believed arm
 _GRID_LINES = 24
-
-
-class MissingMeshcatError(ApproxJacError, ImportError):
-    """The package meshcat, which the browser view is made of, is not installed."""
-
-
-def load_meshcat() -> tuple[Any, Any]:
-    """Return meshcat.geometry and meshcat.commands.
-
-    Raises:
-        MissingMeshcatError: It is not installed.
-    """
-    try:
-        from meshcat import commands, geometry
-    except ImportError as error:
-        raise MissingMeshcatError(
-            "the browser view needs meshcat: pip install 'approxjac[view]'"
-        ) from error
-    return geometry, commands
 
 
 class Stage:
@@ -55,11 +37,13 @@ class Stage:
         missing: What could not be drawn, and why.
 
     Raises:
-        MissingMeshcatError: meshcat is not installed.
+        MissingPackageError: meshcat is not installed.
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._geometry, self._commands = load_meshcat()
+        self._geometry = view_package("meshcat.geometry")
+        self._commands = view_package("meshcat.commands")
+        self._pack = view_package("umsgpack").packb
         self.scene = scene
         self.missing: tuple[str, ...] = ()
         around = reach_points(scene.truth)
@@ -137,7 +121,7 @@ class Stage:
                 ):
                     clones.append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
-                    commands.append(self._mesh(path, shape, colours.BELIEVED, _GHOST))
+                    commands.append(self._mesh(path, shape, style.BELIEVED, _GHOST))
         self._bones(commands)
         return clones
 
@@ -156,7 +140,7 @@ class Stage:
                 continue
             if joint.parent in _objects(self.scene.belief or self.scene.truth):
                 continue  # an object is as long as it is believed to be
-            material = g.MeshLambertMaterial(color=colours.as_number(colours.BELIEVED))
+            material = g.MeshLambertMaterial(color=colours.as_number(style.BELIEVED))
             rod = g.Mesh(g.Cylinder(length, 0.006 * self.size), material)
             path = (*tree.paths[joint.parent], f"bone_{len(commands)}")
             commands.append(self._object(path, rod, _along(end)))
@@ -167,16 +151,16 @@ class Stage:
         # seen through the arm, in which tips often are
         look = {"side": 0, "transparent": True, "depthTest": False, "depthWrite": False}
         for name, radius, colour, opacity in (
-            ("target", 2.0 * r, colours.TARGET, 0.5),
-            ("believed_tip", r, colours.BELIEVED, 1.0),
+            ("target", 2.0 * r, style.TARGET, 0.5),
+            ("believed_tip", r, style.BELIEVED, 1.0),
             ("measured", r, colours.MEASURED, 1.0),
-            ("tip", r, colours.TRUE, 1.0),
+            ("tip", r, style.TRUE, 1.0),
         ):
             material = g.MeshLambertMaterial(
                 color=colours.as_number(colour), opacity=opacity, **look
             )
             commands.append(self._object((name,), g.Mesh(g.Sphere(radius), material)))
-        black = g.MeshBasicMaterial(color=colours.as_number(colours.FORCE), **look)
+        black = g.MeshBasicMaterial(color=colours.as_number(style.FORCE), **look)
         # three.js' cylinders lie along y; page.js turns and stretches them
         shaft = g.Cylinder(1.0, 0.35 * r)
         head = g.Cylinder(3.2 * r, radiusTop=0.0, radiusBottom=1.1 * r)
@@ -211,7 +195,7 @@ class Stage:
     def _camera(self, camera: dict[str, Any], commands: list[bytes]) -> None:
         """Draw a camera's pyramid and its image plane under the node that carries it."""
         g, role = self._geometry, camera["role"]
-        colour = colours.as_number(colours.TRUE if role == "true" else colours.BELIEVED)
+        colour = colours.as_number(style.TRUE if role == "true" else style.BELIEVED)
         corner, right, down = camera["corner"], camera["right"], camera["down"]
         corners = [corner, corner + right, corner + right + down, corner + down]
         edges = []
@@ -235,12 +219,10 @@ class Stage:
 
     def _object(self, path: tuple[str, ...], thing: Any, placed: Array | None = None) -> bytes:
         """A command that puts a thing at a node, as it is or placed (4, 4) in the node's axes."""
-        import umsgpack
-
         command = self._commands.SetObject(thing).lower() | {"path": "/".join(path)}
         if placed is not None:
             command["object"]["object"]["matrix"] = placed.T.ravel().tolist()
-        packed: bytes = umsgpack.packb(command)
+        packed: bytes = self._pack(command)
         return packed
 
     def _node(self, role: str, mount: str | None) -> tuple[str, ...]:

@@ -197,7 +197,7 @@ approxjac.ImagePlane = class {
       if (dragged >= 0) canvas.setPointerCapture(event.pointerId);
     });
     canvas.addEventListener("pointermove", (event) => {
-      if (dragged >= 0) approxjac.onpixel(dragged, this.fromPage(...at(event)));
+      if (dragged >= 0) approxjac.onpixel?.(dragged, this.fromPage(...at(event)));
     });
     const release = () => { dragged = -1; };
     canvas.addEventListener("pointerup", release);

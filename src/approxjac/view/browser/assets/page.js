@@ -198,6 +198,7 @@ approxjac.Rows = class {
     seek, play, pause,
     state: () => ({ t, index: Math.round(rows.find(t)), playing, length: rows.length }),
     project: (point) => scene.project(point),
+    column: (name) => Array.from({ length: rows.length }, (_, i) => rows.row(name, i)),
     // Add one instant: name → number or array, as the columns are called. A cursor at the end
     // stays there.
     append(row) {

@@ -316,7 +316,7 @@ approxjac.Scene = class {
       }
       aim(event);
       const p = ray.ray.intersectPlane(plane, new THREE.Vector3());
-      if (p) approxjac.ontarget([p.x, -p.z, p.y]);
+      if (p) approxjac.ontarget?.([p.x, -p.z, p.y]);
     }, true);
     const release = () => { drags = false; viewer.controls.enabled = true; };
     element.addEventListener("pointerup", release, true);
