@@ -45,7 +45,9 @@ approxjac.Scene = class {
   build(data) {
     const THREE = MeshCat.THREE, { viewer } = this, colours = this.data.colours;
     if (data.commands) {
-      for (const root of ["true", "believed", "camera_true", "camera_believed"]) viewer.delete_path([root]);
+      for (const role of ["true", "believed"]) {
+        for (const root of [role, "camera_" + role, "points_" + role]) viewer.delete_path([root]);
+      }
       for (const command of data.commands) {
         viewer.handle_command_bytearray(Uint8Array.from(atob(command), (c) => c.charCodeAt(0)));
       }
@@ -82,8 +84,7 @@ approxjac.Scene = class {
   _ghost() {
     if (!this.viewer.scene_tree.children.believed) return;
     this.object(["believed"]).traverse((object) => {
-      if (!object.isMesh || object.parent.name.startsWith("camera") ||
-        object.parent.name.startsWith("bone")) return;
+      if (!object.isMesh || !object.parent.name.startsWith("shape")) return;
       Object.assign(object.material, {
         transparent: true, opacity: 0.42, depthWrite: true, side: MeshCat.THREE.FrontSide,
         polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4,
