@@ -15,10 +15,11 @@ from approxjac.simulation.scene import Scene, features
 from approxjac.tasks import Task
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import camera_view
+from approxjac.view.browser.looks import looks_of
 from approxjac.view.browser.tree import Tree, robot_tree
 from approxjac.view.browser.viewpoint import reach_points
 from approxjac.view.packages import view_package
-from approxjac.view.shapes import Look, robot_look
+from approxjac.view.shapes import Look
 from approxjac.view.style import BELIEVED, FORCE, TARGET, TRUE
 
 _GHOST = 0.38  # opacity of the believed arm
@@ -49,10 +50,7 @@ class Stage:
         self._commands = view_package("meshcat.commands")
         self._pack = view_package("umsgpack").packb
         self.scene = scene
-        self._looks = {"true": robot_look(scene.truth)}
-        if scene.belief is not None:
-            same = scene.belief.urdf == scene.truth.urdf
-            self._looks["believed"] = self._looks["true"] if same else robot_look(scene.belief)
+        self._looks = looks_of(scene.truth, scene.belief)
         looks = self._looks.values()
         self.missing = tuple(dict.fromkeys(text for look in looks for text in look.missing))
         self.corners = {role: _corners(look) for role, look in self._looks.items()}
@@ -76,27 +74,30 @@ class Stage:
             if camera is not None
         ]
 
-    def data(self) -> dict[str, Any]:
+    def data(self, *roles: str) -> dict[str, Any]:
         """What page.js builds the scene from: texts, numbers, lists and dictionaries.
 
-        Also what `approxjac.redraw` takes, when the believed robot has changed.
+        Args:
+            roles: "true" and "believed", which is both by default. `approxjac.redraw` of a page
+                that has the true robot takes `data("believed")`, when the belief has changed.
         """
+        roles = tuple(role for role in roles or ("true", "believed") if role in self._trees)
         commands: list[bytes] = []
-        links = self._true_arm(self._looks["true"], commands)
-        clones = self._ghost(self._looks, commands) if "believed" in self._looks else []
-        self._markers(commands)
-        self._points("true", self.scene.sensor, commands)
-        if self.scene.belief is not None:
+        built: dict[str, Any] = {"roles": roles, "clones": [], "missing": list(self.missing)}
+        if "true" in roles:
+            built["links"] = self._true_arm(self._looks["true"], commands)
+            self._markers(commands)
+            self._points("true", self.scene.sensor, commands)
+        if "believed" in roles:
+            built["clones"] = self._ghost(self._looks, commands)
             self._points("believed", self.scene.task, commands)
-        for camera in self.cameras:
+        cameras = [camera for camera in self.cameras if camera["role"] in roles]
+        for camera in cameras:
             self._camera(camera, commands)
-        return {
+        return built | {
             "commands": [base64.b64encode(c).decode() for c in commands],
-            "joints": {role: _joints(tree) for role, tree in self._trees.items()},
-            "links": links,
-            "clones": clones,
-            "cameras": [_listed(camera) for camera in self.cameras],
-            "missing": list(self.missing),
+            "joints": {role: _joints(self._trees[role]) for role in roles},
+            "cameras": [_listed(camera) for camera in cameras],
         }
 
     # -- parts --------------------------------------------------------------------------
@@ -121,12 +122,7 @@ class Stage:
             twins = looks["true"].shapes.get(link, ())
             for i, shape in enumerate(shapes):
                 path = (*tree.paths[link], f"shape{i}")
-                twin = twins[i] if i < len(twins) else None
-                if (
-                    twin is not None
-                    and np.array_equal(twin.vertices, shape.vertices)
-                    and np.array_equal(twin.faces, shape.faces)
-                ):
+                if i < len(twins) and twins[i] is shape:
                     clones.append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
                     commands.append(self._mesh(path, shape, BELIEVED, _GHOST))
@@ -159,7 +155,7 @@ class Stage:
         # seen through the arm, in which tips often are
         look = {"side": 0, "transparent": True, "depthTest": False, "depthWrite": False}
         for name, radius, colour, opacity in (
-            ("target", 2.0 * r, TARGET, 0.5),
+            ("target", 2.0 * r, TARGET, 0.65),
             ("believed_tip", r, BELIEVED, 1.0),
             ("measured", r, colours.MEASURED, 1.0),
             ("tip", r, TRUE, 1.0),
