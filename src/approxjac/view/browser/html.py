@@ -155,8 +155,8 @@ def document(data: Mapping[str, Any], scripts: Sequence[str] = ()) -> str:
         return (assets / name).read_text(encoding="utf-8")
 
     code = [_meshcat_js(), text("uPlot.iife.min.js"), *(text(name) for name in _SCRIPTS), *scripts]
-    # "</" would end the element that it stands in
-    values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    # "</script" would end the element that it stands in, and "<!--" change how it is read
+    values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
         text("page.html")
         .replace("{{title}}", html.escape(str(data["title"])))

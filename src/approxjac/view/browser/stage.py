@@ -241,6 +241,8 @@ class Stage:
 
     def _object(self, path: tuple[str, ...], thing: Any, placed: Array | None = None) -> bytes:
         """A command that puts a thing at a node, as it is or placed (4, 4) in the node's axes."""
+        # MeshCat's own are random; they need to be unique within a command only
+        thing.uuid, thing.geometry.uuid, thing.material.uuid = "object", "geometry", "material"
         command = self._commands.SetObject(thing).lower() | {"path": "/".join(path)}
         if placed is not None:
             command["object"]["object"]["matrix"] = placed.T.ravel().tolist()
