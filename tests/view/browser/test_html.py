@@ -45,6 +45,12 @@ def test_a_run_writes_its_page(run, tmp_path):
     assert not re.search(r'(src|href)="(?!data:)', text)
 
 
+def test_the_page_hands_on_the_licences_of_what_is_inside(run):
+    text = run.to_html()
+    for name in ("Leon Sorokin", "Robin Deits", "three.js authors"):
+        assert name in text, name
+
+
 def test_the_page_is_the_same_for_the_same_run(run):
     assert run.to_html() == run.to_html()
 

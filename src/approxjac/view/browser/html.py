@@ -112,9 +112,9 @@ def page_data(
         moving = np.concatenate([columns[name][[0, -1]] for name in named])
         moving = np.concatenate([moving, columns["tip"]])
         shown = moving[np.isfinite(moving).all(axis=1)]
-        arms = [link_points(scene.truth, q, stage.corners["true"])]
+        arms = [link_points(scene.truth, q, stage.boxes["true"])]
         if scene.belief is not None:
-            arms.append(link_points(scene.belief, q, stage.corners["believed"]))
+            arms.append(link_points(scene.belief, q, stage.boxes["believed"]))
         points = np.concatenate([*arms, *watched, shown])
     view = viewpoint(scene.truth, moving, points, stage.cameras)
     data["commands"] += stage.grid(view["normal"], points)
@@ -163,6 +163,7 @@ def document(data: Mapping[str, Any], scripts: Sequence[str] = ()) -> str:
         .replace("{{description}}", html.escape("; ".join(f"{n}: {x}" for n, x in data["facts"])))
         .replace("{{css}}", text("uPlot.min.css") + text("page.css"))
         .replace("{{data}}", values)
+        .replace("{{licences}}", _licences(text("uPlot.LICENSE")))
         .replace("{{scripts}}", "\n".join(_script(part) for part in code))
     )
 
@@ -291,6 +292,21 @@ def _meshcat_js() -> str:
     view_package("meshcat")  # for its error
     viewer = resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
     return viewer.read_text(encoding="utf-8")
+
+
+def _licences(uplot: str) -> str:
+    """Licences of what is inside the page, which ask to be handed on with it."""
+    viewer = resources.files("meshcat") / "viewer"
+    parts = [f"uPlot:\n\n{uplot}"]
+    for name in (
+        "LICENSE",
+        "dist/main.min.js.LICENSE.txt",
+        "dist/main.min.js.THIRD_PARTY_LICENSES.json",
+    ):
+        file = viewer / name
+        if file.is_file():
+            parts.append(f"MeshCat, {name}:\n\n{file.read_text(encoding='utf-8')}")
+    return "\n\n".join(parts).replace("<", "(").replace(">", ")")
 
 
 def _script(code: str) -> str:

@@ -40,7 +40,7 @@ class Stage:
         cameras: How cameras are drawn, as `camera_view` says, with "role" "true" or "believed"
             and "node", the path of what carries it.
         missing: What could not be drawn, and why.
-        corners: By role, link → corners of the box around its shapes, in its frame, each (k, 3)
+        boxes: By role, link → points of the box around its shapes, in its frame, each (k, 3)
             [m].
 
     Raises:
@@ -55,7 +55,7 @@ class Stage:
         self._looks = looks_of(scene.truth, scene.belief)
         looks = self._looks.values()
         self.missing = tuple(dict.fromkeys(text for look in looks for text in look.missing))
-        self.corners = {role: _corners(look) for role, look in self._looks.items()}
+        self.boxes = {role: _boxes(look) for role, look in self._looks.items()}
         around = reach_points(scene.truth)
         self.middle: Array = 0.5 * (around.min(axis=0) + around.max(axis=0))
         self.size = float(np.linalg.norm(around, axis=1).max())
@@ -268,12 +268,12 @@ def _joints(tree: Tree) -> list[dict[str, Any]]:
     ]
 
 
-def _corners(look: Look) -> dict[str, Array]:
-    """Corners of the box around each link's shapes, shape (8, 3)."""
+def _boxes(look: Look) -> dict[str, Array]:
+    """The box around each link's shapes: corners, middles of edges and faces, (27, 3)."""
     found = {}
     for link, shapes in look.shapes.items():
         vertices = np.concatenate([shape.vertices for shape in shapes])
-        ends = vertices.min(axis=0), vertices.max(axis=0)
+        ends = vertices.min(axis=0), np.median(vertices, axis=0), vertices.max(axis=0)
         found[link] = np.array(list(product(*zip(*ends, strict=True))))
     return found
 

@@ -18,24 +18,24 @@ _ABOVE = np.deg2rad(18.0)
 _PARALLEL = 1e-6
 
 
-def link_points(robot: Robot, q: Array, corners: Mapping[str, Array] | None = None) -> Array:
+def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array] | None = None) -> Array:
     """Where all links are at some of the configurations.
 
     Args:
         robot: The robot.
         q: Configurations, shape (N, nq).
-        corners: Link → points of it, in its own frame, each (k, 3) [m]; origins by default.
+        boxes: Link → points of it, in its own frame, each (k, 3) [m]; origins by default.
 
     Returns:
         Points of the world, shape (n, 3) [m].
     """
-    if corners is None:
-        corners = dict.fromkeys(robot.frame_names, np.zeros((1, 3)))
+    if boxes is None:
+        boxes = dict.fromkeys(robot.frame_names, np.zeros((1, 3)))
     data, points = robot.model.createData(), []
     every = max(1, len(q) // _INSTANTS)
     for row in [*q[::every], *q[-1:]]:
         pin.framesForwardKinematics(robot.model, data, row)
-        for link, own in corners.items():
+        for link, own in boxes.items():
             placed = data.oMf[robot.frame_id(link)]
             points.append(own @ placed.rotation.T + placed.translation)
     return np.concatenate(points)
@@ -122,7 +122,7 @@ def _widest(moving: Array, points: Array, stands: list[Array], views: list[Array
     """The direction from which the motion, the arm and the cameras lie widest apart.
 
     Of cameras one sees most from half beside them: neither their image from its edge nor all that
-    they look at behind it.
+    they look at behind it. The arm shall not stand before what moves.
 
     Args:
         moving: What the eye shall follow, shape (n, 3) [m].
@@ -140,12 +140,25 @@ def _widest(moving: Array, points: Array, stands: list[Array], views: list[Array
         for view in views:
             along = abs(float(view[:2] @ right[:2])) / float(np.linalg.norm(view))
             width -= 0.3 * float(np.std(points)) * abs(along - 0.75)
+        width -= float(np.std(points)) * _hidden(moving, points, azimuth)
         # of two that show the same, the one in front of the arm
         width += 1e-3 * np.cos(azimuth + np.pi / 4)
         if width > best:
             best = width
             found = np.array([np.cos(azimuth), np.sin(azimuth), np.tan(_ABOVE)])
     return found
+
+
+def _hidden(moving: Array, points: Array, azimuth: float) -> float:
+    """Share of what moves that is behind the arm, looked at from an azimuth [rad]; about."""
+    towards = np.array([np.cos(azimuth), np.sin(azimuth), np.tan(_ABOVE)])
+    towards = towards / np.linalg.norm(towards)
+    some = moving[:: max(1, len(moving) // 20)]
+    ways = points[:: max(1, len(points) // 2000), np.newaxis] - some
+    depth = ways @ towards
+    aside = np.linalg.norm(ways - depth[..., np.newaxis] * towards, axis=2)
+    near = 0.2 * float(np.std(points))
+    return float(((depth > 2.0 * near) & (aside < near)).any(axis=0).mean())
 
 
 def _outermost(points: Array) -> Array:

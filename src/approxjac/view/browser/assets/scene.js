@@ -110,6 +110,7 @@ approxjac.Scene = class {
     this.force = { node: this.object(["force"]), shaft: this.object(["force", "shaft"]),
       head: this.object(["force", "head"]) };
     for (const part of ["shaft", "head"]) this.object(["force", part, "<object>"]).renderOrder = 9;
+    for (const node of [this.force.node, ...Object.values(this.markers)]) node.visible = false; // until there are rows
   }
 
   // What is seen, on a camera's image plane, and the lines of sight of targets.
