@@ -62,6 +62,10 @@ def test_a_title_cannot_end_the_script(run):
     assert "<script>alert" not in text
 
 
+def test_a_title_may_be_anything(run):
+    assert data_of(run.to_html(title="{{scripts}} \\1"))["title"] == "{{scripts}} \\1"
+
+
 def test_columns_are_those_of_the_run(run):
     data = data_of(run.to_html())
     t = column(data, "t")

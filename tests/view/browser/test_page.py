@@ -172,6 +172,8 @@ def test_playing_moves_cursor_and_time_and_ends(reach, show):
     assert page.locator("#play").get_attribute("aria-label") == "Play"
     page.locator("#stage").click(position={"x": 20, "y": 20})
     page.evaluate("document.activeElement.blur()")
+    page.locator("#speed").select_option("0.25")
+    page.evaluate("document.activeElement.blur()")
     page.keyboard.press("Space")  # from the start again
     page.wait_for_function("approxjac.state().t < 1.0")
     page.keyboard.press("Space")

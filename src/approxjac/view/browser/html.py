@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -157,15 +158,16 @@ def document(data: Mapping[str, Any], scripts: Sequence[str] = ()) -> str:
     code = [_meshcat_js(), text("uPlot.iife.min.js"), *(text(name) for name in _SCRIPTS), *scripts]
     # "</script" would end the element that it stands in, and "<!--" change how it is read
     values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return (
-        text("page.html")
-        .replace("{{title}}", html.escape(str(data["title"])))
-        .replace("{{description}}", html.escape("; ".join(f"{n}: {x}" for n, x in data["facts"])))
-        .replace("{{css}}", text("uPlot.min.css") + text("page.css"))
-        .replace("{{data}}", values)
-        .replace("{{licences}}", _licences(text("uPlot.LICENSE")))
-        .replace("{{scripts}}", "\n".join(_script(part) for part in code))
-    )
+    parts = {
+        "title": html.escape(str(data["title"])),
+        "description": html.escape("; ".join(f"{name}: {said}" for name, said in data["facts"])),
+        "css": text("uPlot.min.css") + text("page.css"),
+        "data": values,
+        "licences": _licences(text("uPlot.LICENSE")),
+        "scripts": "\n".join(_script(part) for part in code),
+    }
+    # all at once: what is put in is not looked at again
+    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], text("page.html"))
 
 
 def show(run: Trajectory, *, title: str | None = None) -> Path:
