@@ -1,0 +1,132 @@
+"use strict";
+// Plots over time, with a cursor at the instant that the scene shows.
+
+approxjac.Plot = class {
+  constructor(spec, parent, seek) {
+    this.spec = spec;
+    const box = approxjac.panel(parent, spec.title, spec.labels.map((label, i) => [spec.colours[i], label]));
+    this.values = box.values;
+    this.area = box.area;
+    this.arrays = [[], ...spec.labels.map(() => [])];
+    const axis = { stroke: "#616e7c", grid: { stroke: "#e8ebee", width: 1 }, font: "11px sans-serif",
+      labelFont: "11px sans-serif", ticks: { stroke: "#dde1e6", width: 1, size: 4 }, gap: 3 };
+    this.plot = new uPlot({
+      width: 300, height: 120, padding: [8, 10, 0, 0],
+      legend: { show: false }, cursor: { show: false }, select: { show: false },
+      scales: { x: { time: false }, y: { range: (u, low, high) => this._range(low, high) } },
+      axes: [
+        { ...axis, size: 24, label: "time [s]", labelSize: 15, space: 60 },
+        { ...axis, size: 46, label: spec.unit, labelSize: 16, space: 26 },
+      ],
+      series: [{}, ...spec.labels.map((label, i) => ({
+        label, stroke: spec.colours[i], width: 1.5, points: { show: false }, pxAlign: 0,
+      }))],
+      hooks: { drawAxes: [(u) => this._lines(u)], setSize: [() => this.mark()], setScale: [() => this.mark()] },
+    }, this.arrays, this.area);
+    this.now = document.createElement("div");
+    this.now.className = "now";
+    this.plot.over.append(this.now);
+    this._seeks(seek);
+    new ResizeObserver(() => this.resize()).observe(this.area);
+    this.resize();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.area;
+    if (width > 60 && height > 40) this.plot.setSize({ width, height });
+  }
+
+  _range(low, high) {
+    if (low === null || high === null) return [-1, 1];
+    for (const line of this.spec.lines) { low = Math.min(low, line); high = Math.max(high, line); }
+    const margin = 0.06 * (high - low || Math.abs(high) || 1);
+    return [low - margin, high + margin];
+  }
+
+  // Zero, and limits.
+  _lines(u) {
+    u.ctx.save();
+    u.ctx.strokeStyle = "#555555";
+    u.ctx.lineWidth = devicePixelRatio;
+    for (const line of this.spec.lines) {
+      u.ctx.setLineDash(line === 0 ? [] : [5 * devicePixelRatio, 4 * devicePixelRatio]);
+      const y = Math.round(u.valToPos(line, "y", true)) + 0.5;
+      u.ctx.beginPath();
+      u.ctx.moveTo(u.bbox.left, y);
+      u.ctx.lineTo(u.bbox.left + u.bbox.width, y);
+      u.ctx.stroke();
+    }
+    u.ctx.restore();
+  }
+
+  _seeks(seek) {
+    const over = this.plot.over;
+    const to = (event) => {
+      const x = event.clientX - over.getBoundingClientRect().left;
+      seek(this.plot.posToVal(x, "x"));
+    };
+    over.addEventListener("pointerdown", (event) => {
+      over.setPointerCapture(event.pointerId);
+      to(event);
+    });
+    over.addEventListener("pointermove", (event) => { if (event.buttons & 1) to(event); });
+  }
+
+  // Take the rows that are new.
+  read(rows, from, to) {
+    const [t, ...series] = this.arrays;
+    for (let i = t.length; i < rows.length; i++) {
+      t.push(rows.row("t", i)[0]);
+      const values = rows.row(this.spec.column, i);
+      series.forEach((one, k) => one.push(Number.isFinite(values[k]) ? values[k] : null));
+    }
+    this.plot.setData(this.arrays, false);
+    this.plot.batch(() => {
+      this.plot.setScale("x", { min: from, max: to > from ? to : from + 1 });
+    });
+  }
+
+  show(t, values) {
+    this.t = t;
+    this.mark();
+    this.values.forEach((out, k) => { out.textContent = approxjac.number(values[k]); });
+  }
+
+  mark() {
+    if (this.t === undefined || !this.now) return;
+    const x = this.plot.valToPos(this.t, "x");
+    this.now.style.transform = `translateX(${x}px)`;
+    this.now.hidden = !(x >= -1 && x <= this.plot.over.clientWidth + 1);
+  }
+};
+
+// A titled box with a legend; returns its area and where the legend's values go.
+approxjac.panel = function (parent, title, keys) {
+  const box = document.createElement("section"), head = document.createElement("h2");
+  const list = document.createElement("div"), area = document.createElement("div");
+  box.className = "plot";
+  box.setAttribute("aria-label", title);
+  head.textContent = title;
+  list.className = "keys";
+  area.className = "area";
+  const values = keys.map(([colour, label]) => {
+    const key = document.createElement("span"), mark = document.createElement("i");
+    const value = document.createElement("span");
+    mark.style.background = colour;
+    key.append(mark, label + " ", value);
+    list.append(key);
+    return value;
+  });
+  box.append(head, list, area);
+  parent.append(box);
+  return { box, area, values };
+};
+
+// A number to three digits, with a true minus sign.
+approxjac.number = function (value) {
+  if (!Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  const text = size !== 0 && (size < 1e-3 || size >= 1e5) ? value.toExponential(1)
+    : value.toFixed(size < 1 ? 3 : size < 10 ? 2 : size < 100 ? 1 : 0);
+  return text.replace("-", "−");
+};

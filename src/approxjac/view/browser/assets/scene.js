@@ -1,0 +1,325 @@
+"use strict";
+// The 3-D scene: MeshCat's viewer, and what moves in it.
+// Positions are in the robot's world (z up); three.js has y up: (x, y, z) there is (x, z, −y) here.
+const approxjac = window.approxjac = {};
+
+approxjac.Scene = class {
+  constructor(data, element) {
+    const THREE = MeshCat.THREE;
+    this.data = data;
+    this.element = element;
+    this.viewer = new MeshCat.Viewer(element);
+    this.viewer.gui.domElement.remove();
+    this.touched = false; // whether the user has turned the view
+    this._quiet();
+    this.build(data);
+    // MeshCat takes the whole window's height; here the viewer has a part of it
+    this.viewer.set_3d_pane_size = () => this.resize();
+    new ResizeObserver(() => this.resize()).observe(element);
+    this.viewer.controls.addEventListener("start", () => { this.touched = true; });
+    this.resize();
+    if (data.live) this._dragTarget();
+  }
+
+  // Light background, soft lights, no axes.
+  _quiet() {
+    const { viewer } = this;
+    viewer.set_property(["Background"], "top_color", this.data.background[0]);
+    viewer.set_property(["Background"], "bottom_color", this.data.background[1]);
+    viewer.delete_path(["Grid"]);
+    viewer.delete_path(["Axes"]);
+    const light = (name) => viewer.scene_tree.find(["Lights", name, "<object>"]).object;
+    light("AmbientLight").intensity = 0.62;
+    light("FillLight").intensity = 0.16;
+    for (const name of ["PointLightNegativeX", "PointLightPositiveX"]) {
+      light(name).distance = 0; // as bright on large arms as on small ones
+      light(name).intensity = name.endsWith("NegativeX") ? 0.26 : 0.14;
+      light(name).position.multiplyScalar(2 * this.data.size);
+    }
+    viewer.camera.fov = 30;
+  }
+
+  object(path) { return this.viewer.scene_tree.find(path).object; }
+
+  // Whatever of the scene `data` describes, in place of what was there.
+  build(data) {
+    const THREE = MeshCat.THREE, { viewer } = this, colours = this.data.colours;
+    if (data.commands) {
+      for (const root of ["true", "believed", "camera_true", "camera_believed"]) viewer.delete_path([root]);
+      for (const command of data.commands) {
+        viewer.handle_command_bytearray(Uint8Array.from(atob(command), (c) => c.charCodeAt(0)));
+      }
+      for (const { from, to } of data.clones || []) {
+        const material = new THREE.MeshLambertMaterial({ color: colours.believed });
+        viewer.set_object(to, new THREE.Mesh(this.object([...from, "<object>"]).geometry, material));
+      }
+      this._ghost();
+      this.links = data.links;
+      for (const link of this.links) {
+        link.material = this.object([...link.path, "<object>"]).material;
+        link.rest = new THREE.Color(link.colour);
+      }
+      this._moving(data);
+      this.trail = null;
+    }
+    if (data.joints) {
+      this.joints = [];
+      for (const joint of Object.values(data.joints).flat()) {
+        viewer.set_transform(joint.path, joint.origin);
+        if (joint.column < 0) continue;
+        const node = this.object(joint.path);
+        this.joints.push({
+          node, column: joint.column, turns: joint.kind === "revolute",
+          axis: new THREE.Vector3(...joint.axis),
+          position: node.position.clone(), quaternion: node.quaternion.clone(),
+        });
+      }
+    }
+    viewer.set_dirty();
+  }
+
+  // The believed arm lets the true one through, and is hidden where both are the same.
+  _ghost() {
+    if (!this.viewer.scene_tree.children.believed) return;
+    this.object(["believed"]).traverse((object) => {
+      if (!object.isMesh || object.parent.name.startsWith("camera") ||
+        object.parent.name.startsWith("bone")) return;
+      Object.assign(object.material, {
+        transparent: true, opacity: 0.42, depthWrite: true, side: MeshCat.THREE.FrontSide,
+        polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4,
+      });
+      object.castShadow = false;
+    });
+  }
+
+  // Markers, and the images on the cameras' image planes.
+  _moving(data) {
+    const THREE = MeshCat.THREE, { viewer } = this, colours = this.data.colours, size = this.data.size;
+    this.markers = {};
+    // they are drawn over the arm, in this order
+    ["target", "believed_tip", "measured", "tip"].forEach((name, i) => {
+      this.markers[name] = this.object([name]);
+      this.object([name, "<object>"]).renderOrder = 10 + i;
+    });
+    this.force = { node: this.object(["force"]), shaft: this.object(["force", "shaft"]),
+      head: this.object(["force", "head"]) };
+    for (const part of ["shaft", "head"]) this.object(["force", part, "<object>"]).renderOrder = 9;
+    const dot = new THREE.SphereGeometry(0.009 * size, 12, 8);
+    const line = new THREE.CylinderGeometry(0.0022 * size, 0.0022 * size, 1, 6);
+    this.images = [];
+    const count = this.data.image ? this.data.image.points : 0;
+    for (const camera of data.cameras || []) {
+      const own = camera.role === "true"
+        ? [["pixels", colours.true], ["target_pixels", colours.target]]
+        : [["pixels", colours.true], ["believed_pixels", colours.believed]];
+      const image = { apex: new THREE.Vector3(...camera.apex), corner: new THREE.Vector3(...camera.corner),
+        right: new THREE.Vector3(...camera.right), down: new THREE.Vector3(...camera.down),
+        low: camera.low, high: camera.high, reach: camera.reach, dots: [], sights: [] };
+      const path = [...camera.node, "camera_" + camera.role];
+      for (const [column, color] of own) {
+        for (let k = 0; k < count; k++) {
+          const mesh = new THREE.Mesh(dot, new THREE.MeshBasicMaterial({ color }));
+          viewer.set_object([...path, column + k], mesh);
+          image.dots.push({ mesh, column, k });
+        }
+      }
+      for (let k = 0; k < count && camera.role === "true"; k++) {
+        const material = new THREE.MeshBasicMaterial({ color: colours.target, transparent: true, opacity: 0.65 });
+        const mesh = new THREE.Mesh(line, material);
+        viewer.set_object([...path, "sight" + k], mesh);
+        image.sights.push({ mesh, k });
+      }
+      this.images.push(image);
+    }
+  }
+
+  // Everything as it is at instant `s` of `rows`, which may lie between two.
+  show(rows, s) {
+    const THREE = MeshCat.THREE;
+    if (!rows.length) return;
+    const q = rows.at("joints", s);
+    const turn = new THREE.Quaternion(), step = new THREE.Vector3();
+    for (const joint of this.joints) {
+      if (joint.turns) {
+        joint.node.quaternion.copy(joint.quaternion)
+          .multiply(turn.setFromAxisAngle(joint.axis, q[joint.column]));
+      } else {
+        step.copy(joint.axis).multiplyScalar(q[joint.column]).applyQuaternion(joint.quaternion);
+        joint.node.position.copy(joint.position).add(step);
+      }
+    }
+    for (const [name, node] of Object.entries(this.markers)) {
+      const p = rows.at(name, s);
+      node.visible = p.every(Number.isFinite);
+      if (node.visible) node.position.set(...p);
+    }
+    this._arrow(rows.at("believed_tip", s), rows.at("force", s), rows.largest("force"));
+    this._states(rows.row("load", Math.ceil(s)), rows.row("at_limit", Math.round(s)));
+    for (const image of this.images) this._image(image, rows, s);
+    this._path(rows, s);
+    this.viewer.set_dirty();
+  }
+
+  // The force at the believed tip; the largest of the run is a third of the arm long.
+  _arrow(from, force, largest) {
+    const { node, shaft, head } = this.force, f = new MeshCat.THREE.Vector3(...force);
+    const length = 0.33 * this.data.size * f.length() / (largest || 1);
+    const tip = 0.042 * this.data.size;
+    node.visible = Number.isFinite(length) && from.every(Number.isFinite) && length > 0.2 * tip;
+    if (!node.visible) return;
+    node.position.set(...from);
+    node.quaternion.setFromUnitVectors(new MeshCat.THREE.Vector3(0, 1, 0), f.normalize());
+    const scale = Math.min(1, length / (1.5 * tip)); // a short one has a small head
+    head.scale.setScalar(scale);
+    head.position.y = length - 0.5 * scale * tip;
+    shaft.scale.set(1, Math.max(length - scale * tip, 1e-6), 1);
+    shaft.position.y = 0.5 * (length - scale * tip);
+  }
+
+  // Links take the colour of the state of the joint that moves them.
+  _states(load, atLimit) {
+    const THREE = MeshCat.THREE, colours = this.data.colours;
+    for (const link of this.links) {
+      const share = load[link.driver], color = link.material.color.copy(link.rest);
+      if (share >= 0.999) color.set(colours.saturated);
+      else if (atLimit[link.driver] >= 1) color.set(colours.atLimit);
+      else if (share > 0.8) color.lerp(new THREE.Color(colours.saturated), 2.5 * (share - 0.8));
+    }
+  }
+
+  _image(image, rows, s) {
+    const THREE = MeshCat.THREE;
+    const place = (column, k) => { // on the drawn image plane; null off it or where there is none
+      const x = rows.at(column, s).slice(2 * k, 2 * k + 2);
+      const share = x.map((value, i) => (value - image.low[i]) / (image.high[i] - image.low[i]));
+      if (!share.every((value) => value >= 0 && value <= 1)) return null;
+      return image.corner.clone().addScaledVector(image.right, share[0]).addScaledVector(image.down, share[1]);
+    };
+    for (const { mesh, column, k } of image.dots) {
+      const p = place(column, k);
+      mesh.visible = p !== null;
+      if (p) mesh.position.copy(p);
+    }
+    for (const { mesh, k } of image.sights) {
+      const p = place("target_pixels", k);
+      mesh.visible = p !== null;
+      if (!p) continue;
+      const along = p.sub(image.apex).multiplyScalar(image.reach);
+      mesh.position.copy(image.apex).addScaledVector(along, 0.5);
+      mesh.scale.set(1, along.length(), 1);
+      mesh.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.normalize());
+    }
+  }
+
+  // The true tip's path up to now, as thin rods: lines are a pixel wide whatever one asks for.
+  _path(rows, s) {
+    const THREE = MeshCat.THREE;
+    if (!this.trail || rows.length > this.trail.capacity) {
+      const capacity = Math.max(256, 2 * rows.length), r = 0.0028 * this.data.size;
+      const mesh = new THREE.InstancedMesh(new THREE.CylinderGeometry(r, r, 1, 6),
+        new THREE.MeshBasicMaterial({ color: this.data.colours.true }), capacity);
+      mesh.frustumCulled = false;
+      this.viewer.set_object(["trail"], mesh);
+      this.trail = { mesh, capacity, done: 0 };
+    }
+    const { trail } = this, up = new THREE.Vector3(0, 1, 0);
+    for (; trail.done < rows.length - 1; trail.done++) {
+      const a = new THREE.Vector3(...rows.row("tip", trail.done));
+      const way = new THREE.Vector3(...rows.row("tip", trail.done + 1)).sub(a), length = way.length();
+      const middle = a.addScaledVector(way, 0.5);
+      const turn = new THREE.Quaternion().setFromUnitVectors(up, length > 0 ? way.normalize() : up);
+      trail.mesh.setMatrixAt(trail.done,
+        new THREE.Matrix4().compose(middle, turn, new THREE.Vector3(1, length, 1)));
+      trail.mesh.instanceMatrix.needsUpdate = true;
+    }
+    trail.mesh.count = Math.min(trail.done, Math.floor(s));
+    trail.mesh.visible = trail.mesh.count > 0;
+  }
+
+  // -- the view ------------------------------------------------------------------------
+
+  resize() {
+    const w = this.element.clientWidth, h = this.element.clientHeight, { viewer } = this;
+    if (!w || !h) return;
+    viewer.camera.aspect = w / h;
+    viewer.renderer.setSize(w, h);
+    if (!this.touched) this._frame();
+    viewer.camera.updateProjectionMatrix();
+    viewer.set_dirty();
+  }
+
+  // Put the eye as near as it may come in its direction with all points in view.
+  _frame() {
+    const THREE = MeshCat.THREE, { camera, controls } = this.viewer;
+    const inThree = ([x, y, z]) => new THREE.Vector3(x, z, -y);
+    const towards = inThree(this.data.view.direction).normalize();
+    const right = new THREE.Vector3().crossVectors(camera.up, towards);
+    if (right.length() < 1e-6) right.set(1, 0, 0);
+    right.normalize();
+    const up = new THREE.Vector3().crossVectors(towards, right);
+    const slope = 0.92 * Math.tan(0.5 * camera.fov * Math.PI / 180);
+    const points = this.data.view.points.map(inThree);
+    const depth = points.map((p) => p.dot(towards));
+    const fit = (axis, tan) => { // the nearest eye, and where it is across
+      const across = points.map((p) => p.dot(axis));
+      const high = Math.max(...across.map((a, i) => a + tan * depth[i]));
+      const low = Math.min(...across.map((a, i) => a - tan * depth[i]));
+      return [(high - low) / (2 * tan), (high + low) / 2];
+    };
+    const [eyeX, x] = fit(right, slope * camera.aspect), [eyeY, y] = fit(up, slope);
+    const eye = Math.max(eyeX, eyeY), middle = 0.5 * (Math.max(...depth) + Math.min(...depth));
+    const centre = right.multiplyScalar(x).add(up.multiplyScalar(y));
+    controls.target.copy(centre).addScaledVector(towards, middle);
+    camera.position.copy(centre).addScaledVector(towards, eye);
+    camera.near = 0.02 * this.data.size;
+    camera.far = 100 * this.data.size;
+    controls.update();
+  }
+
+  // Where a point of the world is on the page, in CSS pixels.
+  project([x, y, z]) {
+    const { camera } = this.viewer, box = this.element.getBoundingClientRect();
+    camera.updateMatrixWorld();
+    const p = new MeshCat.THREE.Vector3(x, z, -y).project(camera);
+    return { x: box.left + 0.5 * (1 + p.x) * box.width, y: box.top + 0.5 * (1 - p.y) * box.height };
+  }
+
+  // -- dragging the target ---------------------------------------------------------------
+
+  _dragTarget() {
+    const THREE = MeshCat.THREE, { viewer, element } = this, target = this.markers.target;
+    const ray = new THREE.Raycaster(), plane = new THREE.Plane();
+    const aim = (event) => {
+      const box = element.getBoundingClientRect();
+      ray.setFromCamera({ x: 2 * (event.clientX - box.left) / box.width - 1,
+        y: 1 - 2 * (event.clientY - box.top) / box.height }, viewer.camera);
+    };
+    const hit = (event) => {
+      aim(event);
+      return target.visible && ray.intersectObject(target, true).length > 0;
+    };
+    let drags = false;
+    // before OrbitControls hears of it, which would turn the view
+    element.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0 || !hit(event)) return;
+      drags = true;
+      viewer.controls.enabled = false;
+      element.setPointerCapture(event.pointerId);
+      const facing = viewer.camera.getWorldDirection(new THREE.Vector3());
+      plane.setFromNormalAndCoplanarPoint(facing, target.getWorldPosition(new THREE.Vector3()));
+      event.stopPropagation();
+    }, true);
+    element.addEventListener("pointermove", (event) => {
+      if (!drags) {
+        element.style.cursor = hit(event) ? "grab" : "";
+        return;
+      }
+      aim(event);
+      const p = ray.ray.intersectPlane(plane, new THREE.Vector3());
+      if (p) approxjac.ontarget?.([p.x, -p.z, p.y]);
+    }, true);
+    const release = () => { drags = false; viewer.controls.enabled = true; };
+    element.addEventListener("pointerup", release, true);
+    element.addEventListener("pointercancel", release, true);
+  }
+};

@@ -1,0 +1,287 @@
+"""The page itself: one HTML file with all that it needs inside."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from approxjac.checks import Array, require
+from approxjac.errors import InvalidInputError
+from approxjac.interface import LimitStatus, Status
+from approxjac.simulation import Trajectory
+from approxjac.simulation.scene import Scene
+from approxjac.view import style
+from approxjac.view.browser import colours
+from approxjac.view.browser.cameras import image_axes
+from approxjac.view.browser.frames import Frames, display_unit
+from approxjac.view.browser.stage import Stage
+from approxjac.view.browser.viewpoint import link_points, reach_points, viewpoint
+from approxjac.view.packages import view_package
+
+_RATE = 60.0  # frames of a second, at most
+_FRAMES = 1000  # of a run, at most
+_BELIEVED = ", and what its controller believes of it"
+_SCRIPTS = ("scene.js", "plots.js", "image.js", "page.js")
+
+
+def page(run: Trajectory, *, title: str | None = None) -> str:
+    """Return a run as one HTML page that needs nothing else, no network either.
+
+    The page shows at most 60 instants a second and 1000 in all, the first and the last among
+    them. Torques and shares of limits are the largest since the instant shown before.
+
+    Args:
+        run: The run.
+        title: Of the page; by default the name of the robot and what it does.
+
+    Raises:
+        InvalidInputError: A run that does not know who took part in it.
+        MissingPackageError: meshcat is not installed.
+    """
+    require("run", run, Trajectory, "a Trajectory, as simulate returns it")
+    if run.scene is None:
+        raise InvalidInputError(
+            "run must have a scene, to know which robots to draw: take one that "
+            "approxjac.simulate returned, or give dataclasses.replace(run, scene=Scene(...))",
+            given=run,
+        )
+    kept = _thinned(run.t)
+    frames = Frames(run.scene, run.task_units)
+    columns = frames.columns(
+        run.t[kept], run.q[kept], run.x_measured[kept], run.x_d[kept], run.error[kept],
+        _peaks(run.tau, kept), run.task_torque[kept], run.V[kept],
+    )  # fmt: skip
+    data = page_data(
+        run.scene,
+        columns,
+        q=run.q[kept],
+        title=title or run.robot_name + ("" if run.scene.belief is None else _BELIEVED),
+        facts=_facts(run),
+        task_labels=run.task_labels,
+        task_units=run.task_units,
+    )
+    return document(data)
+
+
+def page_data(
+    scene: Scene,
+    columns: Mapping[str, Array],
+    *,
+    q: Array | None = None,
+    title: str,
+    facts: Sequence[tuple[str, str]] = (),
+    task_labels: Sequence[str] | None = None,
+    task_units: Sequence[str] | None = None,
+    live: bool = False,
+) -> dict[str, Any]:
+    """Return what a page is made of, for `document`.
+
+    Args:
+        scene: Who takes part.
+        columns: What `Frames.columns` returned, of any number of instants.
+        q: Configurations of the same instants, shape (N, nq), to look at the right place; none
+            looks at all that the arm reaches.
+        title: Of the page.
+        facts: What to say above it, each a name and a text.
+        task_labels: Names of the error's coordinates; those of the sensor by default.
+        task_units: Their units; those of the sensor by default.
+        live: Whether instants come in while the page is open, and targets can be dragged.
+    """
+    if scene.sensor is not None:
+        task_labels, task_units = (
+            task_labels or scene.sensor.labels,
+            (task_units or scene.sensor.units),
+        )
+    stage, frames = Stage(scene), Frames(scene, tuple(task_units or ()))
+    data = stage.data()
+    robots = [robot for robot in (scene.truth, scene.belief) if robot is not None]
+    if q is None or len(q) == 0:
+        points = moving = reach_points(scene.truth)
+    else:
+        named = ("tip", "target", "believed_tip")
+        moving = np.concatenate([columns[name][[0, -1]] for name in named])
+        moving = np.concatenate([moving, columns["tip"]])
+        shown = moving[np.isfinite(moving).all(axis=1)]
+        points = np.concatenate([*(link_points(robot, q) for robot in robots), shown])
+    view = viewpoint(scene.truth, moving, points, stage.cameras)
+    data["commands"] += stage.grid(view["normal"], points)
+    image = None
+    if frames.image is not None and frames.image.camera is not None:
+        image = image_axes(frames.image.camera) | {"points": len(frames.image.points)}
+    data |= {
+        "title": title,
+        "facts": [list(fact) for fact in facts],
+        "legend": _legend(scene, frames.image is not None),
+        "live": live,
+        "colours": colours.by_role(),
+        "background": [colours.as_rgb(colours.SKY), colours.as_rgb(colours.FLOOR)],
+        "size": stage.size,
+        "view": {
+            "direction": view["direction"].tolist(),
+            "points": np.round(view["points"], 4).tolist(),
+        },
+        "image": image,
+        "plots": _plots(scene, list(task_labels or ()), list(task_units or ())),
+        "jointNames": list(scene.truth.joint_names),
+        "columns": {name: _packed(column) for name, column in columns.items()},
+        "shapes": {name: list(np.shape(column)[1:]) for name, column in columns.items()},
+    }
+    return data
+
+
+def document(data: Mapping[str, Any], scripts: Sequence[str] = ()) -> str:
+    """Return the HTML of a page.
+
+    Args:
+        data: What `page_data` returned.
+        scripts: JavaScript to run after the page's own.
+    """
+    assets = resources.files("approxjac.view.browser") / "assets"
+
+    def text(name: str) -> str:
+        return (assets / name).read_text(encoding="utf-8")
+
+    code = [_meshcat_js(), text("uPlot.iife.min.js"), *(text(name) for name in _SCRIPTS), *scripts]
+    # "</" would end the element that it stands in
+    values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    return (
+        text("page.html")
+        .replace("{{title}}", html.escape(str(data["title"])))
+        .replace("{{description}}", html.escape("; ".join(f"{n}: {x}" for n, x in data["facts"])))
+        .replace("{{css}}", text("uPlot.min.css") + text("page.css"))
+        .replace("{{data}}", values)
+        .replace("{{scripts}}", "\n".join(_script(part) for part in code))
+    )
+
+
+def show(run: Trajectory, *, title: str | None = None) -> Path:
+    """Write a run's page into a temporary file and open it; returns the file.
+
+    Where no browser can be opened, it prints where the page is.
+    """
+    import webbrowser
+
+    text = page(run, title=title)
+    with tempfile.NamedTemporaryFile(
+        "w", encoding="utf-8", prefix="approxjac-", suffix=".html", delete=False
+    ) as file:
+        file.write(text)
+    path = Path(file.name)
+    try:
+        opened = webbrowser.open(path.as_uri())
+    except webbrowser.Error:
+        opened = False
+    if not opened:
+        print(f"no browser could be opened; the page is {path}")
+    return path
+
+
+def _thinned(t: Array) -> Any:
+    """Indices of the instants that the page shows, the first and the last among them."""
+    duration = float(t[-1] - t[0])
+    count = min(len(t), _FRAMES, max(2, round(duration * _RATE) + 1))
+    if count == len(t):
+        return np.arange(len(t))
+    wanted = np.linspace(t[0], t[-1], count)
+    nearest = np.searchsorted(0.5 * (t[1:] + t[:-1]), wanted)
+    return np.unique(np.concatenate([[0], nearest, [len(t) - 1]]))
+
+
+def _peaks(tau: Array, kept: Any) -> Array:
+    """Each joint's largest |τ| since the instant kept before, with its sign; shape (n, n_v)."""
+    found = tau[kept]
+    for i, (first, last) in enumerate(pairwise(kept), start=1):
+        part = tau[first + 1 : last + 1]
+        at = np.abs(part).argmax(axis=0)
+        found[i] = part[at, np.arange(tau.shape[1])]
+    return np.asarray(found)
+
+
+def _facts(run: Trajectory) -> list[tuple[str, str]]:
+    """What came out, from the run only."""
+    units = [display_unit(unit) for unit in run.task_units]
+    facts = []
+    for unit in dict.fromkeys(name for name, _ in units):
+        rows = [i for i, (name, _) in enumerate(units) if name == unit]
+        scaled = run.error[:, rows] * [units[i][1] for i in rows]
+        first, last = (float(np.linalg.norm(scaled[k])) for k in (0, -1))
+        share = f" ({100.0 * last / first:.2g} % is left)" if first > 0.0 else ""
+        facts.append(("error", f"{first:.3g} → {last:.3g} {unit}{share}"))
+    n = len(run.t)
+    lost = int((~np.isfinite(run.x_measured).all(axis=1)).sum())
+    if lost:
+        facts.append(("not measured", f"{100.0 * lost / n:.2g} % of the time"))
+    for counts in (run.status_counts(), run.limit_status_counts()):
+        for status, count in counts.items():
+            if status not in (Status.OK, LimitStatus.UNLIMITED, LimitStatus.FREE):
+                name = status.name.lower().replace("_", " ")
+                facts.append((name, f"{100.0 * count / n:.2g} % of the time"))
+    return facts
+
+
+def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
+    """What the colours mean: colour, kind of mark ("" is a dot) and words."""
+    entries = [(colours.ARM, "bar", "the arm as it is")]
+    if any(name.endswith("_tip_joint") for name in scene.truth.frame_names):
+        entries.append((colours.OBJECT, "bar", "object that it holds"))
+    if scene.belief is not None:
+        entries.append((style.BELIEVED, "bar", "arm and camera as the controller believes them"))
+    entries.append((style.TRUE, "", "true tip and its path"))
+    entries.append((style.TARGET, "", "target, line of sight" if image else "target"))
+    if scene.task is not None:
+        entries.append((style.FORCE, "dash", "force that the control means to exert"))
+    if np.isfinite(scene.torque_limits).any():
+        entries.append((style.SATURATED, "bar", "link whose torque is at its limit"))
+    if np.isfinite(np.array(scene.truth.position_limits)).any():
+        entries.append((style.AT_LIMIT, "bar", "link whose joint is at its limit"))
+    return entries
+
+
+def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, Any]]:
+    """The plots beside the scene; names, units and colours as in `approxjac.view`."""
+    shown = " or ".join(dict.fromkeys(display_unit(unit)[0] for unit in units))
+    known = bool(np.isfinite(scene.torque_limits).any())
+    kinds = [unit for unit in ("rad", "m") if unit in scene.truth.joint_units]
+    torque = " or ".join({"rad": "N m", "m": "N"}[kind] for kind in kinds)
+    joints = list(scene.truth.joint_names)
+    return [
+        {
+            "column": "error", "title": "Task error of each coordinate",
+            "unit": f"x − x_d [{shown}]", "labels": labels,
+            "colours": colours.series(len(labels)), "lines": [0.0],
+        },
+        {
+            "column": "torque", "title": "Torque of each joint",
+            "unit": "τ / limit" if known else f"τ [{torque}]", "labels": joints,
+            "colours": colours.series(len(joints)), "lines": [-1.0, 1.0] if known else [],
+        },
+        {
+            "column": "V", "title": "Lyapunov function", "unit": "V [J]", "labels": ["V"],
+            "colours": colours.series(1), "lines": [],
+        },
+    ]  # fmt: skip
+
+
+def _packed(column: Array) -> str:
+    """Numbers as base64 of little-endian float32, which the page reads without parsing."""
+    return base64.b64encode(np.ascontiguousarray(column, dtype="<f4").tobytes()).decode()
+
+
+def _meshcat_js() -> str:
+    view_package("meshcat")  # for its error
+    viewer = resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
+    return viewer.read_text(encoding="utf-8")
+
+
+def _script(code: str) -> str:
+    code = code.replace("</script", "<\\/script")  # or it would end here
+    return f"<script>{code}</script>"
