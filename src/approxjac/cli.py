@@ -171,7 +171,7 @@ def view(
         title: Of the page; by default what the run is of.
     """
     from approxjac.simulation import Trajectory
-    from approxjac.view.browser.server import open_browser
+    from approxjac.view.browser.opening import open_browser
 
     path = _run_file(run)
     page = Trajectory.load(path).to_html(out or path.with_suffix(".html"), title=title)
@@ -250,7 +250,7 @@ def _run_file(run: Path) -> Path:
     return found[0]
 
 
-for _name, _command in {
+_COMMANDS: dict[str, Callable[..., int]] = {
     "paper": paper,
     "robots": robots,
     "simulate": simulate,
@@ -261,7 +261,8 @@ for _name, _command in {
     "limiters": limiters,
     "servo-study": servo_study,
     "certify": certify,
-}.items():
+}
+for _name, _command in _COMMANDS.items():
     app.command(name=_name)(_command)
 
 

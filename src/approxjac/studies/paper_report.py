@@ -18,6 +18,7 @@ from approxjac.view import (
     plot_path,
     plot_torque,
     save_figure,
+    write_index,
 )
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from approxjac.view.browser.frames import Frames
 
 from approxjac.checks import Array, as_array, as_number
 from approxjac.errors import ApproxJacError, InvalidInputError
@@ -20,7 +19,11 @@ from approxjac.robots import Robot
 from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.simulation.scene import features
-from approxjac.view.browser.server import PageServer, open_browser
+from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.html import live_page, recorded
+from approxjac.view.browser.opening import open_browser
+from approxjac.view.browser.server import PageServer
+from approxjac.view.browser.stage import Stage
 
 _FRAME = 1.0 / 30.0  # between pictures [s]
 _NAP = 0.02  # between looks at what the user wants, while waiting [s]
@@ -31,9 +34,9 @@ _HELP = "target X Y Z (as the task has it) | length L | speed S | pause | go | s
 class LiveView:
     """Shows a run in the browser while it goes on, in real time or at another speed.
 
-    An observer for `simulate`, for one run: `aj.simulate(..., observer=view.LiveView())`. The target
-    is moved in the page (with the mouse, or as numbers); so is the believed length where `believe`
-    is given. What is not moved leaves the run as it is without a view, to the last bit.
+    An observer for `simulate`, for one run: `aj.simulate(..., observer=view.LiveView())`. The
+    target is moved in the page (with the mouse, or as numbers); so is the believed length where
+    `believe` is given. What is not moved leaves the run as it is without a view, to the last bit.
 
     Args:
         speed: Of the run, as a multiple of real time, > 0; infinite for as fast as it goes.
@@ -69,6 +72,7 @@ class LiveView:
         self._rows: list[str] = []
         self._every = 1  # of the rows that were made, the one that is kept
         self._made = 0
+        self._stage: Stage | None = None
         self._server: Any = None
 
     def __call__(self, loop: SampledLoop) -> None:
@@ -117,13 +121,21 @@ class LiveView:
             print(f"Nobody has opened the page in {self._patience:g} s: the run starts", flush=True)
         self._begin(loop)
 
-    def _look(self, loop: SampledLoop) -> None:
+    def _look(self, loop: SampledLoop) -> Stage:
         """See anew who takes part."""
         self._scene = scene_of(loop.plant, loop.controller)
         self._frames = Frames(self._scene)
+        self._stage = stage = Stage(self._scene, self._stage)
+        self._text: str | None = None
+        return stage
 
     def _page(self) -> str:
-        return live_page(self._scene, self._controls())
+        """The page, made when it is asked for: meshes take a second."""
+        text, stage = self._text, self._stage
+        if text is None:
+            assert stage is not None  # it is there before the server
+            self._text = text = live_page(stage)
+        return text
 
     def _controls(self) -> dict[str, Any]:
         """What the user may do, and how it is now."""
@@ -135,7 +147,7 @@ class LiveView:
 
     def _greeting(self) -> list[str]:
         return [
-            _message(rows=[json.loads(row) for row in self._rows]),
+            f'{{"rows": [{", ".join(self._rows)}]}}',
             _message(controls=self._controls()),
         ]
 
@@ -144,7 +156,8 @@ class LiveView:
         self._record.add(
             loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target, loop.controller
         )
-        row = json.dumps(_row(self._frames.columns(self._record.taken(loop.controller))))
+        instant = recorded(self._record.taken(loop.controller))
+        row = json.dumps(_row(self._frames.columns(*instant)))
         self._server.send(f'{{"rows": [{row}]}}')
         if self._made % self._every == 0:
             self._rows.append(row)
@@ -222,8 +235,7 @@ class LiveView:
         robot = self._believe(as_number("length", length, unit="m", minimum=0.0))
         loop.exchange(controller.with_task(controller.task.on(robot)))
         self._length = length
-        self._look(loop)
-        self._server.send(_message(redraw=redrawn(self._scene)))
+        self._server.send(_message(redraw=self._look(loop).belief()))
 
     def _say(self, text: str) -> None:
         self._server.send(_message(note=text))

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import queue
 import socket
-import sys
 import threading
-import webbrowser
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from approxjac.errors import InvalidInputError
+from approxjac.view.packages import view_package
 
 _HOST = "127.0.0.1"  # nobody else on the network gets to move an arm
 _PORT = 7007
@@ -34,6 +32,7 @@ class PageServer:
 
     Raises:
         InvalidInputError: The port is taken, or none.
+        MissingPackageError: tornado is not installed.
     """
 
     def __init__(
@@ -42,6 +41,8 @@ class PageServer:
         greeting: Callable[[], list[str]],
         port: int | None = None,
     ) -> None:
+        self._web = view_package("tornado.web")
+        self._websocket = view_package("tornado.websocket")
         self._page = page
         self._greeting = greeting
         self._socket = _bound(port)
@@ -80,18 +81,14 @@ class PageServer:
             self._loop.close()
 
     async def _until_closed(self) -> None:
-        from tornado.httpserver import HTTPServer
-        from tornado.web import Application, RequestHandler
-        from tornado.websocket import WebSocketHandler
-
         outer = self
 
-        class Page(RequestHandler):
+        class Page(self._web.RequestHandler):  # type: ignore[misc, name-defined]
             def get(self) -> None:
                 self.set_header("Cache-Control", "no-store")
                 self.finish(outer._page())
 
-        class Socket(WebSocketHandler):
+        class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
             def open(self, *_: str) -> None:
                 for message in outer._greeting():
                     self.write_message(message)
@@ -109,7 +106,8 @@ class PageServer:
             def on_close(self) -> None:
                 outer._pages.discard(self)
 
-        server = HTTPServer(Application([("/", Page), ("/socket", Socket)]))
+        application = self._web.Application([("/", Page), ("/socket", Socket)])
+        server = view_package("tornado.httpserver").HTTPServer(application)
         server.add_socket(self._socket)
         await self._closing.wait()
         server.stop()
@@ -120,15 +118,6 @@ class PageServer:
     def _broadcast(self, message: str) -> None:
         for page in list(self._pages):
             page.write_message(message)
-
-
-def open_browser(url: str) -> bool:
-    """Open a page in the user's browser; returns whether there is one."""
-    screen = (
-        sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
-    # without a screen, `webbrowser` would take a browser for terminals and wait until it is left
-    return bool(screen) and webbrowser.open(url)
 
 
 def _bound(port: int | None) -> socket.socket:

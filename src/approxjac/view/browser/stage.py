@@ -28,6 +28,7 @@ class Stage:
 
     Args:
         scene: Who takes part.
+        like: The stage of a scene with the same true robot, whose look is taken over.
 
     Attributes:
         size: Of the arm: the farthest that a link gets from the base [m].
@@ -40,12 +41,17 @@ class Stage:
         MissingPackageError: meshcat is not installed.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, like: Stage | None = None) -> None:
         self._geometry = view_package("meshcat.geometry")
         self._commands = view_package("meshcat.commands")
         self._pack = view_package("umsgpack").packb
         self.scene = scene
-        self.missing: tuple[str, ...] = ()
+        true = robot_look(scene.truth) if like is None else like._looks["true"]
+        self._looks: dict[str, Look] = {"true": true}
+        if scene.belief is not None:
+            self._looks["believed"] = robot_look(scene.belief, like=(scene.truth, true))
+        missing = [name for look in self._looks.values() for name in look.missing]
+        self.missing = tuple(dict.fromkeys(missing))
         around = reach_points(scene.truth)
         self.middle: Array = 0.5 * (around.min(axis=0) + around.max(axis=0))
         self.size = float(np.linalg.norm(around, axis=1).max())
@@ -67,25 +73,28 @@ class Stage:
         ]
 
     def data(self) -> dict[str, Any]:
-        """What page.js builds the scene from: texts, numbers, lists and dictionaries.
-
-        Also what `approxjac.redraw` takes, when the believed robot has changed.
-        """
+        """What page.js builds the scene from: texts, numbers, lists and dictionaries."""
         commands: list[bytes] = []
-        looks = {"true": robot_look(self.scene.truth)}
-        if self.scene.belief is not None:
-            same = self.scene.belief.urdf == self.scene.truth.urdf
-            looks["believed"] = looks["true"] if same else robot_look(self.scene.belief)
-        self.missing = tuple(dict.fromkeys(m for look in looks.values() for m in look.missing))
-        links = self._true_arm(looks["true"], commands)
-        clones = self._ghost(looks, commands) if "believed" in looks else []
+        links = self._true_arm(self._looks["true"], commands)
         self._markers(commands)
+        return self._drawn(("true", "believed"), commands) | {"links": links}
+
+    def belief(self) -> dict[str, Any]:
+        """What `approxjac.redraw` builds the believed robot from, when it has changed."""
+        return self._drawn(("believed",), [])
+
+    def _drawn(self, roles: tuple[str, ...], commands: list[bytes]) -> dict[str, Any]:
+        """Draw the believed robot, if it plays one of the roles, and the cameras of the roles."""
+        clones = []
+        if "believed" in roles and "believed" in self._looks:
+            clones = self._ghost(self._looks, commands)
         for camera in self.cameras:
-            self._camera(camera, commands)
+            if camera["role"] in roles:
+                self._camera(camera, commands)
+        trees = {role: tree for role, tree in self._trees.items() if role in roles}
         return {
             "commands": [base64.b64encode(c).decode() for c in commands],
-            "joints": {role: _joints(tree) for role, tree in self._trees.items()},
-            "links": links,
+            "joints": {role: _joints(tree) for role, tree in trees.items()},
             "clones": clones,
             "cameras": [_listed(camera) for camera in self.cameras],
             "missing": list(self.missing),
@@ -114,11 +123,7 @@ class Stage:
             for i, shape in enumerate(shapes):
                 path = (*tree.paths[link], f"shape{i}")
                 twin = twins[i] if i < len(twins) else None
-                if (
-                    twin is not None
-                    and np.array_equal(twin.vertices, shape.vertices)
-                    and np.array_equal(twin.faces, shape.faces)
-                ):
+                if twin is shape:
                     clones.append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
                     commands.append(self._mesh(path, shape, style.BELIEVED, _GHOST))

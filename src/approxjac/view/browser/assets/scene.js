@@ -12,6 +12,7 @@ approxjac.Scene = class {
     this.viewer.gui.domElement.remove();
     this.touched = false; // whether the user has turned the view
     this._quiet();
+    this.joints = [];
     this.build(data);
     // MeshCat takes the whole window's height; here the viewer has a part of it
     this.viewer.set_3d_pane_size = () => this.resize();
@@ -45,7 +46,9 @@ approxjac.Scene = class {
   build(data) {
     const THREE = MeshCat.THREE, { viewer } = this, colours = this.data.colours;
     if (data.commands) {
-      for (const root of ["true", "believed", "camera_true", "camera_believed"]) viewer.delete_path([root]);
+      for (const role of Object.keys(data.joints)) {
+        for (const root of [role, "camera_" + role]) viewer.delete_path([root]);
+      }
       for (const command of data.commands) {
         viewer.handle_command_bytearray(Uint8Array.from(atob(command), (c) => c.charCodeAt(0)));
       }
@@ -54,22 +57,23 @@ approxjac.Scene = class {
         viewer.set_object(to, new THREE.Mesh(this.object([...from, "<object>"]).geometry, material));
       }
       this._ghost();
-      this.links = data.links;
-      for (const link of this.links) {
-        link.material = this.object([...link.path, "<object>"]).material;
-        link.rest = new THREE.Color(link.colour);
+      if (data.links) {
+        this.links = data.links;
+        for (const link of this.links) {
+          link.material = this.object([...link.path, "<object>"]).material;
+          link.rest = new THREE.Color(link.colour);
+        }
       }
       this._moving(data);
-      this.trail = null;
     }
-    if (data.joints) {
-      this.joints = [];
-      for (const joint of Object.values(data.joints).flat()) {
+    for (const [role, joints] of Object.entries(data.joints)) {
+      this.joints = this.joints.filter((joint) => joint.role !== role);
+      for (const joint of joints) {
         viewer.set_transform(joint.path, joint.origin);
         if (joint.column < 0) continue;
         const node = this.object(joint.path);
         this.joints.push({
-          node, column: joint.column, turns: joint.kind === "revolute",
+          role, node, column: joint.column, turns: joint.kind === "revolute",
           axis: new THREE.Vector3(...joint.axis),
           position: node.position.clone(), quaternion: node.quaternion.clone(),
         });
