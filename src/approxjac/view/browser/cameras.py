@@ -51,7 +51,7 @@ def _pinhole(camera: PinholeCamera, size: float, middle: Array) -> dict[str, Any
         return np.asarray(R @ (depth * ray) + p)
 
     corner = at(low[0], low[1])
-    reach = _BEYOND * (away if camera.mount is None else size) / depth
+    reach = (_BEYOND * away if camera.mount is None else 0.5 * size) / depth
     return {
         "apex": p, "corner": corner, "right": at(high[0], low[1]) - corner,
         "down": at(low[0], high[1]) - corner, "low": low, "high": high, "reach": reach,

@@ -18,8 +18,7 @@ from approxjac.checks import Array, require
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
-from approxjac.simulation.scene import Scene
-from approxjac.view import style
+from approxjac.simulation.scene import Scene, features
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import image_axes
 from approxjac.view.browser.frames import Frames, display_unit
@@ -27,6 +26,7 @@ from approxjac.view.browser.opening import open_browser
 from approxjac.view.browser.stage import Stage
 from approxjac.view.browser.viewpoint import link_points, reach_points, viewpoint
 from approxjac.view.packages import view_package
+from approxjac.view.style import AT_LIMIT, BELIEVED, FORCE, SATURATED, TARGET, TRUE
 
 _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
@@ -124,15 +124,19 @@ def page_data(
         )
     frames = Frames(scene, tuple(task_units or ()))
     data = stage.data()
-    robots = [robot for robot in (scene.truth, scene.belief) if robot is not None]
+    watched = [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
     if q is None or len(q) == 0:
-        points = moving = reach_points(scene.truth)
+        moving = reach_points(scene.truth)
+        points = np.concatenate([moving, *watched])
     else:
         named = ("tip", "target", "believed_tip")
         moving = np.concatenate([columns[name][[0, -1]] for name in named])
         moving = np.concatenate([moving, columns["tip"]])
         shown = moving[np.isfinite(moving).all(axis=1)]
-        points = np.concatenate([*(link_points(robot, q) for robot in robots), shown])
+        arms = [link_points(scene.truth, q, stage.corners["true"])]
+        if scene.belief is not None:
+            arms.append(link_points(scene.belief, q, stage.corners["believed"]))
+        points = np.concatenate([*arms, *watched, shown])
     view = viewpoint(scene.truth, moving, points, stage.cameras)
     data["commands"] += stage.grid(view["normal"], points)
     image = None
@@ -168,8 +172,8 @@ def document(data: Mapping[str, Any], scripts: Sequence[str] = ()) -> str:
     """
     own = [_asset(name) for name in ("uPlot.iife.min.js", *_SCRIPTS)]
     code = [_meshcat_js(), *own, *scripts]
-    # "</" would end the element that it stands in
-    values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    # "</script" would end the element that it stands in, and "<!--" change how it is read
+    values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
         _asset("page.html")
         .replace("{{title}}", html.escape(str(data["title"])))
@@ -245,15 +249,15 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
     if any(name.endswith("_tip_joint") for name in scene.truth.frame_names):
         entries.append((colours.OBJECT, "bar", "object that it holds"))
     if scene.belief is not None:
-        entries.append((style.BELIEVED, "bar", "arm and camera as the controller believes them"))
-    entries.append((style.TRUE, "", "true tip and its path"))
-    entries.append((style.TARGET, "", "target, line of sight" if image else "target"))
+        entries.append((BELIEVED, "bar", "arm and camera as the controller believes them"))
+    entries.append((TRUE, "", "true tip and its path"))
+    entries.append((TARGET, "", "target, line of sight" if image else "target"))
     if scene.task is not None:
-        entries.append((style.FORCE, "dash", "force that the control means to exert"))
+        entries.append((FORCE, "dash", "force that the control means to exert"))
     if np.isfinite(scene.torque_limits).any():
-        entries.append((style.SATURATED, "bar", "link whose torque is at its limit"))
+        entries.append((SATURATED, "bar", "link whose torque is at its limit"))
     if np.isfinite(np.array(scene.truth.position_limits)).any():
-        entries.append((style.AT_LIMIT, "bar", "link whose joint is at its limit"))
+        entries.append((AT_LIMIT, "bar", "link whose joint is at a position limit"))
     return entries
 
 

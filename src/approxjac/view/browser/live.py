@@ -235,7 +235,7 @@ class LiveView:
         robot = self._believe(as_number("length", length, unit="m", minimum=0.0))
         loop.exchange(controller.with_task(controller.task.on(robot)))
         self._length = length
-        self._server.send(_message(redraw=self._look(loop).belief()))
+        self._server.send(_message(redraw=self._look(loop).data("believed")))
 
     def _say(self, text: str) -> None:
         self._server.send(_message(note=text))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,14 @@ import numpy as np
 from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.simulation.scene import Scene, features
-from approxjac.view import style
+from approxjac.tasks import Task
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import camera_view
 from approxjac.view.browser.tree import Tree, robot_tree
 from approxjac.view.browser.viewpoint import reach_points
 from approxjac.view.packages import view_package
 from approxjac.view.shapes import Look, robot_look
+from approxjac.view.style import BELIEVED, FORCE, TARGET, TRUE
 
 _GHOST = 0.38  # opacity of the believed arm
 _GRID_LINES = 24
@@ -36,6 +38,8 @@ class Stage:
         cameras: How cameras are drawn, as `camera_view` says, with "role" "true" or "believed"
             and "node", the path of what carries it.
         missing: What could not be drawn, and why.
+        corners: By role, link → corners of the box around its shapes, in its frame, each (k, 3)
+            [m].
 
     Raises:
         MissingPackageError: meshcat is not installed.
@@ -50,8 +54,9 @@ class Stage:
         self._looks: dict[str, Look] = {"true": true}
         if scene.belief is not None:
             self._looks["believed"] = robot_look(scene.belief, like=(scene.truth, true))
-        missing = [name for look in self._looks.values() for name in look.missing]
-        self.missing = tuple(dict.fromkeys(missing))
+        looks = self._looks.values()
+        self.missing = tuple(dict.fromkeys(text for look in looks for text in look.missing))
+        self.corners = {role: _corners(look) for role, look in self._looks.items()}
         around = reach_points(scene.truth)
         self.middle: Array = 0.5 * (around.min(axis=0) + around.max(axis=0))
         self.size = float(np.linalg.norm(around, axis=1).max())
@@ -72,32 +77,30 @@ class Stage:
             if camera is not None
         ]
 
-    def data(self) -> dict[str, Any]:
-        """What page.js builds the scene from: texts, numbers, lists and dictionaries."""
+    def data(self, *roles: str) -> dict[str, Any]:
+        """What page.js builds the scene from: texts, numbers, lists and dictionaries.
+
+        Args:
+            roles: "true" and "believed", which is both by default. `approxjac.redraw` of a page
+                that has the true robot takes `data("believed")`, when the belief has changed.
+        """
+        roles = tuple(role for role in roles or ("true", "believed") if role in self._trees)
         commands: list[bytes] = []
-        links = self._true_arm(self._looks["true"], commands)
-        self._markers(commands)
-        return self._drawn(("true", "believed"), commands) | {"links": links}
-
-    def belief(self) -> dict[str, Any]:
-        """What `approxjac.redraw` builds the believed robot from, when it has changed."""
-        return self._drawn(("believed",), [])
-
-    def _drawn(self, roles: tuple[str, ...], commands: list[bytes]) -> dict[str, Any]:
-        """Draw the believed robot, if it plays one of the roles, and the cameras of the roles."""
-        clones = []
-        if "believed" in roles and "believed" in self._looks:
-            clones = self._ghost(self._looks, commands)
-        for camera in self.cameras:
-            if camera["role"] in roles:
-                self._camera(camera, commands)
-        trees = {role: tree for role, tree in self._trees.items() if role in roles}
-        return {
+        built: dict[str, Any] = {"roles": roles, "clones": [], "missing": list(self.missing)}
+        if "true" in roles:
+            built["links"] = self._true_arm(self._looks["true"], commands)
+            self._markers(commands)
+            self._points("true", self.scene.sensor, commands)
+        if "believed" in roles:
+            built["clones"] = self._ghost(self._looks, commands)
+            self._points("believed", self.scene.task, commands)
+        cameras = [camera for camera in self.cameras if camera["role"] in roles]
+        for camera in cameras:
+            self._camera(camera, commands)
+        return built | {
             "commands": [base64.b64encode(c).decode() for c in commands],
-            "joints": {role: _joints(tree) for role, tree in trees.items()},
-            "clones": clones,
-            "cameras": [_listed(camera) for camera in self.cameras],
-            "missing": list(self.missing),
+            "joints": {role: _joints(self._trees[role]) for role in roles},
+            "cameras": [_listed(camera) for camera in cameras],
         }
 
     # -- parts --------------------------------------------------------------------------
@@ -122,11 +125,10 @@ class Stage:
             twins = looks["true"].shapes.get(link, ())
             for i, shape in enumerate(shapes):
                 path = (*tree.paths[link], f"shape{i}")
-                twin = twins[i] if i < len(twins) else None
-                if twin is shape:
+                if i < len(twins) and twins[i] is shape:
                     clones.append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
-                    commands.append(self._mesh(path, shape, style.BELIEVED, _GHOST))
+                    commands.append(self._mesh(path, shape, BELIEVED, _GHOST))
         self._bones(commands)
         return clones
 
@@ -145,7 +147,7 @@ class Stage:
                 continue
             if joint.parent in _objects(self.scene.belief or self.scene.truth):
                 continue  # an object is as long as it is believed to be
-            material = g.MeshLambertMaterial(color=colours.as_number(style.BELIEVED))
+            material = g.MeshLambertMaterial(color=colours.as_number(BELIEVED))
             rod = g.Mesh(g.Cylinder(length, 0.006 * self.size), material)
             path = (*tree.paths[joint.parent], f"bone_{len(commands)}")
             commands.append(self._object(path, rod, _along(end)))
@@ -156,21 +158,39 @@ class Stage:
         # seen through the arm, in which tips often are
         look = {"side": 0, "transparent": True, "depthTest": False, "depthWrite": False}
         for name, radius, colour, opacity in (
-            ("target", 2.0 * r, style.TARGET, 0.5),
-            ("believed_tip", r, style.BELIEVED, 1.0),
+            ("target", 2.0 * r, TARGET, 0.65),
+            ("believed_tip", r, BELIEVED, 1.0),
             ("measured", r, colours.MEASURED, 1.0),
-            ("tip", r, style.TRUE, 1.0),
+            ("tip", r, TRUE, 1.0),
         ):
             material = g.MeshLambertMaterial(
                 color=colours.as_number(colour), opacity=opacity, **look
             )
             commands.append(self._object((name,), g.Mesh(g.Sphere(radius), material)))
-        black = g.MeshBasicMaterial(color=colours.as_number(style.FORCE), **look)
+        black = g.MeshBasicMaterial(color=colours.as_number(FORCE), **look)
         # three.js' cylinders lie along y; page.js turns and stretches them
         shaft = g.Cylinder(1.0, 0.35 * r)
         head = g.Cylinder(3.2 * r, radiusTop=0.0, radiusBottom=1.1 * r)
         commands.append(self._object(("force", "shaft"), g.Mesh(shaft, black)))
         commands.append(self._object(("force", "head"), g.Mesh(head, black)))
+
+    def _points(self, role: str, task: Task | None, commands: list[bytes]) -> None:
+        """Draw the points that a camera sees, of the world or of a frame of the arm."""
+        g = self._geometry
+        feature = next((f for f in features(task) if f.camera is not None), None)
+        if feature is None or (feature.frame is not None and not feature.points.any()):
+            return  # the tip, which has a marker
+        if feature.frame is None and role == "believed":
+            return  # points of the world are where they are
+        colour = TRUE if role == "true" else BELIEVED
+        for k, point in enumerate(feature.points):
+            placed = np.eye(4)
+            placed[:3, 3] = point
+            ball = g.Mesh(
+                g.Sphere(0.01 * self.size), g.MeshLambertMaterial(color=colours.as_number(colour))
+            )
+            path = (*self._node(role, feature.frame), f"points_{role}", str(k))
+            commands.append(self._object(path, ball, placed))
 
     def grid(self, normal: Array, points: Array) -> list[str]:
         """Commands of a thin grid through the base, across a direction.
@@ -200,7 +220,7 @@ class Stage:
     def _camera(self, camera: dict[str, Any], commands: list[bytes]) -> None:
         """Draw a camera's pyramid and its image plane under the node that carries it."""
         g, role = self._geometry, camera["role"]
-        colour = colours.as_number(style.TRUE if role == "true" else style.BELIEVED)
+        colour = colours.as_number(TRUE if role == "true" else BELIEVED)
         corner, right, down = camera["corner"], camera["right"], camera["down"]
         corners = [corner, corner + right, corner + right + down, corner + down]
         edges = []
@@ -224,6 +244,8 @@ class Stage:
 
     def _object(self, path: tuple[str, ...], thing: Any, placed: Array | None = None) -> bytes:
         """A command that puts a thing at a node, as it is or placed (4, 4) in the node's axes."""
+        # MeshCat's own are random; they need to be unique within a command only
+        thing.uuid, thing.geometry.uuid, thing.material.uuid = "object", "geometry", "material"
         command = self._commands.SetObject(thing).lower() | {"path": "/".join(path)}
         if placed is not None:
             command["object"]["object"]["matrix"] = placed.T.ravel().tolist()
@@ -245,6 +267,16 @@ def _joints(tree: Tree) -> list[dict[str, Any]]:
         }
         for joint in tree.joints
     ]
+
+
+def _corners(look: Look) -> dict[str, Array]:
+    """Corners of the box around each link's shapes, shape (8, 3)."""
+    found = {}
+    for link, shapes in look.shapes.items():
+        vertices = np.concatenate([shape.vertices for shape in shapes])
+        ends = vertices.min(axis=0), vertices.max(axis=0)
+        found[link] = np.array(list(product(*zip(*ends, strict=True))))
+    return found
 
 
 def _along(end: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,27 @@ _ABOVE = np.deg2rad(18.0)
 _PARALLEL = 1e-6
 
 
-def link_points(robot: Robot, q: Array) -> Array:
-    """Origins of all links at some of the configurations q (N, nq), shape (n, 3) [m]."""
+def link_points(robot: Robot, q: Array, corners: Mapping[str, Array] | None = None) -> Array:
+    """Where all links are at some of the configurations.
+
+    Args:
+        robot: The robot.
+        q: Configurations, shape (N, nq).
+        corners: Link → points of it, in its own frame, each (k, 3) [m]; origins by default.
+
+    Returns:
+        Points of the world, shape (n, 3) [m].
+    """
+    if corners is None:
+        corners = dict.fromkeys(robot.frame_names, np.zeros((1, 3)))
     data, points = robot.model.createData(), []
     every = max(1, len(q) // _INSTANTS)
     for row in [*q[::every], *q[-1:]]:
         pin.framesForwardKinematics(robot.model, data, row)
-        points += [np.array(data.oMf[i].translation) for i in range(1, robot.model.nframes)]
-    return np.array(points)
+        for link, own in corners.items():
+            placed = data.oMf[robot.frame_id(link)]
+            points.append(own @ placed.rotation.T + placed.translation)
+    return np.concatenate(points)
 
 
 def reach_points(robot: Robot) -> Array:

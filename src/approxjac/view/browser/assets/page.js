@@ -195,6 +195,7 @@ approxjac.Rows = class {
   Object.assign(approxjac, {
     data,
     viewer: scene.viewer,
+    image,
     seek, play, pause,
     state: () => ({ t, index: Math.round(rows.find(t)), playing, length: rows.length }),
     project: (point) => scene.project(point),
@@ -211,7 +212,7 @@ approxjac.Rows = class {
       }
       scene.show(rows, rows.find(t));
     },
-    // New MeshCat commands, joints and so on, as Stage.data gives them.
+    // What Stage.data gives, of a robot that has changed.
     redraw(changed) {
       scene.build(changed);
       if (changed.missing) tell(changed.missing);

@@ -9,7 +9,8 @@ approxjac.Plot = class {
     this.area = box.area;
     this.arrays = [[], ...spec.labels.map(() => [])];
     const axis = { stroke: "#616e7c", grid: { stroke: "#e8ebee", width: 1 }, font: "11px sans-serif",
-      labelFont: "11px sans-serif", ticks: { stroke: "#dde1e6", width: 1, size: 4 }, gap: 3 };
+      labelFont: "11px sans-serif", ticks: { stroke: "#dde1e6", width: 1, size: 4 }, gap: 3,
+      values: (u, splits) => splits.map((value) => String(+value.toPrecision(6)).replace("-", "−")) };
     this.plot = new uPlot({
       width: 300, height: 120, padding: [8, 10, 0, 0],
       legend: { show: false }, cursor: { show: false }, select: { show: false },
@@ -128,5 +129,5 @@ approxjac.number = function (value) {
   const size = Math.abs(value);
   const text = size !== 0 && (size < 1e-3 || size >= 1e5) ? value.toExponential(1)
     : value.toFixed(size < 1 ? 3 : size < 10 ? 2 : size < 100 ? 1 : 0);
-  return text.replace("-", "−");
+  return text.replaceAll("-", "−");
 };

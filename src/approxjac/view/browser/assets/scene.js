@@ -5,14 +5,14 @@ const approxjac = window.approxjac = {};
 
 approxjac.Scene = class {
   constructor(data, element) {
-    const THREE = MeshCat.THREE;
     this.data = data;
     this.element = element;
     this.viewer = new MeshCat.Viewer(element);
     this.viewer.gui.domElement.remove();
+    this.joints = {}; // by role, as all that may be built anew
+    this.images = {};
     this.touched = false; // whether the user has turned the view
     this._quiet();
-    this.joints = [];
     this.build(data);
     // MeshCat takes the whole window's height; here the viewer has a part of it
     this.viewer.set_3d_pane_size = () => this.resize();
@@ -42,52 +42,49 @@ approxjac.Scene = class {
 
   object(path) { return this.viewer.scene_tree.find(path).object; }
 
-  // Whatever of the scene `data` describes, in place of what was there.
+  // Build what `data` describes, in place of what there was of the same roles.
   build(data) {
     const THREE = MeshCat.THREE, { viewer } = this, colours = this.data.colours;
-    if (data.commands) {
-      for (const role of Object.keys(data.joints)) {
-        for (const root of [role, "camera_" + role]) viewer.delete_path([root]);
-      }
-      for (const command of data.commands) {
-        viewer.handle_command_bytearray(Uint8Array.from(atob(command), (c) => c.charCodeAt(0)));
-      }
-      for (const { from, to } of data.clones || []) {
-        const material = new THREE.MeshLambertMaterial({ color: colours.believed });
-        viewer.set_object(to, new THREE.Mesh(this.object([...from, "<object>"]).geometry, material));
-      }
-      this._ghost();
-      if (data.links) {
-        this.links = data.links;
-        for (const link of this.links) {
-          link.material = this.object([...link.path, "<object>"]).material;
-          link.rest = new THREE.Color(link.colour);
-        }
-      }
-      this._moving(data);
+    for (const role of data.roles) {
+      for (const root of [role, "camera_" + role, "points_" + role]) viewer.delete_path([root]);
     }
-    for (const [role, joints] of Object.entries(data.joints)) {
-      this.joints = this.joints.filter((joint) => joint.role !== role);
-      for (const joint of joints) {
-        viewer.set_transform(joint.path, joint.origin);
-        if (joint.column < 0) continue;
-        const node = this.object(joint.path);
-        this.joints.push({
-          role, node, column: joint.column, turns: joint.kind === "revolute",
-          axis: new THREE.Vector3(...joint.axis),
-          position: node.position.clone(), quaternion: node.quaternion.clone(),
-        });
-      }
+    for (const command of data.commands) {
+      viewer.handle_command_bytearray(Uint8Array.from(atob(command), (c) => c.charCodeAt(0)));
+    }
+    for (const { from, to } of data.clones) { // what looks the same is sent once
+      const material = new THREE.MeshLambertMaterial({ color: colours.believed });
+      viewer.set_object(to, new THREE.Mesh(this.object([...from, "<object>"]).geometry, material));
+    }
+    for (const role of data.roles) {
+      if (role === "believed") this._ghost();
+      else this._markers(data);
+      this.joints[role] = this._joints(data.joints[role]);
+      this.images[role] = data.cameras.filter((camera) => camera.role === role)
+        .map((camera) => this._camera(camera));
     }
     viewer.set_dirty();
+  }
+
+  _joints(joints) {
+    const found = [];
+    for (const joint of joints) {
+      this.viewer.set_transform(joint.path, joint.origin);
+      if (joint.column < 0) continue;
+      const node = this.object(joint.path);
+      found.push({
+        node, column: joint.column, turns: joint.kind === "revolute",
+        axis: new MeshCat.THREE.Vector3(...joint.axis),
+        position: node.position.clone(), quaternion: node.quaternion.clone(),
+      });
+    }
+    return found;
   }
 
   // The believed arm lets the true one through, and is hidden where both are the same.
   _ghost() {
     if (!this.viewer.scene_tree.children.believed) return;
     this.object(["believed"]).traverse((object) => {
-      if (!object.isMesh || object.parent.name.startsWith("camera") ||
-        object.parent.name.startsWith("bone")) return;
+      if (!object.isMesh || !object.parent.name.startsWith("shape")) return;
       Object.assign(object.material, {
         transparent: true, opacity: 0.42, depthWrite: true, side: MeshCat.THREE.FrontSide,
         polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4,
@@ -96,9 +93,13 @@ approxjac.Scene = class {
     });
   }
 
-  // Markers, and the images on the cameras' image planes.
-  _moving(data) {
-    const THREE = MeshCat.THREE, { viewer } = this, colours = this.data.colours, size = this.data.size;
+  // What moves besides the arms, and the links, whose colours change.
+  _markers(data) {
+    this.links = data.links;
+    for (const link of this.links) {
+      link.material = this.object([...link.path, "<object>"]).material;
+      link.rest = new MeshCat.THREE.Color(link.colour);
+    }
     this.markers = {};
     // they are drawn over the arm, in this order
     ["target", "believed_tip", "measured", "tip"].forEach((name, i) => {
@@ -108,33 +109,33 @@ approxjac.Scene = class {
     this.force = { node: this.object(["force"]), shaft: this.object(["force", "shaft"]),
       head: this.object(["force", "head"]) };
     for (const part of ["shaft", "head"]) this.object(["force", part, "<object>"]).renderOrder = 9;
+  }
+
+  // What is seen, on a camera's image plane, and the lines of sight of targets.
+  _camera(camera) {
+    const THREE = MeshCat.THREE, colours = this.data.colours, size = this.data.size;
+    const vector = (name) => new THREE.Vector3(...camera[name]);
+    const image = { apex: vector("apex"), corner: vector("corner"), right: vector("right"),
+      down: vector("down"), low: camera.low, high: camera.high, reach: camera.reach, dots: [], sights: [] };
     const dot = new THREE.SphereGeometry(0.009 * size, 12, 8);
     const line = new THREE.CylinderGeometry(0.0022 * size, 0.0022 * size, 1, 6);
-    this.images = [];
-    const count = this.data.image ? this.data.image.points : 0;
-    for (const camera of data.cameras || []) {
-      const own = camera.role === "true"
-        ? [["pixels", colours.true], ["target_pixels", colours.target]]
-        : [["pixels", colours.true], ["believed_pixels", colours.believed]];
-      const image = { apex: new THREE.Vector3(...camera.apex), corner: new THREE.Vector3(...camera.corner),
-        right: new THREE.Vector3(...camera.right), down: new THREE.Vector3(...camera.down),
-        low: camera.low, high: camera.high, reach: camera.reach, dots: [], sights: [] };
-      const path = [...camera.node, "camera_" + camera.role];
-      for (const [column, color] of own) {
-        for (let k = 0; k < count; k++) {
-          const mesh = new THREE.Mesh(dot, new THREE.MeshBasicMaterial({ color }));
-          viewer.set_object([...path, column + k], mesh);
-          image.dots.push({ mesh, column, k });
-        }
+    const path = [...camera.node, "camera_" + camera.role];
+    const add = (name, geometry, color, opacity) => {
+      const material = new THREE.MeshBasicMaterial({ color, opacity, transparent: opacity < 1 });
+      const mesh = new THREE.Mesh(geometry, material);
+      this.viewer.set_object([...path, name], mesh);
+      return mesh;
+    };
+    const other = camera.role === "true" ? ["target_pixels", colours.target] : ["believed_pixels", colours.believed];
+    for (let k = 0; k < this.data.image.points; k++) {
+      for (const [column, color] of [["pixels", colours.true], other]) {
+        image.dots.push({ mesh: add(column + k, dot, color, 1), column, k });
       }
-      for (let k = 0; k < count && camera.role === "true"; k++) {
-        const material = new THREE.MeshBasicMaterial({ color: colours.target, transparent: true, opacity: 0.65 });
-        const mesh = new THREE.Mesh(line, material);
-        viewer.set_object([...path, "sight" + k], mesh);
-        image.sights.push({ mesh, k });
+      if (camera.role === "true") {
+        image.sights.push({ mesh: add("sight" + k, line, colours.target, 0.65), k });
       }
-      this.images.push(image);
     }
+    return image;
   }
 
   // Everything as it is at instant `s` of `rows`, which may lie between two.
@@ -143,7 +144,7 @@ approxjac.Scene = class {
     if (!rows.length) return;
     const q = rows.at("joints", s);
     const turn = new THREE.Quaternion(), step = new THREE.Vector3();
-    for (const joint of this.joints) {
+    for (const joint of Object.values(this.joints).flat()) {
       if (joint.turns) {
         joint.node.quaternion.copy(joint.quaternion)
           .multiply(turn.setFromAxisAngle(joint.axis, q[joint.column]));
@@ -159,7 +160,7 @@ approxjac.Scene = class {
     }
     this._arrow(rows.at("believed_tip", s), rows.at("force", s), rows.largest("force"));
     this._states(rows.row("load", Math.ceil(s)), rows.row("at_limit", Math.round(s)));
-    for (const image of this.images) this._image(image, rows, s);
+    for (const image of Object.values(this.images).flat()) this._image(image, rows, s);
     this._path(rows, s);
     this.viewer.set_dirty();
   }

@@ -1,0 +1,150 @@
+"""What the page shows at an instant, against kinematics computed directly."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac.simulation.scene import Scene
+from approxjac.view.browser import Frames
+
+TARGET = np.array([0.5, -0.1, 0.6])
+
+
+def columns(scene, q, x, x_d, **given):
+    n, nv = len(q), scene.truth.nv
+    rest = {
+        "t": np.arange(n, dtype=float), "error": x[:, :3] * 0.0, "tau": np.zeros((n, nv)),
+        "task_torque": np.zeros((n, nv)), "V": np.zeros(n),
+    }  # fmt: skip
+    return Frames(scene).columns(q=q, x_measured=x, x_d=x_d, **(rest | given))
+
+
+@pytest.fixture
+def scene(panda):
+    truth = panda.with_object(0.2, 0.5, axis="x")
+    belief = panda.with_object(0.0)
+    return Scene(
+        truth, belief, aj.PositionTask(truth), aj.PositionTask(belief), truth.effort_limits
+    )
+
+
+@pytest.fixture
+def q(panda, rng):
+    return np.array([panda.random_configuration(rng) for _ in range(4)])
+
+
+def test_positions_are_those_of_the_two_robots(scene, q):
+    x = np.array([scene.sensor.value(row) for row in q]) + 0.01
+    x[2] = np.nan
+    found = columns(scene, q, x, np.tile(TARGET, (4, 1)))
+    assert_allclose(found["tip"], [scene.sensor.value(row) for row in q])
+    assert_allclose(found["believed_tip"], [scene.task.value(row) for row in q])
+    assert_array_equal(found["measured"], x)
+    assert_array_equal(found["target"], np.tile(TARGET, (4, 1)))
+    assert_allclose(found["joints"], q)
+    assert not any(name.endswith("pixels") for name in found)
+
+
+def test_axes_that_are_not_measured_are_those_of_the_true_tip(scene, q):
+    sensor = aj.PositionTask(scene.truth, axes="zx")
+    flat = dataclasses.replace(scene, sensor=sensor, task=aj.PositionTask(scene.belief, axes="zx"))
+    found = columns(flat, q, np.tile([3.0, 1.0], (4, 1)), np.tile([6.0, 4.0], (4, 1)))
+    assert_array_equal(found["measured"][:, [0, 2]], np.tile([1.0, 3.0], (4, 1)))
+    assert_array_equal(found["target"][:, [0, 2]], np.tile([4.0, 6.0], (4, 1)))
+    assert_array_equal(found["measured"][:, 1], found["tip"][:, 1])
+
+
+def test_the_force_is_the_one_that_the_task_torque_stands_for(scene, q, rng):
+    force = rng.normal(size=(4, 3))
+    J = [scene.task.jacobian(row) for row in q]
+    torque = np.array([A.T @ f for A, f in zip(J, force, strict=True)])
+    torque[3] = np.nan
+    found = columns(scene, q, q[:, :3], q[:, :3], task_torque=torque)["force"]
+    assert_allclose(found[:3], force[:3], atol=1e-9)
+    assert np.isnan(found[3]).all()
+
+
+def test_load_and_position_limits(scene, q):
+    limits = scene.truth.effort_limits.copy()
+    limits[1] = np.inf
+    lower, upper = scene.truth.position_limits
+    q[0, 3], q[1, 3], q[2, 5] = lower[3] + 0.009, lower[3] + 0.011, upper[5] + 1.0
+    tau = np.tile(-0.5 * scene.truth.effort_limits, (4, 1))
+    found = columns(
+        dataclasses.replace(scene, torque_limits=limits), q, q[:, :3], q[:, :3], tau=tau
+    )
+    known = [0, 2, 3, 4, 5, 6]
+    assert_allclose(found["load"][:, known], 0.5)
+    assert_allclose(found["torque"][:, known], -0.5)
+    assert np.isnan(found["load"][:, 1]).all()
+    assert found["at_limit"][[0, 1, 2], [3, 3, 5]].tolist() == [1.0, 0.0, 1.0]
+
+
+def test_without_any_limit_torques_are_torques(scene, q):
+    tau = np.ones((4, 7))
+    unlimited = dataclasses.replace(scene, torque_limits=np.full(7, np.inf))
+    found = columns(unlimited, q, q[:, :3], q[:, :3], tau=tau)
+    assert_array_equal(found["torque"], tau)
+    assert np.isnan(found["load"]).all()
+
+
+def test_errors_are_in_display_units(scene, q):
+    found = columns(scene, q, q[:, :3], q[:, :3], error=np.full((4, 3), 0.002))
+    assert_allclose(found["error"], 2.0)
+
+
+@pytest.mark.parametrize("depth", ["believed", "measured"])
+def test_images_are_those_of_both_cameras(scene, depth):
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -0.5, 0.7), 600.0, (640, 480))
+    rolled = camera.with_error(rotation=(0.0, 0.0, 0.4))
+    points = [[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]]
+    sensor = aj.ImageTask(scene.truth, camera, points=points, depth=depth)
+    task = aj.ImageTask(scene.belief, rolled, points=points)
+    seen = dataclasses.replace(scene, sensor=sensor, task=task)
+    q = np.array([[0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], [0.2, -0.4, 0.1, -2.0, 0.0, 1.5, 0.7]])
+    x = np.array([sensor.value(row) for row in q])
+    x_d = x + 5.0
+    lost = x.copy()
+    lost[1] = np.nan
+    found = columns(seen, q, lost, x_d, error=np.ones((2, 4)))
+    stride = 3 if depth == "measured" else 2
+    images = x.reshape(2, 2, stride)[:, :, :2]
+    assert_allclose(found["pixels"], images)
+    assert_allclose(found["target_pixels"], images + 5.0)
+    assert_allclose(found["measured_pixels"][0], images[0])
+    assert np.isnan(found["measured_pixels"][1]).all()
+    assert_allclose(found["believed_pixels"], [task.value(row).reshape(2, 2) for row in q])
+    assert_allclose(found["error"], 1.0)
+    assert np.isnan(found["target"]).all()
+    assert_allclose(found["tip"], [aj.PositionTask(scene.truth).value(row) for row in q])
+
+
+def test_an_eye_in_the_hand_moves_the_hand(scene):
+    camera = aj.PinholeCamera(400.0, (640, 480), mount="panda_hand")
+    sensor = aj.ImageTask(scene.truth, camera, points=[[0.5, 0.0, 0.0]])
+    task = aj.ImageTask(scene.belief, camera, points=[[0.5, 0.0, 0.0]])
+    q = np.array([[0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]])
+    x = np.array([sensor.value(q[0])])
+    found = columns(dataclasses.replace(scene, sensor=sensor, task=task), q, x, x)
+    assert_allclose(found["tip"][0], aj.PositionTask(scene.truth).value(q[0]))
+    assert_allclose(found["pixels"].ravel(), x[0])
+
+
+def test_one_instant_and_none(scene, q):
+    found = columns(scene, q, q[:, :3], q[:, :3])
+    one = columns(scene, q[:1], q[:1, :3], q[:1, :3])
+    none = columns(scene, q[:0], q[:0, :3], q[:0, :3])
+    for name, column in found.items():
+        assert_allclose(one[name], column[:1], err_msg=name)
+        assert none[name].shape == (0, *column.shape[1:]), name
+
+
+def test_a_task_of_ones_own_and_no_belief(scene, q):
+    unknown = dataclasses.replace(scene, sensor=None, task=None, belief=None)
+    found = columns(unknown, q, q[:, :3], q[:, :3])
+    assert_allclose(found["tip"], [aj.PositionTask(scene.truth).value(row) for row in q])
+    for name in ("measured", "target", "believed_tip", "force"):
+        assert np.isnan(found[name]).all()

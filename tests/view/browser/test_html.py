@@ -1,0 +1,175 @@
+"""The page as a file: what is in it, how large it is, and what is refused."""
+
+import base64
+import dataclasses
+import importlib.resources
+import json
+import re
+import sys
+import time
+import webbrowser
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac.view.browser.html import _peaks, _thinned
+
+
+@pytest.fixture(scope="module")
+def run():
+    arm = aj.load_robot("two_link")
+    task = aj.PositionTask(arm, axes="xz")
+    controller = aj.SetpointController(task, aj.Gains(60.0, 20.0))
+    return aj.simulate(aj.Plant(arm, task), controller, (0.5, 1.2), (0.3, 0.8), 1.0)
+
+
+def data_of(text):
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    return json.loads(found.group(1))
+
+
+def column(data, name):
+    numbers = np.frombuffer(base64.b64decode(data["columns"][name]), "<f4")
+    return numbers.reshape(-1, *data["shapes"][name])
+
+
+def test_a_run_writes_its_page(run, tmp_path):
+    path = run.to_html(tmp_path / "run.html", title="Two links & <more>")
+    text = path.read_text(encoding="utf-8")
+    assert text == run.to_html(title="Two links & <more>")
+    assert "<title>Two links &amp; &lt;more&gt;</title>" in text
+    assert '<meta name="generator" content="approxjac">' in text[:4000]
+    assert data_of(text)["title"] == "Two links & <more>"
+    assert not re.search(r'(src|href)="(?!data:)', text)
+
+
+def test_the_page_is_the_same_for_the_same_run(run):
+    assert run.to_html() == run.to_html()
+
+
+def test_a_title_cannot_end_the_script(run):
+    text = run.to_html(title="</script><script>alert(1)</script>")
+    assert data_of(text)["title"] == "</script><script>alert(1)</script>"
+    assert text.count("alert(1)") == 3  # title, heading, data
+    assert "<script>alert" not in text
+
+
+def test_columns_are_those_of_the_run(run):
+    data = data_of(run.to_html())
+    t = column(data, "t")
+    assert len(t) == 61  # 60 a second
+    kept = _thinned(run.t)
+    assert_allclose(t, run.t[kept], atol=1e-6)
+    assert_allclose(column(data, "joints"), run.q[kept], atol=1e-6)
+    assert_allclose(column(data, "error"), 1e3 * run.error[kept], rtol=1e-5, atol=1e-6)
+    assert_allclose(column(data, "tip")[:, [0, 2]], run.x[kept], atol=1e-6)
+
+
+def test_first_and_last_instant_are_kept():
+    for t in (np.linspace(0.0, 100.0, 50001), np.linspace(2.0, 2.5, 500), np.array([0.0, 9.0])):
+        kept = _thinned(t)
+        assert kept[0] == 0
+        assert kept[-1] == len(t) - 1
+        assert (np.diff(kept) > 0).all()
+        assert len(kept) <= 1000
+        assert len(kept) <= 60.0 * (t[-1] - t[0]) + 2
+    assert_array_equal(_thinned(np.array([0.0])), [0])
+
+
+def test_no_peak_is_lost_between_instants(rng):
+    tau = rng.normal(size=(100, 3))
+    tau[37, 1] = -50.0
+    kept = np.array([0, 10, 30, 40, 99])
+    peaks = _peaks(tau, kept)
+    assert_array_equal(peaks[0], tau[0])
+    assert peaks[3, 1] == -50.0
+    assert_allclose(np.abs(peaks[1:]).max(axis=0), np.abs(tau[1:]).max(axis=0))
+
+
+def test_what_the_page_says_of_the_run(run):
+    lost = run.x_measured.copy()
+    lost[:100] = np.nan
+    facts = dict(data_of(dataclasses.replace(run, x_measured=lost).to_html())["facts"])
+    norm = 1e3 * run.error_norm
+    left = 100.0 * norm[-1] / norm[0]
+    assert facts["error"] == f"{norm[0]:.3g} → {norm[-1]:.3g} mm ({left:.2g} % is left)"
+    assert facts["not measured"] == "10 % of the time"
+
+
+def test_a_page_of_a_panda_is_small(panda, capsys):
+    truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
+    plant = aj.Plant(truth, aj.PositionTask(truth))
+    regressor = aj.GravityRegressor(belief)
+    gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])
+    gains = aj.Gains(kp=400.0, kv=80.0, damping=1.0)
+    controller = aj.SetpointController(aj.PositionTask(belief), gains, gravity=gravity)
+    start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    target = plant.sensor.value(start) + [0.1, -0.15, 0.16]
+    run = aj.simulate(plant, controller, target, start, 10.0, dt=2e-3)
+    before = time.perf_counter()
+    text = run.to_html()
+    seconds = time.perf_counter() - before
+    data = data_of(text)
+    with capsys.disabled():
+        print(f"a Panda's page: {len(text.encode()) / 1e6:.2f} MB in {seconds:.2f} s")
+    assert len(text.encode()) < 4e6
+    assert len(column(data, "t")) == 601
+    # what both arms have in common is sent once: all but the object
+    assert len(data["clones"]) == len(data["links"]) - 1
+    assert data["missing"] == []
+
+
+def test_missing_meshes_are_told(panda, tmp_path):
+    lost = aj.Robot(panda.urdf.replace("package://", "package://no_such_place/"), tip=panda.tip)
+    task = aj.PositionTask(lost)
+    controller = aj.SetpointController(task, aj.Gains(60.0, 20.0, 1.0))
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    run = aj.simulate(aj.Plant(lost, task), controller, task.value(q0), q0, 0.1, dt=0.01)
+    data = data_of(run.to_html())
+    assert any("link0" in text and "no such file" in text for text in data["missing"])
+    assert len(data["links"]) > 5  # capsules
+
+
+def test_a_run_without_a_scene_is_refused(run):
+    with pytest.raises(aj.InvalidInputError, match="run must have a scene"):
+        dataclasses.replace(run, scene=None).to_html()
+
+
+def test_a_file_that_cannot_be_written_is_told(run, tmp_path):
+    with pytest.raises(aj.InvalidInputError, match="path must be a file that can be written"):
+        run.to_html(tmp_path / "no" / "such" / "folder.html")
+
+
+def test_a_run_of_a_file_has_the_same_page(run, tmp_path):
+    assert aj.Trajectory.load(run.save(tmp_path / "run")).to_html() == run.to_html()
+
+
+def test_without_meshcat_it_says_what_to_install(run, monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == "meshcat"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "meshcat", None)
+    with pytest.raises(aj.ApproxJacError, match=r"pip install 'approxjac\[view\]'"):
+        run.to_html()
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_run_is_viewed(run, monkeypatch, capsys, there):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or there)
+    path = run.view(title="seen")
+    try:
+        assert opened == [path.as_uri()]
+        assert path.read_text(encoding="utf-8") == run.to_html(title="seen")
+        told = capsys.readouterr().out
+        assert told == ("" if there else f"no browser could be opened; the page is {path}\n")
+    finally:
+        path.unlink()
+
+
+def test_the_assets_are_packaged_with_their_licence():
+    assets = importlib.resources.files("approxjac.view.browser") / "assets"
+    assert "MIT" in (assets / "uPlot.LICENSE").read_text(encoding="utf-8")
+    for name in ("scene.js", "plots.js", "image.js", "page.js"):
+        assert len((assets / name).read_text(encoding="utf-8").splitlines()) < 450

@@ -1,0 +1,54 @@
+"""Walking the nodes of a robot gives Pinocchio's placement of every link."""
+
+import numpy as np
+import pinocchio as pin
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.view.browser.tree import joint_positions, placements, robot_tree
+
+
+def test_the_nodes_place_every_link_of_every_arm(arm, rng):
+    tree = robot_tree(arm, "true")
+    q = np.array([arm.random_configuration(rng) for _ in range(3)])
+    positions = joint_positions(arm, q)
+    data = arm.model.createData()
+    for row, angles in zip(q, positions, strict=True):
+        pin.framesForwardKinematics(arm.model, data, row)
+        for link, placed in placements(tree, angles).items():
+            expected = data.oMf[arm.frame_id(link)].homogeneous
+            assert_allclose(placed, expected, atol=1e-9, err_msg=link)
+
+
+def test_links_are_nested_under_their_parents(two_link):
+    tree = robot_tree(two_link, "true")
+    assert tree.paths["link2"] == ("true", "base_link", "link1", "link2")
+    assert tree.path_of("joint2") == tree.paths["link2"]
+    assert [joint.kind for joint in tree.joints][:2] == ["revolute", "revolute"]
+    assert tree.drivers["link1"] == 0
+    assert tree.drivers["object_tip"] == 1
+    assert tree.drivers["base_link"] == -1
+
+
+def test_a_mimic_joint_moves_and_is_driven_by_its_leader():
+    arm = aj.load_robot("panda", free="all")
+    tree = robot_tree(arm, "true")
+    fingers = {joint.name: joint for joint in tree.joints if "finger" in joint.name}
+    q = arm.neutral()
+    q[-1] = 0.03
+    found = joint_positions(arm, q[np.newaxis])[0]
+    moving = [joint for joint in fingers.values() if joint.column >= 0]
+    assert len(moving) == 2
+    assert_allclose([found[joint.column] for joint in moving], 0.03)
+    assert {tree.drivers[joint.child] for joint in moving} == {arm.nv - 1}
+
+
+def test_continuous_joints_do_not_jump():
+    arm = aj.load_robot("kinova")
+    assert arm.nq > arm.nv
+    motion = np.zeros((50, arm.nv))
+    motion[:, 0] = np.linspace(0.0, 9.0, 50)  # more than a turn
+    q = np.array([pin.integrate(arm.model, arm.neutral(), row) for row in motion])
+    positions = joint_positions(arm, q)
+    assert_allclose(positions[:, 0], motion[:, 0], atol=1e-9)
+    assert joint_positions(arm, q[:0]).shape == (0, arm.nv)
