@@ -94,7 +94,11 @@ def test_what_the_page_says_of_the_run(run):
     facts = dict(data_of(dataclasses.replace(run, x_measured=lost).to_html())["facts"])
     norm = 1e3 * run.error_norm
     left = 100.0 * norm[-1] / norm[0]
-    assert facts["error"] == f"{norm[0]:.3g} → {norm[-1]:.3g} mm ({left:.2g} % is left)"
+    assert facts["error"] == f"{norm[0]:.0f} → {norm[-1]:.3g} mm ({left:.3g} % is left)"
+    none = dataclasses.replace(run, error=run.error * np.linspace(1.0, 1e-6, len(run.t))[:, None])
+    assert dict(data_of(none.to_html())["facts"])["error"].endswith(
+        "→ below 0.001 mm (below 0.001 % is left)"
+    )
     assert facts["not measured"] == "10 % of the time"
 
 

@@ -280,6 +280,35 @@ def test_lost_measurements_are_gaps(reach, show):
     assert page.evaluate("approxjac.viewer.scene_tree.find(['measured']).object.visible")
 
 
+def test_a_controller_that_tells_no_belief(reach, show):
+    scene = dataclasses.replace(reach.scene, belief=None, task=None)
+    nothing = np.full_like(reach.task_torque, np.nan)
+    page = show(dataclasses.replace(
+        reach, scene=scene, task_torque=nothing, V=np.full_like(reach.V, np.nan)
+    ))  # fmt: skip
+    seek(page, reach.t[-1])
+    titles = page.locator(".plot h2").all_inner_texts()
+    assert titles == ["Task error of each coordinate", "Torque of each joint"]
+    box = page.locator("#canvas").bounding_box()
+    assert near(pixels(page), (0.5 * box["width"], 350.0), BELIEVED, 300.0) == 0
+
+
+def test_without_webgl_there_are_the_plots(drawn, browser, tmp_path):
+    page = browser.new_page(viewport={"width": 1000, "height": 700})
+    page.add_init_script("""
+        const real = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+            return kind.includes("webgl") ? null : real.call(this, kind, ...rest);
+        };
+    """)
+    page.goto(drawn.to_html(tmp_path / "run.html").as_uri())
+    assert "This browser cannot draw the arm" in page.locator("#canvas").inner_text()
+    page.evaluate("approxjac.pause(); approxjac.seek(1.0)")
+    assert state(page)["t"] == 1.0
+    assert page.locator(".plot").count() == 4
+    page.close()
+
+
 # -- pages of runs that go on ------------------------------------------------------------------
 
 

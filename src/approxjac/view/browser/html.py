@@ -229,8 +229,8 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
         rows = [i for i, (name, _) in enumerate(units) if name == unit]
         scaled = run.error[:, rows] * [units[i][1] for i in rows]
         first, last = (float(np.linalg.norm(scaled[k])) for k in (0, -1))
-        share = f" ({100.0 * last / first:.2g} % is left)" if first > 0.0 else ""
-        facts.append(("error", f"{first:.3g} → {last:.3g} {unit}{share}"))
+        share = f" ({_short(100.0 * last / first)} % is left)" if first > 0.0 else ""
+        facts.append(("error", f"{_short(first)} → {_short(last)} {unit}{share}"))
     n = len(run.t)
     lost = int((~np.isfinite(run.x_measured).all(axis=1)).sum())
     if lost:
@@ -259,6 +259,13 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
     if np.isfinite(np.array(scene.truth.position_limits)).any():
         entries.append((AT_LIMIT, "bar", "link whose joint is at a position limit"))
     return entries
+
+
+def _short(value: float) -> str:
+    """A number ≥ 0 as people read it: three digits, and no powers of ten."""
+    if 0.0 < value < 1e-3:
+        return "below 0.001"
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, Any]]:

@@ -23,6 +23,8 @@ from approxjac.view.style import BELIEVED, FORCE, TARGET, TRUE
 
 _GHOST = 0.38  # opacity of the believed arm
 _GRID_LINES = 24
+# what is seen through the arm, in which tips and joints often are
+_THROUGH = {"side": 0, "transparent": True, "depthTest": False, "depthWrite": False}
 
 
 class Stage:
@@ -147,7 +149,9 @@ class Stage:
                 continue
             if joint.parent in _objects(self.scene.belief or self.scene.truth):
                 continue  # an object is as long as it is believed to be
-            material = g.MeshLambertMaterial(color=colours.as_number(BELIEVED))
+            material = g.MeshLambertMaterial(
+                color=colours.as_number(BELIEVED), opacity=0.8, **_THROUGH
+            )
             rod = g.Mesh(g.Cylinder(length, 0.006 * self.size), material)
             path = (*tree.paths[joint.parent], f"bone_{len(commands)}")
             commands.append(self._object(path, rod, _along(end)))
@@ -155,8 +159,6 @@ class Stage:
     def _markers(self, commands: list[bytes]) -> None:
         """Draw the target, the tips and the arrow of the force, at the origin and of unit size."""
         g, r = self._geometry, 0.013 * self.size
-        # seen through the arm, in which tips often are
-        look = {"side": 0, "transparent": True, "depthTest": False, "depthWrite": False}
         for name, radius, colour, opacity in (
             ("target", 2.0 * r, TARGET, 0.65),
             ("believed_tip", r, BELIEVED, 1.0),
@@ -164,10 +166,10 @@ class Stage:
             ("tip", r, TRUE, 1.0),
         ):
             material = g.MeshLambertMaterial(
-                color=colours.as_number(colour), opacity=opacity, **look
+                color=colours.as_number(colour), opacity=opacity, **_THROUGH
             )
             commands.append(self._object((name,), g.Mesh(g.Sphere(radius), material)))
-        black = g.MeshBasicMaterial(color=colours.as_number(FORCE), **look)
+        black = g.MeshBasicMaterial(color=colours.as_number(FORCE), **_THROUGH)
         # three.js' cylinders lie along y; page.js turns and stretches them
         shaft = g.Cylinder(1.0, 0.35 * r)
         head = g.Cylinder(3.2 * r, radiusTop=0.0, radiusBottom=1.1 * r)

@@ -5,6 +5,7 @@ approxjac.ImagePlane = class {
   constructor(data, parent) {
     this.image = data.image;
     this.colours = data.colours;
+    this.looked = 0; // rows whose images are within the bounds
     const c = data.colours;
     const box = approxjac.panel(parent, "Image plane",
       [[c.true, "seen"], [c.believed, "believed to be seen"], [c.target, "target"]]);
@@ -27,17 +28,17 @@ approxjac.ImagePlane = class {
   // What the plot shows of the image: its border, or where points and targets are.
   _bounds() {
     if (this.image.border) return this.image.border;
-    const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
+    const found = this.bounds || [Infinity, Infinity, -Infinity, -Infinity];
     for (const name of ["pixels", "target_pixels", "believed_pixels"]) {
-      for (let i = 0; i < this.rows.length; i++) {
+      for (let i = this.looked; i < this.rows.length; i++) {
         this.rows.row(name, i).forEach((value, j) => {
           if (!Number.isFinite(value)) return;
-          low[j % 2] = Math.min(low[j % 2], value);
-          high[j % 2] = Math.max(high[j % 2], value);
+          found[j % 2] = Math.min(found[j % 2], value);
+          found[2 + j % 2] = Math.max(found[2 + j % 2], value);
         });
       }
     }
-    return [...low, ...high];
+    return found;
   }
 
   draw() {
@@ -48,10 +49,8 @@ approxjac.ImagePlane = class {
     canvas.height = height * ratio;
     canvas.style.width = width + "px";
     canvas.style.height = height + "px";
-    if (this._counted !== rows.length) {
-      this._counted = rows.length;
-      this.bounds = this._bounds();
-    }
+    this.bounds = this._bounds();
+    this.looked = rows.length;
     const [u0, v0, u1, v1] = this.bounds, edge = { left: 56, right: 12, top: 8, bottom: 36 };
     const room = 0.06 * Math.max(u1 - u0, v1 - v0) || 1;
     // one scale for both, as in the image
@@ -92,7 +91,7 @@ approxjac.ImagePlane = class {
       ctx.globalAlpha = alpha;
       ctx.beginPath();
       let gap = true; // after instants at which there was no image
-      for (let i = 0; i <= to; i++) {
+      for (let i = Math.max(0, to - 2000); i <= to; i++) {
         const [u, v] = rows.row("pixels", i).slice(2 * k, 2 * k + 2);
         if (!Number.isFinite(u + v)) { gap = true; continue; }
         ctx[gap ? "moveTo" : "lineTo"](...this.toPage(u, v));

@@ -101,7 +101,13 @@ approxjac.Rows = class {
   };
   tell(data.missing);
 
-  const scene = new approxjac.Scene(data, part("canvas"));
+  let scene;
+  try {
+    scene = new approxjac.Scene(data, part("canvas"));
+  } catch (error) { // without WebGL there are the plots
+    part("canvas").textContent = `This browser cannot draw the arm: ${error.message}`;
+    scene = { show() {}, build() {}, project: () => ({ x: NaN, y: NaN }), viewer: null };
+  }
   const image = data.image && new approxjac.ImagePlane(data, part("plots"));
   const end = () => (rows.length ? rows.row("t", rows.length - 1)[0] : 0);
   const start = () => (rows.length ? rows.row("t", 0)[0] : 0);

@@ -7,6 +7,7 @@ approxjac.Plot = class {
     const box = approxjac.panel(parent, spec.title, spec.labels.map((label, i) => [spec.colours[i], label]));
     this.values = box.values;
     this.area = box.area;
+    this.taken = 0; // rows that have been read
     this.arrays = [[], ...spec.labels.map(() => [])];
     const axis = { stroke: "#616e7c", grid: { stroke: "#e8ebee", width: 1 }, font: "11px sans-serif",
       labelFont: "11px sans-serif", ticks: { stroke: "#dde1e6", width: 1, size: 4 }, gap: 3,
@@ -73,14 +74,17 @@ approxjac.Plot = class {
     over.addEventListener("pointermove", (event) => { if (event.buttons & 1) to(event); });
   }
 
-  // Take the rows that are new.
+  // Take the rows that are new, and forget those long before what is shown.
   read(rows, from, to) {
     const [t, ...series] = this.arrays;
-    for (let i = t.length; i < rows.length; i++) {
+    const past = t.findIndex((value) => value >= from);
+    if (past > 2000) for (const one of this.arrays) one.splice(0, past);
+    for (let i = this.taken; i < rows.length; i++) {
       t.push(rows.row("t", i)[0]);
       const values = rows.row(this.spec.column, i);
       series.forEach((one, k) => one.push(Number.isFinite(values[k]) ? values[k] : null));
     }
+    this.taken = rows.length;
     this.plot.setData(this.arrays, false);
     this.plot.batch(() => {
       this.plot.setScale("x", { min: from, max: to > from ? to : from + 1 });

@@ -84,6 +84,7 @@ approxjac.Scene = class {
   _ghost() {
     if (!this.viewer.scene_tree.children.believed) return;
     this.object(["believed"]).traverse((object) => {
+      if (object.isMesh && object.parent.name.startsWith("bone")) object.renderOrder = 8;
       if (!object.isMesh || !object.parent.name.startsWith("shape")) return;
       Object.assign(object.material, {
         transparent: true, opacity: 0.42, depthWrite: true, side: MeshCat.THREE.FrontSide,
