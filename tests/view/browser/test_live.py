@@ -224,8 +224,10 @@ def test_a_port_that_is_taken(panda):
         ):
             simulate(panda, view.LiveView(port=port, patience=0.0))
     with socket.socket() as usual:
+        usual.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         with contextlib.suppress(OSError):  # somebody else has it already, which is as good
             usual.bind(("127.0.0.1", 7007))
+            usual.listen()
         live = view.LiveView(speed=np.inf, patience=0.0)
         simulate(panda, live)
         assert ":7007/" not in live.url

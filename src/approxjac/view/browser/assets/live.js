@@ -34,7 +34,7 @@
     return made;
   };
 
-  add("span", { textContent: "live", className: "badge" });
+  const badge = add("span", { textContent: "live", className: "badge" });
   let paused = false;
   const pause = button("Pause the run", () => send({ [paused ? "go" : "pause"]: true }));
   const stop = button("Stop the run", () => send({ stop: true }));
@@ -46,7 +46,7 @@
   const number = (properties) =>
     Object.assign(document.createElement("input"), { type: "number", ...properties });
 
-  const speed = labelled("speed ", number({ min: 0.05, step: 0.25, value: 1, id: "live-speed" }));
+  const speed = labelled("run at × real time", number({ min: 0.05, step: 0.25, value: 1, id: "live-speed" }));
   speed.addEventListener("change", () => send({ speed: Number(speed.value) }));
 
   // the target as numbers; with the mouse it is moved in the picture
@@ -55,7 +55,7 @@
   const offer = (point) => {
     if (!point || !point.every(Number.isFinite)) return;
     if (fields.length === 0) {
-      target.append("target [m] ");
+      target.append("target x, y, z [m]");
       for (const axis of "xyz") {
         const field = number({ step: 0.01, ariaLabel: `target ${axis}`, id: `live-target-${axis}` });
         field.addEventListener("change", () =>
@@ -77,12 +77,12 @@
       const slider = Object.assign(document.createElement("input"), {
         type: "range", min: 0, max: Math.max(0.5, 2 * value), step: 0.01, id: "live-length",
       });
-      length = labelled("believed length [m] ", slider);
-      length.told = add("output");
+      length = labelled("believed length", slider);
+      length.told = add("output", {}, length.parentElement);
       length.addEventListener("input", sparing(() => send({ length: Number(length.value) })));
     }
     if (document.activeElement !== length) length.value = value;
-    length.told.textContent = Number(value).toFixed(2);
+    length.told.textContent = `${Number(value).toFixed(2)} m`;
   };
 
   const note = add("p", { id: "live-note", role: "status" });
@@ -111,6 +111,7 @@
   const end = (text) => {
     for (const input of box.querySelectorAll("input, button")) input.disabled = true;
     shown.ontarget = shown.onpixel = null;
+    badge.textContent = "ended";
     note.textContent = text;
     box.classList.add("ended");
   };
