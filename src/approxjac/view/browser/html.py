@@ -249,7 +249,9 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
     if any(name.endswith("_tip_joint") for name in scene.truth.frame_names):
         entries.append((colours.OBJECT, "bar", "object that it holds"))
     if scene.belief is not None:
-        entries.append((BELIEVED, "bar", "arm and camera as the controller believes them"))
+        camera = " and its camera" if image else ""
+        words = f"what the controller believes of it{camera}, where that differs"
+        entries.append((BELIEVED, "bar", words))
     entries.append((TRUE, "", "true tip and its path"))
     entries.append((TARGET, "", "target, line of sight" if image else "target"))
     if scene.task is not None:
