@@ -27,6 +27,8 @@ html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "approxjac"
 html_static_path = ["_static"]
+html_extra_path = ["_generated/site"]  # pages of runs
+(HERE / "_generated" / "site").mkdir(parents=True, exist_ok=True)
 html_css_files = ["formulas.css"]
 html_theme_options = {"footer_icons": []}
 exclude_patterns = ["_build", "_ext", "_generated/*.md"]  # included by other pages

@@ -1,7 +1,8 @@
 """A Panda holds a 20 cm tool that its controller knows nothing about.
 
 You will see: the tool's tip reaches its target although the controller works with the Jacobian of
-the bare hand. It never learns the tool's length; measuring the tip is enough.
+the bare hand. It never learns the tool's length; measuring the tip is enough. Open the page that it
+writes to see both robots move.
 
     python examples/01_panda_with_unknown_tool.py --out results/examples
 """
@@ -46,3 +47,7 @@ view.plot_path(run, truth, plane="xz", ax=middle, believed=belief, target=target
 view.plot_torque(run, right)
 for path in view.save_figure(figure, out / "panda_unknown_tool"):
     print(path)
+
+# A page to keep: both robots, moving. One file, to be opened in any browser.
+print(run.to_html(out / "panda_unknown_tool.html", title=title))
+print(view.write_index(out))

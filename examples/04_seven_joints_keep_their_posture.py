@@ -50,6 +50,9 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
             f"{1e3 * run.error_norm[-1]:.2g} mm, joints {distance[0]:.2f} -> {distance[-1]:.2f} "
             f"rad from home, still moving at {np.linalg.norm(run.v[-1]):.1g} rad/s"
         )
+        if posture is not None:
+            title = f"{name}: the tool is unknown, the posture is kept"
+            print(run.to_html(out / f"seven_joints_{name}.html", title=title))
         error.semilogy(run.t, 1e3 * run.error_norm, color=COLORS[label], label=label)
         away.plot(run.t, distance, color=COLORS[label], label=label)
     with view.style():
@@ -65,3 +68,4 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
     view.legend_below(away)
 for path in view.save_figure(figure, out / "seven_joints"):
     print(path)
+print(view.write_index(out))  # of all pages in this folder

@@ -29,7 +29,8 @@ ALLOWED = {
         "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "interface",
         "checks", "errors",
     },
-    "cli": {"studies", "view", "stability", "simulation", "errors", "__init__"},
+    "cli_studies": {"studies", "view", "errors"},
+    "cli": {"cli_studies", "studies", "view", "stability", "simulation", "errors", "__init__"},
     "__main__": {"cli"},
 }  # fmt: skip
 # A run shows itself, as a DataFrame plots itself; imported when it is called.

@@ -1,3 +1,4 @@
+import asyncio
 import fcntl
 import json
 import os
@@ -10,6 +11,7 @@ import termios
 import numpy as np
 import pytest
 from PIL import Image
+from tornado.websocket import websocket_connect
 
 import approxjac as aj
 from approxjac.cli import main
@@ -71,7 +73,7 @@ def test_single_figures_and_options(tmp_path, capsys):
     )
     assert code == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "fig4.npz", "fig4.png", "fig4.svg", "summary.json",
+        "fig4.html", "fig4.npz", "fig4.png", "fig4.svg", "index.html", "summary.json",
     ]  # fmt: skip
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert list(summary["figures"]) == ["fig4"]
@@ -501,3 +503,122 @@ def test_bad_options_of_servo_are_one_clear_line(tmp_path, capsys):
         assert message in captured.err
         assert captured.err.count("\n") == 1
         assert captured.out == ""
+
+
+# -- in a browser ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def reached(tmp_path_factory):
+    """A short run, as `simulate` leaves it."""
+    out = tmp_path_factory.mktemp("reached")
+    process = run("simulate", "panda", "--duration", "0.5", "--out", str(out))
+    assert process.returncode in (0, 1), process.stderr
+    assert f"See it move: approxjac view {out / 'run.npz'}" in process.stdout
+    return out
+
+
+def test_a_run_becomes_a_page(reached, tmp_path, capsys):
+    for given in (reached, reached / "run.npz"):
+        page = tmp_path / f"{given.name}.html"
+        assert main(["view", str(given), "--out", str(page), "--title", "Seen <here>"]) == 0
+        assert capsys.readouterr().out == f"{page}\n"
+        assert "<title>Seen &lt;here&gt;</title>" in page.read_text(encoding="utf-8")
+        assert page.stat().st_size < 4_000_000
+
+
+def test_a_page_beside_its_run_is_opened(reached, capsys, monkeypatch):
+    opened = []
+    monkeypatch.setattr(
+        "approxjac.view.browser.opening.open_browser", lambda url: opened.append(url) or True
+    )
+    assert main(["view", str(reached)]) == 0
+    page = reached / "run.html"
+    assert opened == [page.resolve().as_uri()]
+    assert capsys.readouterr().out == f"{page}\n"
+    monkeypatch.setattr("approxjac.view.browser.opening.open_browser", lambda url: False)
+    assert main(["view", str(reached)]) == 0
+    assert "No browser could be opened here: open it in yours" in capsys.readouterr().out
+
+
+def test_what_is_no_run_is_a_clear_error(reached, tmp_path, capsys):
+    (tmp_path / "two").mkdir()
+    for name in ("a.npz", "b.npz"):
+        (tmp_path / "two" / name).touch()
+    (tmp_path / "old.npz").write_bytes(b"no run")
+    for given, message in (
+        (tmp_path / "two", "RUN must be a file, or a folder with one run (.npz)"),
+        (tmp_path / "two", "with a.npz, b.npz"),
+        (tmp_path, "is not a trajectory written by"),
+        (tmp_path / "gone.npz", "does not exist"),
+    ):
+        assert main(["view", str(given)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("approxjac: ")
+        assert message in error
+        assert error.count("\n") == 1
+    assert main(["view", str(reached), "--out", str(tmp_path / "no" / "page.html")]) == 2
+    assert "path must be a file that can be written" in capsys.readouterr().err
+
+
+def test_the_study_writes_pages_with_an_index(paper):
+    out, process = paper
+    assert f"See them move: {out / 'index.html'}" in process.stdout
+    index = (out / "index.html").read_text(encoding="utf-8")
+    for n in range(3, 9):
+        assert f'href="fig{n}.html"' in index
+        assert f'src="fig{n}.png"' in index
+        assert (out / f"fig{n}.html").stat().st_size < 4_000_000
+    assert index.index("fig3.html") < index.index("fig8.html")
+
+
+def test_without_meshcat_the_study_says_that_there_are_no_pages(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "meshcat.geometry", None)
+    main(["paper", "--figures", "6", "--duration", "1", "--out", str(tmp_path)])
+    told = capsys.readouterr().out
+    assert "There are no pages to see in a browser: the browser view needs meshcat" in told
+    assert "pip install 'approxjac[view]'" in told
+    assert not list(tmp_path.glob("*.html"))
+
+
+async def watch_and_stop(url):
+    """Be a page: get 20 instants, stop the run, and wait until it says that it has ended."""
+    socket = await websocket_connect(url.replace("http", "ws") + "socket")
+    rows, message = 0, {}
+    while rows < 20:
+        message = json.loads(await socket.read_message())
+        rows += len(message.get("rows", []))
+    await socket.write_message(json.dumps({"stop": True}))
+    while "ended" not in message:
+        message = json.loads(await socket.read_message())
+    while await socket.read_message() is not None:
+        pass  # until the server has closed it
+    socket.close()
+    return message["ended"]
+
+
+@pytest.mark.parametrize("command", ["simulate", "servo"])
+def test_a_run_is_shown_and_stopped_from_the_page(command, tmp_path):
+    """The results of a run that was stopped are written as those of others."""
+    options = ["--duration", "30", "--view", "--speed", "20", "--out", str(tmp_path)]
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "approxjac", command, "panda", *options],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={name: value for name, value in os.environ.items() if "DISPLAY" not in name},
+    )  # fmt: skip
+    first = process.stdout.readline()
+    assert first.startswith("No browser could be opened here: open http://127.0.0.1:")
+    ended = asyncio.run(watch_and_stop(first.split("open ")[1].split(" ")[0]))
+    out, error = process.communicate(timeout=60)
+    assert process.returncode in (0, 1), error
+    assert ended.startswith("The run has ended at ")
+    assert "verdict" in out
+    run = aj.Trajectory.load(tmp_path / "run.npz")
+    assert 0.0 < run.t[-1] < 30.0
+
+
+@pytest.mark.parametrize("option", ["--speed", "--port"])
+def test_options_of_the_view_need_it(option, tmp_path, capsys):
+    assert main(["simulate", "panda", option, "2", "--out", str(tmp_path)]) == 2
+    message = f"{option} is for a run that is shown with --view, got 2 without"
+    assert message in capsys.readouterr().err

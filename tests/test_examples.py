@@ -12,15 +12,21 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("[0-9][0-9]_*.py
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
 def test_an_example_runs_and_makes_its_pictures(path, tmp_path):
+    """And pages, of which an index has the links."""
     process = subprocess.run(
         [sys.executable, str(path), "--out", str(tmp_path)], capture_output=True, text=True
     )
     assert process.returncode == 0, process.stderr
     assert process.stderr == ""
-    for picture in tmp_path.iterdir():
-        assert str(picture) in process.stdout
-        assert picture.stat().st_size > 10_000
-    assert {picture.suffix for picture in tmp_path.iterdir()} == {".png", ".svg"}
+    made = set(tmp_path.iterdir())
+    for path in made:
+        assert str(path) in process.stdout
+        assert path.stat().st_size > (1000 if path.name == "index.html" else 10_000)
+    assert {".png", ".svg"} <= {path.suffix for path in made} <= {".png", ".svg", ".html"}
+    pages = [path for path in made if path.suffix == ".html" and path.name != "index.html"]
+    for page in pages:
+        assert page.stat().st_size < 4_000_000
+        assert f'href="{page.name}"' in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)

@@ -1,8 +1,12 @@
-"""Runs the study and the examples when the site is built, so that its figures are never old."""
+"""Runs the study and the examples when the site is built, so that its figures are never old.
+
+Their figures go into pages of the site; the pages of their runs become part of it as they are.
+"""
 
 import contextlib
 import io
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -49,6 +53,18 @@ def make(app):
             check=True,
             stdout=subprocess.DEVNULL,
         )
+    for name in ("paper", "examples"):
+        gather(folder / name, folder / "site" / "runs" / name)
+
+
+def gather(folder, site):
+    """Copy the pages of runs, with the pictures that their index shows."""
+    shutil.rmtree(site, ignore_errors=True)
+    site.mkdir(parents=True)
+    for page in folder.glob("*.html"):
+        for path in (page, page.with_suffix(".png")):
+            if path.exists():
+                shutil.copy(path, site)
 
 
 def setup(app):

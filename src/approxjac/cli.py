@@ -6,21 +6,26 @@ Exit codes: 0 all is well, 1 a verdict fell short, 2 bad input.
 from __future__ import annotations
 
 import io
-import json
-import math
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from tqdm import tqdm
 
 import approxjac
+from approxjac.cli_studies import arms, certify, limiters, make_folder, paper, servo_study
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.studies.reach import Settings
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.studies.settings_file import with_file
 from approxjac.studies.stability import StabilitySettings
+
+if TYPE_CHECKING:
+    from approxjac.view.browser.live import LiveView
 
 app = tyro.extras.SubcommandApp()
 _FROM_FILE = {"simulate": Settings, "servo": ServoSettings}  # commands that take a .toml file
@@ -31,77 +36,45 @@ _DESCRIPTION = (
 )
 
 
-@app.command(name="paper")
-def paper(
-    out: Path = Path("results/paper"),
-    figures: tuple[int, ...] = (1, 3, 4, 5, 6, 7, 8),
-    start: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (60.0, 90.0),
-    target: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (90.0, 90.0),
-    friction: float = 0.0,
-    gamma: float | None = None,
-    inertia: Literal["rod", "point-mass"] = "rod",
-    duration: float = 120.0,
-) -> int:
-    """Reproduce the paper's two-link study, Figures 1 and 3-8, with a verdict for each.
+@dataclass(frozen=True)
+class Live:
+    """How to see a run while it goes on.
 
-    Args:
-        out: Folder for figN.png, figN.svg, figN.npz and summary.json.
-        figures: Figures to make, such as "--figures 3 4".
-        start: Posture q(0) at the start, in degrees.
-        target: Posture whose image is the target, in degrees.
-        friction: Viscous friction B at both joints, N m s/rad.
-        gamma: Saturation of the error on the sensor, in m; "None" is s(e) = e.
-        inertia: Uniform rods, or point masses at their middles.
-        duration: Length of each run, in s.
+    Attributes:
+        view: Show it in the browser while it goes on; there, and here by typing, the target and the
+            believed length can be changed, and the run paused or stopped.
+        speed: Of the run with --view, as a multiple of real time; 1 by default.
+        port: Of the page with --view, on this machine; 7007 by default, or any free one.
     """
-    from approxjac.studies import paper as study
-    from approxjac.studies import paper_report as report
-    from approxjac.view import save_figure
 
-    known = [1, *study.EXPERIMENTS]
-    if not figures:
-        raise InvalidInputError("figures must name at least one figure, got none", given=figures)
-    for figure in figures:
-        if figure not in known:
-            raise InvalidInputError(
-                f"figures must be among {', '.join(map(str, known))}, got {figure}", given=figure
-            )
-    setup = study.Setup(
-        start=(math.radians(start[0]), math.radians(start[1])),
-        target=(math.radians(target[0]), math.radians(target[1])),
-        friction=friction,
-        gamma=gamma,
-        inertia=inertia,
-        duration=duration,
-    )
-    _make_folder(out)
-    truth = study.build_arm(inertia=inertia)
-    bound = None
-    results = []
-    experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]
-    # tqdm shows nothing where the output is not a terminal (disable=None)
-    with tqdm(total=max(1, len(experiments)) * duration, unit="s", disable=None) as bar:
-        if 1 in figures:
-            bar.set_description("figure 1")
-            bound = study.jacobian_bound(setup)
-            save_figure(report.draw_bound(bound), out / "fig1")
-        for i, experiment in enumerate(experiments):
-            bar.set_description(f"figure {experiment.figure}")
+    view: tyro.conf.FlagCreatePairsOff[bool] = False
+    speed: float | None = None
+    port: int | None = None
 
-            def advance(t: float, done: float = i * duration) -> None:
-                bar.update(done + t - bar.n)
+    def observer(self, believe: Any, believed_length: float) -> LiveView | None:
+        """What `simulate` is to show its steps to, if anything."""
+        if not self.view:
+            for name, value in (("speed", self.speed), ("port", self.port)):
+                if value is not None:
+                    raise InvalidInputError(
+                        f"--{name} is for a run that is shown with --view, got {value:g} without",
+                        given=value,
+                    )
+            return None
+        from approxjac.view import LiveView
 
-            result = study.run_experiment(experiment, setup, progress=advance)
-            report.write_result(result, setup, truth, out)
-            results.append(result)
-    summary = report.summary(results, bound, setup)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(report.table(results, bound))
-    print(f"\nPictures, runs and summary.json are in {out}")
-    return 0 if all(result.agrees_with_paper for result in results) else 1
+        return LiveView(
+            speed=1.0 if self.speed is None else self.speed,
+            port=self.port,
+            believe=believe,
+            believed_length=believed_length,
+            terminal=True,
+        )
 
 
-@app.command(name="robots")
+_NOT_LIVE = Live()
+
+
 def robots(
     robot: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="NAME|FILE")] = None,
     tip: str | None = None,
@@ -127,10 +100,10 @@ def robots(
     return 0
 
 
-@app.command(name="simulate")
 def simulate(
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")],
     settings: Annotated[Settings, tyro.conf.OmitArgPrefixes],
+    live: Annotated[Live, tyro.conf.OmitArgPrefixes] = _NOT_LIVE,
     out: Path = Path("results/simulate"),
 ) -> int:
     """Let an arm reach a target although its controller believes a wrong robot.
@@ -139,25 +112,27 @@ def simulate(
         robot: Name of an arm, a .urdf file, or a .toml file that names the robot and holds any of
             these options, such as object_length = 0.3; options given here come before it.
         settings: What to simulate.
+        live: How to see it while it goes on.
         out: Folder for run.png, run.svg, run.npz and summary.json.
     """
     from approxjac.studies import reach
     from approxjac.studies import reach_report as report
 
     prepared = reach.prepare(robot, settings)
-    _make_folder(out)
-    with tqdm(total=settings.duration, unit="s", disable=None) as bar:
-        result = reach.run(prepared, progress=lambda t: bar.update(t - bar.n) and None)
+    make_folder(out)
+    observer = live.observer(prepared.believe, settings.believed_length)
+    with _bar(settings.duration, live) as progress:
+        result = reach.run(prepared, progress, observer)
     report.write(result, out)
     print(report.text(result))
-    print(f"\nPictures, the run and summary.json are in {out}")
+    print(_written(out))
     return 0 if result.converged else 1
 
 
-@app.command(name="servo")
 def servo(
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")],
     settings: Annotated[ServoSettings, tyro.conf.OmitArgPrefixes],
+    live: Annotated[Live, tyro.conf.OmitArgPrefixes] = _NOT_LIVE,
     out: Path = Path("results/servo"),
 ) -> int:
     """Let an arm bring points to where they shall be in the image of a camera nobody calibrated.
@@ -166,188 +141,46 @@ def servo(
         robot: Name of an arm, a .urdf file, or a .toml file that names the robot and holds any of
             these options, such as roll = 0.5; options given here come before it.
         settings: What to simulate.
+        live: How to see it while it goes on.
         out: Folder for run, image and views as .png and .svg, run.npz and summary.json.
     """
     from approxjac.studies import servo as study
     from approxjac.studies import servo_report as report
 
     prepared = study.prepare(robot, settings)
-    _make_folder(out)
-    with tqdm(total=settings.duration, unit="s", disable=None) as bar:
-        result = study.run(prepared, progress=lambda t: bar.update(t - bar.n) and None)
+    make_folder(out)
+    observer = live.observer(prepared.believe, settings.believed_length)
+    with _bar(settings.duration, live) as progress:
+        result = study.run(prepared, progress, observer)
     report.write(result, out)
     print(report.text(result))
-    print(f"\nPictures, the run and summary.json are in {out}")
+    print(_written(out))
     return 0 if result.converged else 1
 
 
-@app.command(name="arms")
-def arms(
-    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = (),
-    starts: int = 20,
-    duration: float = 30.0,
-    jobs: int | None = None,
-    out: Path = Path("results/arms"),
+def view(
+    run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")],
+    out: Path | None = None,
+    title: str | None = None,
 ) -> int:
-    """Let every arm reach targets with a tool that its controller believes absent.
+    """Make a page of a run, to see in a browser and to keep: one file that needs no network.
 
     Args:
-        robots: Arms to try; all that load by name by default.
-        starts: Seeded starts and targets for each arm, with gravity known and with gravity learnt.
-        duration: Of each run, in s.
-        jobs: Processes that share the work; as many as there are processors by default.
-        out: Folder for table.md and summary.json.
+        run: A run.npz that simulate, servo, paper or Trajectory.save wrote, or a folder with one.
+        out: The page, such as page.html; beside the run by default, and then it is opened too.
+        title: Of the page; by default what the run is of.
     """
-    from approxjac.studies import arms as study
+    from approxjac.simulation import Trajectory
+    from approxjac.view.browser.opening import open_browser
 
-    cases = study.cases(robots, starts, duration)
-    _make_folder(out)
-    with tqdm(total=len(cases), unit="run", disable=None) as bar:
-        outcomes = study.run(cases, jobs, progress=lambda: bar.update() and None)
-    (out / "table.md").write_text(study.table(outcomes), encoding="utf-8")
-    summary = study.summary(outcomes)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(study.table(outcomes))
-    print(f"table.md and summary.json are in {out}")
-    return 0 if summary["verdict"] == "ok" else 1
+    path = _run_file(run)
+    page = Trajectory.load(path).to_html(out or path.with_suffix(".html"), title=title)
+    print(page)
+    if out is None and not open_browser(Path(page).resolve().as_uri()):
+        print("No browser could be opened here: open it in yours")
+    return 0
 
 
-@app.command(name="limiters")
-def limiters(
-    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = (),
-    scales: tuple[float, ...] = (),
-    starts: int = 15,
-    duration: float = 10.0,
-    jobs: int | None = None,
-    out: Path = Path("results/limiters"),
-) -> int:
-    """Compare limiters of the torque on the same reaches, with ever weaker motors.
-
-    Exit code 1 means that the QP broke a torque limit or what it says of the proof, or that with
-    the weakest motors fewer runs converged within the joints' limits than with clipping.
-
-    Args:
-        robots: Arms to try; panda, xarm7 and two_link by default.
-        scales: Shares of the effort limits; 1, 0.7, 0.5, 0.35 and 0.25 by default.
-        starts: Seeded starts and targets for each arm and scale.
-        duration: Of each run, in s.
-        jobs: Processes that share the work; as many as there are processors by default.
-        out: Folder for table.md, limiters.png, limiters.svg and summary.json.
-    """
-    from approxjac.studies import limiters as study
-    from approxjac.studies import limiters_report as report
-    from approxjac.view import save_figure
-
-    cases = study.cases(robots, scales, starts, duration)
-    _make_folder(out)
-    with tqdm(total=len(cases), unit="start", disable=None) as bar:
-        outcomes = study.run(cases, jobs, progress=lambda: bar.update() and None)
-    table, summary = report.table(outcomes), report.summary(outcomes)
-    (out / "table.md").write_text(table, encoding="utf-8")
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    save_figure(report.draw(outcomes), out / "limiters")
-    print(table)
-    print("\n".join(f"fell short: {text}" for text in summary["shortcomings"]) or "all kept")
-    print(f"\ntable.md, the picture and summary.json are in {out}")
-    return 0 if summary["verdict"] == "ok" else 1
-
-
-@app.command(name="servo-study")
-def servo_study(
-    starts: int = 100,
-    comparisons: int = 8,
-    map_goals: int = 3,
-    limits: bool = False,
-    jobs: int | None = None,
-    out: Path = Path("results/servo-study"),
-) -> int:
-    """Servo a Panda with a badly wrong camera from many starts; compare laws; map tolerated roll.
-
-    Exit code 1 means that fewer than 95 % of the starts whose path stays in view converged to
-    within the noise.
-
-    Args:
-        starts: Seeded starts whose path stays in view.
-        comparisons: Seeded starts from which each law runs with each noise; 0 compares nothing.
-        map_goals: Seeded goals of the map of tolerated roll; 0 makes no map.
-        limits: Let the starts, not the comparisons, keep the URDF's limits of torques, speeds and
-            joints, which the controller does not know otherwise.
-        jobs: Processes that share the work; as many as there are processors by default.
-        out: Folder for table.md, noise and map as .png and .svg, and summary.json.
-    """
-    from approxjac.studies import servo_map, servo_study_report, servo_study_view
-    from approxjac.studies import servo_study as study
-    from approxjac.view import save_figure
-
-    starts = study.require_starts(starts)
-    compared, cells = study.cases(comparisons), servo_map.cases(map_goals)
-    _make_folder(out)
-    with tqdm(total=starts + len(compared) + len(cells), unit="run", disable=None) as bar:
-
-        def advance() -> None:
-            bar.update()
-
-        result = servo_study_report.Result(
-            starts,
-            study.must_show(
-                starts, jobs, advance, study.WITHIN_LIMITS if limits else study.ONE_POINT
-            ),
-            study.compare(compared, jobs, advance),
-            servo_map.run(cells, jobs, advance),
-        )
-    table, summary = servo_study_report.table(result), servo_study_report.summary(result)
-    (out / "table.md").write_text(table, encoding="utf-8")
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    if result.compared:
-        save_figure(servo_study_view.draw_noise(result.compared), out / "noise")
-    if result.cells:
-        save_figure(servo_study_view.draw_map(result.cells), out / "map")
-    print(table)
-    print("\n".join(f"fell short: {text}" for text in summary["shortcomings"]) or "all shown")
-    print(f"\ntable.md, the pictures and summary.json are in {out}")
-    return 0 if summary["verdict"] == "ok" else 1
-
-
-@app.command(name="certify")
-def certify(
-    cases: int = 500,
-    seed: int = 0,
-    jobs: int | None = None,
-    out: Path = Path("results/certify"),
-) -> int:
-    """Hold the stability tests against simulations of random closed loops; measure what they miss.
-
-    Exit code 1 means that a counterexample to a test was found.
-
-    Args:
-        cases: Random closed loops to test and to run.
-        seed: Of all that is random.
-        jobs: Processes that share the work; as many as there are processors by default.
-        out: Folder for table.md, two_link.md, panda.md and summary.json.
-    """
-    from approxjac.studies import certify as study
-    from approxjac.studies import certify_cases, certify_report, certify_shares, certify_two_link
-
-    chosen = certify_cases.cases(cases, seed)
-    _make_folder(out)
-    with tqdm(total=len(chosen), unit="case", disable=None) as bar:
-        outcomes = study.run(chosen, jobs, progress=lambda: bar.update() and None)
-    two_link, shares = certify_two_link.run(), certify_shares.run()
-    tables = {
-        "table.md": certify_report.table(outcomes),
-        "two_link.md": certify_report.two_link_table(two_link),
-        "panda.md": certify_shares.table(shares),
-    }
-    for name, text in tables.items():
-        (out / name).write_text(text, encoding="utf-8")
-        print(text)
-    summary = certify_report.summary(outcomes, two_link, shares)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(f"{', '.join(tables)} and summary.json are in {out}")
-    return 0 if summary["verdict"] == "ok" else 1
-
-
-@app.command(name="stability")
 def stability(
     robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")],
     settings: Annotated[StabilitySettings, tyro.conf.OmitArgPrefixes],
@@ -373,7 +206,7 @@ def stability(
     if jobs < 1:
         raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
     case = study.prepare(robot, settings)
-    _make_folder(out)
+    make_folder(out)
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
     with pool as executor, tqdm(total=1.0, disable=None, bar_format=_SHARE) as bar:
 
@@ -386,6 +219,51 @@ def stability(
     print(report.text(result))
     print(f"\nPictures and summary.json are in {out}")
     return 0 if result.report.certified_by is not None else 1
+
+
+@contextmanager
+def _bar(duration: float, live: Live) -> Iterator[Callable[[float], None]]:
+    """A progress bar over the time of a run, none where the run is shown; yields what moves it."""
+    # tqdm shows nothing where the output is not a terminal (disable=None)
+    with tqdm(total=duration, unit="s", disable=True if live.view else None) as bar:
+        yield lambda t: bar.update(t - bar.n) and None
+
+
+def _written(out: Path) -> str:
+    return (
+        f"\nPictures, the run and summary.json are in {out}\n"
+        f"See it move: approxjac view {out / 'run.npz'}"
+    )
+
+
+def _run_file(run: Path) -> Path:
+    """The file of a run, where its folder may have been given."""
+    if not run.is_dir():
+        return run
+    found = sorted(run.glob("*.npz"))
+    if len(found) != 1:
+        names = ", ".join(path.name for path in found) or "none"
+        raise InvalidInputError(
+            f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}",
+            given=run,
+        )
+    return found[0]
+
+
+_COMMANDS: dict[str, Callable[..., int]] = {
+    "paper": paper,
+    "robots": robots,
+    "simulate": simulate,
+    "servo": servo,
+    "view": view,
+    "stability": stability,
+    "arms": arms,
+    "limiters": limiters,
+    "servo-study": servo_study,
+    "certify": certify,
+}
+for _name, _command in _COMMANDS.items():
+    app.command(name=_name)(_command)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -405,12 +283,3 @@ def main(arguments: list[str] | None = None) -> int:
     except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
         print(f"approxjac: {error}", file=sys.stderr)
         return 2
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInputError(
-            f"--out must be a folder that can be made, got {out}: {error}", given=out
-        ) from error

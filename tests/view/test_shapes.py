@@ -377,3 +377,33 @@ def test_which_arms_have_no_meshes():
         name for name in NAMED if all(path is None for _, path, *_ in visuals(aj.load_robot(name)))
     }
     assert without == WITHOUT_MESHES
+
+
+def test_links_that_are_the_same_share_their_shapes(panda):
+    truth, belief = panda.with_object(0.2, axis="x"), panda.with_object(0.05, axis="x")
+    shorter = belief.with_kinematic_error({"panda_joint4": (0.0, 0.02, 0.0)})
+    look = robot_look(truth)
+    other = robot_look(shorter, like=(truth, look))
+    assert other.shapes.keys() == look.shapes.keys()
+    for link in look.shapes.keys() - {"object"}:
+        assert other.shapes[link] is look.shapes[link]
+    assert np.ptp(other.shapes["object"][0].vertices[:, 0]) == pytest.approx(0.05)
+
+
+def test_capsules_of_a_link_follow_its_joints_whatever_the_other_looks_like():
+    text = (
+        '<robot name="r"><link name="base"/>'
+        '<joint name="j1" type="revolute"><parent link="base"/><child link="a"/>'
+        '<limit effort="1" velocity="1" lower="-1" upper="1"/></joint>'
+        '<link name="a"><inertial><mass value="1"/>'
+        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'
+        '<joint name="j2" type="fixed"><parent link="a"/><child link="tip"/>'
+        '<origin xyz="0 0 1"/></joint><link name="tip"/></robot>'
+    )
+    arm = aj.load_robot(text)
+    longer = arm.with_kinematic_error({"j2": (0.0, 0.0, 0.5)})
+    alone, compared = robot_look(longer), robot_look(longer, like=(arm, robot_look(arm)))
+    assert compared.shapes.keys() == alone.shapes.keys()
+    for link, shapes in alone.shapes.items():
+        for a, b in zip(shapes, compared.shapes[link], strict=True):
+            assert_allclose(a.vertices, b.vertices)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from approxjac.errors import MissingPackageError
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.studies.paper import JacobianBound, Result, Setup
 from approxjac.view import (
@@ -17,6 +18,7 @@ from approxjac.view import (
     plot_path,
     plot_torque,
     save_figure,
+    write_index,
 )
 
 if TYPE_CHECKING:
@@ -123,6 +125,21 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
             learnt = ", ".join(f"{value:.4f}" for value in result.theta_hat)
             lines.append(f"{'':3}learnt θ̂ = ({learnt}) kg m")
     return "\n".join(lines).rstrip()
+
+
+def write_pages(results: Sequence[Result], out: Path) -> str:
+    """Write a page of each run, and an index of them; returns what to tell of that."""
+    for result in results:
+        experiment = result.experiment
+        try:
+            result.run.to_html(
+                out / f"fig{experiment.figure}.html",
+                title=f"Figure {experiment.figure}: {experiment.title} ({result.verdict})",
+            )
+        except MissingPackageError as error:
+            return f"There are no pages to see in a browser: {error}"
+    index = write_index(out, "The paper's two-link study: the arm as it is, and as it is believed")
+    return f"See them move: {index}"
 
 
 def write_result(result: Result, setup: Setup, truth: Robot, out: Path) -> None:

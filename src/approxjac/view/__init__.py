@@ -1,5 +1,7 @@
-"""Plots of runs, of what cameras see and of stability."""
+"""Plots of runs, of what cameras see and of stability; runs in the browser."""
 
+from approxjac.view.browser.index import write_index
+from approxjac.view.browser.live import LiveView
 from approxjac.view.images import plot_camera_view, plot_image, plot_lanes
 from approxjac.view.plots import (
     plot_error,
@@ -34,6 +36,7 @@ __all__ = [
     "SATURATED",
     "TARGET",
     "TRUE",
+    "LiveView",
     "legend_below",
     "new_figure",
     "plot_allowed_error",
@@ -50,4 +53,5 @@ __all__ = [
     "plot_torque",
     "save_figure",
     "style",
+    "write_index",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,13 +32,17 @@ class Look:
         shapes: Link → its shapes. Links that nothing is to be seen of are left out.
         missing: What the URDF wants shown and cannot be, each as a text that starts with its
             name and says why: meshes that are not found or cannot be read, unknown geometry.
+        found: Links that look as the URDF says, at least in part.
     """
 
     shapes: Mapping[str, tuple[Shape, ...]]
     missing: tuple[str, ...]
+    found: frozenset[str]
 
 
-def robot_look(robot: Robot, *, triangles: int = 25_000) -> Look:
+def robot_look(
+    robot: Robot, *, triangles: int = 25_000, like: tuple[Robot, Look] | None = None
+) -> Look:
     """Return what each link of a robot looks like, and what of it is missing.
 
     A link looks like the <visual>s of the URDF that are found. Meshes are simplified until the
@@ -58,6 +62,8 @@ def robot_look(robot: Robot, *, triangles: int = 25_000) -> Look:
             cylinders, spheres, capsules, meshes of up to 200 triangles) and where fewer would
             tear a mesh of many small parts apart: of the arms of `robot_names()`, only talos_arm
             has more than it should, 32 000.
+        like: Another robot and its look, such as the arm as it is: of links that are the same in
+            both, the very same shapes are taken, which takes no time.
 
     Raises:
         InvalidInputError: `triangles` is not a number > 0. Never because of a mesh.
@@ -67,21 +73,41 @@ def robot_look(robot: Robot, *, triangles: int = 25_000) -> Look:
     budget = as_number("triangles", triangles, above=0.0)
     root = urdf_xml.parse(robot.urdf, robot.name)
     files = _Files(robot.urdf_dir)
+    taken = {} if like is None else _taken(root, *like)
     seen: dict[str, list[_Visual]] = {}
     missing: dict[str, None] = {}  # in order, each once
     for link in root.iterfind("link"):
-        for element in link.iterfind("visual"):
+        for element in [] if link.get("name") in taken else link.iterfind("visual"):
             try:
                 visual = _visual(element, files)
                 seen.setdefault(link.get("name"), []).append(visual)
             except ValueError as error:
                 missing[f"{_called(element, link)}: {error}"] = None
-    shapes = _in_place(robot, root, set(seen))
+    shapes = taken | _in_place(robot, root, seen.keys() | taken.keys())
     budget -= sum(len(shape.faces) for drawn in shapes.values() for shape in drawn)
     files.lighten([visual for visuals in seen.values() for visual in visuals], budget)
     for name, visuals in seen.items():
         shapes[name] = tuple(visual.shape(files) for visual in visuals)
-    return Look(shapes, tuple(missing))
+    return Look(shapes, tuple(missing), frozenset(seen.keys() | taken.keys()))
+
+
+def _taken(root: Any, other: Robot, look: Look) -> dict[str, tuple[Shape, ...]]:
+    """Shapes of the links of another robot that are the same in this one."""
+    theirs = {
+        link.get("name"): link for link in urdf_xml.parse(other.urdf, other.name).iterfind("link")
+    }
+    named = {link.get("name"): link for link in root.iterfind("link")}
+    return {
+        name: look.shapes[name]
+        for name in look.found & named.keys()
+        if _text(named[name]) == _text(theirs[name])
+    }
+
+
+def _text(element: Any) -> bytes:
+    from lxml import etree
+
+    return bytes(etree.tostring(element, method="c14n", strip_text=True))
 
 
 @dataclass(frozen=True)
@@ -192,7 +218,7 @@ def _numbers(
     return numbers
 
 
-def _in_place(robot: Robot, root: Any, seen: set[str]) -> dict[str, tuple[Shape, ...]]:
+def _in_place(robot: Robot, root: Any, seen: Set[str]) -> dict[str, tuple[Shape, ...]]:
     """Capsules and balls for the links that nothing is seen of."""
     joints = urdf_xml.read(root, robot.name).robot.joints
     radius = _THICK * _arm_length(joints)

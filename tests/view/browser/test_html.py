@@ -171,19 +171,30 @@ def test_without_meshcat_it_says_what_to_install(run, monkeypatch):
 @pytest.mark.parametrize("there", [True, False])
 def test_a_run_is_viewed(run, monkeypatch, capsys, there):
     opened = []
+    monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or there)
     path = run.view(title="seen")
     try:
         assert opened == [path.as_uri()]
         assert path.read_text(encoding="utf-8") == run.to_html(title="seen")
         told = capsys.readouterr().out
-        assert told == ("" if there else f"no browser could be opened; the page is {path}\n")
+        assert told == ("" if there else f"No browser could be opened here: the page is {path}\n")
     finally:
         path.unlink()
+
+
+def test_without_a_screen_no_browser_is_tried(run, monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(webbrowser, "open", None)  # one for terminals would take this one over
+    path = run.view()
+    path.unlink()
+    assert capsys.readouterr().out == f"No browser could be opened here: the page is {path}\n"
 
 
 def test_the_assets_are_packaged_with_their_licence():
     assets = importlib.resources.files("approxjac.view.browser") / "assets"
     assert "MIT" in (assets / "uPlot.LICENSE").read_text(encoding="utf-8")
-    for name in ("scene.js", "plots.js", "image.js", "page.js"):
+    for name in ("scene.js", "plots.js", "image.js", "page.js", "live.js"):
         assert len((assets / name).read_text(encoding="utf-8").splitlines()) < 450

@@ -316,7 +316,7 @@ def test_without_webgl_there_are_the_plots(drawn, browser, tmp_path):
 
 def live_page(scene, row):
     empty = {name: column[:0] for name, column in Frames(scene).columns(**row).items()}
-    return document(page_data(scene, empty, title="live", live=True))
+    return document(page_data(Stage(scene), empty, title="live", live=True))
 
 
 def rows_of(run, every=100):
@@ -366,7 +366,8 @@ def test_instants_come_in_and_the_target_is_dragged(reach, open_page, tmp_path):
 
 def test_a_target_in_the_image_is_dragged(watched, open_page, tmp_path):
     row = rows_of(watched)[0]
-    data = page_data(watched.scene, Frames(watched.scene).columns(**row), title="live", live=True)
+    stage = Stage(watched.scene)
+    data = page_data(stage, Frames(watched.scene).columns(**row), title="live", live=True)
     path = tmp_path / "live.html"
     path.write_text(document(data, ["approxjac.onpixel = (...x) => { window.moved = x; };"]))
     page = open_page(path)

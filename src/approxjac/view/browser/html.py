@@ -23,6 +23,7 @@ from approxjac.simulation.scene import Scene, features
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import image_axes
 from approxjac.view.browser.frames import Frames, display_unit
+from approxjac.view.browser.opening import open_browser
 from approxjac.view.browser.stage import Stage
 from approxjac.view.browser.viewpoint import link_points, reach_points, viewpoint
 from approxjac.view.packages import view_package
@@ -57,12 +58,9 @@ def page(run: Trajectory, *, title: str | None = None) -> str:
         )
     kept = _thinned(run.t)
     frames = Frames(run.scene, run.task_units)
-    columns = frames.columns(
-        run.t[kept], run.q[kept], run.x_measured[kept], run.x_d[kept], run.error[kept],
-        _peaks(run.tau, kept), run.task_torque[kept], run.V[kept],
-    )  # fmt: skip
+    columns = frames.columns(*recorded(run, kept))
     data = page_data(
-        run.scene,
+        Stage(run.scene),
         columns,
         q=run.q[kept],
         title=title or run.robot_name + ("" if run.scene.belief is None else _BELIEVED),
@@ -73,8 +71,30 @@ def page(run: Trajectory, *, title: str | None = None) -> str:
     return document(data)
 
 
+def live_page(stage: Stage) -> str:
+    """Return a page of a scene that is told over a WebSocket what there is to show."""
+    scene = stage.scene
+    nv, m = scene.truth.nv, 0 if scene.sensor is None else scene.sensor.m
+    n_x = 0 if scene.sensor is None else scene.sensor.n_x
+    widths = (scene.truth.nq, n_x, n_x, m, nv, nv)
+    nothing = [np.zeros(0), *(np.zeros((0, width)) for width in widths), np.zeros(0)]
+    columns = Frames(scene).columns(*nothing)
+    title = scene.truth.name + ("" if scene.belief is None else _BELIEVED)
+    return document(page_data(stage, columns, title=title, live=True), [_asset("live.js")])
+
+
+def recorded(run: Trajectory, kept: Any = slice(None)) -> tuple[Array, ...]:
+    """What `Frames.columns` takes, of instants of a run; torques are peaks in between."""
+    tau = run.tau if isinstance(kept, slice) else _peaks(run.tau, kept)
+    task_torque = run.task_torque[kept]
+    measured, x_d = run.x_measured[kept], run.x_d[kept]
+    return (
+        run.t[kept], run.q[kept], measured, x_d, run.error[kept], tau, task_torque, run.V[kept],
+    )  # fmt: skip
+
+
 def page_data(
-    scene: Scene,
+    stage: Stage,
     columns: Mapping[str, Array],
     *,
     q: Array | None = None,
@@ -87,7 +107,7 @@ def page_data(
     """Return what a page is made of, for `document`.
 
     Args:
-        scene: Who takes part.
+        stage: The scene, drawn.
         columns: What `Frames.columns` returned, of any number of instants.
         q: Configurations of the same instants, shape (N, nq), to look at the right place; none
             looks at all that the arm reaches.
@@ -97,12 +117,13 @@ def page_data(
         task_units: Their units; those of the sensor by default.
         live: Whether instants come in while the page is open, and targets can be dragged.
     """
+    scene = stage.scene
     if scene.sensor is not None:
         task_labels, task_units = (
             task_labels or scene.sensor.labels,
             (task_units or scene.sensor.units),
         )
-    stage, frames = Stage(scene), Frames(scene, tuple(task_units or ()))
+    frames = Frames(scene, tuple(task_units or ()))
     data = stage.data()
     watched = [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
     if q is None or len(q) == 0:
@@ -150,24 +171,20 @@ def document(data: Mapping[str, Any], scripts: Sequence[str] = ()) -> str:
         data: What `page_data` returned.
         scripts: JavaScript to run after the page's own.
     """
-    assets = resources.files("approxjac.view.browser") / "assets"
-
-    def text(name: str) -> str:
-        return (assets / name).read_text(encoding="utf-8")
-
-    code = [_meshcat_js(), text("uPlot.iife.min.js"), *(text(name) for name in _SCRIPTS), *scripts]
+    own = [_asset(name) for name in ("uPlot.iife.min.js", *_SCRIPTS)]
+    code = [_meshcat_js(), *own, *scripts]
     # "</script" would end the element that it stands in, and "<!--" change how it is read
     values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     parts = {
         "title": html.escape(str(data["title"])),
         "description": html.escape("; ".join(f"{name}: {said}" for name, said in data["facts"])),
-        "css": text("uPlot.min.css") + text("page.css"),
+        "css": _asset("uPlot.min.css") + _asset("page.css"),
         "data": values,
-        "licences": _licences(text("uPlot.LICENSE")),
+        "licences": _licences(_asset("uPlot.LICENSE")),
         "scripts": "\n".join(_script(part) for part in code),
     }
     # all at once: what is put in is not looked at again
-    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], text("page.html"))
+    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _asset("page.html"))
 
 
 def show(run: Trajectory, *, title: str | None = None) -> Path:
@@ -175,20 +192,14 @@ def show(run: Trajectory, *, title: str | None = None) -> Path:
 
     Where no browser can be opened, it prints where the page is.
     """
-    import webbrowser
-
     text = page(run, title=title)
     with tempfile.NamedTemporaryFile(
         "w", encoding="utf-8", prefix="approxjac-", suffix=".html", delete=False
     ) as file:
         file.write(text)
     path = Path(file.name)
-    try:
-        opened = webbrowser.open(path.as_uri())
-    except webbrowser.Error:
-        opened = False
-    if not opened:
-        print(f"no browser could be opened; the page is {path}")
+    if not open_browser(path.as_uri()):
+        print(f"No browser could be opened here: the page is {path}")
     return path
 
 
@@ -241,7 +252,9 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
     if any(name.endswith("_tip_joint") for name in scene.truth.frame_names):
         entries.append((colours.OBJECT, "bar", "object that it holds"))
     if scene.belief is not None:
-        entries.append((BELIEVED, "bar", "arm and camera as the controller believes them"))
+        camera = " and its camera" if image else ""
+        words = f"what the controller believes of it{camera}, where that differs"
+        entries.append((BELIEVED, "bar", words))
     entries.append((TRUE, "", "true tip and its path"))
     entries.append((TARGET, "", "target, line of sight" if image else "target"))
     if scene.task is not None:
@@ -283,6 +296,11 @@ def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, 
             "colours": colours.series(1), "lines": [],
         },
     ]  # fmt: skip
+
+
+def _asset(name: str) -> str:
+    folder = resources.files("approxjac.view.browser") / "assets"
+    return (folder / name).read_text(encoding="utf-8")
 
 
 def _packed(column: Array) -> str:

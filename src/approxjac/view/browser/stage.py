@@ -15,11 +15,10 @@ from approxjac.simulation.scene import Scene, features
 from approxjac.tasks import Task
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import camera_view
-from approxjac.view.browser.looks import looks_of
 from approxjac.view.browser.tree import Tree, robot_tree
 from approxjac.view.browser.viewpoint import reach_points
 from approxjac.view.packages import view_package
-from approxjac.view.shapes import Look
+from approxjac.view.shapes import Look, robot_look
 from approxjac.view.style import BELIEVED, FORCE, TARGET, TRUE
 
 _GHOST = 0.38  # opacity of the believed arm
@@ -33,6 +32,7 @@ class Stage:
 
     Args:
         scene: Who takes part.
+        like: The stage of a scene with the same true robot, whose look is taken over.
 
     Attributes:
         size: Of the arm: the farthest that a link gets from the base [m].
@@ -47,12 +47,15 @@ class Stage:
         MissingPackageError: meshcat is not installed.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, like: Stage | None = None) -> None:
         self._geometry = view_package("meshcat.geometry")
         self._commands = view_package("meshcat.commands")
         self._pack = view_package("umsgpack").packb
         self.scene = scene
-        self._looks = looks_of(scene.truth, scene.belief)
+        true = robot_look(scene.truth) if like is None else like._looks["true"]
+        self._looks: dict[str, Look] = {"true": true}
+        if scene.belief is not None:
+            self._looks["believed"] = robot_look(scene.belief, like=(scene.truth, true))
         looks = self._looks.values()
         self.missing = tuple(dict.fromkeys(text for look in looks for text in look.missing))
         self.boxes = {role: _boxes(look) for role, look in self._looks.items()}

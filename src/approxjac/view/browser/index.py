@@ -1,0 +1,100 @@
+"""An index page of the run pages in a folder."""
+
+from __future__ import annotations
+
+import re
+from html import escape, unescape
+from pathlib import Path
+
+from approxjac.errors import InvalidInputError
+from approxjac.view.style import NEUTRAL, TRUE
+
+_HEAD = 4000  # characters of a page in which its name stands
+_MARK = '<meta name="generator" content="approxjac">'
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 64rem; margin: 2rem auto; padding: 0 1rem;
+  color: #222; background: #fff; }}
+h1 {{ font-size: 1.5rem; }}
+ul {{ list-style: none; padding: 0; display: grid; gap: 1rem;
+  grid-template-columns: repeat(auto-fill, minmax(18rem, 1fr)); }}
+a {{ display: block; height: 100%; box-sizing: border-box; padding: 1rem; color: {link};
+  border: 1px solid #ddd; border-radius: 6px; text-decoration: none; }}
+a:hover, a:focus {{ border-color: {link}; }}
+img {{ display: block; width: 100%; height: 9rem; object-fit: contain; margin-bottom: 0.5rem; }}
+p {{ margin: 0.25rem 0 0; color: {text}; }}
+</style>
+</head>
+<body>
+<h1>{title}</h1>
+<ul>
+{entries}
+</ul>
+</body>
+</html>
+"""
+
+
+def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
+    """Write index.html with a link to every run page in a folder, in the order of their names.
+
+    A picture of the same name beside a page (run.png beside run.html) is shown with its link.
+
+    Args:
+        folder: With pages that `Trajectory.to_html` wrote.
+        title: Of the index.
+
+    Returns:
+        The path of the index.
+
+    Raises:
+        InvalidInputError: A folder without such pages, or that cannot be written to.
+    """
+    folder = Path(folder)
+    entries = []
+    try:
+        for path in sorted(folder.glob("*.html"), key=lambda path: _natural(path.name)):
+            with path.open(encoding="utf-8") as file:
+                head = file.read(_HEAD)
+            if _MARK in head:
+                entries.append(_entry(path, head))
+        if not entries:
+            raise InvalidInputError(
+                f"folder must hold pages that run.to_html(path) wrote, got {folder} without any",
+                given=folder,
+            )
+        text = _PAGE.format(
+            title=escape(title), entries="\n".join(entries), link=TRUE, text=NEUTRAL
+        )
+        index = folder / "index.html"
+        index.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InvalidInputError(
+            f"folder must be one that can be read and written, got {folder}: {error}", given=folder
+        ) from error
+    return index
+
+
+def _entry(path: Path, head: str) -> str:
+    """A link to a page, with its title and what it says of itself."""
+    title = _found(r"<title>(.*?)</title>", head) or path.stem
+    text = _found(r'<meta name="description" content="(.*?)">', head)
+    image = path.with_suffix(".png")
+    picture = f'<img src="{escape(image.name)}" alt="">' if image.is_file() else ""
+    told = f"<p>{escape(text)}</p>" if text else ""
+    return f'<li><a href="{escape(path.name)}">{picture}<b>{escape(title)}</b>{told}</a></li>'
+
+
+def _found(pattern: str, text: str) -> str:
+    match = re.search(pattern, text, re.DOTALL)
+    return unescape(match.group(1)) if match else ""
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Sorts fig10 after fig9."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

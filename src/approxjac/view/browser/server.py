@@ -1,0 +1,141 @@
+"""`PageServer`: one page for browsers on this machine, and messages to and from it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import queue
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from approxjac.errors import InvalidInputError
+from approxjac.view.packages import view_package
+
+_HOST = "127.0.0.1"  # nobody else on the network gets to move an arm
+_PORT = 7007
+_CLOSING = 2.0  # for what was sent to arrive [s]
+
+
+class PageServer:
+    """Serves a page from a thread of its own.
+
+    Args:
+        page: Makes the page, whenever a browser asks for it.
+        greeting: Makes the messages that a page gets first, when it is there.
+        port: To serve at; 7007 by default, or any free one if that is taken.
+
+    Attributes:
+        url: Of the page.
+        opened: Set when a page is there.
+
+    Raises:
+        InvalidInputError: The port is taken, or none.
+        MissingPackageError: tornado is not installed.
+    """
+
+    def __init__(
+        self,
+        page: Callable[[], str],
+        greeting: Callable[[], list[str]],
+        port: int | None = None,
+    ) -> None:
+        self._web = view_package("tornado.web")
+        self._websocket = view_package("tornado.websocket")
+        self._page = page
+        self._greeting = greeting
+        self._socket = _bound(port)
+        self.url = f"http://{_HOST}:{self._socket.getsockname()[1]}/"
+        self.opened = threading.Event()
+        self._received: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._pages: set[Any] = set()
+        self._loop = asyncio.new_event_loop()
+        self._closing = asyncio.Event()
+        self._thread = threading.Thread(target=self._serve, name="approxjac page", daemon=True)
+        self._thread.start()
+
+    def send(self, message: str) -> None:
+        """Send a message to all pages, without waiting for them."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._broadcast, message)
+
+    def received(self) -> list[Mapping[str, Any]]:
+        """What pages sent since this was asked for last; what is no JSON object is dropped."""
+        found = []
+        while not self._received.empty():
+            found.append(self._received.get())
+        return found
+
+    def close(self) -> None:
+        """Stop serving, after what was sent has left."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._closing.set)
+            self._thread.join(_CLOSING)
+
+    def _serve(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._until_closed())
+        finally:
+            self._loop.close()
+
+    async def _until_closed(self) -> None:
+        outer = self
+
+        class Page(self._web.RequestHandler):  # type: ignore[misc, name-defined]
+            def get(self) -> None:
+                self.set_header("Cache-Control", "no-store")
+                self.finish(outer._page())
+
+        class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
+            def open(self, *_: str) -> None:
+                for message in outer._greeting():
+                    self.write_message(message)
+                outer._pages.add(self)
+                outer.opened.set()
+
+            def on_message(self, message: str | bytes) -> None:
+                try:
+                    told = json.loads(message)
+                except ValueError:
+                    return
+                if isinstance(told, dict):
+                    outer._received.put(told)
+
+            def on_close(self) -> None:
+                outer._pages.discard(self)
+
+        application = self._web.Application([("/", Page), ("/socket", Socket)])
+        server = view_package("tornado.httpserver").HTTPServer(application)
+        server.add_socket(self._socket)
+        await self._closing.wait()
+        server.stop()
+        for page in list(self._pages):
+            page.close()
+        await server.close_all_connections()
+
+    def _broadcast(self, message: str) -> None:
+        for page in list(self._pages):
+            page.write_message(message)
+
+
+def _bound(port: int | None) -> socket.socket:
+    """A socket that listens at a port; at the usual one, or any free one, where None is given."""
+    if port is not None and not (type(port) is int and 0 < port < 65536):
+        raise InvalidInputError(f"port must be a number from 1 to 65535, got {port!r}", given=port)
+    for wanted in (_PORT, 0) if port is None else (port,):
+        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listening.bind((_HOST, wanted))
+            listening.listen(16)
+        except OSError as error:
+            listening.close()
+            reason = error
+        else:
+            listening.setblocking(False)
+            return listening
+    raise InvalidInputError(
+        f"port must be free, or left out for any that is, got {port}: {reason}", given=port
+    )

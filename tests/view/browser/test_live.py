@@ -1,0 +1,303 @@
+"""A run in the browser while it goes on: shown as it is, following the user, ending cleanly."""
+
+import contextlib
+import dataclasses
+import os
+import socket
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac import view
+
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+LENGTH = 0.2
+
+
+@pytest.fixture(autouse=True)
+def no_browser_of_the_user(monkeypatch):
+    monkeypatch.setattr("approxjac.view.browser.live.open_browser", lambda url: False)
+
+
+def parts(arm):
+    truth, belief = arm.with_object(LENGTH, 0.5, axis="x"), believing(arm)(0.0)
+    plant = aj.Plant(truth, aj.PositionTask(truth))
+    regressor = aj.GravityRegressor(belief)
+    gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])
+    gains = aj.Gains(kp=600.0, kv=80.0, damping=1.0)
+    controller = aj.SetpointController(aj.PositionTask(belief), gains, gravity=gravity)
+    return plant, controller, plant.sensor.value(START) + [0.05, -0.1, 0.05]
+
+
+def believing(arm):
+    return lambda length: arm.with_object(length, 0.0, axis="x")
+
+
+def simulate(arm, observer=None, duration=0.3, **options):
+    plant, controller, target = parts(arm)
+    return aj.simulate(
+        plant, controller, target, START, duration, dt=1e-3,
+        integrator="semi_implicit_euler", observer=observer, **options,
+    )  # fmt: skip
+
+
+class Running:
+    """A run in a thread of its own, as a program of the user's would have it."""
+
+    def __init__(self, arm, live, duration=60.0):
+        self.live, self.result, self.error = live, None, None
+        self._thread = threading.Thread(target=self._run, args=(arm, duration))
+        self._thread.start()
+        wait_for(lambda: live.url is not None or self.error is not None)
+
+    def _run(self, arm, duration):
+        try:
+            self.result = simulate(arm, self.live, duration, record_every=0.01)
+        except Exception as error:  # told in the test's own thread
+            self.error = error
+
+    def ended(self):
+        self._thread.join(20.0)
+        assert not self._thread.is_alive()
+        assert self.error is None
+        return self.result
+
+
+def wait_for(condition, seconds=20.0):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until, "it did not happen in time"
+        time.sleep(0.02)
+
+
+def last(page, name):
+    return np.array(page.evaluate(f"approxjac.column('{name}').at(-1)"))
+
+
+def on_screen(page, point):
+    at = page.evaluate("point => approxjac.project(point)", list(map(float, point)))
+    return np.array([at["x"], at["y"]])
+
+
+# -- in a browser -------------------------------------------------------------------------------
+
+
+def test_the_arm_follows_a_target_moved_in_the_page(panda, open_page):
+    live = view.LiveView(believe=believing(panda), patience=30.0)
+    running = Running(panda, live)
+    page = open_page(live.url)
+    page.wait_for_function("approxjac.state().length > 20")
+    before = last(page, "target")
+    # as numbers
+    field = page.locator("#live-target-y")
+    field.fill(f"{before[1] + 0.12:.3f}")
+    field.press("Enter")
+    page.wait_for_function(
+        f"Math.abs(approxjac.column('target').at(-1)[1] - {before[1] + 0.12}) < 2e-3"
+    )
+    wanted = last(page, "target")
+    assert_allclose(wanted[[0, 2]], before[[0, 2]], atol=2e-3)
+    page.wait_for_function("""() => {
+        const [tip, target] = ["tip", "target"].map((name) => approxjac.column(name).at(-1));
+        return Math.hypot(...tip.map((x, i) => x - target[i])) < 0.01;
+    }""")
+    # with the mouse: what is dragged is where the mouse is
+    x, y = on_screen(page, wanted)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for step in range(1, 6):
+        page.mouse.move(x - 12 * step, y + 8 * step)
+    page.mouse.up()
+    moved = f"approxjac.column('target').at(-1).map((v, i) => v - {wanted.tolist()}[i])"
+    page.wait_for_function(f"Math.hypot(...{moved}) > 0.02")
+    page.wait_for_timeout(300)
+    dragged = last(page, "target")
+    assert_allclose(on_screen(page, dragged), [x - 60, y + 40], atol=4.0)
+    page.wait_for_function("""() => {
+        const [tip, target] = ["tip", "target"].map((name) => approxjac.column(name).at(-1));
+        return Math.hypot(...tip.map((x, i) => x - target[i])) < 0.01;
+    }""")
+    tip, ghost = last(page, "tip"), last(page, "believed_tip")
+    assert np.linalg.norm(ghost - dragged) > 0.5 * LENGTH  # the ghost's tip is not there
+    assert np.linalg.norm(tip - dragged) < 0.01
+    page.get_by_role("button", name="Stop the run").click()
+    run = running.ended()
+    assert_allclose(run.target, dragged, atol=1e-4)
+    assert run.error_norm[-1] < 0.012
+    assert len(np.unique(run.x_d, axis=0)) >= 3  # first, typed, dragged
+    page.wait_for_selector("text=The run has ended")
+
+
+def test_a_wrong_length_is_changed_while_it_runs(panda, open_page):
+    live = view.LiveView(believe=believing(panda), patience=30.0)
+    running = Running(panda, live)
+    page = open_page(live.url)
+    page.wait_for_function("approxjac.state().length > 10")
+    apart = np.linalg.norm(last(page, "tip") - last(page, "believed_tip"))
+    assert_allclose(apart, LENGTH, atol=1e-3)
+    slider = page.locator("#live-length")
+    slider.fill("0.15")
+    page.wait_for_function("""() => {
+        const [tip, ghost] = ["tip", "believed_tip"].map((name) => approxjac.column(name).at(-1));
+        return Math.abs(Math.hypot(...tip.map((x, i) => x - ghost[i])) - 0.05) < 1e-3;
+    }""")
+    # the object's mesh is as long as it is believed, too
+    long = page.evaluate("""() => {
+        const ghost = approxjac.viewer.scene_tree.find(["believed"]).object;
+        let found = null;
+        ghost.traverse((node) => { if (node.name === "object") found = node; });
+        const box = new MeshCat.THREE.Box3().setFromObject(found);
+        return box.getSize(new MeshCat.THREE.Vector3()).length();
+    }""")
+    assert 0.14 < long < 0.2
+    page.get_by_role("button", name="Stop the run").click()
+    assert running.ended().scene.belief == believing(panda)(0.15)
+
+
+def test_pause_speed_reload_and_what_cannot_be(panda, open_page):
+    live = view.LiveView(patience=30.0)
+    running = Running(panda, live)
+    page = open_page(live.url)
+    page.wait_for_function("approxjac.state().length > 10")
+    assert page.locator("#live-length").count() == 0  # nobody said how to believe another one
+    page.get_by_role("button", name="Pause the run").click()
+    page.wait_for_selector("text=Go on")
+    page.wait_for_timeout(200)
+    t = page.evaluate("approxjac.column('t').at(-1)[0]")
+    page.wait_for_timeout(300)
+    assert page.evaluate("approxjac.column('t').at(-1)[0]") == t
+    # a page that is opened late, or anew, has all of it
+    length = page.evaluate("approxjac.state().length")
+    page.reload()
+    page.wait_for_function(f"approxjac.state().length >= {length}")
+    assert page.evaluate("approxjac.column('t')[0][0]") == 0.0
+    page.get_by_role("button", name="Go on").click()
+    page.wait_for_function(f"approxjac.column('t').at(-1)[0] > {t}")
+    field = page.locator("#live-speed")
+    field.fill("-1")
+    field.press("Enter")
+    page.wait_for_selector("text=speed must be a finite number > 0")
+    page.get_by_role("button", name="Stop the run").click()
+    running.ended()
+
+
+# -- without one --------------------------------------------------------------------------------
+
+
+def test_a_view_changes_no_bit_and_no_period(panda):
+    alone = simulate(panda)
+    for speed in (np.inf, 3.0):
+        began = time.perf_counter()
+        shown = simulate(panda, view.LiveView(speed=speed, patience=0.0))
+        took = time.perf_counter() - began
+        for field in dataclasses.fields(alone):
+            if field.name != "scene":
+                a, b = getattr(alone, field.name), getattr(shown, field.name)
+                assert_array_equal(a, b)
+        assert_array_equal(np.diff(shown.t), np.diff(alone.t))
+        assert took >= shown.t[-1] / speed  # never faster than it is to be
+
+
+def test_it_ends_cleanly(panda):
+    live = view.LiveView(speed=np.inf, patience=0.0)
+    before = threading.active_count()
+    simulate(panda, live)
+    port = int(live.url.rstrip("/").rsplit(":", 1)[1])
+    with pytest.raises(OSError):  # noqa: PT011  # each system has its own
+        socket.create_connection(("127.0.0.1", port), timeout=1.0)
+    assert threading.active_count() == before
+    live.close()  # again does nothing
+
+
+def test_a_port_that_is_taken(panda):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(
+            aj.InvalidInputError, match=f"port must be free, or left out .* got {port}"
+        ):
+            simulate(panda, view.LiveView(port=port, patience=0.0))
+    with socket.socket() as usual:
+        usual.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with contextlib.suppress(OSError):  # somebody else has it already, which is as good
+            usual.bind(("127.0.0.1", 7007))
+            usual.listen()
+        live = view.LiveView(speed=np.inf, patience=0.0)
+        simulate(panda, live)
+        assert ":7007/" not in live.url
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"port": 0}, "port must be a number from 1 to 65535, got 0"),
+        ({"port": "web"}, "port must be a number from 1 to 65535, got 'web'"),
+        ({"speed": 0.0}, "speed must be a finite number > 0, got 0.0"),
+        ({"speed": -np.inf}, "speed must be a finite number > 0"),
+        ({"patience": -1.0}, r"patience must be a finite number >= 0 \[s\]"),
+        ({"believed_length": np.nan}, r"believed_length must be a finite number >= 0 \[m\]"),
+    ],
+)
+def test_what_cannot_be_is_refused(panda, options, message):
+    with pytest.raises(aj.InvalidInputError, match=message):
+        simulate(panda, view.LiveView(**{"patience": 0.0, **options}))
+
+
+def test_a_controller_that_cannot_believe_anything_else_is_refused(panda):
+    class Nothing:
+        n_state = 0
+
+        def initial_state(self, measurement):
+            return np.zeros(0)
+
+        def evaluate(self, state, measurement, target):
+            return aj.Evaluation(np.zeros(7), np.zeros(0), aj.Status.OK, measurement.x - target)
+
+    plant, _, target = parts(panda)
+    live = view.LiveView(believe=believing(panda), patience=0.0)
+    with pytest.raises(aj.InvalidInputError, match="controller must be able to take another task"):
+        aj.simulate(plant, Nothing(), target, START, 0.01, dt=1e-3, observer=live)
+    # it is shown all the same where nothing is to be changed
+    live = view.LiveView(speed=np.inf, patience=0.0)
+    aj.simulate(plant, Nothing(), target, START, 0.01, dt=1e-3, observer=live)
+
+
+def test_commands_are_typed(panda, monkeypatch, capsys):
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as stdin, os.fdopen(writing, "w") as keyboard:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        live = view.LiveView(speed=np.inf, believe=believing(panda), terminal=True, patience=0.0)
+        asked = {
+            50: "target 0.5 0.1 0.4\nlength 0.15\n",
+            100: "target 0.5 here 0.4\ntarget 1 2\nlength -1\nfly\n",
+            150: "speed 50\ntar",
+            200: "get 0.45 0.1 0.4\n",
+            210: "stop\n",
+        }
+
+        def type_and_show(loop):
+            keyboard.write(asked.get(loop.step, ""))
+            keyboard.flush()
+            live(loop)
+
+        run = simulate(panda, type_and_show)
+    assert_array_equal(run.x_d[60], [0.5, 0.1, 0.4])
+    assert run.scene.belief == believing(panda)(0.15)
+    assert_array_equal(run.target, [0.45, 0.1, 0.4])
+    assert run.t[-1] == pytest.approx(0.21)
+    told = capsys.readouterr().out
+    assert "No browser could be opened here: open http://127.0.0.1:" in told
+    assert "Commands: target X Y Z" in told
+    for problem in (
+        "target must be numbers, got ['0.5', 'here', '0.4']",
+        "target must have shape (3,)",
+        "length must be a finite number >= 0 [m], got -1.0",
+        "commands are: target X Y Z",
+    ):
+        assert problem in told
