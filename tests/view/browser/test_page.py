@@ -50,12 +50,25 @@ def watched():
     return servo.run(servo.prepare("panda", settings)).run
 
 
+@pytest.fixture(scope="module")
+def page_of(tmp_path_factory):
+    """The file of a run's page, written once: simplifying meshes takes a second."""
+    folder, written = tmp_path_factory.mktemp("pages"), {}
+
+    def page_of_(run):
+        if run not in written:
+            written[run] = run.to_html(folder / f"{len(written)}.html")
+        return written[run]
+
+    return page_of_
+
+
 @pytest.fixture
-def show(open_page, tmp_path):
+def show(open_page, page_of):
     """Opens a run's page at its start."""
 
     def show_(run, size=(1000, 700)):
-        page = open_page(run.to_html(tmp_path / "run.html"), size)
+        page = open_page(page_of(run), size)
         page.evaluate("approxjac.pause(); approxjac.seek(0)")
         return page
 
@@ -183,8 +196,8 @@ def test_playing_moves_cursor_and_time_and_ends(reach, show):
     assert state(page)["index"] == paused["index"] + 1
 
 
-def test_a_page_plays_once_when_it_is_opened(reach, open_page, tmp_path):
-    page = open_page(reach.to_html(tmp_path / "run.html"))
+def test_a_page_plays_once_when_it_is_opened(reach, open_page, page_of):
+    page = open_page(page_of(reach))
     page.wait_for_function("approxjac.state().t > 0.1")
 
 
