@@ -1,4 +1,6 @@
 import os
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,3 +33,66 @@ def panda() -> aj.Robot:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
+
+
+# -- a real browser for pages: Chromium without a window, which may not use the network ----------
+
+ARGUMENTS = (
+    "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+
+
+def _absent(what):
+    """Skip, or fail where a browser must be there."""
+    if os.environ.get("APPROXJAC_NEEDS_BROWSER"):
+        pytest.fail(f"APPROXJAC_NEEDS_BROWSER is set, but there is no {what}")
+    pytest.skip(f"needs {what}")
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium as it is installed on this machine."""
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
+    if path is None:
+        _absent("chromium")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        _absent("playwright")
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Opens a file or an address; at the end nothing must have been complained of or loaded."""
+    opened, wrong = [], []
+
+    def open_(where, size=(1000, 700)):
+        url = where if str(where).startswith("http") else Path(where).as_uri()
+        own = tuple(
+            f"{scheme}://{url.split('/')[2]}/" for scheme in ("http", "ws") if url[:4] == "http"
+        )
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: wrong.append(f"error: {error}"))
+        page.on(
+            "request",
+            lambda request: (
+                None
+                if request.url.startswith(("file:", "data:", "blob:", *own))
+                else wrong.append(f"request: {request.url}")
+            ),
+        )
+        page.goto(url)
+        opened.append(page)
+        return page
+
+    yield open_
+    for page in opened:
+        page.close()
+    assert wrong == []

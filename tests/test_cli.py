@@ -7,9 +7,11 @@ import struct
 import subprocess
 import sys
 import termios
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from pictures import pixels
 from PIL import Image
 from tornado.websocket import websocket_connect
 
@@ -572,6 +574,28 @@ def test_the_study_writes_pages_with_an_index(paper):
     assert index.index("fig3.html") < index.index("fig8.html")
 
 
+def test_the_pages_of_the_study_load(paper, open_page):
+    """And show how each run ends: its error, and the believed tip elsewhere if the arm is wrong."""
+    out, _ = paper
+    index = open_page(out / "index.html")
+    links = index.eval_on_selector_all("a", "links => links.map((a) => a.href)")
+    assert [link.rsplit("/", 1)[1] for link in links] == [f"fig{n}.html" for n in range(3, 9)]
+    for n, link in enumerate(links, start=3):
+        index.goto(link)
+        index.evaluate("approxjac.pause(); approxjac.seek(1e9)")
+        index.wait_for_timeout(150)
+        assert len(np.unique(pixels(index).reshape(-1, 3), axis=0)) > 300
+        run = aj.Trajectory.load(out / f"fig{n}.npz")
+        tip, believed, error = (
+            np.array(index.evaluate(f"approxjac.column('{name}').at(-1)"))
+            for name in ("tip", "believed_tip", "error")
+        )
+        np.testing.assert_allclose(error, 1e3 * run.error[-1], rtol=1e-5, atol=1e-9)
+        assert (np.linalg.norm(error) < 5.0) == (n != 3)
+        wrong_arm = n >= 6
+        assert (np.linalg.norm(tip - believed) > 0.05) == wrong_arm
+
+
 def test_without_meshcat_the_study_says_that_there_are_no_pages(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "meshcat.geometry", None)
     main(["paper", "--figures", "6", "--duration", "1", "--out", str(tmp_path)])
@@ -608,7 +632,9 @@ def test_a_run_is_shown_and_stopped_from_the_page(command, tmp_path):
     )  # fmt: skip
     first = process.stdout.readline()
     assert first.startswith("No browser could be opened here: open http://127.0.0.1:")
-    ended = asyncio.run(watch_and_stop(first.split("open ")[1].split(" ")[0]))
+    url = first.split("open ")[1].split(" ")[0]
+    with ThreadPoolExecutor() as pool:  # Playwright has an event loop in this thread
+        ended = pool.submit(asyncio.run, watch_and_stop(url)).result(60.0)
     out, error = process.communicate(timeout=60)
     assert process.returncode in (0, 1), error
     assert ended.startswith("The run has ended at ")

@@ -1,32 +1,70 @@
-"""Every example runs as a user runs it, and makes the pictures it says it makes."""
+"""Every example runs as a user runs it, and makes the pictures and pages it says it makes."""
 
 import ast
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pictures import pixels
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("[0-9][0-9]_*.py"))
+PAGES = {
+    "01": ["panda_unknown_tool"],
+    "04": ["seven_joints_panda", "seven_joints_talos_arm", "seven_joints_xarm7"],
+    "09": ["camera_in_the_room"],
+}
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
-def test_an_example_runs_and_makes_its_pictures(path, tmp_path):
-    """And pages, of which an index has the links."""
+@pytest.fixture(scope="module", params=EXAMPLES, ids=lambda path: path.stem)
+def example(request, tmp_path_factory):
+    """An example that was run: its path, its folder and the process."""
+    path, out = request.param, tmp_path_factory.mktemp(request.param.stem)
     process = subprocess.run(
-        [sys.executable, str(path), "--out", str(tmp_path)], capture_output=True, text=True
+        [sys.executable, str(path), "--out", str(out)], capture_output=True, text=True
     )
+    return path, out, process
+
+
+def pages_of(example):
+    return [example[1] / f"{name}.html" for name in PAGES.get(example[0].stem[:2], [])]
+
+
+def test_an_example_runs_and_makes_its_files(example):
+    _, out, process = example
     assert process.returncode == 0, process.stderr
     assert process.stderr == ""
-    made = set(tmp_path.iterdir())
+    made, pages = set(out.iterdir()), set(pages_of(example))
     for path in made:
         assert str(path) in process.stdout
         assert path.stat().st_size > (1000 if path.name == "index.html" else 10_000)
-    assert {".png", ".svg"} <= {path.suffix for path in made} <= {".png", ".svg", ".html"}
-    pages = [path for path in made if path.suffix == ".html" and path.name != "index.html"]
+    assert {path for path in made if path.suffix not in (".png", ".svg")} == (
+        pages | {out / "index.html"} if pages else set()
+    )
+    assert {".png", ".svg"} <= {path.suffix for path in made}
     for page in pages:
         assert page.stat().st_size < 4_000_000
-        assert f'href="{page.name}"' in (tmp_path / "index.html").read_text(encoding="utf-8")
+        assert f'href="{page.name}"' in (out / "index.html").read_text(encoding="utf-8")
+
+
+def test_its_pages_show_that_the_true_tip_arrives(example, request):
+    pages = pages_of(example)
+    assert all(page.exists() for page in pages)
+    for path in pages:
+        page = request.getfixturevalue("open_page")(path)
+        page.evaluate("approxjac.pause(); approxjac.seek(1e9)")
+        page.wait_for_timeout(200)
+        assert len(np.unique(pixels(page).reshape(-1, 3), axis=0)) > 500
+        end = {
+            name: np.array(page.evaluate(f"approxjac.column('{name}').at(-1)"), dtype=float)
+            for name in ("tip", "target", "believed_tip", "error")
+        }
+        assert np.linalg.norm(end["tip"] - end["believed_tip"]) > 0.1
+        if np.isfinite(end["target"]).all():
+            assert np.linalg.norm(end["tip"] - end["target"]) < 2e-3
+        else:  # a target in an image, and an error in pixels
+            assert np.abs(end["error"]).max() < 2.0
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)

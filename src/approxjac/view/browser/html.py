@@ -252,8 +252,8 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
     if any(name.endswith("_tip_joint") for name in scene.truth.frame_names):
         entries.append((colours.OBJECT, "bar", "object that it holds"))
     if scene.belief is not None:
-        camera = " and its camera" if image else ""
-        words = f"what the controller believes of it{camera}, where that differs"
+        words = "arm and camera as the controller believes them"
+        words = words if image else "the arm as the controller believes it"
         entries.append((BELIEVED, "bar", words))
     entries.append((TRUE, "", "true tip and its path"))
     entries.append((TARGET, "", "target, line of sight" if image else "target"))

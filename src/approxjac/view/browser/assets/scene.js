@@ -83,15 +83,25 @@ approxjac.Scene = class {
   // The believed arm lets the true one through, and is hidden where both are the same.
   _ghost() {
     if (!this.viewer.scene_tree.children.believed) return;
+    const THREE = MeshCat.THREE, shapes = [];
     this.object(["believed"]).traverse((object) => {
       if (object.isMesh && object.parent.name.startsWith("bone")) object.renderOrder = 8;
       if (!object.isMesh || !object.parent.name.startsWith("shape")) return;
       Object.assign(object.material, {
-        transparent: true, opacity: 0.42, depthWrite: true, side: MeshCat.THREE.FrontSide,
+        transparent: true, opacity: 0.42, depthWrite: true, side: THREE.FrontSide,
         polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4,
       });
       object.castShadow = false;
+      shapes.push(object);
     });
+    // Where both arms are the same, a rim around the true one shows that it is believed there: the
+    // inside of the believed one, a little larger.
+    const rim = new THREE.MeshBasicMaterial({ color: this.data.colours.believed, side: THREE.BackSide });
+    rim.onBeforeCompile = (shader) => {
+      shader.vertexShader = shader.vertexShader.replace("#include <begin_vertex>",
+        `vec3 transformed = position + normal * ${(0.0032 * this.data.size).toFixed(6)};`);
+    };
+    for (const shape of shapes) shape.add(new THREE.Mesh(shape.geometry, rim));
   }
 
   // What moves besides the arms, and the links, whose colours change.
