@@ -88,6 +88,12 @@ def open_page(browser):
                 else wrong.append(f"request: {request.url}")
             ),
         )
+        page.on(
+            "websocket",
+            lambda opened: (
+                None if opened.url.startswith(own) else wrong.append(f"socket: {opened.url}")
+            ),
+        )
         page.goto(url)
         opened.append(page)
         return page

@@ -174,7 +174,8 @@ def view(
     from approxjac.view.browser.opening import open_browser
 
     path = _run_file(run)
-    page = Trajectory.load(path).to_html(out or path.with_suffix(".html"), title=title)
+    beside = path.with_name(path.name.removesuffix(".npz") + ".html")
+    page = Trajectory.load(path).to_html(out or beside, title=title)
     print(page)
     if out is None and not open_browser(Path(page).resolve().as_uri()):
         print("No browser could be opened here: open it in yours")
@@ -239,6 +240,12 @@ def _written(out: Path) -> str:
 def _run_file(run: Path) -> Path:
     """The file of a run, where its folder may have been given."""
     if not run.is_dir():
+        if run.is_file() and run.suffix.lower() != ".npz":
+            raise InvalidInputError(
+                f"RUN must be a run.npz that simulate, servo, paper or Trajectory.save wrote, or a "
+                f"folder with one, got {run}",
+                given=run,
+            )
         return run
     found = sorted(run.glob("*.npz"))
     if len(found) != 1:

@@ -117,6 +117,11 @@ class HeldMeasurement:
         return self._task
 
     @property
+    def law(self) -> Any:
+        """The `SetpointController` that it is for, whose state comes first; None of others."""
+        return getattr(self.controller, "law", None)
+
+    @property
     def n_state(self) -> int:
         """Length of the controller's state, plus n_x, m and the number of parts."""
         return self._n_state

@@ -90,6 +90,11 @@ class Limiter(abc.ABC):
         return self.controller.task
 
     @property
+    def law(self) -> Any:
+        """The `SetpointController` that it limits, whose state comes first; None of others."""
+        return getattr(self.controller, "law", None)
+
+    @property
     def dt(self) -> float | None:
         """Sampling time that control has to have [s], or None where any will do."""
         return self._step if self._has_rate else None

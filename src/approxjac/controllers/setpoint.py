@@ -183,6 +183,11 @@ class SetpointController(CheckedController):
         torque: Array = -(kp * s + kv * x_dot) @ J_hat
         return torque
 
+    @property
+    def law(self) -> SetpointController:
+        """This controller: what limits it, or holds measurements for it, has it under this name."""
+        return self
+
     @functools.cached_property
     def alpha(self) -> float:
         """α of the Lyapunov function where none is given [1/s].

@@ -37,7 +37,7 @@ class Record:
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
         self._kept: list[_Instant] = []
-        self._theta: dict[int, Array | None] = {}
+        self._theta: tuple[Any, Array | None] = (None, None)  # of the law that it is for
 
     def add(
         self,
@@ -64,12 +64,12 @@ class Record:
         # to keep it: a controller may use one buffer for all its torques
         answer = answer._replace(torque=answer.torque.copy())
         error = plant.sensor.error(truth.x, target)
-        chain = _chain(controller)
-        law: Any = chain[-1]
+        law: Any = getattr(controller, "law", None)
         task_torque = np.full(plant.robot.nv, np.nan)
-        if hasattr(law, "task_torque") and answer.J_hat is not None:
+        V = math.nan
+        if law is not None and answer.J_hat is not None:
             task_torque = law.task_torque(answer, truth.v)
-        V = self._lyapunov_value(chain, truth, state, answer, target)
+            V = self._lyapunov_value(law, truth, state, answer, target)
         self._kept.append(_Instant(truth, x_measured, state, answer, target, error, task_torque, V))
 
     def trajectory(self, controller: Controller) -> Trajectory:
@@ -111,31 +111,21 @@ class Record:
         return run
 
     def _lyapunov_value(
-        self,
-        chain: list[Controller],
-        truth: Measurement,
-        state: Array,
-        answer: Evaluation,
-        target: Array,
+        self, law: Any, truth: Measurement, state: Array, answer: Evaluation, target: Array
     ) -> float:
-        """V of the true arm; NaN for laws that have none."""
-        law: Any = chain[-1]
-        if not hasattr(law, "lyapunov_value") or answer.J_hat is None:
-            return math.nan
-        alpha = next(c.alpha for c in chain if hasattr(c, "alpha"))  # a limiter may have its own
-        if id(law) not in self._theta:
+        """V of the true arm."""
+        if self._theta[0] is not law:
             regressor = None if law.adaptation is None else law.adaptation.regressor
-            self._theta[id(law)] = (
-                None if regressor is None else regressor.fit(self._plant.robot)[0]
-            )
+            theta = None if regressor is None else regressor.fit(self._plant.robot)[0]
+            self._theta = law, theta
         e = law.task.error(truth.x, target)  # the true one; that of the answer is as measured
         value: float = law.lyapunov_value(
             answer._replace(e=e),
             truth.v,
             self._plant.dynamics.M(truth.q),
-            alpha,
+            law.alpha,
             state[: law.n_state],
-            self._theta[id(law)],
+            self._theta[1],
         )
         return value
 
@@ -153,11 +143,3 @@ def scene_of(plant: Plant, controller: Controller) -> Scene:
         task,
         plant.robot.effort_limits if limits is None else np.asarray(limits),
     )
-
-
-def _chain(controller: Any) -> list[Any]:
-    """A controller, the one that it limits or holds measurements for, and so on to the law."""
-    chain = [controller]
-    while hasattr(chain[-1], "controller"):
-        chain.append(chain[-1].controller)
-    return chain

@@ -100,7 +100,16 @@ class SampledLoop:
         Raises:
             InvalidInputError: Wrong shape, not finite, or not a value that the sensor has.
         """
-        self.target = self.plant.sensor.target(target)
+        wanted = self.plant.sensor.target(target)
+        try:
+            self.controller.evaluate(self.state, self.measurement, wanted)
+        except MeasurementError as error:
+            raise InvalidInputError(
+                f"target must be one that the controller can be evaluated with, without an "
+                f"overflow, got {wanted.tolist()}",
+                given=target,
+            ) from error
+        self.target = wanted
 
     def exchange(self, controller: Controller) -> None:
         """Let another controller go on, from the next step on.

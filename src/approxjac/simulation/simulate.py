@@ -61,7 +61,8 @@ def simulate(
         progress: Called now and then with the time reached [s].
         observer: Called with the `SampledLoop` at every step of sampled control. It may look at
             all of it, move its target, exchange its controller or stop it; what it does not touch
-            is the same to the last bit as without it.
+            is the same to the last bit as without it. If it has a method `close`, that is called
+            at the end, however the run ends.
 
     Returns:
         The record of the run; its first instant is the start, its last the end. Status is
@@ -214,21 +215,24 @@ def _sampled(
 ) -> Trajectory:
     """Run a sampled loop to its end, and record every so many steps."""
     record = Record(loop.plant)
-
-    def keep() -> None:
-        truth, x_measured = loop.truth, loop.measurement.x
-        record.add(truth, x_measured, loop.state, loop.answer, loop.target, loop.controller)
-        if progress is not None:
-            progress(loop.t)
-
-    while True:
-        kept = loop.step % stride == 0 or loop.ended
-        if kept:
-            keep()
-        if observer is not None:
-            observer(loop)
-        if loop.ended:
-            if not kept:
-                keep()
-            return record.trajectory(loop.controller)
-        loop.advance()
+    try:
+        while True:
+            # as they are before an observer changes them
+            instant = (loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target)
+            controller = loop.controller
+            wanted = loop.step % stride == 0 or loop.ended
+            if wanted:
+                record.add(*instant, controller)
+                if progress is not None:
+                    progress(loop.t)
+            if observer is not None:
+                observer(loop)
+            if loop.ended:
+                if not wanted:
+                    record.add(*instant, controller)
+                return record.trajectory(loop.controller)
+            loop.advance()
+    finally:
+        close = getattr(observer, "close", None)
+        if close is not None:
+            close()

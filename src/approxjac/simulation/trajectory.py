@@ -32,9 +32,9 @@ class Trajectory:
         error: True error of x to the target, shape (N, m).
         tau: Torque, shape (N, n_v).
         task_torque: −Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of the law's torque that acts on the task;
-            NaN of laws that have none, shape (N, n_v).
-        V: Lyapunov function (12) of the true arm, or (31) where gravity is learnt, with the
-            controller's α; NaN of laws that have none, shape (N,) [J].
+            NaN of others than `SetpointController`, limited and held ones too, shape (N, n_v).
+        V: Lyapunov function (12) of the true arm, or (31) where gravity is learnt, with the α
+            of the `SetpointController`; NaN of other laws, shape (N,) [J].
         state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
         status: `Status` at these instants, shape (N,).
         limit_status: `LimitStatus` at these instants, shape (N,).

@@ -73,6 +73,11 @@ class Watched:
         return getattr(self.controller, "dt", None)
 
     @property
+    def law(self) -> Any:
+        """That of the controller."""
+        return getattr(self.controller, "law", None)
+
+    @property
     def n_state(self) -> int:
         """That of the controller."""
         return self.controller.n_state

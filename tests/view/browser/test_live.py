@@ -1,19 +1,27 @@
 """A run in the browser while it goes on: shown as it is, following the user, ending cleanly."""
 
-import contextlib
+import asyncio
 import dataclasses
+import json
 import os
+import re
 import socket
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from tornado.httpclient import HTTPClientError, HTTPRequest
+from tornado.websocket import websocket_connect
 
 import approxjac as aj
 from approxjac import view
+from approxjac.view.browser import server
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 LENGTH = 0.2
@@ -32,6 +40,10 @@ def parts(arm):
     gains = aj.Gains(kp=600.0, kv=80.0, damping=1.0)
     controller = aj.SetpointController(aj.PositionTask(belief), gains, gravity=gravity)
     return plant, controller, plant.sensor.value(START) + [0.05, -0.1, 0.05]
+
+
+def learning(task):
+    return aj.SetpointController(task, gravity=aj.AdaptiveGravity(aj.GravityRegressor(task.robot)))
 
 
 def believing(arm):
@@ -150,7 +162,7 @@ def test_a_wrong_length_is_changed_while_it_runs(panda, open_page):
     long = page.evaluate("""() => {
         const ghost = approxjac.viewer.scene_tree.find(["believed"]).object;
         let found = null;
-        ghost.traverse((node) => { if (node.name === "object") found = node; });
+        ghost.traverse((node) => { if (node.name === "link object") found = node; });
         const box = new MeshCat.THREE.Box3().setFromObject(found);
         return box.getSize(new MeshCat.THREE.Vector3()).length();
     }""")
@@ -189,29 +201,100 @@ def test_pause_speed_reload_and_what_cannot_be(panda, open_page):
 # -- without one --------------------------------------------------------------------------------
 
 
-def test_a_view_changes_no_bit_and_no_period(panda):
-    alone = simulate(panda)
-    for speed in (np.inf, 3.0):
-        began = time.perf_counter()
-        shown = simulate(panda, view.LiveView(speed=speed, patience=0.0))
-        took = time.perf_counter() - began
-        for field in dataclasses.fields(alone):
-            if field.name != "scene":
-                a, b = getattr(alone, field.name), getattr(shown, field.name)
-                assert_array_equal(a, b)
-        assert_array_equal(np.diff(shown.t), np.diff(alone.t))
-        assert took >= shown.t[-1] / speed  # never faster than it is to be
+def held(task):
+    limited = aj.TorqueLimited(
+        aj.SetpointController(task), aj.Limits(effort=60.0, rate=2000.0), time_budget=10.0
+    )
+    return aj.HeldMeasurement(limited, 0.2)
+
+
+SENSING = aj.Sensing(x_noise=1e-3, x_rate=100.0, x_delay=0.01, x_dropout=0.2, velocity_filter=0.01)
+
+
+@pytest.mark.parametrize("engine", [aj.Plant, aj.MujocoPlant])
+@pytest.mark.parametrize(
+    ("controller_of", "sensing"), [(learning, None), (held, SENSING)], ids=["learning", "held"]
+)
+def test_a_view_changes_no_bit(panda, engine, controller_of, sensing):
+    """Real sensors, limits and another engine included; and every step is dt after the last one."""
+    truth = panda.with_object(LENGTH, 0.5, axis="x")
+    plant = engine(truth, aj.PositionTask(truth), sensing=sensing)
+    controller = controller_of(aj.PositionTask(believing(panda)(0.0)))
+    target = plant.sensor.value(START) + [0.05, -0.1, 0.05]
+
+    def run(observer=None):
+        return aj.simulate(plant, controller, target, START, 0.25, dt=1e-3, observer=observer)
+
+    alone, shown = run(), run(view.LiveView(speed=np.inf, patience=0.0))
+    for field in dataclasses.fields(alone):
+        if field.name != "scene":
+            a, b = getattr(alone, field.name), getattr(shown, field.name)
+            assert_array_equal(a, b)
+    assert_allclose(np.diff(shown.t), 1e-3, rtol=1e-9)
+
+
+def test_the_view_keeps_the_time_that_it_is_told(panda):
+    began = time.perf_counter()
+    shown = simulate(panda, view.LiveView(speed=3.0, patience=0.0))
+    assert time.perf_counter() - began >= shown.t[-1] / 3.0  # never faster
+
+
+def test_a_run_that_was_stalled_does_not_sprint(panda):
+    live, times = view.LiveView(patience=0.0), []
+
+    def stall(loop):
+        live(loop)
+        times.append(time.perf_counter())
+        if loop.step == 50:
+            time.sleep(0.8)
+
+    simulate(panda, stall, duration=0.25)
+    live.close()
+    assert times[-1] - times[51] >= 0.15  # 0.2 s of the run, which would else take none
+
+
+def pages_served():
+    return [thread for thread in threading.enumerate() if thread.name == "approxjac page"]
+
+
+def is_served(url):
+    try:
+        socket.create_connection(("127.0.0.1", port_of(url)), timeout=1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+def port_of(url):
+    return int(url.rstrip("/").rsplit(":", 1)[1])
 
 
 def test_it_ends_cleanly(panda):
     live = view.LiveView(speed=np.inf, patience=0.0)
-    before = threading.active_count()
     simulate(panda, live)
-    port = int(live.url.rstrip("/").rsplit(":", 1)[1])
-    with pytest.raises(OSError):  # noqa: PT011  # each system has its own
-        socket.create_connection(("127.0.0.1", port), timeout=1.0)
-    assert threading.active_count() == before
+    assert not is_served(live.url)
+    assert pages_served() == []
     live.close()  # again does nothing
+    with pytest.raises(aj.InvalidInputError, match="a LiveView is for one run"):
+        simulate(panda, live)
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_it_ends_with_a_run_that_is_broken_off(panda, error):
+    live = view.LiveView(speed=np.inf, patience=0.0)
+
+    class Breaking:
+        def __call__(self, loop):
+            live(loop)
+            assert is_served(live.url)
+            raise error
+
+        close = live.close
+
+    with pytest.raises(error):
+        simulate(panda, Breaking())
+    assert not is_served(live.url)
+    assert pages_served() == []
 
 
 def test_a_port_that_is_taken(panda):
@@ -223,14 +306,18 @@ def test_a_port_that_is_taken(panda):
             aj.InvalidInputError, match=f"port must be free, or left out .* got {port}"
         ):
             simulate(panda, view.LiveView(port=port, patience=0.0))
+
+
+def test_the_usual_port_may_be_taken(panda, monkeypatch, capsys):
     with socket.socket() as usual:
-        usual.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        with contextlib.suppress(OSError):  # somebody else has it already, which is as good
-            usual.bind(("127.0.0.1", 7007))
-            usual.listen()
+        usual.bind(("127.0.0.1", 0))
+        usual.listen()
+        taken = usual.getsockname()[1]
+        monkeypatch.setattr(server, "_PORT", taken)
         live = view.LiveView(speed=np.inf, patience=0.0)
         simulate(panda, live)
-        assert ":7007/" not in live.url
+        assert port_of(live.url) != taken
+        assert f"(port {taken} is taken)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -275,7 +362,8 @@ def test_commands_are_typed(panda, monkeypatch, capsys):
         live = view.LiveView(speed=np.inf, believe=believing(panda), terminal=True, patience=0.0)
         asked = {
             50: "target 0.5 0.1 0.4\nlength 0.15\n",
-            100: "target 0.5 here 0.4\ntarget 1 2\nlength -1\nfly\n",
+            100: "target 0.5 here 0.4\ntarget 1 2\n",
+            110: "length -1\nfly\n",
             150: "speed 50\ntar",
             200: "get 0.45 0.1 0.4\n",
             210: "stop\n",
@@ -301,3 +389,122 @@ def test_commands_are_typed(panda, monkeypatch, capsys):
         "commands are: target X Y Z",
     ):
         assert problem in told
+
+
+class Pages:
+    """What browsers do, without one."""
+
+    def __init__(self, url):
+        self.url = url
+
+    def get(self, host=None):
+        headers = {} if host is None else {"Host": host}
+        with urlopen(Request(self.url, headers=headers)) as answer:
+            return answer.read().decode()
+
+    def tell(self, *messages, until="rows", headers=None):
+        """Open a socket, send messages, and return the first one that is got with such a part."""
+
+        async def talk():
+            url = self.url.replace("http", "ws") + "socket"
+            socket = await websocket_connect(HTTPRequest(url, headers=headers or {}))
+            for message in messages:
+                await socket.write_message(message)
+            while until not in (got := json.loads(await socket.read_message())):
+                pass
+            socket.close()
+            await socket.read_message()
+            return got
+
+        # Playwright has an event loop in this thread
+        with ThreadPoolExecutor() as pool:
+            return pool.submit(asyncio.run, talk()).result(20.0)
+
+
+def with_pages(arm, act, **options):
+    """Run for as long as `act` takes with the pages of the run."""
+    live = view.LiveView(patience=0.0, **options)
+    running = Running(arm, live)
+    try:
+        return act(Pages(live.url), running)
+    finally:
+        Pages(live.url).tell('{"stop": true}', until="ended")
+        running.ended()
+
+
+@pytest.mark.parametrize(
+    ("message", "answer"),
+    [
+        ('{"target": [1' + 400 * "0" + ", 0, 0]}", r"target must be numbers, got \[1000"),
+        ('{"target": "123"}', r"target must have shape \(3,\)"),
+        ('{"target": {"0": 1}}', "target must be numbers, got {'0': 1}"),
+        ('{"target": [NaN, 0, 0]}', "target must be finite"),
+        ('{"target": [true, 0, 0]}', "target must be numbers"),
+        ('{"target": ["", 0, 0]}', "target must be numbers"),
+        ('{"point": [1e308, 1e308, 1e308]}', "target must be one that the controller can"),
+        ('{"pixel": [0, 1, 2]}', "there is no point 0 in an image"),
+        ('{"length": true}', "length must be numbers"),
+        ('{"length": 7}', "length: ZeroDivisionError"),
+        ('{"speed": 1' + 400 * "0" + "}", "speed must be numbers"),
+        ('{"<b>": 1}', "commands are: .* got '<b>'"),
+    ],
+    ids=lambda text: text[:24],
+)
+def test_what_a_page_sends_cannot_hurt(panda, message, answer):
+    def believe(length):
+        return believing(panda)(length) if length < 5.0 else 1 / 0
+
+    def act(pages, running):
+        note = pages.tell("[" * 100_000, "no json", "[1]", message, until="note")["note"]
+        assert re.search(answer, note)
+        assert len(note) < 400
+        assert running.error is None
+
+    with_pages(panda, act, believe=believe)
+
+
+def test_only_this_machine_by_its_own_name_is_served(panda):
+    def act(pages, _):
+        for host in ("evil.example", "evil.example:7007"):
+            with pytest.raises(HTTPError, match="403"):
+                pages.get(host)
+            with pytest.raises(HTTPClientError, match="403"):
+                pages.tell('{"stop": true}', headers={"Host": host, "Origin": f"http://{host}"})
+        assert "</html>" in pages.get(f"localhost:{port_of(pages.url)}")
+
+    with_pages(panda, act)
+
+
+def test_a_page_opened_while_the_belief_changes_has_the_new_one(panda):
+    """Whether it was made before the change or is made after it."""
+
+    def origin(found):
+        joints = {joint["path"][-1]: joint["origin"] for joint in found["joints"]["believed"]}
+        return joints["link object_tip"][12]
+
+    def data_of(page):
+        return json.loads(re.search(r'id="data">(.*?)</script>', page, re.DOTALL).group(1))
+
+    def act(pages, _):
+        first = pages.get()
+        pages.tell('{"length": 0.15}', until="redraw")
+        assert origin(data_of(first)) == 0.0
+        # that page opens its socket only now
+        assert origin(pages.tell(until="redraw")["redraw"]) == pytest.approx(0.15)
+        assert origin(data_of(pages.get())) == pytest.approx(0.15)
+
+    with_pages(panda, act, believe=believing(panda))
+
+
+def test_while_paused_what_is_changed_is_shown(panda):
+    def act(pages, _):
+        pages.tell('{"pause": true}')
+        first = pages.tell()["rows"][-1]
+        target = [*first["target"][:2], 0.5]
+        pages.tell(json.dumps({"target": target}), until="controls")
+        wait_for(lambda: pages.tell()["rows"][-1]["target"] == target)
+        last = pages.tell()["rows"]
+        assert last[-1]["t"] == first["t"]
+        assert len({row["t"] for row in last}) == len(last)
+
+    with_pages(panda, act)

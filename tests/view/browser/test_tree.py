@@ -22,7 +22,7 @@ def test_the_nodes_place_every_link_of_every_arm(arm, rng):
 
 def test_links_are_nested_under_their_parents(two_link):
     tree = robot_tree(two_link, "true")
-    assert tree.paths["link2"] == ("true", "base_link", "link1", "link2")
+    assert tree.paths["link2"] == ("true", "link base_link", "link link1", "link link2")
     assert tree.path_of("joint2") == tree.paths["link2"]
     assert [joint.kind for joint in tree.joints][:2] == ["revolute", "revolute"]
     assert tree.drivers["link1"] == 0

@@ -8,6 +8,7 @@ from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.robots.model import own_joints
 from approxjac.simulation.scene import Feature, Scene, features
+from approxjac.tasks import FrameKinematics
 from approxjac.tasks.points import PointKinematics
 from approxjac.view.browser.tree import joint_positions
 
@@ -15,6 +16,7 @@ AT_LIMIT = 0.01
 """A joint that is within so much of its position limit is at it [rad or m]."""
 DISPLAY = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}
 """Units that errors are shown in, and how many of them one of the task's unit is."""
+_LITTLE = 1e-6  # of a torque: round-off
 _SINGULAR = 1e-6  # of the largest singular value: forces that hardly any torque stands for
 
 
@@ -36,11 +38,17 @@ class Frames:
     def __init__(self, scene: Scene, task_units: tuple[str, ...] | None = None) -> None:
         self.scene = scene
         followed, believed = features(scene.sensor), features(scene.task)
-        self._feature = followed[0] if followed else None
+        self._feature = _first(followed)
         self._true = _followed(scene.truth, self._feature)
         self._believed = None
+        self._wrenched: FrameKinematics | None = None
         if scene.belief is not None:
-            self._believed = _followed(scene.belief, believed[0] if believed else self._feature)
+            feature = _first(believed) or self._feature
+            if feature is not None and feature.frame not in (None, *scene.belief.frame_names):
+                feature = None  # of the true robot only
+            self._believed = _followed(scene.belief, feature)
+            assert self._believed.frame is not None  # what is followed moves with a frame
+            self._wrenched = FrameKinematics(scene.belief, self._believed.frame)
         self.image = next((f for f in followed if f.camera is not None), None)
         self.believed_image = next((f for f in believed if f.camera is not None), None)
         self._seen = _seen(scene.truth, self.image)
@@ -112,8 +120,20 @@ class Frames:
                 r, J = self._believed.jacobians(row)
                 found["believed_tip"][i] = r[0]
                 if np.isfinite(task_torque[i]).all():
-                    found["force"][i] = np.linalg.pinv(J[0].T, rcond=_SINGULAR) @ task_torque[i]
+                    found["force"][i] = self._force(row, J[0], task_torque[i])
         return found | self._images(q, x_measured, x_d)
+
+    def _force(self, q: Array, J: Array, task_torque: Array) -> Array:
+        """Force at the believed tip that a torque stands for, shape (3,) [N].
+
+        Alone, if a force does; else the force that goes with a moment, as a pose has one.
+        """
+        force = np.linalg.pinv(J.T, rcond=_SINGULAR) @ task_torque
+        if np.linalg.norm(J.T @ force - task_torque) <= _LITTLE * np.linalg.norm(task_torque):
+            return np.asarray(force)
+        assert self._wrenched is not None  # as the believed tip, whose J this is
+        J = self._wrenched.compute_jacobian(q)
+        return np.asarray(np.linalg.pinv(J.T, rcond=_SINGULAR) @ task_torque)[:3]
 
     def _position(self, x: Array, tip: Array) -> Array:
         """Positions that values x (N, n_x) tell, shape (N, 3); on other axes those of the tip."""
@@ -139,15 +159,21 @@ class Frames:
         if image is None:
             return {}
         n, k = len(q), len(image.points)
+        stride = (image.entries.stop - image.entries.start) // k
         found = {
             "pixels": _projected(image, self._seen, q),
-            "measured_pixels": x_measured[:, image.entries].reshape(n, k, -1)[:, :, :2],
-            "target_pixels": x_d[:, image.entries].reshape(n, k, -1)[:, :, :2],
+            "measured_pixels": x_measured[:, image.entries].reshape(n, k, stride)[:, :, :2],
+            "target_pixels": x_d[:, image.entries].reshape(n, k, stride)[:, :, :2],
         }
         same = believed is not None and len(believed.points) == k
         seen = _projected(believed, self._seen_believed, q) if same else None
         found["believed_pixels"] = np.full((n, k, 2), np.nan) if seen is None else seen
         return found
+
+
+def _first(followed: tuple[Feature, ...]) -> Feature | None:
+    """What of a task is looked at: the first position of it, or else its first image."""
+    return next((f for f in followed if f.axes), followed[0] if followed else None)
 
 
 def _followed(robot: Robot, feature: Feature | None) -> PointKinematics:

@@ -25,10 +25,12 @@ from approxjac.view.browser.cameras import image_axes
 from approxjac.view.browser.frames import Frames, display_unit
 from approxjac.view.browser.opening import open_browser
 from approxjac.view.browser.stage import Stage
+from approxjac.view.browser.tree import robot_tree
 from approxjac.view.browser.viewpoint import link_points, reach_points, viewpoint
 from approxjac.view.packages import view_package
 from approxjac.view.style import AT_LIMIT, BELIEVED, FORCE, SATURATED, TARGET, TRUE
 
+_USUAL = (Status.OK, Status.MEASUREMENT_HELD, LimitStatus.UNLIMITED, LimitStatus.FREE)
 _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
 _BELIEVED = ", and what its controller believes of it"
@@ -63,24 +65,49 @@ def page(run: Trajectory, *, title: str | None = None) -> str:
         Stage(run.scene),
         columns,
         q=run.q[kept],
-        title=title or run.robot_name + ("" if run.scene.belief is None else _BELIEVED),
-        facts=_facts(run),
+        title=title or _title(run.scene),
+        facts=[*_belief(run.scene), *_facts(run)],
         task_labels=run.task_labels,
         task_units=run.task_units,
     )
     return document(data)
 
 
-def live_page(stage: Stage) -> str:
-    """Return a page of a scene that is told over a WebSocket what there is to show."""
-    scene = stage.scene
-    nv, m = scene.truth.nv, 0 if scene.sensor is None else scene.sensor.m
-    n_x = 0 if scene.sensor is None else scene.sensor.n_x
-    widths = (scene.truth.nq, n_x, n_x, m, nv, nv)
-    nothing = [np.zeros(0), *(np.zeros((0, width)) for width in widths), np.zeros(0)]
-    columns = Frames(scene).columns(*nothing)
-    title = scene.truth.name + ("" if scene.belief is None else _BELIEVED)
-    return document(page_data(stage, columns, title=title, live=True), [_asset("live.js")])
+def _title(scene: Scene) -> str:
+    return scene.truth.name + ("" if scene.belief is None else _BELIEVED)
+
+
+def _belief(scene: Scene) -> list[tuple[str, str]]:
+    """In which lengths the controller is wrong, in a few words."""
+    if scene.belief is None:
+        return []
+    lengths = [
+        {
+            joint.name: float(np.linalg.norm(joint.origin[:3, 3]))
+            for joint in robot_tree(r, "").joints
+        }
+        for r in (scene.truth, scene.belief)
+    ]
+    said = []
+    for name in dict.fromkeys([*lengths[0], *lengths[1]]):
+        true, believed = (found.get(name, 0.0) for found in lengths)
+        if name.endswith("_tip_joint") and abs(true - believed) > 1e-6:
+            held = name.removesuffix("_tip_joint")
+            said.append((held, f"{true:.3g} m long, believed {believed:.3g} m"))
+    return said
+
+
+def live_page(stage: Stage, columns: Mapping[str, Array], q: Array) -> str:
+    """Return a page of a scene that is told over a WebSocket what there is to show.
+
+    Args:
+        stage: The scene, drawn.
+        columns: What `Frames.columns` returned of one instant.
+        q: The configuration then, shape (1, nq).
+    """
+    title = _title(stage.scene)
+    data = page_data(stage, columns, q=q, title=title, facts=_belief(stage.scene), live=True)
+    return document(data, [_asset("live.js")])
 
 
 def recorded(run: Trajectory, kept: Any = slice(None)) -> tuple[Array, ...]:
@@ -137,7 +164,12 @@ def page_data(
         arms = [link_points(scene.truth, q, stage.boxes["true"])]
         if scene.belief is not None:
             arms.append(link_points(scene.belief, q, stage.boxes["believed"]))
-        points = np.concatenate([*arms, *watched, shown])
+        room = []
+        if live:  # for targets that are yet to come
+            room = [
+                columns["tip"][-1:] + 0.35 * stage.size * way for way in (*np.eye(3), *-np.eye(3))
+            ]
+        points = np.concatenate([*arms, *watched, shown, *room])
     view = viewpoint(scene.truth, moving, points, stage.cameras)
     data["commands"] += stage.grid(view["normal"], points)
     image = None
@@ -240,7 +272,7 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
         facts.append(("not measured", f"{100.0 * lost / n:.2g} % of the time"))
     for counts in (run.status_counts(), run.limit_status_counts()):
         for status, count in counts.items():
-            if status not in (Status.OK, LimitStatus.UNLIMITED, LimitStatus.FREE):
+            if status not in _USUAL:
                 name = status.name.lower().replace("_", " ")
                 facts.append((name, f"{100.0 * count / n:.2g} % of the time"))
     return facts
@@ -255,6 +287,7 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
         words = "arm and camera as the controller believes them"
         words = words if image else "the arm as the controller believes it"
         entries.append((BELIEVED, "bar", words))
+        entries.append((BELIEVED, "", "believed tip"))
     entries.append((TRUE, "", "true tip and its path"))
     entries.append((TARGET, "", "target, line of sight" if image else "target"))
     if scene.task is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from html import escape, unescape
 from pathlib import Path
+from urllib.parse import quote
 
 from approxjac.errors import InvalidInputError
 from approxjac.view.style import NEUTRAL, TRUE
@@ -59,7 +60,7 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
     entries = []
     try:
         for path in sorted(folder.glob("*.html"), key=lambda path: _natural(path.name)):
-            with path.open(encoding="utf-8") as file:
+            with path.open(encoding="utf-8", errors="replace") as file:
                 head = file.read(_HEAD)
             if _MARK in head:
                 entries.append(_entry(path, head))
@@ -85,9 +86,9 @@ def _entry(path: Path, head: str) -> str:
     title = _found(r"<title>(.*?)</title>", head) or path.stem
     text = _found(r'<meta name="description" content="(.*?)">', head)
     image = path.with_suffix(".png")
-    picture = f'<img src="{escape(image.name)}" alt="">' if image.is_file() else ""
+    picture = f'<img src="{quote(image.name)}" alt="">' if image.is_file() else ""
     told = f"<p>{escape(text)}</p>" if text else ""
-    return f'<li><a href="{escape(path.name)}">{picture}<b>{escape(title)}</b>{told}</a></li>'
+    return f'<li><a href="{quote(path.name)}">{picture}<b>{escape(title)}</b>{told}</a></li>'
 
 
 def _found(pattern: str, text: str) -> str:
@@ -97,4 +98,6 @@ def _found(pattern: str, text: str) -> str:
 
 def _natural(name: str) -> list[tuple[int, str]]:
     """Sorts fig10 after fig9."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+    return [
+        (int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)
+    ]

@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import select
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, as_number
+from approxjac.checks import Array, as_number
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
-from approxjac.simulation.scene import features
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.html import live_page, recorded
 from approxjac.view.browser.opening import open_browser
 from approxjac.view.browser.server import PageServer
 from approxjac.view.browser.stage import Stage
+from approxjac.view.browser.wishes import Typed, number, numbers, with_pixel, with_point
 
 _FRAME = 1.0 / 30.0  # between pictures [s]
+_STALL = 0.5  # behind its time, after which a run does not catch up [s]
 _NAP = 0.02  # between looks at what the user wants, while waiting [s]
 _KEPT = 1500  # instants that a page gets when it is opened late
 _HELP = "target X Y Z (as the task has it) | length L | speed S | pause | go | stop"
@@ -66,17 +67,28 @@ class LiveView:
         self._believe = believe
         self._length = as_number("believed_length", believed_length, unit="m", minimum=0.0)
         self._terminal = terminal
-        self._typed = _Typed()
+        self._typed = Typed()
         self._patience = as_number("patience", patience, unit="s", minimum=0.0)
         self._paused = False
         self._rows: list[str] = []
         self._every = 1  # of the rows that were made, the one that is kept
         self._made = 0
+        self._shown = -1  # step that was shown last
+        self._kept_last = False
         self._stage: Stage | None = None
+        self._text: tuple[Stage | None, str] = (None, "")
+        self._changed = False
         self._server: Any = None
+        self._closed = self._ended = self._interrupted = False
+        self._before: Any = None  # what Ctrl-C did before
 
     def __call__(self, loop: SampledLoop) -> None:
         """Show a step of a run, do what the user wants, and wait until it is time to go on."""
+        if self._closed:
+            raise InvalidInputError(
+                "a LiveView is for one run, and this one has shown its run: make another one",
+                given=self,
+            )
         if self._server is None:
             self._start(loop)
         self._obey(loop)
@@ -92,9 +104,19 @@ class LiveView:
         return None if self._server is None else str(self._server.url)
 
     def close(self) -> None:
-        """Stop serving the page; pages that are open keep what they have been shown."""
-        if self._server is not None:
+        """Stop serving the page; pages that are open keep what they have been shown.
+
+        `simulate` does so at the end of a run, however it ends.
+        """
+        if self._server is not None and not self._closed:
+            if not self._ended:
+                error = sys.exc_info()[1]  # `simulate` closes while it is being raised
+                why = "" if error is None else f" {type(error).__name__}: {error}"
+                self._server.send(_message(ended=f"The run was broken off.{why}"))
             self._server.close()
+            if self._before is not None:
+                signal.signal(signal.SIGINT, self._before)
+        self._closed = True
 
     # -- showing ------------------------------------------------------------------------
 
@@ -109,32 +131,51 @@ class LiveView:
         self._record = Record(loop.plant)
         self._origin, self._next = 0.0, 0.0
         self._look(loop)
+        self._record_instant(loop)
         self._server = PageServer(self._page, self._greeting, self._port)
         url = self._server.url
+        taken = self._server.taken
+        other = "" if taken is None else f" (port {taken} is taken)"
         if open_browser(url):
-            print(f"The run is shown at {url}", flush=True)
+            print(f"The run is shown at {url}{other}", flush=True)
         else:
-            print(f"No browser could be opened here: open {url} on this machine", flush=True)
+            print(f"No browser could be opened here: open {url} on this machine{other}", flush=True)
         if self._terminal:
-            print(f"Commands: {_HELP}", flush=True)
-        if self._patience > 0.0 and not self._server.opened.wait(self._patience):
-            print(f"Nobody has opened the page in {self._patience:g} s: the run starts", flush=True)
+            print(f"Commands: {_HELP} (Ctrl-C stops, too)", flush=True)
+            if threading.current_thread() is threading.main_thread():
+                self._before = signal.signal(signal.SIGINT, self._interrupt)
+        self._await_page()
         self._begin(loop)
+
+    def _await_page(self) -> None:
+        """Wait for somebody to look, but not for ever."""
+        until = time.monotonic() + self._patience
+        while not self._server.opened.wait(_NAP) and not self._interrupted:
+            if time.monotonic() > until:
+                if self._patience > 0.0:
+                    told = f"Nobody has opened the page in {self._patience:g} s: the run starts"
+                    print(told, flush=True)
+                return
+
+    def _interrupt(self, *_: Any) -> None:
+        """At Ctrl-C, stop the run, and keep what there is of it; a second one breaks it off."""
+        self._interrupted = True
+        signal.signal(signal.SIGINT, self._before)
 
     def _look(self, loop: SampledLoop) -> Stage:
         """See anew who takes part."""
         self._scene = scene_of(loop.plant, loop.controller)
         self._frames = Frames(self._scene)
         self._stage = stage = Stage(self._scene, self._stage)
-        self._text: str | None = None
         return stage
 
     def _page(self) -> str:
         """The page, made when it is asked for: meshes take a second."""
-        text, stage = self._text, self._stage
-        if text is None:
-            assert stage is not None  # it is there before the server
-            self._text = text = live_page(stage)
+        stage, (made_of, text) = self._stage, self._text
+        assert stage is not None  # it is there before the server
+        if made_of is not stage:
+            text = live_page(stage, self._columns, self._q)
+            self._text = stage, text
         return text
 
     def _controls(self) -> dict[str, Any]:
@@ -146,28 +187,42 @@ class LiveView:
         }
 
     def _greeting(self) -> list[str]:
-        return [
-            f'{{"rows": [{", ".join(self._rows)}]}}',
-            _message(controls=self._controls()),
-        ]
+        """What a page gets first; it may have been made before the belief changed."""
+        messages = [f'{{"rows": [{", ".join(self._rows)}]}}', _message(controls=self._controls())]
+        stage = self._stage
+        if self._changed and stage is not None:
+            messages.insert(0, _message(redraw=stage.data("believed")))
+        return messages
 
     def _show(self, loop: SampledLoop) -> None:
         self._next = time.perf_counter() + _FRAME
-        self._record.add(
-            loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target, loop.controller
-        )
-        instant = recorded(self._record.taken(loop.controller))
-        row = json.dumps(_row(self._frames.columns(*instant)))
+        row = json.dumps(_row(self._record_instant(loop)))
         self._server.send(f'{{"rows": [{row}]}}')
-        if self._made % self._every == 0:
+        if loop.step == self._shown:  # the same instant, with another target
+            if self._kept_last:
+                self._rows[-1] = row
+            return
+        self._shown = loop.step
+        self._kept_last = self._made % self._every == 0
+        if self._kept_last:
             self._rows.append(row)
             if len(self._rows) > _KEPT:
                 self._rows, self._every = self._rows[::2], 2 * self._every
+                self._kept_last = False  # it may be gone
         self._made += 1
+
+    def _record_instant(self, loop: SampledLoop) -> dict[str, Array]:
+        """What the page shows of this step."""
+        self._record.add(
+            loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target, loop.controller
+        )
+        run = self._record.taken(loop.controller)
+        self._columns, self._q = self._frames.columns(*recorded(run)), run.q
+        return self._columns
 
     def _end(self, loop: SampledLoop) -> None:
         self._server.send(_message(ended=f"The run has ended at {loop.t:g} s."))
-        self.close()
+        self._ended = True
 
     # -- time ---------------------------------------------------------------------------
 
@@ -183,42 +238,60 @@ class LiveView:
                 time.sleep(_NAP)
             else:
                 early = self._origin + loop.t / self._speed - time.perf_counter()
+                if early < -_STALL:  # the machine slept, say: the run does not catch up
+                    self._begin(loop)
                 if early <= 0.0 or not math.isfinite(self._speed):
                     return
                 time.sleep(min(early, _NAP))
                 if early <= _NAP:
                     return
-            self._obey(loop)
+            if self._obey(loop):
+                self._show(loop)
 
     # -- what the user wants ------------------------------------------------------------
 
-    def _obey(self, loop: SampledLoop) -> None:
-        """Do what pages and the terminal ask for; say what cannot be done."""
+    def _obey(self, loop: SampledLoop) -> bool:
+        """Do what pages and the terminal ask for, say what cannot be done; was there anything?"""
+        asked = False
+        if self._interrupted:
+            loop.stop()
         for told in self._server.received():
             for wish, value in told.items():
-                self._try(loop, wish, value)
-        if self._terminal:
-            for line in self._typed.lines():
-                wish, *words = line.split() or ["help"]
-                self._try(loop, wish, words)
+                asked = True
+                self._server.send(_message(**self._try(loop, wish, value)))
+        for line in self._typed.lines() if self._terminal else ():
+            asked = True
+            wish, *words = line.split()
+            if wish == "help":
+                print(f"Commands: {_HELP}", flush=True)
+                continue
+            said = self._try(loop, wish, words)
+            self._server.send(_message(controls=self._controls()))
+            print(said.get("note", f"done: {line.strip()}"), flush=True)
+        return asked
 
-    def _try(self, loop: SampledLoop, wish: str, value: Any) -> None:
+    def _try(self, loop: SampledLoop, wish: str, value: Any) -> dict[str, Any]:
+        """Do something; returns how things are then, and what to say of it."""
+        found = {}
         try:
             self._do(loop, wish, value)
         except ApproxJacError as error:
-            self._say(str(error))
+            found["note"] = str(error)
+        except Exception as error:  # of the user's own `believe`: it is no reason to lose the run
+            found["note"] = f"{wish}: {type(error).__name__}: {error}"
+        return {"controls": self._controls(), **found}
 
     def _do(self, loop: SampledLoop, wish: str, value: Any) -> None:
         if wish == "target":
-            loop.aim_at(_numbers("target", value))
+            loop.aim_at(numbers("target", value))
         elif wish == "point":
-            loop.aim_at(_with_point(loop, _numbers("point", value)))
+            loop.aim_at(with_point(loop, numbers("point", value)))
         elif wish == "pixel":
-            loop.aim_at(_with_pixel(loop, _numbers("pixel", value)))
+            loop.aim_at(with_pixel(loop, numbers("pixel", value)))
         elif wish == "length" and self._believe is not None:
-            self._change_belief(loop, _number("length", value))
+            self._change_belief(loop, number("length", value))
         elif wish == "speed":
-            self._speed = _speed(_number("speed", value))
+            self._speed = _speed(number("speed", value))
             self._begin(loop)
         elif wish in ("pause", "go"):
             self._paused = wish == "pause"
@@ -227,47 +300,14 @@ class LiveView:
             loop.stop()
         else:
             raise InvalidInputError(f"commands are: {_HELP}; got {wish!r}", given=wish)
-        self._server.send(_message(controls=self._controls()))
 
     def _change_belief(self, loop: SampledLoop, length: float) -> None:
         controller: Any = loop.controller
         assert self._believe is not None  # else there is no such command
         robot = self._believe(as_number("length", length, unit="m", minimum=0.0))
         loop.exchange(controller.with_task(controller.task.on(robot)))
-        self._length = length
+        self._length, self._changed = length, True
         self._server.send(_message(redraw=self._look(loop).data("believed")))
-
-    def _say(self, text: str) -> None:
-        self._server.send(_message(note=text))
-        if self._terminal:
-            print(text, flush=True)
-
-
-def _with_point(loop: SampledLoop, point: Array) -> Array:
-    """The target with the position of what is followed moved to a point of the world (3,) [m]."""
-    place = as_array("point", point, (3,), "m")
-    for feature in features(loop.plant.sensor):
-        if feature.axes:
-            target = np.array(loop.target)
-            for i, axis in enumerate(feature.axes):
-                target[feature.entries.start + i] = place["xyz".index(axis)]
-            return target
-    raise InvalidInputError("the target is no position, which a point could be", given=point)
-
-
-def _with_pixel(loop: SampledLoop, pixel: Array) -> Array:
-    """The target with the image of point i moved to (u, v); `pixel` is (i, u, v)."""
-    i, u, v = as_array("pixel", pixel, (3,))
-    for feature in features(loop.plant.sensor):
-        if feature.camera is not None:
-            stride = (feature.entries.stop - feature.entries.start) // len(feature.points)
-            if i != int(i) or not 0 <= i < len(feature.points):
-                break
-            target = np.array(loop.target)
-            start = feature.entries.start + stride * int(i)
-            target[start : start + 2] = u, v
-            return target
-    raise InvalidInputError(f"there is no point {i:g} in an image", given=pixel)
 
 
 def _row(columns: Mapping[str, Array]) -> dict[str, Any]:
@@ -289,44 +329,3 @@ def _speed(value: float) -> float:
     if value == math.inf:
         return math.inf
     return as_number("speed", value, above=0.0)
-
-
-def _numbers(name: str, value: Any) -> Array:
-    """Numbers that a page or a person gave.
-
-    Raises:
-        InvalidInputError: Anything else.
-    """
-    try:
-        return np.array([float(entry) for entry in value])
-    except (TypeError, ValueError):
-        raise InvalidInputError(f"{name} must be numbers, got {value!r}", given=value) from None
-
-
-def _number(name: str, value: Any) -> float:
-    numbers = _numbers(name, value if isinstance(value, list) else [value])
-    if len(numbers) != 1:
-        raise InvalidInputError(f"{name} must be one number, got {value!r}", given=value)
-    return float(numbers[0])
-
-
-class _Typed:
-    """Lines that a person types, or a program writes, to standard input."""
-
-    def __init__(self) -> None:
-        self._text = ""
-        try:
-            self._file: int | None = sys.stdin.fileno()
-        except (AttributeError, OSError, ValueError):  # there is none
-            self._file = None
-
-    def lines(self) -> list[str]:
-        """Those that were ended since this was asked for last."""
-        # not by readline: what it reads ahead, `select` does not see
-        while self._file is not None and select.select([self._file], [], [], 0)[0]:
-            text = os.read(self._file, 4096).decode(errors="replace")
-            if not text:
-                self._file = None
-            self._text += text
-        *lines, self._text = self._text.split("\n")
-        return lines

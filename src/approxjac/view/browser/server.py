@@ -15,6 +15,7 @@ from approxjac.view.packages import view_package
 
 _HOST = "127.0.0.1"  # nobody else on the network gets to move an arm
 _PORT = 7007
+_BEHIND = 900  # messages that a page has not taken yet
 _CLOSING = 2.0  # for what was sent to arrive [s]
 
 
@@ -28,6 +29,7 @@ class PageServer:
 
     Attributes:
         url: Of the page.
+        taken: The usual port, where another program has it; else None.
         opened: Set when a page is there.
 
     Raises:
@@ -46,7 +48,9 @@ class PageServer:
         self._page = page
         self._greeting = greeting
         self._socket = _bound(port)
-        self.url = f"http://{_HOST}:{self._socket.getsockname()[1]}/"
+        found = self._socket.getsockname()[1]
+        self.taken = _PORT if port is None and found != _PORT else None
+        self.url = f"http://{_HOST}:{found}/"
         self.opened = threading.Event()
         self._received: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._pages: set[Any] = set()
@@ -83,22 +87,35 @@ class PageServer:
     async def _until_closed(self) -> None:
         outer = self
 
+        def require_here(handler: Any) -> None:
+            """Refuse pages of other sites that had their name point to this machine."""
+            host = handler.request.host.rsplit(":", 1)[0]
+            if host not in (_HOST, "localhost"):
+                raise outer._web.HTTPError(403)
+
         class Page(self._web.RequestHandler):  # type: ignore[misc, name-defined]
+            def prepare(self) -> None:
+                require_here(self)
+
             def get(self) -> None:
                 self.set_header("Cache-Control", "no-store")
                 self.finish(outer._page())
 
         class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
+            def prepare(self) -> None:
+                require_here(self)
+
             def open(self, *_: str) -> None:
+                self.waiting = 0
                 for message in outer._greeting():
-                    self.write_message(message)
+                    outer._send(self, message)
                 outer._pages.add(self)
                 outer.opened.set()
 
             def on_message(self, message: str | bytes) -> None:
                 try:
                     told = json.loads(message)
-                except ValueError:
+                except (ValueError, RecursionError):
                     return
                 if isinstance(told, dict):
                     outer._received.put(told)
@@ -117,7 +134,26 @@ class PageServer:
 
     def _broadcast(self, message: str) -> None:
         for page in list(self._pages):
-            page.write_message(message)
+            self._send(page, message)
+
+    def _send(self, page: Any, message: str) -> None:
+        """Send to one page; leave one that is gone, or that does not keep up."""
+
+        def sent(future: Any) -> None:
+            page.waiting -= 1
+            if future.exception() is not None:
+                self._pages.discard(page)
+
+        try:
+            future = asyncio.ensure_future(page.write_message(message))
+        except self._websocket.WebSocketClosedError:
+            self._pages.discard(page)
+            return
+        page.waiting += 1
+        future.add_done_callback(sent)
+        if page.waiting > _BEHIND:
+            self._pages.discard(page)
+            page.close()
 
 
 def _bound(port: int | None) -> socket.socket:

@@ -141,4 +141,5 @@ def placements(tree: Tree, positions: Array) -> dict[str, Array]:
 
 
 def _node(name: str) -> str:
-    return name.replace("/", "∕")  # MeshCat takes a slash for the next level
+    # MeshCat takes a slash for the next level; and no link is to have the name of a shape
+    return "link " + name.replace("/", "∕")

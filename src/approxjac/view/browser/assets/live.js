@@ -34,6 +34,9 @@
     return made;
   };
 
+  // a second pair of buttons plays what has been shown so far
+  document.querySelector("footer label").firstChild.textContent = "Replay speed ";
+  document.getElementById("play").title = "Replay what has been shown, or pause that (space)";
   const badge = add("span", { textContent: "live", className: "badge" });
   let paused = false;
   const pause = button("Pause the run", () => send({ [paused ? "go" : "pause"]: true }));
@@ -47,7 +50,12 @@
     Object.assign(document.createElement("input"), { type: "number", ...properties });
 
   const speed = labelled("run at × real time", number({ min: 0.05, step: 0.25, value: 1, id: "live-speed" }));
-  speed.addEventListener("change", () => send({ speed: Number(speed.value) }));
+  // what was typed is sent, and then the field shows what holds
+  const typed = (field, tell) => field.addEventListener("change", () => {
+    if (field.value !== "") tell();
+    field.blur();
+  });
+  typed(speed, () => send({ speed: Number(speed.value) }));
 
   // the target as numbers; with the mouse it is moved in the picture
   const target = add("span", { id: "live-target" });
@@ -58,9 +66,11 @@
       target.append("target x, y, z [m]");
       for (const axis of "xyz") {
         const field = number({ step: 0.01, ariaLabel: `target ${axis}`, id: `live-target-${axis}` });
-        field.addEventListener("change", () =>
-          send({ point: fields.map((each) => Number(each.value)) }),
-        );
+        typed(field, () => {
+          if (fields.every((each) => each.value !== "")) {
+            send({ point: fields.map((each) => Number(each.value)) });
+          }
+        });
         target.append(field);
         fields.push(field);
       }
@@ -102,10 +112,9 @@
         speed.value = told.controls.speed;
       }
       believed(told.controls.length);
-      note.textContent = "";
+      note.textContent = told.note ?? "";
     }
     if (told.redraw) shown.redraw(told.redraw);
-    if (told.note) note.textContent = told.note;
     if (told.ended) end(told.ended);
   });
   const end = (text) => {

@@ -50,6 +50,8 @@ approxjac.Rows = class {
   }
 
   append(row) {
+    const again = this.length > 0 && row.t <= this.row("t", this.length - 1)[0];
+    if (again) this.length -= 1; // the same instant, with another target
     const last = this.length ? this.row("joints", this.length - 1) : null;
     for (const [name, column] of Object.entries(this.columns)) {
       const needed = (this.length + 1) * column.width;
@@ -132,8 +134,14 @@ approxjac.Rows = class {
   function state(s) {
     if (!rows.length) return "";
     const said = [], force = Math.hypot(...rows.at("force", s));
+    const [tip, believed] = [rows.at("tip", s), rows.at("believed_tip", s)];
+    const apart = 1000 * Math.hypot(...tip.map((x, i) => x - believed[i]));
+    if (Number.isFinite(apart)) said.push(`believed tip ${approxjac.number(apart)} mm away`);
     if (Number.isFinite(force)) said.push(`force of the control ${approxjac.number(force)} N`);
-    const named = (values, least) => data.jointNames.filter((_, k) => values[k] >= least).join(", ");
+    const named = (values, least) => {
+      const names = data.jointNames.filter((_, k) => values[k] >= least);
+      return names.slice(0, 3).join(", ") + (names.length > 3 ? ` and ${names.length - 3} more` : "");
+    };
     const saturated = named(rows.row("load", Math.ceil(s)), 0.999);
     const stopped = named(rows.row("at_limit", Math.round(s)), 1);
     if (saturated) said.push(`torque at its limit: ${saturated}`);
@@ -143,6 +151,7 @@ approxjac.Rows = class {
 
   function seek(to) {
     t = Math.max(start(), Math.min(end(), to));
+    if (data.live) read();
     show();
   }
 
@@ -172,8 +181,10 @@ approxjac.Rows = class {
 
   function read() {
     unread = false;
-    const from = data.live ? Math.max(start(), end() - WINDOW) : start();
-    for (const plot of plots) plot.read(rows, from, end());
+    // of a live page the last seconds, or those around the instant that is looked at
+    const to = data.live && t < end() - WINDOW ? t + 0.5 * WINDOW : end();
+    const from = data.live ? Math.max(start(), to - WINDOW) : start();
+    for (const plot of plots) plot.read(rows, from, to);
   }
 
   button.addEventListener("click", () => (playing ? pause() : play()));

@@ -7,7 +7,6 @@ approxjac.Plot = class {
     const box = approxjac.panel(parent, spec.title, spec.labels.map((label, i) => [spec.colours[i], label]));
     this.values = box.values;
     this.area = box.area;
-    this.taken = 0; // rows that have been read
     this.arrays = [[], ...spec.labels.map(() => [])];
     const axis = { stroke: "#616e7c", grid: { stroke: "#e8ebee", width: 1 }, font: "11px sans-serif",
       labelFont: "11px sans-serif", ticks: { stroke: "#dde1e6", width: 1, size: 4 }, gap: 3,
@@ -40,6 +39,10 @@ approxjac.Plot = class {
 
   _range(low, high) {
     if (low === null || high === null) return [-1, 1];
+    // what is no more than round-off of the largest value so far is not blown up
+    this.largest = Math.max(this.largest ?? 0, Math.abs(low), Math.abs(high));
+    low = Math.min(low, -1e-3 * this.largest);
+    high = Math.max(high, 1e-3 * this.largest);
     for (const line of this.spec.lines) { low = Math.min(low, line); high = Math.max(high, line); }
     const margin = 0.06 * (high - low || Math.abs(high) || 1);
     return [low - margin, high + margin];
@@ -74,17 +77,15 @@ approxjac.Plot = class {
     over.addEventListener("pointermove", (event) => { if (event.buttons & 1) to(event); });
   }
 
-  // Take the rows that are new, and forget those long before what is shown.
+  // Take the rows that are new. One that came in its predecessor's place is taken again.
   read(rows, from, to) {
     const [t, ...series] = this.arrays;
-    const past = t.findIndex((value) => value >= from);
-    if (past > 2000) for (const one of this.arrays) one.splice(0, past);
-    for (let i = this.taken; i < rows.length; i++) {
+    for (const one of this.arrays) one.length = Math.max(0, Math.min(one.length, rows.length) - 1);
+    for (let i = t.length; i < rows.length; i++) {
       t.push(rows.row("t", i)[0]);
       const values = rows.row(this.spec.column, i);
       series.forEach((one, k) => one.push(Number.isFinite(values[k]) ? values[k] : null));
     }
-    this.taken = rows.length;
     this.plot.setData(this.arrays, false);
     this.plot.batch(() => {
       this.plot.setScale("x", { min: from, max: to > from ? to : from + 1 });

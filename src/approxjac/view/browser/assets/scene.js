@@ -289,7 +289,7 @@ approxjac.Scene = class {
     controls.target.copy(centre).addScaledVector(towards, middle);
     camera.position.copy(centre).addScaledVector(towards, eye);
     camera.near = 0.02 * this.data.size;
-    camera.far = 100 * this.data.size;
+    camera.far = Math.max(100 * this.data.size, 4 * eye);
     controls.update();
   }
 
