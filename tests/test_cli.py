@@ -3,6 +3,7 @@ import fcntl
 import json
 import os
 import pty
+import signal
 import struct
 import subprocess
 import sys
@@ -577,7 +578,7 @@ def test_the_study_writes_pages_with_an_index(paper):
 def test_the_pages_of_the_study_load(paper, open_page):
     """And show how each run ends: its error, and the believed tip elsewhere if the arm is wrong."""
     out, _ = paper
-    index = open_page(out / "index.html")
+    index = open_page(out / "index.html", (640, 480))
     links = index.eval_on_selector_all("a", "links => links.map((a) => a.href)")
     assert [link.rsplit("/", 1)[1] for link in links] == [f"fig{n}.html" for n in range(3, 9)]
     for n, link in enumerate(links, start=3):
@@ -606,12 +607,19 @@ def test_without_meshcat_the_study_says_that_there_are_no_pages(tmp_path, capsys
 
 
 async def watch_and_stop(url):
-    """Be a page: get 20 instants, stop the run, and wait until it says that it has ended."""
+    """Be a page: get 20 instants, move the target, stop the run, and wait until it has ended."""
     socket = await websocket_connect(url.replace("http", "ws") + "socket")
     rows, message = 0, {}
     while rows < 20:
         message = json.loads(await socket.read_message())
         rows += len(message.get("rows", []))
+    last = message["rows"][-1]
+    if np.isfinite(np.array(last["target"], dtype=float)).all():
+        await socket.write_message(json.dumps({"point": [*last["target"][:2], 0.5]}))
+    else:
+        (u, v), *_ = last["target_pixels"]
+        await socket.write_message(json.dumps({"pixel": [0, u + 5.0, v]}))
+    await asyncio.sleep(0.3)
     await socket.write_message(json.dumps({"stop": True}))
     while "ended" not in message:
         message = json.loads(await socket.read_message())
@@ -639,6 +647,7 @@ def test_a_run_is_shown_and_stopped_from_the_page(command, tmp_path):
     assert process.returncode in (0, 1), error
     assert ended.startswith("The run has ended at ")
     assert "verdict" in out
+    assert "the target was moved while it ran" in out
     run = aj.Trajectory.load(tmp_path / "run.npz")
     assert 0.0 < run.t[-1] < 30.0
 
@@ -648,3 +657,19 @@ def test_options_of_the_view_need_it(option, tmp_path, capsys):
     assert main(["simulate", "panda", option, "2", "--out", str(tmp_path)]) == 2
     message = f"{option} is for a run that is shown with --view, got 2 without"
     assert message in capsys.readouterr().err
+
+
+def test_ctrl_c_stops_a_run_that_is_shown_and_keeps_it(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "approxjac", "simulate", "panda", "--duration", "60", "--view",
+         "--out", str(tmp_path)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={name: value for name, value in os.environ.items() if "DISPLAY" not in name},
+    )  # fmt: skip
+    assert "open http" in process.stdout.readline()
+    assert process.stdout.readline().startswith("Commands: ")
+    process.send_signal(signal.SIGINT)  # while it waits for a page
+    out, error = process.communicate(timeout=60)
+    assert process.returncode in (0, 1), error
+    assert "verdict" in out
+    assert aj.Trajectory.load(tmp_path / "run.npz").t[-1] < 60.0

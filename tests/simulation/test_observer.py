@@ -118,3 +118,43 @@ def test_what_is_no_observer_is_refused(panda, options, message):
 def test_a_target_that_is_none_is_refused(panda):
     with pytest.raises(aj.InvalidInputError, match=r"target must have shape \(3,\)"):
         run(panda, lambda loop: loop.aim_at([0.1, 0.2]))
+
+
+def test_the_last_record_is_of_one_instant(panda):
+    """A target that is moved in the very step of a stop is none that anything was done about."""
+    away = parts(panda)[2] + [0.0, 0.3, 0.0]
+
+    def move_and_stop(loop):
+        if loop.step == 55:
+            loop.aim_at(away)
+            loop.stop()
+
+    alone, stopped = run(panda), run(panda, move_and_stop, record_every=0.02)
+    assert stopped.t[-1] == pytest.approx(0.055)
+    for name in ("x_d", "error", "tau", "V"):
+        assert_array_equal(getattr(stopped, name)[-1], getattr(alone, name)[55])
+
+
+@pytest.mark.parametrize("error", [None, RuntimeError])
+def test_an_observer_is_closed_however_a_run_ends(panda, error):
+    closed = []
+
+    class Observer:
+        def __call__(self, loop):
+            if error is not None and loop.step == 3:
+                raise error
+
+        def close(self):
+            closed.append(True)
+
+    if error is None:
+        run(panda, Observer())
+    else:
+        with pytest.raises(error):
+            run(panda, Observer())
+    assert closed == [True]
+
+
+def test_a_target_that_overflows_is_refused(panda):
+    with pytest.raises(aj.InvalidInputError, match="that the controller can be evaluated with"):
+        run(panda, lambda loop: loop.aim_at([1e308, 1e308, 1e308]))

@@ -83,6 +83,44 @@ def test_laws_without_a_task_force_or_V_have_none(panda):
     assert run.scene.belief is run.scene.task is None
 
 
+def test_a_wrapper_of_ones_own_may_have_any_state(panda):
+    """What it records of V, it would have to know whose state comes first."""
+
+    class Own:
+        def __init__(self, task):
+            self.controller = setpoint(task)
+            self.task = task
+            self.n_state = 1 + self.controller.n_state
+
+        def initial_state(self, measurement):
+            return np.append(7.0, self.controller.initial_state(measurement))
+
+        def evaluate(self, state, measurement, target):
+            answer = self.controller.evaluate(state[1:], measurement, target)
+            return answer._replace(state_rate=np.append(0.0, answer.state_rate))
+
+    _, _, run = reach(panda, Own)
+    assert np.isnan(run.V).all()
+    assert np.isnan(run.task_torque).all()
+
+
+@pytest.mark.parametrize("wrapped", ["limited", "held"])
+def test_V_of_a_law_that_is_limited_or_held_is_its_own(panda, wrapped):
+    def limited(task):
+        return aj.TorqueLimited(setpoint(task), aj.Limits(effort=60.0, rate=3000.0))
+
+    kinds = {"limited": limited, "held": lambda task: aj.HeldMeasurement(limited(task), 0.3)}
+    plant, controller, run = reach(panda, kinds[wrapped])
+    law_ = controller.law
+    theta = law_.adaptation.regressor.fit(plant.robot)[0]
+    for k in (0, 5, 10):
+        V, _ = aj.lyapunov(
+            plant, law_, run.q[k], run.v[k], run.target, law_.alpha,
+            state=run.state[k][: law_.n_state], theta=theta,
+        )  # fmt: skip
+        assert_allclose(run.V[k], V, rtol=1e-9)
+
+
 @pytest.mark.parametrize("learnt", [True, False])
 def test_V_is_that_of_the_analysis(panda, learnt):
     """The record's V against `lyapunov`, which refuses what it is not for."""

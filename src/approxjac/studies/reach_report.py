@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from approxjac.checks import Array
+from approxjac.simulation import Trajectory
 from approxjac.studies.reach import Result
 from approxjac.view import (
     legend_below,
@@ -48,10 +49,19 @@ def text(result: Result) -> str:
     ]
     lines[-1:-1] = _limits(result)
     if excess > 0.0:
+        cure = ", which --torque-limits urdf keeps" if result.tally is None else ""
         lines.insert(
-            -1, f"limits      a joint was {excess:.2g} rad or m beyond its position limits"
+            -1, f"limits      a joint was {excess:.2g} rad or m beyond its position limits{cure}"
         )
+    lines[-1:-1] = moved_target(run)
     return "\n".join(lines)
+
+
+def moved_target(run: Trajectory) -> list[str]:
+    """What to say of a target that was moved while a run was shown; nothing if it was not."""
+    if (run.x_d == run.x_d[0]).all():
+        return []
+    return ["shown       the target was moved while it ran: errors are to the target then"]
 
 
 def _limits(result: Result) -> list[str]:

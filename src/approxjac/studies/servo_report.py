@@ -13,6 +13,7 @@ import numpy as np
 from approxjac.checks import Array
 from approxjac.controllers import VelocityServo
 from approxjac.interface import Status
+from approxjac.studies.reach_report import moved_target
 from approxjac.studies.servo_result import ServoResult
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import CombinedTask, ImageTask
@@ -59,7 +60,7 @@ def text(result: ServoResult) -> str:
         f"status      {', '.join(f'{s.name} {share:.3g} %' for s, share in shares.items())}",
         f"verdict     {'converged' if result.converged else 'not converged: ' + result.reason}",
     ]
-    lines[-1:-1] = _limits(result)
+    lines[-1:-1] = [*_limits(result), *moved_target(run)]
     return "\n".join(lines)
 
 

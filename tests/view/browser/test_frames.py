@@ -8,9 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.simulation.scene import Scene
-from approxjac.view.browser import Frames
+from approxjac.view.browser import Frames, Stage
 
 TARGET = np.array([0.5, -0.1, 0.6])
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
 
 def columns(scene, q, x, x_d, **given):
@@ -148,3 +149,56 @@ def test_a_task_of_ones_own_and_no_belief(scene, q):
     assert_allclose(found["tip"], [aj.PositionTask(scene.truth).value(row) for row in q])
     for name in ("measured", "target", "believed_tip", "force"):
         assert np.isnan(found[name]).all()
+
+
+def test_a_moment_is_no_force(panda):
+    """Of a pose the torque stands for a force and a moment; the arrow is the force."""
+    task = aj.PoseTask(panda)
+    scene = Scene(panda, panda, task, task, panda.effort_limits)
+    q = START + 0.1
+    J = task.jacobian(q)
+    for wrench in (np.array([3.0, -2.0, 5.0, 0.0, 0.0, 0.0]), np.array([0, 0, 0, 2.0, 0.0, -20.0])):
+        force = Frames(scene).columns(*instant(task, q, J.T @ wrench))["force"][0]
+        assert_allclose(force, wrench[:3], atol=1e-9)
+
+
+@pytest.mark.parametrize("first", ["image", "height"])
+def test_of_several_tasks_the_position_is_followed(panda, first):
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.5), (1.5, -0.8, 0.9), 600.0, (640, 480))
+    tasks = {"image": aj.ImageTask(panda, camera), "height": aj.PositionTask(panda, axes="z")}
+    order = [first, *(name for name in tasks if name != first)]
+    task = aj.StackedTask(*(tasks[name] for name in order))
+    scene = Scene(panda, panda, task, task, panda.effort_limits)
+    found = Frames(scene).columns(*instant(task, START, np.zeros(7)))
+    tip = aj.PositionTask(panda).value(START)
+    assert_allclose(found["target"][0], tip, atol=1e-12)
+    assert_allclose(found["measured"][0], tip, atol=1e-12)
+    assert_allclose(found["pixels"][0, 0], tasks["image"].value(START))
+    none = [column[:0] for column in instant(task, START, np.zeros(7))]
+    assert {name: len(column) for name, column in Frames(scene).columns(*none).items()} == (
+        dict.fromkeys(found, 0)
+    )
+
+
+def test_a_frame_that_the_belief_does_not_have_is_left_out(panda):
+    truth = panda.with_object(0.2)
+    sensor = aj.PositionTask(truth)
+    scene = Scene(truth, panda, sensor, None, panda.effort_limits)  # the task was of its own kind
+    found = Frames(scene).columns(*instant(sensor, START, np.zeros(7)))
+    hand = aj.PositionTask(panda).value(START)
+    assert_allclose(found["believed_tip"][0], hand, atol=1e-12)
+
+
+def instant(task, q, task_torque):
+    x = task.value(q)
+    rows = (q, x, x, np.zeros(task.m), np.zeros(7), task_torque)
+    return (np.zeros(1), *(row[np.newaxis] for row in rows), np.zeros(1))
+
+
+def test_no_link_has_the_name_of_a_shape(panda):
+    odd = panda.with_object(0.1, name="shape0").with_object(0.1, name="bone_1")
+    data = Stage(Scene(odd, odd, None, None, odd.effort_limits)).data()
+    links = {tuple(link["path"]) for link in data["links"]}
+    joints = {tuple(joint["path"]) for joint in data["joints"]["true"]}
+    assert len(links) == len(data["links"])
+    assert not links & joints

@@ -21,6 +21,7 @@ from tornado.websocket import websocket_connect
 
 import approxjac as aj
 from approxjac import view
+from approxjac.studies import servo
 from approxjac.view.browser import server
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -196,6 +197,28 @@ def test_pause_speed_reload_and_what_cannot_be(panda, open_page):
     page.wait_for_selector("text=speed must be a finite number > 0")
     page.get_by_role("button", name="Stop the run").click()
     running.ended()
+
+
+def test_a_target_is_moved_in_the_image(open_page):
+    """A camera that is rolled, images that come late; the point follows its new target."""
+    ready = servo.prepare("panda", servo.ServoSettings(duration=60.0, roll=0.3, noise=0.0, seed=2))
+    live, results = view.LiveView(believe=ready.believe, patience=30.0), []
+    thread = threading.Thread(target=lambda: results.append(servo.run(ready, observer=live)))
+    thread.start()
+    wait_for(lambda: live.url is not None)
+    page = open_page(live.url)
+    page.wait_for_function("approxjac.state().length > 20")
+    wanted = (np.array(page.evaluate("approxjac.column('target_pixels').at(-1)")) + 30.0).tolist()
+    page.evaluate("x => approxjac.onpixel(0, x)", wanted)  # as dragging does: test_page.py
+    page.wait_for_function(f"""() => {{
+        const pixels = approxjac.column("pixels").at(-1), target = {wanted};
+        return Math.hypot(...pixels.map((x, i) => x - target[i])) < 3;
+    }}""")
+    page.evaluate("approxjac.onpixel(0, [-5000, 100])")
+    page.wait_for_selector("text=target must be within the image")
+    page.get_by_role("button", name="Stop the run").click()
+    thread.join(20.0)
+    assert_allclose(results[0].run.target, wanted, rtol=1e-5)
 
 
 # -- without one --------------------------------------------------------------------------------
@@ -413,7 +436,8 @@ class Pages:
             while until not in (got := json.loads(await socket.read_message())):
                 pass
             socket.close()
-            await socket.read_message()
+            while await socket.read_message() is not None:
+                pass  # until it is closed
             return got
 
         # Playwright has an event loop in this thread

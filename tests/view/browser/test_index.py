@@ -1,0 +1,43 @@
+"""The index page of the run pages in a folder."""
+
+import re
+from urllib.parse import unquote
+
+import pytest
+
+import approxjac as aj
+from approxjac import view
+
+PAGE = """<!doctype html><head><meta name="generator" content="approxjac">
+<meta name="description" content="error: 3 &lt; 4"><title>{}</title></head>"""
+
+
+def test_it_links_the_pages_of_runs_in_their_order(tmp_path):
+    names = ["fig10.html", "fig9.html", "run #1 100%.html", "ünï.html", "1²2.html"]
+    for name in names:
+        (tmp_path / name).write_text(PAGE.format(f"Run &amp; {name}"), encoding="utf-8")
+    (tmp_path / "fig9.png").touch()
+    (tmp_path / "other.html").write_text("<title>not ours</title>")
+    (tmp_path / "latin.html").write_bytes(b"<title>\xe9</title>")
+    index = view.write_index(tmp_path, "Runs <of mine>")
+    text = index.read_text(encoding="utf-8")
+    assert "<title>Runs &lt;of mine&gt;</title>" in text
+    links = [unquote(link) for link in re.findall(r'href="(.*?)"', text)]
+    assert links == ["1²2.html", "fig9.html", "fig10.html", "run #1 100%.html", "ünï.html"]
+    assert "<b>Run &amp; fig9.html</b><p>error: 3 &lt; 4</p>" in text
+    assert re.findall(r'<img src="(.*?)"', text) == ["fig9.png"]
+    assert view.write_index(tmp_path).read_text(encoding="utf-8").count("<li>") == 5
+
+
+def test_links_with_odd_names_open(tmp_path, open_page):
+    (tmp_path / "run #1 100%.html").write_text(PAGE.format("Odd"), encoding="utf-8")
+    page = open_page(view.write_index(tmp_path))
+    page.click("a")
+    assert page.title() == "Odd"
+
+
+def test_a_folder_without_pages_is_refused(tmp_path):
+    with pytest.raises(aj.InvalidInputError, match="folder must hold pages"):
+        view.write_index(tmp_path)
+    with pytest.raises(aj.InvalidInputError, match="folder must"):
+        view.write_index(tmp_path / "nowhere")
