@@ -313,6 +313,10 @@ def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, 
     kinds = [unit for unit in ("rad", "m") if unit in scene.truth.joint_units]
     torque = " or ".join({"rad": "N m", "m": "N"}[kind] for kind in kinds)
     joints = list(scene.truth.joint_names)
+    first = joints[0].partition("_")[0] + "_"
+    if len(joints) > 1 and all(name.startswith(first) for name in joints):
+        # panda_joint1 is joint1 here, where there is little room
+        joints = [name.removeprefix(first) for name in joints]
     return [
         {
             "column": "error", "title": "Task error of each coordinate",
