@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -287,6 +288,15 @@ def test_lost_measurements_are_gaps(reach, show):
     x_measured[500:900] = error[500:900] = np.nan
     page = show(dataclasses.replace(reach, x_measured=x_measured, error=error))
     assert "not measured16 % of the time" in page.locator("#facts").inner_text()
+    seek(page, 1e9)
+    lost = page.evaluate("approxjac.column('measured').map((p) => !p.every(Number.isFinite))")
+    drawn = page.evaluate("""() => {
+        const mesh = approxjac.viewer.scene_tree.find(["trail measured", "<object>"]).object;
+        return Array.from({ length: mesh.count }, (_, i) =>
+            [0, 1, 2].some((k) => mesh.instanceMatrix.array[16 * i + k] !== 0));
+    }""")
+    assert sum(lost) > 10
+    assert drawn == [not (a or b) for a, b in pairwise(lost)]
     seek(page, 0.7)
     measured = page.evaluate("approxjac.viewer.scene_tree.find(['measured']).object.visible")
     assert not measured

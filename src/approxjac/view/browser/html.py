@@ -289,6 +289,8 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
         entries.append((BELIEVED, "bar", words))
         entries.append((BELIEVED, "", "believed tip"))
     entries.append((TRUE, "", "true tip and its path"))
+    if any(feature.axes for feature in features(scene.sensor)):
+        entries.append((colours.MEASURED, "", "measured tip, where it differs"))
     entries.append((TARGET, "", "target, line of sight" if image else "target"))
     if scene.task is not None:
         entries.append((FORCE, "dash", "force that the control means to exert"))

@@ -11,6 +11,7 @@ approxjac.Scene = class {
     this.viewer.gui.domElement.remove();
     this.joints = {}; // by role, as all that may be built anew
     this.images = {};
+    this.trails = {};
     this.touched = false; // whether the user has turned the view
     this._quiet();
     this.build(data);
@@ -173,7 +174,7 @@ approxjac.Scene = class {
     this._arrow(rows.at("believed_tip", s), rows.at("force", s), rows.largest("force"));
     this._states(rows.row("load", Math.ceil(s)), rows.row("at_limit", Math.round(s)));
     for (const image of Object.values(this.images).flat()) this._image(image, rows, s);
-    this._path(rows, s);
+    this._paths(rows, s);
     this.viewer.set_dirty();
   }
 
@@ -228,25 +229,36 @@ approxjac.Scene = class {
     }
   }
 
-  // The true tip's path up to now, as thin rods: lines are a pixel wide whatever one asks for.
-  _path(rows, s) {
+  // Paths up to now, as thin rods: lines are a pixel wide whatever one asks for. That of what was
+  // measured is hidden by the true one where they agree, and has gaps where nothing was measured.
+  _paths(rows, s) {
+    const { colours } = this.data;
+    this._path("measured", colours.measured, 0.0018 * this.data.size, rows, s);
+    this._path("tip", colours.true, 0.0028 * this.data.size, rows, s);
+  }
+
+  _path(name, color, r, rows, s) {
     const THREE = MeshCat.THREE;
-    if (!this.trail || rows.length > this.trail.capacity) {
-      const capacity = Math.max(256, 2 * rows.length), r = 0.0028 * this.data.size;
+    let trail = this.trails[name];
+    if (!trail || rows.length > trail.capacity) {
+      const capacity = Math.max(256, 2 * rows.length);
       const mesh = new THREE.InstancedMesh(new THREE.CylinderGeometry(r, r, 1, 6),
-        new THREE.MeshBasicMaterial({ color: this.data.colours.true }), capacity);
+        new THREE.MeshBasicMaterial({ color }), capacity);
       mesh.frustumCulled = false;
-      this.viewer.set_object(["trail"], mesh);
-      this.trail = { mesh, capacity, done: 0 };
+      this.viewer.set_object(["trail " + name], mesh);
+      trail = this.trails[name] = { mesh, capacity, done: 0 };
     }
-    const { trail } = this, up = new THREE.Vector3(0, 1, 0);
+    const up = new THREE.Vector3(0, 1, 0);
     for (; trail.done < rows.length - 1; trail.done++) {
-      const a = new THREE.Vector3(...rows.row("tip", trail.done));
-      const way = new THREE.Vector3(...rows.row("tip", trail.done + 1)).sub(a), length = way.length();
-      const middle = a.addScaledVector(way, 0.5);
-      const turn = new THREE.Quaternion().setFromUnitVectors(up, length > 0 ? way.normalize() : up);
-      trail.mesh.setMatrixAt(trail.done,
-        new THREE.Matrix4().compose(middle, turn, new THREE.Vector3(1, length, 1)));
+      const a = new THREE.Vector3(...rows.row(name, trail.done));
+      const way = new THREE.Vector3(...rows.row(name, trail.done + 1)).sub(a), length = way.length();
+      const matrix = new THREE.Matrix4().makeScale(0, 0, 0); // of a gap
+      if (Number.isFinite(length)) {
+        const middle = a.addScaledVector(way, 0.5);
+        const turn = new THREE.Quaternion().setFromUnitVectors(up, length > 0 ? way.normalize() : up);
+        matrix.compose(middle, turn, new THREE.Vector3(1, length, 1));
+      }
+      trail.mesh.setMatrixAt(trail.done, matrix);
       trail.mesh.instanceMatrix.needsUpdate = true;
     }
     trail.mesh.count = Math.min(trail.done, Math.floor(s));
