@@ -39,3 +39,13 @@ pytest_collect_file = Sybil(
     patterns=["README.md", "docs/*.md"],
     fixtures=["scratch"],
 ).pytest()
+
+
+# Files that take half a minute or more. A worker gets whole files: these come first, so that in the
+# end both have something to do.
+LONG = ("docs", "README.md", "test_long_run.py", "test_examples.py", "test_cli.py", "browser")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of long files first."""
+    items.sort(key=lambda item: not set(LONG) & set(item.path.relative_to(ROOT).parts))

@@ -72,12 +72,14 @@ def open_page(browser):
     """Opens a file or an address; at the end nothing must have been complained of or loaded."""
     opened, wrong = [], []
 
-    def open_(where, size=(1000, 700)):
+    def open_(where, size=(1000, 700), motion="reduce"):
+        """Where motion is not reduced, a page plays when it is opened."""
         url = where if str(where).startswith("http") else Path(where).as_uri()
         own = tuple(
             f"{scheme}://{url.split('/')[2]}/" for scheme in ("http", "ws") if url[:4] == "http"
         )
-        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        viewport = {"width": size[0], "height": size[1]}
+        page = browser.new_page(viewport=viewport, reduced_motion=motion)
         page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: wrong.append(f"error: {error}"))
         page.on(

@@ -52,7 +52,7 @@ def test_its_pages_show_that_the_true_tip_arrives(example, request):
     pages = pages_of(example)
     assert all(page.exists() for page in pages)
     for path in pages:
-        page = request.getfixturevalue("open_page")(path)
+        page = request.getfixturevalue("open_page")(path, (640, 480))
         page.evaluate("approxjac.pause(); approxjac.seek(1e9)")
         page.wait_for_timeout(200)
         assert len(np.unique(pixels(page).reshape(-1, 3), axis=0)) > 500

@@ -81,10 +81,10 @@ def test_ten_minutes_do_not_drift(panda):
     assert np.ptp(run.q[settled], axis=0).max() < 0.02
     assert np.ptp(run.state[settled], axis=0).max() < 0.02
 
-    # From minute 2 to 10 there are 480,000 steps and 4,800 records. A record takes 17 objects and
+    # From minute 2 to 10 there are 480,000 steps and 4,800 records. A record takes 18 objects and
     # 2.5 kB; an object forgotten in each step would be 100 objects and at least 5 kB a record.
     blocks, resident = np.subtract(memory[10.0], memory[2.0])
-    assert blocks < 4800 * 17 + 2000
+    assert blocks < 4800 * 18 + 2000
     assert resident < 4800 * 3000 + 2_000_000
 
 

@@ -198,7 +198,7 @@ def test_playing_moves_cursor_and_time_and_ends(reach, show):
 
 
 def test_a_page_plays_once_when_it_is_opened(reach, open_page, page_of):
-    page = open_page(page_of(reach))
+    page = open_page(page_of(reach), motion="no-preference")
     page.wait_for_function("approxjac.state().t > 0.1")
 
 

@@ -141,9 +141,9 @@ class LiveView:
         else:
             print(f"No browser could be opened here: open {url} on this machine{other}", flush=True)
         if self._terminal:
-            print(f"Commands: {_HELP} (Ctrl-C stops, too)", flush=True)
             if threading.current_thread() is threading.main_thread():
                 self._before = signal.signal(signal.SIGINT, self._interrupt)
+            print(f"Commands: {_HELP} (Ctrl-C stops, too)", flush=True)
         self._await_page()
         self._begin(loop)
 
