@@ -550,12 +550,14 @@ def test_while_paused_what_is_changed_is_shown(panda):
     def act(pages, _):
         pages.tell('{"pause": true}')
         wait_for(lambda: pages.tell(until="controls")["controls"]["paused"])
-        first = pages.tell()["rows"][-1]
-        target = [*first["target"][:2], 0.5]
-        pages.tell(json.dumps({"target": target}), until="controls")
-        wait_for(lambda: pages.tell()["rows"][-1]["target"] == target)
-        last = pages.tell()["rows"]
-        assert last[-1]["t"] == first["t"]
-        assert len({row["t"] for row in last}) == len(last)
+        times = []
+        for height in (0.5, 0.45, 0.4):
+            target = [*pages.tell()["rows"][-1]["target"][:2], height]
+            pages.tell(json.dumps({"target": target}), until="controls")
+            wait_for(lambda wanted=target: pages.tell()["rows"][-1]["target"] == wanted)
+            rows = pages.tell()["rows"]
+            times.append(rows[-1]["t"])
+            assert len({row["t"] for row in rows}) == len(rows)
+        assert len(set(times)) == 1  # the run stands still meanwhile
 
     with_pages(panda, act)
