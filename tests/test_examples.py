@@ -17,7 +17,16 @@ PAGES = {
 }
 
 
-@pytest.fixture(scope="module", params=EXAMPLES, ids=lambda path: path.stem)
+SLOW = ("04", "05", "07")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(path, marks=[pytest.mark.slow] if path.stem[:2] in SLOW else [], id=path.stem)
+        for path in EXAMPLES
+    ],
+)
 def example(request, tmp_path_factory):
     """An example that was run: its path, its folder and the process."""
     path, out = request.param, tmp_path_factory.mktemp(request.param.stem)
