@@ -158,3 +158,34 @@ def test_an_observer_is_closed_however_a_run_ends(panda, error):
 def test_a_target_that_overflows_is_refused(panda):
     with pytest.raises(aj.InvalidInputError, match="that the controller can be evaluated with"):
         run(panda, lambda loop: loop.aim_at([1e308, 1e308, 1e308]))
+
+
+def test_a_target_that_is_moved_leaves_the_torque_of_its_step(panda):
+    """Also where a controller uses one buffer for all its torques."""
+
+    class Buffered:
+        def __init__(self, controller):
+            self.controller, self.task, self.n_state = controller, controller.task, 0
+            self.buffer = np.zeros(7)
+
+        def initial_state(self, measurement):
+            return self.controller.initial_state(measurement)
+
+        def evaluate(self, state, measurement, target):
+            answer = self.controller.evaluate(state, measurement, target)
+            self.buffer[:] = answer.torque
+            return answer._replace(torque=self.buffer)
+
+    plant, _, target = parts(panda)
+    law = aj.SetpointController(aj.PositionTask(panda.with_object(0.0)))
+
+    def move(loop):
+        if loop.step == 10:
+            loop.aim_at(target + [0.0, 0.2, 0.0])
+
+    plain, buffered = (
+        aj.simulate(plant, controller, target, START, 0.03, dt=1e-3, observer=move)
+        for controller in (law, Buffered(law))
+    )
+    assert_array_equal(plain.q, buffered.q)
+    assert_array_equal(plain.tau, buffered.tau)

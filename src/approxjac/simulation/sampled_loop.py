@@ -31,7 +31,7 @@ class SampledLoop:
         truth: What ideal sensors measure; its x is NaN where the sensor does not see.
         measurement: What the controller gets.
         state: State of the controller, shape (n_state,).
-        answer: What the controller answered; its torque may be a buffer of the controller's.
+        answer: What the controller answered.
         stopped: Whether an observer stopped it.
     """
 
@@ -81,7 +81,7 @@ class SampledLoop:
         Raises:
             SimulationError: The closed loop diverged.
         """
-        self._waiting.append(self.answer.torque.copy())
+        self._waiting.append(self.answer.torque)
         self.state = self.state + self.dt * self.answer.state_rate
         try:
             torque = self._waiting.popleft()
@@ -136,9 +136,11 @@ class SampledLoop:
 
     def _evaluate(self) -> Evaluation:
         try:
-            return self.controller.evaluate(self.state, self.measurement, self.target)
+            answer = self.controller.evaluate(self.state, self.measurement, self.target)
         except (InvalidInputError, MeasurementError) as error:
             raise self._diverged(error) from error
+        # a controller may use one buffer for all its torques, and `aim_at` asks it once more
+        return answer._replace(torque=answer.torque.copy())
 
     def _read(self, truth: Measurement) -> Measurement:
         return truth if self._readings is None else self._readings.read(truth)

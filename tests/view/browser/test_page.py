@@ -200,6 +200,8 @@ def test_playing_moves_cursor_and_time_and_ends(reach, show):
 def test_a_page_plays_once_when_it_is_opened(reach, open_page, page_of):
     page = open_page(page_of(reach), motion="no-preference")
     page.wait_for_function("approxjac.state().t > 0.1")
+    page.wait_for_function("!approxjac.state().playing")
+    assert state(page)["t"] == pytest.approx(reach.t[-1])
 
 
 def test_dragging_in_a_plot_seeks(reach, show):
