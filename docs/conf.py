@@ -30,8 +30,9 @@ html_static_path = ["_static"]
 html_extra_path = ["_generated/site"]  # pages of runs
 (HERE / "_generated" / "site").mkdir(parents=True, exist_ok=True)
 html_css_files = ["formulas.css"]
+html_js_files = [("offline_search.js", {"priority": 900})]
 html_theme_options = {"footer_icons": []}
-exclude_patterns = ["_build", "_ext", "_generated/*.md"]  # included by other pages
+exclude_patterns = ["_build", "_ext", "_generated/*.md", "tables"]  # included by other pages
 nitpicky = False
 
 autodoc_member_order = "bysource"
