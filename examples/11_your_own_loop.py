@@ -61,7 +61,7 @@ goals = {True: goal, False: goal + [0.0, 0.4, 0.0]}
 
 asked = []
 signal.signal(signal.SIGINT, lambda *_: asked.append(True))  # it does not interrupt a cycle
-why, log = control(
+why, log, _ = control(
     SimulatedArm(plant, start),
     limited,
     goal=lambda t: goals[t < 5.0],
@@ -75,14 +75,13 @@ log_known = log[np.isfinite(log["q"]).all(axis=1)]
 tip = np.array([plant.sensor.value(q) for q in log_known["q"]])
 error = 1e3 * np.linalg.norm(tip - [goals[t < 5.0] for t in log_known["t"]], axis=1)
 speed = np.abs(log_known["v"]).max(axis=1)
-at = np.searchsorted(log_known["t"], [0.0, 1.0, 2.0, 5.0 - DT, 6.0])
+at = {t: np.searchsorted(log_known["t"], t) for t in (0.0, 1.0, 2.0, 5.0 - DT)}
 jump = np.abs(log["torque"][0] - plant.dynamics.g(start)).max()
 late = log["gap"] > 1.5 * DT
 print(f"first torque: at most {jump:.2g} N m from what held the arm (the weight of the tool)")
-print("error at 0, 1, 2 and 5 s: {:.0f}, {:.0f}, {:.0f} and {:.2g} mm".format(*error[at[:4]]))
-print(
-    f"stopped ({why}) at 6 s: {speed[at[4]]:.2f} -> {speed[-1]:.2g} rad/s at {log['t'][-1]:.2f} s"
-)
+reached = [f"{error[k]:.3g} mm at {t:.0f} s" for t, k in at.items() if k < len(error)]
+print(f"error: {', '.join(reached)}")
+print(f"stopped ({why}): {speed[-1]:.2g} rad/s at {log['t'][-1]:.2f} s")
 names = {UNKNOWN: "joints unknown", **{int(status): status.name for status in aj.Status}}
 counts = {names[n]: int((log["status"] == n).sum()) for n in names if (log["status"] == n).any()}
 print(", ".join(f"{name} {count}" for name, count in counts.items()))

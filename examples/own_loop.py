@@ -32,7 +32,8 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
         rows: Cycles that are logged: the last ones.
 
     Returns:
-        Why it stopped, and the log, a structured array with a row for each cycle.
+        Why it stopped; the log, a structured array with a row for each cycle; and θ̂, for the
+        `theta0` of the next run's AdaptiveGravity.
     """
     held, law, task = aj.HeldMeasurement(controller, unseen, DT), controller.law, controller.task
     log = new_log(task, rows)
@@ -86,7 +87,8 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
             elif aim is not None and np.isfinite(x).all() and not stopping:  # else it waits
                 aim = moved(task, aim, goal(t), speed * DT)
             if stopping and (np.abs(v).max() < 0.02 or stopping * DT > 2.0 or unknown > 10):
-                return fault or "asked to", np.roll(log, -k - 1)[-k - 1 :]
+                theta_hat = law.theta_hat(state[: law.n_state])
+                return fault or "asked to", np.roll(log, -k - 1)[-k - 1 :], theta_hat
             due += DT * max(
                 1, math.ceil((sent - due) / DT)
             )  # missed periods are left out: no burst
