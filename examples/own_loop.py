@@ -89,9 +89,8 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
             if stopping and (np.abs(v).max() < 0.02 or stopping * DT > 2.0 or unknown > 10):
                 theta_hat = law.theta_hat(state[: law.n_state])
                 return fault or "asked to", np.roll(log, -k - 1)[-k - 1 :], theta_hat
-            due += DT * max(
-                1, math.ceil((sent - due) / DT)
-            )  # missed periods are left out: no burst
+            missed = math.ceil((sent - due) / DT)
+            due += DT * max(1, missed)  # periods that are over are left out, not run in a burst
     finally:
         gc.enable()
         arm.brake()  # whatever happened

@@ -183,6 +183,31 @@ def test_the_target_moves_at_its_speed_in_every_kind_of_task(own_loop):
     np.testing.assert_allclose(own_loop.moved(task, goal, goal, 0.01), goal, atol=1e-12)
 
 
+def test_after_a_late_torque_it_goes_on_at_the_next_whole_period(own_loop, monkeypatch):
+    class Clock:
+        now = 7.0
+
+        def perf_counter(self):
+            return self.now
+
+        def wait_until(self, due):
+            self.now = max(self.now, due)
+
+    class Timed(Arm):
+        def send(self, torque):
+            super().send(torque)
+            clock.now += 3.7e-3 if len(self.torques) == 10 else 0.2e-3
+
+    clock = Clock()
+    monkeypatch.setattr(own_loop, "time", clock)
+    monkeypatch.setattr(own_loop, "wait_until", clock.wait_until)
+    _, log = lead(own_loop, Timed(), 0.02)
+    begins = np.cumsum(log["gap"]) - log["work"]
+    periods = np.concatenate([np.arange(10), np.arange(13, 21)])  # three are left out
+    np.testing.assert_allclose(begins[:18], 1e-3 * periods, atol=1e-9)
+    assert log["work"][9] == pytest.approx(3.7e-3)
+
+
 def test_waiting_ends_when_it_is_due(monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES))
     from own_loop import wait_until
