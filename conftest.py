@@ -36,8 +36,10 @@ def scratch(tmp_path, monkeypatch):
 
 pytest_collect_file = Sybil(
     parsers=[PythonCodeBlockParser(), CodeBlockParser("console", run_console)],
-    patterns=["README.md", "docs/*.md"],
+    patterns=["README.md", "docs/*.md", "docs/*/*.md"],
+    excludes=["docs/_*/*"],  # what is generated, and the built site
     fixtures=["scratch"],
+    setup=lambda namespace: namespace.update(__name__="__main__"),  # as in a file of one's own
 ).pytest()
 
 
