@@ -18,7 +18,7 @@ PAGES = {
 }
 
 
-SLOW = ("07",)
+SLOW = ("07", "12")
 
 
 @pytest.fixture(
