@@ -1,8 +1,9 @@
-"""The paper's two-link arm, watched by a camera that stands 60 degrees from where it is believed.
+"""The paper's two-link arm, watched by a camera that is believed to be rolled by 60 degrees.
 
-You will see: the same wrong camera, with two gain ratios a = K_p / K_v. With a = 1 the arm never
-settles (the paper's Figure 3), with a = 0.5 it does (Figure 4), and the eigenvalues of the
-linearised closed loop say so before anything moves: the largest real part is positive, or negative.
+You will see: the same camera, in truth not rolled, and two gain ratios a = K_p / K_v. With a = 1
+the arm never settles (the paper's Figure 3), with a = 0.5 it does (Figure 4), and the eigenvalues
+of the linearised closed loop say so before anything moves: the largest real part is positive, or
+negative.
 
 You will learn: that the gains decide how wrong a Jacobian may be, and how to ask before running.
 
