@@ -4,6 +4,8 @@ You will see: six ways to fail, as curves of what is left after 6 s: a camera ro
 measurement that is late, damping faster than it is sampled; joint axes that point elsewhere, a
 payload neither known nor learnt, weak motors. Dashed: where the local test says so beforehand.
 
+You will learn: what the limits of the law look like, and which of them can be told beforehand.
+
     python examples/12_what_breaks_it.py --out results/examples
 """
 
@@ -97,9 +99,7 @@ PANELS = [  # what is made worse, by how much, a curve for each of, what is show
     (weak, "share of the motors' torques [–]", [0.2, 0.25, 0.28, 0.3, 0.35],
      {"clipped": aj.TorqueClipped, "limited by the QP": aj.TorqueLimited}, MM, 0),
 ]  # fmt: skip
-figure, axes = view.new_figure(
-    3, 2, title="What is left after 6 s. Dashed: what the local test says"
-)
+figure, axes = view.new_figure(3, 2, title="Left after 6 s. Dashed: what the local test says")
 for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=True):
     for color, (label, setting) in zip(view.COLORS, curves.items(), strict=False):
         y = [left(*make(value, setting), NEAR if limit else FAR, shown) for value in values]
