@@ -116,3 +116,13 @@ def test_more_than_rho_is_not_paid():
     tau, slack = law.limited_torque(*arguments, np.ones(2), 0.5)
     assert_allclose(tau, [-1.0, -0.5])
     assert slack == 1.5
+
+
+@pytest.mark.parametrize("size", [1e200, np.inf])
+def test_a_power_that_overflows_is_clipped_and_no_proof_is_claimed(size):
+    """At an overflow there is no telling which torque would keep the proof."""
+    torque, y = np.array([-size, 0.5]), np.array([1e200, 1.0])
+    with np.errstate(over="ignore"):
+        tau, slack = law.limited_torque(torque, y, -np.ones(2), np.ones(2), np.ones(2), 5.0)
+    assert_allclose(tau, [-1.0, 0.5], atol=0.0)
+    assert slack == np.inf
