@@ -75,6 +75,13 @@ def test_best_alpha_is_where_the_bounds_cross_or_the_largest():
         assert law.best_alpha(KP, KV, lambda1, 1.0, c1, 7.0) == 7.0
 
 
+@pytest.mark.parametrize("lambda2", [1e-6, 0.04, 1.0, 9.0])
+def test_eq_24_is_eq_23_where_its_curves_cross(lambda2):
+    for alpha in (0.1, 2.0):
+        told = law.allowed_p_at_crossing(alpha, lambda2)
+        assert_allclose(told, law.allowed_p_position(np.array([lambda2 / alpha]), alpha)[0])
+
+
 def test_without_damping_no_p_is_allowed():
     assert law.allowed_p_at_crossing(0.0, 0.0) == law.allowed_p_at_crossing(1.0, 0.0) == 0.0
     assert law.largest_allowed_p(0.0) == 0.0

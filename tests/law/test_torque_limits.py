@@ -126,3 +126,41 @@ def test_a_power_that_overflows_is_clipped_and_no_proof_is_claimed(size):
         tau, slack = law.limited_torque(torque, y, -np.ones(2), np.ones(2), np.ones(2), 5.0)
     assert_allclose(tau, [-1.0, 0.5], atol=0.0)
     assert slack == np.inf
+
+
+def test_a_power_of_zero_is_left_alone():
+    """What clipping adds at one joint it takes away at the other, so nothing is to be made up."""
+    torque = np.array([3.0, -3.0])
+    tau, slack = law.limited_torque(torque, np.ones(2), -np.ones(2), np.ones(2), np.ones(2), 5.0)
+    assert_allclose(tau, [1.0, -1.0], atol=0.0)
+    assert slack == 0.0
+
+
+def test_a_joint_that_stands_still_takes_no_part():
+    """Joint 1 has y = 0. Joint 0 leaves its limit on the way, so it is no matter of one guess."""
+    torque, y = np.array([4.0, 0.7, -6.0, 0.0]), np.array([1.0, 0.0, 1.0, 1.0])
+    limit = np.array([3.0, 1.0, 2.0, 1.0])
+    tau, slack = law.limited_torque(torque, y, -limit, limit, np.ones(4), 10.0)
+    # joint 3 goes to its limit and no further; joint 0 takes 4 − λ with λ = 3 (power 4 − 1 − 3)
+    assert_allclose(tau, [1.0, 0.7, -2.0, -1.0])
+    assert slack == 0.0
+
+
+def test_units_do_not_matter_and_a_proof_that_is_kept_costs_nothing(rng):
+    """τ and y a billion times smaller, the same R: λ is the same. σ is 0, not nearly so."""
+    walked = 0
+    for _ in range(300):
+        torque, y = 3.0 * rng.normal(size=5), rng.normal(size=5)
+        limit, weight = np.abs(rng.normal(size=5)), np.exp(rng.normal(size=5))
+        tau, slack = law.limited_torque(torque, y, -limit, limit, weight, 50.0)
+        for c in (1e-9, 1e9):
+            other, small = law.limited_torque(
+                c * torque, c * y, -c * limit, c * limit, weight, 50.0
+            )
+            assert_allclose(other, c * tau, rtol=1e-9, atol=1e-12 * c)
+            assert small == pytest.approx(c * c * slack, rel=1e-9, abs=0.0)
+        clipped = np.clip(torque, -limit, limit)
+        if abs(y @ (tau - torque)) < 1e-12 < y @ (clipped - torque):
+            assert slack == 0.0
+            walked += ((clipped == torque) != (np.abs(tau) < limit)).any()
+    assert walked > 20  # some joints reached or left a limit on the way
