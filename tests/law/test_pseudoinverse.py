@@ -178,3 +178,15 @@ def test_extreme_singular_values(values, rng):
     smallest, largest = law.extreme_singular_values(J)
     assert 0.0 <= smallest <= 1e-7
     assert_allclose(largest, np.linalg.norm(J, 2))
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 4])
+@pytest.mark.parametrize("scale", [0.1, 4.0])
+def test_the_scale_is_one_of_singular_values(m, scale):
+    """λ² = ε² − σ_min² with ε = ratio · scale, where the scale is more than σ_max."""
+    edge = SINGULAR_RATIO * scale
+    for smallest in (0.5 * edge, 0.99 * edge, 1.01 * edge):
+        G = np.diag([smallest, *np.linspace(2.0, 3.0, m - 1) * edge]) ** 2
+        _, damping = law.damped_gram_solve(G, np.ones(m), scale=scale)
+        assert_allclose(damping, np.sqrt(max(edge**2 - smallest**2, 0.0)))
+        assert law.is_near_singular(G, scale=scale) == (smallest < edge)
