@@ -137,12 +137,15 @@ def test_a_power_of_zero_is_left_alone():
 
 
 def test_a_joint_that_stands_still_takes_no_part():
-    """Joint 1 has y = 0. Joint 0 leaves its limit on the way, so it is no matter of one guess."""
-    torque, y = np.array([4.0, 0.7, -6.0, 0.0]), np.array([1.0, 0.0, 1.0, 1.0])
+    """Joint 1 has y = 0. The others reach and leave limits on the way, so one guess is not enough.
+
+    By how much less than at λ = 0 the power is: joint 3 gives 1 by λ = 1, where its limit is;
+    joint 0 is let off its limit at λ = 1.5 and gives the other 1.5 of 2.5 by λ = 3.
+    """
+    torque, y = np.array([4.5, 0.7, -6.0, 0.0]), np.array([1.0, 0.0, 1.0, 1.0])
     limit = np.array([3.0, 1.0, 2.0, 1.0])
     tau, slack = law.limited_torque(torque, y, -limit, limit, np.ones(4), 10.0)
-    # joint 3 goes to its limit and no further; joint 0 takes 4 − λ with λ = 3 (power 4 − 1 − 3)
-    assert_allclose(tau, [1.0, 0.7, -2.0, -1.0])
+    assert_allclose(tau, [1.5, 0.7, -2.0, -1.0])
     assert slack == 0.0
 
 
