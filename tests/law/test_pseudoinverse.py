@@ -173,3 +173,26 @@ def test_a_scale_bounds_it_where_all_singular_values_vanish_together():
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         assert steps.max() < 10.0 * np.sqrt(m) * (0.1 / 4001) / SINGULAR_RATIO**2
         assert np.array_equal(path[-1], np.zeros(m))
+
+
+@pytest.mark.parametrize("values", [[3.0], [3.0, 0.2], [3.0, 1.0, 0.2], [3.0, 2.0, 1.0, 0.02]])
+def test_extreme_singular_values(values, rng):
+    J = with_singular_values(values, rng)
+    assert_allclose(law.extreme_singular_values(J), [values[-1], values[0]])
+    # round-off may make the smallest square negative: it is zero then, not nan
+    J[-1] = 0.0 if len(values) == 1 else J[0]
+    smallest, largest = law.extreme_singular_values(J)
+    assert 0.0 <= smallest <= 1e-7
+    assert_allclose(largest, np.linalg.norm(J, 2))
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 4])
+@pytest.mark.parametrize("scale", [0.1, 4.0])
+def test_the_scale_is_one_of_singular_values(m, scale):
+    """λ² = ε² − σ_min² with ε = ratio · scale, where the scale is more than σ_max."""
+    edge = SINGULAR_RATIO * scale
+    for smallest in (0.5 * edge, 0.99 * edge, 1.01 * edge):
+        G = np.diag([smallest, *np.linspace(2.0, 3.0, m - 1) * edge]) ** 2
+        _, damping = law.damped_gram_solve(G, np.ones(m), scale=scale)
+        assert_allclose(damping, np.sqrt(max(edge**2 - smallest**2, 0.0)))
+        assert law.is_near_singular(G, scale=scale) == (smallest < edge)
