@@ -107,8 +107,11 @@ def test_an_import_loads_nothing_heavy():
 def test_stability_is_loaded_when_it_is_asked_for():
     code = (
         "import sys, approxjac as aj\n"
-        "assert 'approxjac.stability' not in sys.modules\n"
+        "assert not {'approxjac.stability', 'approxjac.view'} & set(sys.modules)\n"
         "assert set(aj.__all__) <= set(dir(aj))\n"
+        "assert {'stability', 'view', 'errors'} <= set(dir(aj))\n"
+        "assert not {'Any', 'importlib', 'TYPE_CHECKING', 'interface'} & set(dir(aj))\n"
+        "assert aj.view.plot_run.__module__ == 'approxjac.view.plots'\n"
         "from approxjac import stability_report\n"
         "assert stability_report is aj.stability.stability_report is aj.stability_report\n"
     )

@@ -2,6 +2,9 @@
 
 The plant owns the true robot, the controller the believed one; only measurements and torques
 pass between them. Import as `import approxjac as aj`.
+
+What one builds and calls is here by name. What functions return, and what is built rarely, is in
+the module that makes it: `aj.stability.Tube`, `aj.tasks.Camera`, `aj.view.plot_run`.
 """
 
 import importlib
@@ -26,7 +29,6 @@ from approxjac.controllers import (
     TorqueLimited,
     VelocityServo,
     bounded_gains,
-    default_adaptation,
     default_gains,
 )
 from approxjac.errors import (
@@ -43,7 +45,6 @@ from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
 from approxjac.law import Linear, Sine, Tanh
 from approxjac.robots import (
     Dynamics,
-    Excitation,
     GravityRegressor,
     Robot,
     excitation,
@@ -52,7 +53,6 @@ from approxjac.robots import (
 )
 from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
 from approxjac.tasks import (
-    Camera,
     CombinedTask,
     ImageTask,
     NonsingularTask,
@@ -65,20 +65,9 @@ from approxjac.tasks import (
 )
 
 if TYPE_CHECKING:
+    from approxjac import stability, view
     from approxjac.stability import (  # type: ignore[no-redef]  # of functions named as modules
         JointBox,
-        LocalStability,
-        LyapunovValue,
-        Region,
-        RegularPart,
-        Rollout,
-        Rollouts,
-        StabilityMap,
-        StabilityReport,
-        SublevelSet,
-        Suggestion,
-        Tolerance,
-        Tube,
         Uncertainty,
         local_stability,
         lyapunov,
@@ -91,18 +80,19 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
+_LAZY = ("stability", "view")  # modules that many programs never need
+_MODULES = ("controllers", "errors", "robots", "simulation", "tasks", *_LAZY)
+
 __all__ = [
     "AdaptiveGravity",
     "ApproxJacError",
     "BoundedController",
     "BoundedGains",
-    "Camera",
     "CombinedTask",
     "Controller",
     "DifferentiatedVelocity",
     "Dynamics",
     "Evaluation",
-    "Excitation",
     "Gains",
     "GravityRegressor",
     "HeldMeasurement",
@@ -112,8 +102,6 @@ __all__ = [
     "LimitStatus",
     "Limits",
     "Linear",
-    "LocalStability",
-    "LyapunovValue",
     "Measurement",
     "MeasurementError",
     "MissingPackageError",
@@ -127,37 +115,26 @@ __all__ = [
     "PoseTask",
     "PositionTask",
     "Posture",
-    "Region",
     "RegressorGravity",
-    "RegularPart",
     "Robot",
-    "Rollout",
-    "Rollouts",
     "Sensing",
     "SetpointController",
     "SimulationError",
     "Sine",
-    "StabilityMap",
-    "StabilityReport",
     "StackedTask",
     "Status",
-    "SublevelSet",
-    "Suggestion",
     "Tanh",
     "Task",
     "TaskTorqueScaled",
-    "Tolerance",
     "TorqueClipped",
     "TorqueLimited",
     "Trajectory",
     "TrajectoryFileError",
-    "Tube",
     "Uncertainty",
     "UnknownNameError",
     "UrdfError",
     "VelocityServo",
     "bounded_gains",
-    "default_adaptation",
     "default_gains",
     "excitation",
     "law",
@@ -175,13 +152,16 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load `approxjac.stability` when one of its names is asked for: many programs never do."""
-    if name == "stability" or name in __all__:
-        module = importlib.import_module("approxjac.stability")
-        found = globals()[name] = module if name == "stability" else getattr(module, name)
-        return found
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    """Load `approxjac.stability` and `view` when they, or their names, are asked for."""
+    if name in _LAZY:
+        found = importlib.import_module(f"approxjac.{name}")
+    elif name in __all__:
+        found = getattr(importlib.import_module("approxjac.stability"), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *_MODULES, "__version__", "__doc__", "__file__", "__path__"})

@@ -182,7 +182,7 @@ def test_ranges_of_a_pinhole_camera(watched):
     assert_array_equal(watched.scaled(2.0).high, (0.4, 720.0, 0.8, 0.6))
 
 
-class Fixed(aj.Camera):
+class Fixed(aj.tasks.Camera):
     """A camera in whose calibration only the roll may be wrong, or nothing."""
 
     labels, unit = ("a", "b"), "m"
