@@ -81,7 +81,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _LAZY = ("stability", "view")  # modules that many programs never need
-_MODULES = ("controllers", "errors", "robots", "simulation", "tasks", *_LAZY)
+_MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [
     "AdaptiveGravity",
@@ -144,10 +144,12 @@ __all__ = [
     "robot_names",
     "rollouts",
     "simulate",
+    "stability",
     "stability_map",
     "stability_report",
     "suggest_gains",
     "tolerance",
+    "view",
 ]
 
 

@@ -406,7 +406,7 @@ def test_objects_of_the_wrong_kind_are_refused(panda):
         (lambda: aj.Plant(panda, panda), "sensor must be a task of the true robot, such as"),
         (lambda: aj.Plant(task, task), "robot must be the true Robot, got PositionTask"),
         (
-            lambda: aj.simulate(aj.SetpointController(task, gains), None, 0, 0, 1),
+            lambda: aj.simulate(aj.SetpointController(task, gains), None, 0, 0, 1, dt=None),
             "plant must be a Plant",
         ),
         (lambda: panda.with_locked_joints(["panda_joint1"]), "positions must be a mapping from"),

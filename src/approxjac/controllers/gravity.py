@@ -90,7 +90,7 @@ class AdaptiveGravity:
     what a saturated motor fails to do is no evidence about gravity.
 
     Args:
-        regressor: Z(q) of the believed robot.
+        model: The believed robot, or a `GravityRegressor` of it.
         L: Adaptation gain > 0: a number, a diagonal (p,), or a symmetric positive definite
             matrix (p, p). None takes that of `default_adaptation`.
         alpha: α > 0 of eq. (10) [1/s]. None takes that of `default_adaptation`.
@@ -101,6 +101,7 @@ class AdaptiveGravity:
             the believed robot's effort limits by default, `numpy.inf` for never.
 
     Attributes:
+        regressor: Z(q) of the believed robot.
         L: As a diagonal (p,) or a matrix (p, p), or None.
         bounds: As two arrays (p,), or None.
 
@@ -111,7 +112,7 @@ class AdaptiveGravity:
 
     def __init__(
         self,
-        regressor: GravityRegressor,
+        model: Robot | GravityRegressor,
         L: float | Sequence[float] | Array | None = None,
         alpha: float | None = None,
         theta0: Sequence[float] | Array | None = None,
@@ -119,9 +120,9 @@ class AdaptiveGravity:
         | None = None,
         torque_limits: float | Sequence[float] | Array | None = None,
     ) -> None:
-        require(
-            "regressor", regressor, GravityRegressor, "a GravityRegressor of the believed robot"
-        )
+        wanted = "the believed Robot, or a GravityRegressor of it"
+        require("model", model, (Robot, GravityRegressor), wanted)
+        regressor = GravityRegressor(model) if isinstance(model, Robot) else model
         p = regressor.p
         self.regressor = regressor
         self.L = None if L is None else _adaptation_gain(L, p)

@@ -10,8 +10,9 @@ from approxjac.checks import Array, as_diagonal, as_limits, as_number, as_vector
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
+from approxjac.simulation.ready import ready_posture
 from approxjac.simulation.sensing import Sensing, SensorReadings
-from approxjac.tasks import Task
+from approxjac.tasks import PositionTask, Task
 
 
 class Plant:
@@ -25,7 +26,8 @@ class Plant:
 
     Args:
         robot: The true robot.
-        sensor: What measures X: a task of the true robot.
+        sensor: What measures X: a task of the true robot; by default the position of its tip,
+            `PositionTask(robot)`.
         friction: Natural viscous friction B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
             Damping that the URDF mentions is not used.
         coulomb: Coulomb friction τ_c ≥ 0, a number or shape (n_v,) [N m or N].
@@ -45,7 +47,7 @@ class Plant:
     def __init__(
         self,
         robot: Robot,
-        sensor: Task,
+        sensor: Task | None = None,
         friction: float | Sequence[float] | Array = 0.0,
         *,
         coulomb: float | Sequence[float] | Array = 0.0,
@@ -55,6 +57,7 @@ class Plant:
         torque_limits: float | Sequence[float] | Array | None = None,
     ) -> None:
         require("robot", robot, Robot, "the true Robot")
+        sensor = PositionTask(robot) if sensor is None else sensor
         require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
         if sensing is not None:
             require("sensing", sensing, Sensing, "Sensing(...) or None")
@@ -80,6 +83,22 @@ class Plant:
             else as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         )
         self.dynamics = Dynamics(robot)
+
+    def ready_posture(self) -> Array:
+        """A posture to start from, the same each time; `simulate` starts from it by default.
+
+        Of 300 seeded postures in the middle 80 % of each joint's range (`Robot.usual_range`), the
+        one farthest from singular, with the largest σ_min of the sensor's Jacobian; among those
+        that the sensor sees and that the motors hold with at most 70 % of their limits.
+
+        Returns:
+            Shape (nq,).
+
+        Raises:
+            InvalidInputError: There is none.
+        """
+        motors = np.inf if self.torque_limits is None else self.torque_limits
+        return ready_posture(self.sensor, np.minimum(self.robot.effort_limits, motors))
 
     @property
     def needs_sampling(self) -> bool:

@@ -22,8 +22,9 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.robots import Dynamics, Robot, load_robot
 from approxjac.simulation import Plant, SampledLoop, Sensing
+from approxjac.simulation.ready import holdable
 from approxjac.studies.limiting import limited, limits_named
-from approxjac.studies.postures import REGULAR, holdable, is_regular, posture_from
+from approxjac.studies.postures import REGULAR, is_regular, posture_from
 from approxjac.studies.reach import given_or, gravity_from, outward_axis, sampled
 from approxjac.studies.servo_checks import require_effect
 from approxjac.studies.servo_result import Servo, ServoResult

@@ -39,7 +39,7 @@ from approxjac.stability import (
 from approxjac.stability.loop import default_region
 from approxjac.stability.map import PARAMETERS
 from approxjac.stability.tolerance import Test
-from approxjac.studies.reach import best_axes, outward_axis
+from approxjac.studies.reach import outward_axis
 from approxjac.tasks import PlanarCamera, PositionTask
 
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of what `tolerance` finds, that is certified in full
@@ -232,7 +232,7 @@ def _require_map(settings: StabilitySettings) -> None:
 
 
 def _uncertainty(arm: Robot, settings: StabilitySettings) -> Uncertainty:
-    camera, make = None, functools.partial(PositionTask, axes=settings.axes or best_axes(arm))
+    camera, make = None, functools.partial(PositionTask, axes=settings.axes)
     if settings.camera is not None:
         camera = PlanarCamera(*settings.camera)
         if settings.axes is not None:
