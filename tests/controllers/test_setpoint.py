@@ -398,7 +398,7 @@ def test_objects_of_the_wrong_kind_are_refused(panda):
         (lambda: aj.SetpointController(task, gains, velocity=0.02), "velocity must be Different"),
         (lambda: aj.SetpointController(task, gains, saturation=aj.Sine), "saturation must be Lin"),
         (lambda: aj.SetpointController(task, gains, saturation=0.2), "saturation must be Linear"),
-        (lambda: aj.AdaptiveGravity(panda, 1.0, 1.0), "regressor must be a GravityRegressor of"),
+        (lambda: aj.AdaptiveGravity(task, 1.0, 1.0), "model must be the believed Robot, or a Grav"),
         (lambda: aj.RegressorGravity(panda, np.ones(12)), "regressor must be a GravityRegressor"),
         (lambda: aj.GravityRegressor(task), "robot must be a Robot, got PositionTask"),
         (lambda: aj.PositionTask("panda"), "robot must be a Robot, got 'panda'"),

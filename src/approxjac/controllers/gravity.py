@@ -11,6 +11,7 @@ import pinocchio as pin
 from approxjac.checks import Array, as_array, as_diagonal, as_limits, as_number, is_scalar, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots import GravityRegressor, Robot
+from approxjac.text import listed, short
 
 
 class ModelGravity:
@@ -29,6 +30,9 @@ class ModelGravity:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot,)  # a copy has scratch memory of its own
 
+    def __repr__(self) -> str:
+        return f"ModelGravity({self.robot.name!r})"
+
     def torque(self, q: Array) -> Array:
         """g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
         g: Array = pin.computeGeneralizedGravity(self._model, self._data, q)
@@ -46,6 +50,9 @@ class NoGravity:
         require("robot", robot, Robot, "the believed Robot")
         self.robot = robot
         self._zero = np.zeros(robot.nv)
+
+    def __repr__(self) -> str:
+        return f"NoGravity({self.robot.name!r})"
 
     def torque(self, q: Array) -> Array:
         """Zeros, shape (n_v,)."""
@@ -76,6 +83,9 @@ class RegressorGravity:
     def robot(self) -> Robot:
         """The robot whose regressor is used."""
         return self.regressor.robot
+
+    def __repr__(self) -> str:
+        return f"RegressorGravity({self.robot.name!r}, theta={listed(self.theta)})"
 
     def torque(self, q: Array) -> Array:
         """Z(q) θ, shape (n_v,) [N m or N]."""
@@ -140,6 +150,14 @@ class AdaptiveGravity:
         """The robot whose regressor is used."""
         return self.regressor.robot
 
+    def __repr__(self) -> str:
+        shown = [f"{self.robot.name!r}", f"{self.regressor.p} parameters"]
+        if self.L is not None:
+            shown.append(f"L={short(self.L) if self.L.ndim == 1 else 'a matrix'}")
+        if self.alpha is not None:
+            shown.append(f"alpha={self.alpha:.4g}")
+        return f"AdaptiveGravity({', '.join(shown)})"
+
     def _bounds(self, bounds: Any) -> tuple[Array, Array]:
         p = self.regressor.p
         try:
@@ -177,6 +195,10 @@ class Adaptation(NamedTuple):
     theta0: Array
     bounds: tuple[Array, Array] | None
     torque_limits: Array
+
+    def __repr__(self) -> str:
+        L = short(self.L) if self.L.ndim == 1 else "a matrix"
+        return f"Adaptation({self.regressor.robot.name!r}, L={L}, alpha={self.alpha:.4g})"
 
 
 Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity

@@ -360,7 +360,8 @@ class SetpointController(CheckedController):
 
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
-        return f"SetpointController(law {law}, {self.task!r}, {self.gains!r})"
+        parts = [f"law {law}", repr(self.task), repr(self.gains), repr(self.gravity)]
+        return f"SetpointController({', '.join(parts)})"
 
 
 def _with_options(

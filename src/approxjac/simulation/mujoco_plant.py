@@ -98,9 +98,10 @@ class MujocoPlant(Plant):
         """MuJoCo's model of the robot and the floor, such as for its viewer. Read-only."""
         return self.dynamics.mujoco_model
 
-    def __repr__(self) -> str:
-        plant = super().__repr__().removesuffix(")")
-        return f"{plant}, floor={self.floor}, joint_limits={self.joint_limits})"
+    def _shown(self) -> list[str]:
+        return [
+            *super()._shown(), f"floor={self.floor}", f"joint_limits={self.joint_limits}"
+        ]  # fmt: skip
 
 
 class MujocoDynamics(Dynamics):

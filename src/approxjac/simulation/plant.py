@@ -13,6 +13,7 @@ from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.ready import ready_posture
 from approxjac.simulation.sensing import Sensing, SensorReadings
 from approxjac.tasks import PositionTask, Task
+from approxjac.text import short
 
 
 class Plant:
@@ -191,5 +192,19 @@ class Plant:
         return Measurement(t, q, v, self.sensor.seen(self.sensor.value(q)))
 
     def __repr__(self) -> str:
-        name = type(self).__name__
-        return f"{name}({self.robot!r}, {self.sensor!r}, friction={self.friction.tolist()})"
+        return f"{type(self).__name__}({', '.join(self._shown())})"
+
+    def _shown(self) -> list[str]:
+        """The robot, the sensor, and what differs from an ideal plant."""
+        shown = [repr(self.robot.name), repr(self.sensor)]
+        if self.friction.any():
+            shown.append(f"friction={short(self.friction)}")
+        if self.coulomb.any():
+            shown.append(f"coulomb={short(self.coulomb)}")
+        if self.sensing is not None:
+            shown.append(repr(self.sensing))
+        if self.actuator_delay > 0.0:
+            shown.append(f"actuator_delay={self.actuator_delay:g}")
+        if self.torque_limits is not None:
+            shown.append(f"torque_limits={short(self.torque_limits)}")
+        return shown

@@ -24,7 +24,7 @@ _RECORDS = 500  # of a run: 50 in its last tenth
 _CHUNKS = 64  # that runs are handed to an executor in, at most
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rollout:
     """One run.
 
@@ -51,6 +51,14 @@ class Rollout:
     converged: bool
     diverged: bool
     stayed: bool
+
+    def __repr__(self) -> str:
+        if self.diverged:
+            return f"Rollout({self.index}: diverged)"
+        ended = f"ended {self.final_error:.3g} off"
+        if self.converged:
+            return f"Rollout({self.index}: converged after {self.settling_time:.3g} s, {ended})"
+        return f"Rollout({self.index}: did not converge, {ended})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
