@@ -269,7 +269,8 @@ def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all():
 
 @pytest.mark.parametrize("command", ["simulate", "stability", "servo"])
 def test_every_length_and_time_in_the_help_has_its_unit(command):
-    text = " ".join(run(command, "--help").stdout.replace("│", " ").split())
+    text = run(command, "--help").stdout.split("positional arguments")[1]  # after the example
+    text = " ".join(text.replace("│", " ").split())
     lengths = [name for name in ("--object-length", "--believed-length") if name in text]
     for name in lengths:
         assert " m. (default" in text.split(name, 1)[1].split(" --", 1)[0], name

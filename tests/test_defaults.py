@@ -8,7 +8,7 @@ import approxjac as aj
 from approxjac.robots.named import NAMED, urdf_path
 from approxjac.studies.arms import carried_object
 from approxjac.studies.reach import outward_axis
-from approxjac.tasks.position import best_axes
+from approxjac.tasks import best_axes
 
 OFFSET = 0.05  # of the target from the start along each axis [m], with signs that alternate
 

@@ -66,17 +66,18 @@ from approxjac.tasks import (
 
 if TYPE_CHECKING:
     from approxjac import stability, view
-    from approxjac.stability import (  # type: ignore[no-redef]  # of functions named as modules
-        JointBox,
-        Uncertainty,
-        local_stability,
-        lyapunov,
-        rollouts,
-        stability_map,
-        stability_report,
-        suggest_gains,
-        tolerance,
-    )
+
+    # from their own modules: through the package, type checkers take functions that are named as
+    # modules for these
+    from approxjac.stability.local import local_stability
+    from approxjac.stability.lyapunov import lyapunov
+    from approxjac.stability.map import stability_map
+    from approxjac.stability.region import JointBox
+    from approxjac.stability.report import stability_report
+    from approxjac.stability.rollouts import rollouts
+    from approxjac.stability.suggest import suggest_gains
+    from approxjac.stability.tolerance import tolerance
+    from approxjac.stability.uncertainty import Uncertainty
 
 __version__ = "0.1.0"
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.studies import reach, reach_report
 from approxjac.studies.reach import Settings
-from approxjac.tasks.position import best_axes
+from approxjac.tasks import best_axes
 
 HOME = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)
 
