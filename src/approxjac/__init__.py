@@ -154,16 +154,18 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """Load `approxjac.stability` and `view` when they, or their names, are asked for."""
-    if name in _LAZY:
-        found = importlib.import_module(f"approxjac.{name}")
-    elif name in __all__:
-        found = getattr(importlib.import_module("approxjac.stability"), name)
-    else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = found
-    return found
+if not TYPE_CHECKING:  # or no name would be unknown to type checkers
+
+    def __getattr__(name: str) -> Any:
+        """Load `approxjac.stability` and `view` when they, or their names, are asked for."""
+        if name in _LAZY:
+            found = importlib.import_module(f"approxjac.{name}")
+        elif name in __all__:
+            found = getattr(importlib.import_module("approxjac.stability"), name)
+        else:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = found
+        return found
 
 
 def __dir__() -> list[str]:
