@@ -353,7 +353,10 @@ REFUSED = [
         r"object_length must be \(smallest, largest\) \[m\], got \(0.3, 0.0\); \(0.0, 0.3\) is",
     ),
     ({"object_length": (0.0, np.nan)}, r"object_length must be finite \[m\], got \[0.0, nan\]"),
-    ({"object_length": 0.3}, r"object_length must have shape \(2,\) \[m\]"),
+    (
+        {"object_length": 0.3},
+        r"object_length must be \(smallest, largest\) \[m\], such as \(0.0, 0.3\), got 0.3",
+    ),
     (
         {"object_length": (0.1, 0.3)},
         r"object_length must hold what is believed, 0 \[m\], got \(0.1, 0.3\); \(0.0, 0.3\) does",

@@ -207,7 +207,10 @@ Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
 def require_gravity(gravity: object) -> None:
     """Refuse what is neither None nor a source of gravity torque."""
     if gravity is not None:
-        wanted = "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity"
+        wanted = (
+            "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity, such as "
+            "AdaptiveGravity(belief)"
+        )
         require("gravity", gravity, get_args(Gravity), wanted)
 
 

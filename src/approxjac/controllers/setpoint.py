@@ -239,7 +239,7 @@ class SetpointController(CheckedController):
         """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
         if self.adaptation is not None:
             return law.gravity(self.adaptation.regressor.compute_Z(q), state[: self._p])
-        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
+        return super().gravity_torque(state, q)
 
     def with_gravity(self, gravity: Gravity) -> SetpointController:
         """Return this controller with another source of gravity."""

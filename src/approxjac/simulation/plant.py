@@ -64,8 +64,8 @@ class Plant:
             require("sensing", sensing, Sensing, "Sensing(...) or None")
         if sensor.robot != robot:
             raise InvalidInputError(
-                f"sensor must be a task of the plant's own robot {robot!r}, "
-                f"got one of {sensor.robot!r}",
+                f"sensor must be a task of the plant's own robot, the true one, such as "
+                f"PositionTask(truth), got {sensor!r} of another (the believed one?)",
                 given=sensor,
             )
         if sensing is not None:
@@ -163,11 +163,17 @@ class Plant:
         self._require_same(task, self.sensor.measured, task.measured)
 
     def _require_same(self, task: Task, sensor: Task, wanted: Task) -> None:
-        same = sensor.labels == wanted.labels and sensor.n_x == wanted.n_x
-        if not same or self.robot.nv != task.robot.nv:
+        if self.robot.nv != task.robot.nv:
+            raise InvalidInputError(
+                f"the controller's robot must have the {self.robot.nv} joints of the plant's, "
+                f"{self.robot.name}, got {task.robot.name} with {task.robot.nv}",
+                given=task,
+            )
+        if sensor.labels != wanted.labels or sensor.n_x != wanted.n_x:
             raise InvalidInputError(
                 f"the controller's task must have the coordinates of the plant's sensor "
-                f"{self.sensor!r}, got {task!r}",
+                f"{self.sensor!r}, got {task!r}; Plant(robot, sensor=...) takes such a task of "
+                "the true robot",
                 given=task,
             )
 
