@@ -28,16 +28,24 @@ def run_console(example: Example) -> None:
         subprocess.run([*known[words[0]], *paths], check=True, stdout=subprocess.DEVNULL)
 
 
+@pytest.fixture(scope="module")
+def page_folder(tmp_path_factory):
+    """A folder of a page's own, for all of its blocks."""
+    return tmp_path_factory.mktemp("page")
+
+
 @pytest.fixture
-def scratch(tmp_path, monkeypatch):
-    """Blocks write their files into a folder that goes away."""
-    monkeypatch.chdir(tmp_path)
+def scratch(page_folder, monkeypatch):
+    """Blocks write their files into a folder that goes away, and find those of earlier blocks."""
+    monkeypatch.chdir(page_folder)
 
 
 pytest_collect_file = Sybil(
     parsers=[PythonCodeBlockParser(), CodeBlockParser("console", run_console)],
-    patterns=["README.md", "docs/*.md"],
+    patterns=["README.md", "docs/*.md", "docs/*/*.md"],
+    excludes=["docs/_*/*"],  # what is generated, and the built site
     fixtures=["scratch"],
+    setup=lambda namespace: namespace.update(__name__="__main__"),  # as in a file of one's own
 ).pytest()
 
 

@@ -20,6 +20,7 @@ extensions = [
     "equations",
     "mathml",
     "study_figures",
+    "gallery",
 ]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
@@ -29,9 +30,10 @@ html_title = "approxjac"
 html_static_path = ["_static"]
 html_extra_path = ["_generated/site"]  # pages of runs
 (HERE / "_generated" / "site").mkdir(parents=True, exist_ok=True)
-html_css_files = ["formulas.css"]
+html_css_files = ["formulas.css", "gallery.css"]
+html_js_files = [("offline_search.js", {"priority": 900})]
 html_theme_options = {"footer_icons": []}
-exclude_patterns = ["_build", "_ext", "_generated/*.md"]  # included by other pages
+exclude_patterns = ["_build", "_ext", "_generated/*.md", "tables"]  # included by other pages
 nitpicky = False
 
 autodoc_member_order = "bysource"

@@ -1,16 +1,17 @@
 """A Panda holds a 20 cm tool that its controller knows nothing about.
 
-You will see: the tool's tip reaches its target although the controller works with the Jacobian of
-the bare hand. It never learns the tool's length; measuring the tip is enough. Open the page that it
-writes to see both robots move.
+You will see: the tool's tip comes from 24 cm away to within a tenth of a millimetre of its target,
+although the controller works with the Jacobian of the bare hand. It never learns the tool's length;
+measuring the tip is enough. Open the page that it writes to see both robots move.
+
+You will learn: what the plant is told and what the controller is; what a task, gains, gravity and a
+run are; how to look at a run.
 
     python examples/01_panda_with_unknown_tool.py --out results/examples
 """
 
 import argparse
 from pathlib import Path
-
-import numpy as np
 
 import approxjac as aj
 from approxjac import view
@@ -35,18 +36,17 @@ controller = aj.SetpointController(
 )
 
 # Sampled at 1 kHz, as on the robot.
-q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-target = plant.sensor.value(q0) + [0.10, -0.15, 0.16]
-run = aj.simulate(plant, controller, target, q0, duration=6.0, dt=1e-3)
+q0 = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
+x_d = plant.sensor.value(q0) + [0.10, -0.15, 0.16]
+run = aj.simulate(plant, controller, target=x_d, q0=q0, duration=6.0, dt=1e-3)
 print(run)
 
 title = "A Panda with a 20 cm tool that its controller believes absent"
 figure, (left, middle, right) = view.new_figure(3, title=title)
 view.plot_error(run, left)
-view.plot_path(run, truth, plane="xz", ax=middle, believed=belief, target=target)
+view.plot_path(run, truth, plane="xz", ax=middle, believed=belief, target=x_d)
 view.plot_torque(run, right)
-for path in view.save_figure(figure, out / "panda_unknown_tool"):
-    print(path)
+print(*view.save_figure(figure, out / "panda_unknown_tool"), sep="\n")
 
 # A page to keep: both robots, moving. One file, to be opened in any browser.
 print(run.to_html(out / "panda_unknown_tool.html", title=title))

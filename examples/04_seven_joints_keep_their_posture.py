@@ -1,8 +1,11 @@
-"""Panda, xArm7 and Talos' arm bring an unknown tool to a target, and their elbows back home.
+"""Panda, xArm7 and Talos' arm bring an unknown tool to a target, and their elbows towards home.
 
 You will see: seven joints for three task coordinates leave a self-motion. Added joint damping
-brings it to rest anywhere; a posture, projected into what the task does not feel, draws it home.
-The target is reached either way, because at rest the two torques cannot balance each other.
+brings it to rest anywhere; a posture, projected into what the task does not feel, draws it towards
+home, as near as a tip at the target leaves it. The target is reached either way, because at rest
+the two torques cannot balance each other.
+
+You will learn: what the joints do that the task does not need, and how to give the elbow a place.
 
     python examples/04_seven_joints_keep_their_posture.py --out results/examples
 """
@@ -43,11 +46,11 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
     error, away = axes[column], axes[3 + column]
     for label, posture in (("damped only", None), ("posture kept", aj.Posture(home, POSTURE))):
         controller = aj.SetpointController(task, gravity=gravity, posture=posture)  # default gains
-        run = aj.simulate(plant, controller, target, home + PUSHED, duration=12.0, dt=1e-3)
+        run = aj.simulate(plant, controller, target, home + PUSHED, duration=5.0, dt=1e-3)
         distance = np.linalg.norm(run.q - home, axis=1)
         print(
             f"{name}, {label}: error {1e3 * run.error_norm[0]:.0f} -> "
-            f"{1e3 * run.error_norm[-1]:.2g} mm, joints {distance[0]:.2f} -> {distance[-1]:.2f} "
+            f"{1e3 * run.error_norm[-1]:.3f} mm, joints {distance[0]:.2f} -> {distance[-1]:.2f} "
             f"rad from home, still moving at {np.linalg.norm(run.v[-1]):.1g} rad/s"
         )
         if posture is not None:
@@ -62,10 +65,10 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
         away.set(
             xlabel="time [s]",
             ylabel="‖q − q_home‖ [rad]",
+            ylim=(0.0, 1.0),
             title=f"Distance from the posture: {name}",
         )
     view.legend_below(error)
     view.legend_below(away)
-for path in view.save_figure(figure, out / "seven_joints"):
-    print(path)
+print(*view.save_figure(figure, out / "seven_joints"), sep="\n")
 print(view.write_index(out))  # of all pages in this folder

@@ -3,7 +3,9 @@
 You will see: position and orientation reach their targets, six coordinates for seven joints. The
 pose is measured with noise, 10 ms late, and a tenth of the samples is lost; q̇ comes from filtered
 differences of encoder readings, not from a tachometer; torques act 1 ms late; the joints have
-friction that the controller does not know.
+friction that the controller does not know. Last comes what of gravity this motion could teach.
+
+You will learn: how to make a simulated plant as bad as your robot, and what gains then allow for.
 
     python examples/05_pose_with_real_sensors.py --out results/examples
 """
@@ -48,7 +50,7 @@ controller = aj.SetpointController(
     aj.default_gains(task, settling_time=1.0, bandwidth=200.0),
     gravity=aj.AdaptiveGravity(aj.GravityRegressor(belief)),
 )
-run = aj.simulate(plant, controller, target, start, duration=20.0, dt=1e-3, seed=1)
+run = aj.simulate(plant, controller, target, start, duration=10.0, dt=1e-3, seed=1)
 position, turn = run.error[:, :3], run.error[:, 3:]
 print(run)
 print(
@@ -69,5 +71,4 @@ for ax in (left, middle):
     ax.axhline(0.0, color=view.NEUTRAL, linewidth=0.8)
     view.legend_below(ax)
 view.plot_torque(run, right, limits=truth.effort_limits)
-for path in view.save_figure(figure, out / "panda_pose"):
-    print(path)
+print(*view.save_figure(figure, out / "panda_pose"), sep="\n")

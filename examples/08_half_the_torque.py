@@ -6,6 +6,8 @@ The QP keeps torques and positions within their limits, and speeds as well as th
 (without the tool) predicts them. It takes longer, and says in which steps the theorem's decrease of
 V was kept.
 
+You will learn: how to give a controller limits, and what its limit status says.
+
     python examples/08_half_the_torque.py --out results/examples
 """
 
@@ -46,7 +48,7 @@ for row, (name, limiter) in enumerate(
     beyond = max(0.0, (run.q - high).max(), (low - run.q).max())
     statuses = ", ".join(f"{status.name} {n}" for status, n in run.limit_status_counts().items())
     print(
-        f"{name}: error {1e3 * run.error_norm[0]:.0f} -> {1e3 * run.error_norm[-1]:.2g} mm; "
+        f"{name}: error {1e3 * run.error_norm[0]:.0f} -> {1e3 * run.error_norm[-1]:.1f} mm; "
         f"speed up to {speed:.2f} of its limit; joints up to {beyond:.2f} rad beyond theirs; "
         f"{statuses}"
     )
@@ -59,5 +61,4 @@ for row, (name, limiter) in enumerate(
         speeds.set_ylim(0.0, 11.0)  # the same for both
         speeds.set(xlabel="time [s]", ylabel="|q̇| / limit [–]", title=f"Speed: {name}")
         view.legend_below(speeds)
-for path in view.save_figure(figure, out / "half_the_torque"):
-    print(path)
+print(*view.save_figure(figure, out / "half_the_torque"), sep="\n")

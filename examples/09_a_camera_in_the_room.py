@@ -5,6 +5,8 @@ they shall be in an image. It believes the camera rolled by 20 degrees, with a f
 30 % and the scene 1.5 times as far away. Images come 30 times a second, late and with noise of half
 a pixel; between them the law goes on with the last one. The errors end below that noise.
 
+You will learn: how images take the place of positions, and what a slow camera needs around a law.
+
     python examples/09_a_camera_in_the_room.py --out results/examples
 """
 
@@ -61,8 +63,7 @@ view.plot_error(run, axes[1])
 for ax, q, when in ((axes[2], start, "start"), (axes[3], run.q[-1], "end")):
     title = f"What the camera sees, and what is believed: {when}"
     view.plot_camera_view(sensor, q, ax, believed=task.task, target=target, title=title)
-for path in view.save_figure(figure, out / "camera_in_the_room"):
-    print(path)
+print(*view.save_figure(figure, out / "camera_in_the_room"), sep="\n")
 title = "Two points of an unknown tool, seen by a camera that nobody calibrated"
 print(run.to_html(out / "camera_in_the_room.html", title=title))
 print(view.write_index(out))

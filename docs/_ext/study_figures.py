@@ -1,14 +1,12 @@
-"""Runs the study and the examples when the site is built, so that its figures are never old.
+"""Runs the study when the site is built, so that its figures are never old.
 
-Their figures go into pages of the site; the pages of their runs become part of it as they are.
+They go into pages of the site; the pages of its runs become part of it as they are.
 """
 
 import contextlib
 import io
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 from approxjac.cli import main
@@ -47,14 +45,7 @@ def make(app):
         raise RuntimeError(f"approxjac paper ended with exit code {code}")
     summary = json.loads((folder / "paper" / "summary.json").read_text(encoding="utf-8"))
     (folder / "paper_table.md").write_text(table(summary["figures"]), encoding="utf-8")
-    for example in sorted((ROOT / "examples").glob("*.py")):
-        subprocess.run(
-            [sys.executable, str(example), "--out", str(folder / "examples")],
-            check=True,
-            stdout=subprocess.DEVNULL,
-        )
-    for name in ("paper", "examples"):
-        gather(folder / name, folder / "site" / "runs" / name)
+    gather(folder / "paper", folder / "site" / "runs" / "paper")
 
 
 def gather(folder, site):

@@ -1,145 +1,152 @@
-"""Time of one control step, as a ratio to the same law typed in with NumPy and Pinocchio.
+"""Time of one control step of every law, as ratios within one run.
 
-The bare step is what one writes from the paper: dense gain matrices, `np.linalg.pinv`, the whole
-regressor and its columns by index; it answers with a torque and no more. The checked step says as
-much as ours: it looks for numbers that are not finite, for a Jacobian near a singular pose, and,
-where gravity is learnt, for torques beyond the limits. All run in turn in one process.
+To the same law typed in with NumPy and Pinocchio (`naive_laws`), bare and with the checks that ours
+makes, and to what other libraries offer on the same arm (`other_libraries`): Pinocchio's forward
+dynamics, an operational-space torque with MuJoCo, an inverse-kinematics step of Pink.
 
     python tests/benchmarks/control_step.py
 """
 
-import time
+from functools import partial
+from typing import NamedTuple
 
+import naive_laws as naive
 import numpy as np
+import other_libraries as others
 import pinocchio as pin
+import turns
 
 import approxjac as aj
 
-ROUNDS, STEPS = 60, 400
+ROBOTS = {"two_link": ("xz", [0, 2]), "ur5": ("xyz", slice(0, 3)), "panda": ("xyz", slice(0, 3))}
+ROUNDS, STEPS = 60, 200
+HEADS = ("robot", "law", "µs", "bare", "checked", "`pin.aba`", "MuJoCo", "Pink")
 
 
-def naive_steps(robot, frame, saturated, learning):
-    """The laws (6) and (28), (29) as a function of (q, v, x), written out plainly."""
+class Law(NamedTuple):
+    """A law on one robot: ours, and the same typed in, bare and with checks (or None)."""
+
+    name: str
+    controller: object
+    bare: object = None
+    checked: object = None
+    image: bool = False
+
+
+def arm(name):
+    """A robot, a configuration, and inputs (q, v, x) around it within its limits, x near 0."""
+    robot, rng = aj.load_robot(name), np.random.default_rng(0)
+    middle, (low, high) = robot.random_configuration(rng), robot.position_limits
+    inputs = [
+        (
+            np.clip(middle + rng.uniform(-0.3, 0.3, robot.nv), low + 0.01, high - 0.01),
+            rng.uniform(-0.1, 0.1, robot.nv),
+            rng.uniform(-0.05, 0.05, len(ROBOTS[name][0])),
+        )
+        for _ in range(STEPS)
+    ]
+    return robot, middle, inputs
+
+
+def laws(name):
+    """Every law that the robot of this name can have."""
+    robot, middle, _ = arm(name)
+    axes, rows = ROBOTS[name]
+    m, n = len(axes), robot.nv
+    task, gains = aj.PositionTask(robot, axes=axes), aj.Gains(naive.KP, naive.KV, naive.DAMPING)
+    J_of, x_d = naive.jacobian(robot, rows), np.zeros(m)
+    law = partial(aj.SetpointController, task, gains)
+    typed = partial(naive.setpoint, robot, J_of, m, x_d, naive.KP, naive.KV)
+    with_checks = partial(naive.checked, robot, J_of, x_d)
+    learnt = aj.AdaptiveGravity(aj.GravityRegressor(robot), L=naive.LEARNING, alpha=naive.ALPHA)
+    sine = aj.Sine(naive.GAMMA)
+
+    def both(step, learning=False):
+        return step, with_checks(step, learning)
+
+    found = [
+        Law("(5)", law(velocity=aj.DifferentiatedVelocity(naive.LAG)), *both(typed(lag=naive.LAG))),
+        Law("(6)", law(), *both(typed())),
+        Law("(6), s = sine", law(saturation=sine), *both(typed(sine=True))),
+        Law("(28), (29)", law(gravity=learnt), *both(typed(learning=True), True)),
+        Law(
+            "(28), (29), s = sine",
+            law(gravity=learnt, saturation=sine),
+            *both(typed(sine=True, learning=True), True),
+        ),
+    ]
+    if n > m:
+        posture = aj.Posture(middle, naive.STIFFNESS)
+        found.append(Law("(6), posture", law(posture=posture), *both(typed(posture=middle))))
+    limits = np.minimum(robot.effort_limits, 150.0)  # the two-link arm has none
+    found.append(Law("(6), `TorqueLimited`", aj.TorqueLimited(law(), aj.Limits(effort=limits))))
+    dixon = aj.BoundedController(task, limits)
+    found.append(Law("`BoundedController`", dixon, *both(naive.bounded(robot, J_of, x_d, dixon))))
+    servo = aj.VelocityServo(task)
+    typed_servo = naive.velocity_servo(robot, J_of, x_d, servo.rate, servo.inner_bandwidth)
+    found.append(Law("`VelocityServo`", servo, *both(typed_servo)))
+    found.append(_image_law(robot, middle))
+    return found
+
+
+def _image_law(robot, middle):
+    """Law (6) with the image of the tip, seen from two metres away."""
     model, data = robot.model, robot.model.createData()
-    frame_id = model.getFrameId(frame)
-    m, n = 3, model.nv
-    Kp, Kv, B = 400.0 * np.eye(m), 80.0 * np.eye(m), 1.0 * np.eye(n)
-    gamma, alpha = 0.1, 2.0
-    regressor = aj.GravityRegressor(robot)
-    columns = np.array(regressor._columns)
-    L, theta_hat = 0.5 * np.eye(regressor.p), regressor.theta.copy()
-    x_d = np.zeros(m)
-
-    def step(q, v, x):
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        J = pin.getFrameJacobian(model, data, frame_id, pin.LOCAL_WORLD_ALIGNED)[:m]
-        e = x - x_d
-        s = gamma * np.sin(np.clip(e / gamma, -np.pi / 2, np.pi / 2)) if saturated else e
-        tau = -J.T @ (Kp @ s + Kv @ (J @ v)) - B @ v
-        if not learning:
-            return tau + pin.computeGeneralizedGravity(model, data, q)
-        Z = pin.computeJointTorqueRegressor(model, data, q, np.zeros(n), np.zeros(n))[:, columns]
-        y = v + alpha * np.linalg.pinv(J) @ s
-        return tau + Z @ theta_hat, -L @ Z.T @ y
-
-    return step
+    pin.framesForwardKinematics(model, data, middle)
+    tip = np.array(data.oMf[model.getFrameId(robot.tip)].translation)
+    camera = aj.PinholeCamera.looking_at(tip, tip + [0.5, -1.9, 0.4], 600.0, (640, 480))
+    task = aj.ImageTask(robot, camera)
+    gains = aj.Gains(naive.IMAGE_KP, naive.IMAGE_KV, naive.DAMPING)
+    J_of, x_d = naive.image_jacobian(robot, camera), np.zeros(2)
+    step = naive.setpoint(robot, J_of, 2, x_d, naive.IMAGE_KP, naive.IMAGE_KV)
+    with_checks = naive.checked(robot, J_of, x_d, step)
+    return Law("(6), one image point", aj.SetpointController(task, gains), step, with_checks, True)
 
 
-def checked_steps(robot, frame, saturated, learning):
-    """The naive step with the checks that ours makes, written out plainly."""
-    step = naive_steps(robot, frame, saturated, learning)
-    model, data = robot.model, robot.model.createData()
-    frame_id = model.getFrameId(frame)
-    x_d, limits = np.zeros(3), robot.effort_limits
-
-    def checked(q, v, x):
-        if not all(np.isfinite(values).all() for values in (q, v, x, x_d)):
-            raise ValueError
-        J = pin.computeFrameJacobian(model, data, q, frame_id, pin.LOCAL_WORLD_ALIGNED)[:3]
-        values = np.linalg.svd(J, compute_uv=False)
-        status = int(values[-1] < 0.02 * values[0])
-        answer = step(q, v, x)
-        if learning and (np.abs(answer[0]) > limits).any():
-            status = 2
-        return answer, status
-
-    return checked
-
-
-def our_steps(robot, frame, saturated, learning):
-    gravity = None
-    if learning:
-        gravity = aj.AdaptiveGravity(aj.GravityRegressor(robot), L=0.5, alpha=2.0)
-    controller = aj.SetpointController(
-        aj.PositionTask(robot, frame),
-        aj.Gains(400.0, 80.0, 1.0),
-        gravity=gravity,
-        saturation=aj.Sine(0.1) if saturated else None,
-    )
-    x_d = np.zeros(3)
-    first = aj.Measurement(0.0, robot.neutral(), np.zeros(robot.nv), x_d)
+def our_step(controller):
+    """`evaluate` as a function of (q, v, x), with its target at zero."""
+    m = controller.task.n_x
+    x_d, measurement, evaluate = np.zeros(m), aj.Measurement, controller.evaluate
+    first = measurement(0.0, controller.task.robot.neutral(), np.zeros(1), x_d)
+    first = first._replace(v=np.zeros(controller.task.robot.nv))
     state = controller.initial_state(first)
-    evaluate = controller.evaluate
-
-    def step(q, v, x):
-        return evaluate(state, aj.Measurement(0.0, q, v, x), x_d)
-
-    return step
+    return lambda q, v, x: evaluate(state, measurement(0.0, q, v, x[:m]), x_d)
 
 
-def aba_steps(robot):
-    model, data, tau = robot.model, robot.model.createData(), np.zeros(robot.nv)
-    return lambda q, v, x: pin.aba(model, data, q, v, tau)
+def rows():
+    """Our time [µs] of every law on every robot, and its ratios to the others."""
+    found = []
+    for name, (_, axis_rows) in ROBOTS.items():
+        robot, _, inputs = arm(name)
+        here = laws(name)
+        steps = {
+            "aba": others.aba(robot),
+            "mujoco": others.operational_space(robot, axis_rows, np.zeros_like(inputs[0][2])),
+            "pink": others.pink_step(robot),
+        }
+        for law in here:
+            cut = _cut(2) if law.image else lambda step: step
+            steps[law.name, "ours"] = our_step(law.controller)
+            steps[law.name, "bare"] = law.bare and cut(law.bare)
+            steps[law.name, "checked"] = law.checked and cut(law.checked)
+        steps = {key: step for key, step in steps.items() if step is not None}
+        taken = turns.medians(steps, inputs, ROUNDS)
+        for law in here:
+            ours = taken[law.name, "ours"]
+            against = ((law.name, "bare"), (law.name, "checked"), "aba", "mujoco", "pink")
+            ratios = [ours / taken[key] if key in taken else None for key in against]
+            found.append((name, law.name, 1e6 * ours, *ratios))
+    return found
 
 
-def measure(steps, inputs):
-    """Median over rounds of each step's time [µs]; the steps take turns, so noise hits all."""
-    times = np.empty((ROUNDS, len(steps)))
-    for i in range(ROUNDS):
-        for j, step in enumerate(steps):
-            start = time.perf_counter()
-            for q, v, x in inputs:
-                step(q, v, x)
-            times[i, j] = (time.perf_counter() - start) / len(inputs)
-    return 1e6 * np.median(times, axis=0)
+def _cut(size):
+    """A step that is given the first entries of x."""
+    return lambda step: lambda q, v, x: step(q, v, x[:size])
 
 
 def main():
-    heads = ("ours", "bare", "checked", "aba", "ours/bare", "ours/checked", "ours/aba")
-    print(f"{'robot':10}{'law':>17}" + "".join(f"{head:>{len(head) + 3}}" for head in heads))
-    rng = np.random.default_rng(0)
-    for name in ("ur5", "panda"):
-        robot = aj.load_robot(name)
-        middle = robot.random_configuration(rng)
-        inputs = [
-            (
-                pin.integrate(robot.model, middle, rng.uniform(-0.3, 0.3, robot.nv)),
-                rng.uniform(-0.1, 0.1, robot.nv),
-                rng.uniform(-0.05, 0.05, 3),
-            )
-            for _ in range(STEPS)
-        ]
-        for law, saturated, learning in (
-            ("(6)", False, False),
-            ("(6), sine", True, False),
-            ("(28), (29)", False, True),
-            ("(28), (29), sine", True, True),
-        ):
-            options = (robot, robot.tip, saturated, learning)
-            ours, bare, checked = (
-                our_steps(*options),
-                naive_steps(*options),
-                checked_steps(*options),
-            )
-            torque = bare(*inputs[0])[0] if learning else bare(*inputs[0])
-            np.testing.assert_allclose(ours(*inputs[0]).torque, torque, atol=1e-9)
-            a, b, c, d = measure([ours, bare, checked, aba_steps(robot)], inputs)
-            figures = (f"{a:.2f}", f"{b:.2f}", f"{c:.2f}", f"{d:.2f}")
-            figures += (f"{a / b:.2f}", f"{a / c:.2f}", f"{a / d:.2f}")
-            cells = zip(heads, figures, strict=True)
-            print(f"{name:10}{law:>17}" + "".join(f"{x:>{len(head) + 3}}" for head, x in cells))
-    print("times in µs, medians")
+    print(turns.table(HEADS, rows()))
+    print("\nµs: our median; then our time over that of the others")
 
 
 if __name__ == "__main__":

@@ -3,9 +3,10 @@
 python tests/benchmarks/image_step.py
 """
 
-import time
+from functools import partial
 
 import numpy as np
+import turns
 
 import approxjac as aj
 
@@ -37,26 +38,24 @@ def controllers():
     return found
 
 
-def seconds(controller, x):
-    measurement = aj.Measurement(0.0, Q, np.full(7, 0.1), x)
-    state, target = controller.initial_state(measurement), x + 0.0
-    begin = time.perf_counter()
-    for _ in range(STEPS):
-        controller.evaluate(state, measurement, target)
-    return (time.perf_counter() - begin) / STEPS
+def rows():
+    """µs of a step with each task, and over that with a position."""
+    found = controllers()
+    steps = {}
+    for name, controller in found.items():
+        x = np.full(controller.task.n_x, 200.0)
+        measurement = aj.Measurement(0.0, Q, np.full(7, 0.1), x)
+        state = controller.initial_state(measurement)
+        steps[name] = partial(controller.evaluate, state, measurement, x.copy())
+    taken = turns.medians(steps, [()] * STEPS, ROUNDS)
+    return [(name, 1e6 * each, each / taken["position"]) for name, each in taken.items()]
+
+
+HEADS = ("law (6) on a Panda, measured", "µs", "of a position")
 
 
 def main():
-    found = controllers()
-    values = {name: np.full(c.task.n_x, 200.0) for name, c in found.items()}
-    times = {name: [] for name in found}
-    for _ in range(ROUNDS):  # in turn, so that a slow moment hits all of them
-        for name, controller in found.items():
-            times[name].append(seconds(controller, values[name]))
-    best = {name: min(each) for name, each in times.items()}
-    print(f"{'law (6) on a Panda':34} us/step   / position")
-    for name, value in best.items():
-        print(f"{name:34} {1e6 * value:7.1f} {value / best['position']:10.2f}")
+    print(turns.table(HEADS, rows()))
 
 
 if __name__ == "__main__":

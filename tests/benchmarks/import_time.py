@@ -21,13 +21,19 @@ def seconds(module: str) -> float:
     return time.perf_counter() - start
 
 
-def main() -> None:
-    """Print the median of the ratios and of both times."""
+def measured() -> tuple[float, float, float]:
+    """The median of the ratios, and those of both times [s]."""
     for module in ("pinocchio", "approxjac"):
         seconds(module)  # warm the disk cache and the byte code
     pairs = [(seconds("pinocchio"), seconds("approxjac")) for _ in range(ROUNDS)]
     ratio = statistics.median(ours / theirs for theirs, ours in pairs)
     theirs, ours = (statistics.median(column) for column in zip(*pairs, strict=True))
+    return ratio, theirs, ours
+
+
+def main() -> None:
+    """Print them."""
+    ratio, theirs, ours = measured()
     print(
         f"import approxjac / import pinocchio = {ratio:.2f} "
         f"({1e3 * ours:.0f} ms / {1e3 * theirs:.0f} ms, medians of {ROUNDS})"

@@ -37,7 +37,8 @@ def seconds(work):
     return time.process_time() - start
 
 
-def main():
+def measured(rounds=ROUNDS):
+    """Seconds of a report, of a map, and of Pinocchio alone: medians."""
     arm = aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
     errors = aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5))
     controller = aj.SetpointController(errors.believed_task(), aj.Gains(400.0, 80.0, 10.0))
@@ -46,8 +47,8 @@ def main():
     drawn = region.sample(POSTURES, np.random.default_rng(0))
     aj.stability_report(controller, truth, region, postures=100)  # imports SciPy
     axes = np.linspace(0.0, 3.0, 40), np.geomspace(0.5, 50.0, 40)
-    report, drawn_map, alone = (
-        np.median([seconds(work) for _ in range(ROUNDS)])
+    return [
+        float(np.median([seconds(work) for _ in range(rounds)]))
         for work in (
             lambda: aj.stability_report(controller, truth, region, postures=POSTURES),
             lambda: aj.stability_map(
@@ -55,7 +56,11 @@ def main():
             ),
             lambda: pinocchio_alone(truth.robot, drawn),
         )
-    )
+    ]
+
+
+def main():
+    report, drawn_map, alone = measured()
     print(f"Pinocchio alone, {POSTURES} Panda postures: {alone:.2f} s")
     print(f"report over {POSTURES} postures: {report:.2f} s, ratio {report / alone:.1f}")
     print(f"map of 40 x 40 points by test 3: {drawn_map:.2f} s, ratio {drawn_map / alone:.1f}")

@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 
 from approxjac import ApproxJacError
 from approxjac.controllers.quadratic import QuadraticProgram, Verdict, as_solver
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, MissingPackageError, UnknownNameError
 
 INF = np.inf
 MODULES = {name: name for name in ("daqp", "osqp", "quadprog", "clarabel", "piqp", "scs")}
@@ -666,7 +666,7 @@ def test_unknown_names_are_refused_with_those_there_are():
 def test_solvers_that_are_not_installed_are_named_with_their_package():
     if importlib.util.find_spec("gurobipy") is not None:
         pytest.skip("it is installed")
-    with pytest.raises(InvalidInputError) as caught:
+    with pytest.raises(MissingPackageError) as caught:
         as_solver("gurobi", 1e-3)
     assert str(caught.value) == (
         "QP solver 'gurobi' is not installed: pip install 'qpsolvers[gurobi]'"

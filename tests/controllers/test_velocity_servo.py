@@ -100,17 +100,6 @@ def test_the_torque_is_the_formula(controller, rng):
     assert controller.initial_state(aj.Measurement(0.0, q, v, x)).shape == (0,)
 
 
-def test_of_all_velocities_that_move_the_task_it_takes_the_shortest(rng):
-    task = controllers()["panda"].task
-    q, s = regular_posture(task, rng), rng.normal(size=3)
-    J = task.jacobian(q)
-    reference, damping = law.velocity_reference(J, s, 3.0)
-    assert damping == 0.0
-    assert_allclose(J @ reference, -3.0 * s)
-    self_motions = np.linalg.svd(J)[2][3:]
-    assert_allclose(self_motions @ reference, 0.0, atol=1e-12)
-
-
 # -- the references -------------------------------------------------------------------------
 
 
@@ -130,12 +119,6 @@ def test_no_reference_is_beyond_a_speed_limit_and_its_direction_is_kept(rng):
         limited += share > 1.0
         assert_allclose(reference * max(share, 1.0), asked)
     assert limited > 50
-
-
-def test_speeds_of_joints_without_a_limit_are_left_alone():
-    assert_array_equal(law.within_speeds(np.array([1e9, -1e9]), np.full(2, np.inf)), [1e9, -1e9])
-    assert_array_equal(law.within_speeds(np.array([4.0, -3.0]), np.array([2.0, 2.0])), [2.0, -1.5])
-    assert_array_equal(law.within_speeds(np.zeros(2), np.ones(2)), np.zeros(2))
 
 
 def stretched_out(angle):

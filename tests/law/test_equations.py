@@ -45,6 +45,20 @@ def test_eq_27_and_28(numbers, rng):
     assert_allclose(tau, law.estimated_velocity_torque(**numbers, g=Z @ theta))
 
 
+def test_the_bounded_law_and_its_bound(numbers, rng):
+    J_hat, kp, s, v = (numbers[name] for name in ("J_hat", "kp", "s", "v"))
+    kd, v0, gamma = rng.uniform(1, 2, NV), rng.uniform(0.5, 1, NV), rng.uniform(0.5, 1, M)
+    g = rng.normal(size=NV)
+    tau = law.bounded_torque(J_hat, kp, s, v, kd, v0, g)
+    assert_allclose(tau, -J_hat.T @ np.diag(kp) @ s - kd * np.tanh(v / v0) + g)
+    bound = law.bounded_torque_bound(J_hat, kp, gamma, kd, g)
+    for i in range(NV):  # the worst s and q̇ for a joint reach it: it is no larger than it must be
+        sign = np.sign(g[i])
+        worst_s, worst_v = -sign * np.sign(J_hat[:, i]) * gamma, np.full(NV, -sign * 1e3)
+        worst = law.bounded_torque(J_hat, kp, worst_s, worst_v, kd, v0, g)
+        assert_allclose(bound[i], sign * worst[i])
+
+
 def test_eq_10(numbers):
     pinv_s = law.right_pinv(numbers["J_hat"]) @ numbers["s"]
     y = law.passive_output(numbers["v"], pinv_s, 0.3)
@@ -103,6 +117,28 @@ def test_v_of_eq_12(rng):
     assert_allclose(law.V(v, s, potential, pinv, inertia, kp, kv, alpha), kinetic + cross + stored)
 
 
+def test_w_of_eq_13_term_by_term(numbers, rng):
+    J, J_hat, s, v = rng.normal(size=(M, NV)), numbers["J_hat"], numbers["s"], numbers["v"]
+    kp, kv, B, alpha = numbers["kp"], numbers["kv"], numbers["damping"], 0.3
+    pinv, pinv_dot = rng.normal(size=(2, NV, M))
+    inertia, inertia_dot = rng.normal(size=(2, NV, NV))
+    inertia = inertia + inertia.T
+    s_dot, coriolis = rng.normal(size=M), rng.normal(size=NV)
+    W = law.W(
+        v, s, s_dot, J, J_hat, pinv, pinv_dot, inertia, inertia_dot, coriolis, B, kp, kv, alpha
+    )
+    Kp, Kv = np.diag(kp), np.diag(kv)
+    expected = (
+        v @ (J_hat.T @ Kv @ J_hat + np.diag(B)) @ v
+        + alpha * s @ Kp @ s
+        - v @ (J - J_hat).T @ (Kp + alpha * Kv) @ s
+        + alpha * s @ pinv.T @ (B * v + coriolis - inertia_dot @ v)
+        - alpha * s_dot @ pinv.T @ inertia @ v
+        - alpha * s @ pinv_dot.T @ inertia @ v
+    )
+    assert_allclose(W, expected)
+
+
 def test_w_of_eq_13_without_alpha_is_damping_less_the_mismatch(rng):
     J, J_hat = rng.normal(size=(2, M, NV))
     v, s = rng.normal(size=NV), rng.normal(size=M)
@@ -122,6 +158,18 @@ def test_linearization_of_eq_9_for_a_point_mass():
         np.array([[2.0]]), np.eye(1), np.eye(1), np.array([8.0]), np.array([1.5]), np.array([0.5])
     )
     assert_allclose(np.sort_complex(np.linalg.eigvals(A)), np.roots([2.0, 2.0, 8.0])[::-1])
+
+
+def test_linearization_of_many_postures_is_that_of_each(rng):
+    many, one = (2, 3), (1, 2)
+    J, J_hat = rng.normal(size=(2, *many, M, NV))
+    root = rng.normal(size=(*many, NV, NV))
+    inertia = root @ np.swapaxes(root, -1, -2) + np.eye(NV)
+    kp, kv, B = rng.uniform(1, 2, M), rng.uniform(1, 2, M), rng.uniform(0, 1, NV)
+    A = law.closed_loop_matrix(inertia, J, J_hat, kp, kv, B)
+    assert A.shape == (*many, 2 * NV, 2 * NV)
+    alone = law.closed_loop_matrix(inertia[one], J[one], J_hat[one], kp, kv, B)
+    assert_allclose(A[one], alone)
 
 
 def test_linearization_of_eqs_28_and_29_entry_by_entry(numbers, rng):

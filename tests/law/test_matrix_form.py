@@ -146,6 +146,17 @@ def test_damped_cross_weight_takes_damping_out_of_the_cross_block():
     assert_allclose(Q[:7, :7], D)
 
 
+def test_potential_matrix_bounds_v_from_below(rng):
+    """½zᵀPz with the smallest S of (8), S = c̄s², in place of S(e)."""
+    root, G = rng.normal(size=(5, 5)), rng.normal(size=(5, 3))
+    M, w, c_bar = root @ root.T, rng.uniform(1.0, 2.0, 3), 0.4
+    P = law.potential_matrix(M, G, w, c_bar)
+    v, s = rng.normal(size=5), rng.normal(size=3)
+    z = np.concatenate([v, s])
+    assert_allclose(0.5 * z @ P @ z, 0.5 * v @ M @ v + v @ M @ G @ s + w @ (c_bar * s**2))
+    assert_allclose(P, P.T)
+
+
 def test_stacks_are_evaluated_one_by_one():
     plant, controller, rng = closed_loop("ur5", None)
     _, kv, damping = controller.diagonals

@@ -120,32 +120,38 @@ def test_it_is_the_formula_for_every_number_of_rows(m, smallest, rng):
             assert (damping > 0.0) == (m > 1 and values[-1] < ratio * values[0])
 
 
-def test_the_quick_way_for_three_rows_is_the_way_by_eigenvalues(rng):
-    """The same J with a row and column of its own added takes the other way: to 1e-11."""
+@pytest.mark.parametrize("m", [2, 3])
+def test_the_quick_way_for_few_rows_is_the_way_by_eigenvalues(m, rng):
+    """The same J with rows and columns of their own added takes the other way: to 1e-11."""
     quick = 0
     for _ in range(500):
-        values = np.sort(10.0 ** rng.uniform(-2.5, 0.0, 3))[::-1]
-        J, b = with_singular_values(values, rng), rng.normal(size=3)
+        values = np.sort(10.0 ** rng.uniform(-2.5, 0.0, m))[::-1]
+        J, b = with_singular_values(values, rng), rng.normal(size=m)
         G = J @ J.T
-        padded = np.zeros((4, 4))
-        padded[:3, :3], padded[3, 3] = G, values[0] * values[-1]  # between the extremes
+        padded = values[0] * values[-1] * np.eye(4)  # between the extremes
+        padded[:m, :m] = G
         w, damping = law.damped_gram_solve(G, b)
-        expected, expected_damping = law.damped_gram_solve(padded, np.append(b, 0.0))
-        assert_allclose(w, expected[:3], rtol=1e-9, atol=1e-11 * np.abs(w).max())
+        expected, expected_damping = law.damped_gram_solve(padded, np.append(b, np.zeros(4 - m)))
+        assert_allclose(w, expected[:m], rtol=1e-9, atol=1e-11 * np.abs(w).max())
         assert_allclose(damping, expected_damping, rtol=1e-9)
         assert law.is_near_singular(G) == law.is_near_singular(padded)
-        # 4 det/trace³ tells surely regular ones; what it does not tell takes the other way
-        quick += 4.0 * np.prod(values**2) > SINGULAR_RATIO**2 * (values**2).sum() ** 3
+        # det and trace tell surely regular ones; what they do not tell takes the other way
+        bound = (m - 1) ** (m - 1) * np.prod(values**2)
+        quick += bound > SINGULAR_RATIO**2 * (values**2).sum() ** m
     assert 50 < quick < 450  # both ways were taken
 
 
-def test_no_three_rows_near_singular_are_called_regular(rng):
+def test_no_few_rows_near_singular_are_called_regular(rng):
     """Along the edge of the ratio, where the quick test must not be wrong."""
     for second in (1.0, 0.7, 0.3, 0.05, 0.021):
         for smallest, near in ((0.0199, True), (0.0201, False)):
             J = with_singular_values([1.0, second, smallest], rng)
             assert law.is_near_singular(J @ J.T) is near
             _, damping = law.damped_gram_solve(J @ J.T, np.ones(3))
+            assert (damping > 0.0) is near
+            J = with_singular_values([second, second * smallest], rng)
+            assert law.is_near_singular(J @ J.T) is near
+            _, damping = law.damped_gram_solve(J @ J.T, np.ones(2))
             assert (damping > 0.0) is near
     # exactly at the bound that the test uses: two equal large values
     assert law.is_near_singular(np.diag([1.0, 1.0, 0.0199**2]))
@@ -158,12 +164,35 @@ def test_a_scale_bounds_it_where_all_singular_values_vanish_together():
     for m in (1, 2, 3):
         U, _ = np.linalg.qr(np.random.default_rng(m).normal(size=(m, m)))
         path = []
-        for size in np.linspace(0.1, 0.0, 4001):
+        for size in np.linspace(0.1, 0.0, 4002):  # none is the bound, where rounding decides
             J = size * U
             w, _ = law.damped_gram_solve(J @ J.T, np.ones(m), scale=1.0)
             path.append(J.T @ w)
             assert np.linalg.norm(path[-1]) <= np.sqrt(m) / SINGULAR_RATIO * (1 + 1e-9)
             assert law.is_near_singular(J @ J.T, scale=1.0) == (size < SINGULAR_RATIO)
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-        assert steps.max() < 10.0 * np.sqrt(m) * (0.1 / 4000) / SINGULAR_RATIO**2
+        assert steps.max() < 10.0 * np.sqrt(m) * (0.1 / 4001) / SINGULAR_RATIO**2
         assert np.array_equal(path[-1], np.zeros(m))
+
+
+@pytest.mark.parametrize("values", [[3.0], [3.0, 0.2], [3.0, 1.0, 0.2], [3.0, 2.0, 1.0, 0.02]])
+def test_extreme_singular_values(values, rng):
+    J = with_singular_values(values, rng)
+    assert_allclose(law.extreme_singular_values(J), [values[-1], values[0]])
+    # round-off may make the smallest square negative: it is zero then, not nan
+    J[-1] = 0.0 if len(values) == 1 else J[0]
+    smallest, largest = law.extreme_singular_values(J)
+    assert 0.0 <= smallest <= 1e-7
+    assert_allclose(largest, np.linalg.norm(J, 2))
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 4])
+@pytest.mark.parametrize("scale", [0.1, 4.0])
+def test_the_scale_is_one_of_singular_values(m, scale):
+    """λ² = ε² − σ_min² with ε = ratio · scale, where the scale is more than σ_max."""
+    edge = SINGULAR_RATIO * scale
+    for smallest in (0.5 * edge, 0.99 * edge, 1.01 * edge):
+        G = np.diag([smallest, *np.linspace(2.0, 3.0, m - 1) * edge]) ** 2
+        _, damping = law.damped_gram_solve(G, np.ones(m), scale=scale)
+        assert_allclose(damping, np.sqrt(max(edge**2 - smallest**2, 0.0)))
+        assert law.is_near_singular(G, scale=scale) == (smallest < edge)

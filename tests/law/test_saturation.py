@@ -87,8 +87,9 @@ def test_the_potential_of_tanh_keeps_its_digits_near_zero(u):
 def test_bad_gamma_is_refused(kind, gamma):
     with pytest.raises(
         aj.InvalidInputError, match=r"gamma must be (finite|> 0) \[unit of the task\], got"
-    ):
+    ) as caught:
         kind(gamma)
+    assert caught.value.given is gamma
 
 
 def test_gamma_is_a_copy_and_may_be_a_list():
@@ -102,6 +103,28 @@ def test_gamma_is_a_copy_and_may_be_a_list():
             assert call(np.array([0.3, 0.4])).shape == (2,)
     with pytest.raises(aj.InvalidInputError, match="gamma must be numbers of shape"):
         aj.Sine("small")
+
+
+@pytest.mark.parametrize("kind", [aj.Sine, aj.Tanh])
+def test_gamma_is_kept_as_it_acts(kind):
+    assert type(kind(1).gamma) is float
+    assert kind(np.array(0.5)).gamma == 0.5
+    assert_allclose(kind([0.1, 0.2]).gamma, [0.1, 0.2], atol=0.0)
+
+
+@pytest.mark.parametrize("f", [aj.Linear(), aj.Sine(0.1), aj.Tanh(0.1)], ids=repr)
+def test_each_entry_is_alone_whatever_the_shape(f):
+    e = np.array([[0.01, -0.02, 0.03], [0.1, -0.2, 5.0]])
+    for call in (f.s, f.S, f.ds):
+        told = call(e)
+        assert told.shape == e.shape
+        assert_allclose(told, [[call(np.array([x]))[0] for x in row] for row in e], rtol=1e-15)
+        assert_allclose(call(np.array(0.1)), call(np.array([0.1]))[0], rtol=1e-15)
+
+
+def test_where_the_sine_is_at_its_top_it_is_flat():
+    """Property (2) of the paper: from γπ/2 on the slope is zero, not nearly so."""
+    assert (aj.Sine(1.0).ds(np.array([-0.5 * np.pi, 0.5 * np.pi])) == 0.0).all()
 
 
 def test_d_bar_at_zero_is_one():

@@ -116,3 +116,54 @@ def test_more_than_rho_is_not_paid():
     tau, slack = law.limited_torque(*arguments, np.ones(2), 0.5)
     assert_allclose(tau, [-1.0, -0.5])
     assert slack == 1.5
+
+
+@pytest.mark.parametrize("size", [1e200, np.inf])
+def test_a_power_that_overflows_is_clipped_and_no_proof_is_claimed(size):
+    """At an overflow there is no telling which torque would keep the proof."""
+    torque, y = np.array([-size, 0.5]), np.array([1e200, 1.0])
+    with np.errstate(over="ignore"):
+        tau, slack = law.limited_torque(torque, y, -np.ones(2), np.ones(2), np.ones(2), 5.0)
+    assert_allclose(tau, [-1.0, 0.5], atol=0.0)
+    assert slack == np.inf
+
+
+def test_a_power_of_zero_is_left_alone():
+    """What clipping adds at one joint it takes away at the other, so nothing is to be made up."""
+    torque = np.array([3.0, -3.0])
+    tau, slack = law.limited_torque(torque, np.ones(2), -np.ones(2), np.ones(2), np.ones(2), 5.0)
+    assert_allclose(tau, [1.0, -1.0], atol=0.0)
+    assert slack == 0.0
+
+
+def test_a_joint_that_stands_still_takes_no_part():
+    """Joint 1 has y = 0. The others reach and leave limits on the way, so one guess is not enough.
+
+    By how much less than at λ = 0 the power is: joint 3 gives 1 by λ = 1, where its limit is;
+    joint 0 is let off its limit at λ = 1.5 and gives the other 1.5 of 2.5 by λ = 3.
+    """
+    torque, y = np.array([4.5, 0.7, -6.0, 0.0]), np.array([1.0, 0.0, 1.0, 1.0])
+    limit = np.array([3.0, 1.0, 2.0, 1.0])
+    tau, slack = law.limited_torque(torque, y, -limit, limit, np.ones(4), 10.0)
+    assert_allclose(tau, [1.5, 0.7, -2.0, -1.0])
+    assert slack == 0.0
+
+
+def test_units_do_not_matter_and_a_proof_that_is_kept_costs_nothing(rng):
+    """τ and y a billion times smaller, the same R: λ is the same. σ is 0, not nearly so."""
+    walked = 0
+    for _ in range(300):
+        torque, y = 3.0 * rng.normal(size=5), rng.normal(size=5)
+        limit, weight = np.abs(rng.normal(size=5)), np.exp(rng.normal(size=5))
+        tau, slack = law.limited_torque(torque, y, -limit, limit, weight, 50.0)
+        for c in (1e-9, 1e9):
+            other, small = law.limited_torque(
+                c * torque, c * y, -c * limit, c * limit, weight, 50.0
+            )
+            assert_allclose(other, c * tau, rtol=1e-9, atol=1e-12 * c)
+            assert small == pytest.approx(c * c * slack, rel=1e-9, abs=0.0)
+        clipped = np.clip(torque, -limit, limit)
+        if abs(y @ (tau - torque)) < 1e-12 < y @ (clipped - torque):
+            assert slack == 0.0
+            walked += ((clipped == torque) != (np.abs(tau) < limit)).any()
+    assert walked > 20  # some joints reached or left a limit on the way

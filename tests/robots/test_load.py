@@ -294,3 +294,10 @@ def test_relative_names_resolve_from_the_folder_of_the_urdf(tmp_path, monkeypatc
     for given in (path, "arm/own.urdf"):  # whatever the working folder is
         written = aj.load_robot(given, tip="palm").save_urdf(tmp_path / "out.urdf").read_text()
         assert str((tmp_path / "arm" / "meshes" / "a.stl").resolve()) in written
+
+
+def test_without_the_package_of_the_named_robots_only_our_own_load(monkeypatch):
+    monkeypatch.setattr("approxjac.robots.named.share_dir", lambda: None)
+    with pytest.raises(aj.MissingPackageError, match=r"pip install example-robot-data$"):
+        aj.load_robot("panda")
+    assert aj.load_robot("two_link").velocity_limits.shape == (2,)

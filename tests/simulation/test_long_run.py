@@ -102,6 +102,6 @@ def test_a_step_leaves_nothing_behind(panda):
     finally:
         tracemalloc.stop()
     assert len(sizes) == len(run.t) == 11
-    # 500 steps from one to the next; a record takes 2.3 kB, and 8 bytes a step would be 4 kB more.
-    # The median, because a cache of Python's or NumPy's may grow once.
-    assert np.median(np.diff(sizes)) < 3000
+    # 500 steps from one to the next; a record takes 2.3 to 2.9 kB, and 8 bytes a step would be 4 kB
+    # more. Of the second half, and the median: caches of Python's and NumPy's grow at first.
+    assert np.median(np.diff(sizes)[5:]) < 3000

@@ -344,7 +344,7 @@ def test_a_collision_mesh_that_is_missing():
 def test_without_mujoco(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(
-        aj.InvalidInputError,
-        match=r"MujocoPlant needs MuJoCo, .*: pip install 'approxjac\[mujoco\]'$",
+        aj.MissingPackageError,
+        match=r"MujocoPlant needs mujoco, .*: pip install 'approxjac\[mujoco\]'$",
     ):
         aj.MujocoPlant(TRUTH, SENSOR)

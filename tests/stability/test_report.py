@@ -139,6 +139,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert known.certified_by is None
     assert "0 gravity" in str(known)
     assert "unless gravity is learnt (AdaptiveGravity)" in str(known)
+    assert "leave it out (Robot.with_gravity((0, 0, 0)), NoGravity)" in str(known)
     regressor = aj.GravityRegressor(tools.belief())
     learnt = aj.stability_report(
         controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)),

@@ -368,7 +368,7 @@ def test_a_budget_is_kept(panda):
 
 def test_without_the_package_the_error_says_what_to_install(panda, monkeypatch):
     monkeypatch.setitem(sys.modules, "fast_simplification", None)
-    with pytest.raises(aj.MissingPackageError, match=r"pip install '\.\[view\]'"):
+    with pytest.raises(aj.MissingPackageError, match=r"pip install 'approxjac\[view\]'$"):
         robot_look(panda)
 
 

@@ -81,6 +81,7 @@ class TorqueLimited(Limiter):
         InvalidInputError: Numbers out of range, limits of another number of joints, or another α
             than that of the adaptation.
         UnknownNameError: No such weight or solver.
+        MissingPackageError: A solver that is not installed.
     """
 
     def __init__(

@@ -7,7 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from approxjac.checks import Array
-from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError
+from approxjac.errors import (
+    InvalidInputError,
+    MissingPackageError,
+    UnknownNameError,
+    UrdfError,
+)
 from approxjac.robots import urdf as urdf_xml
 from approxjac.robots.chain import lock_off_chain
 from approxjac.robots.named import NAMED, NamedRobot, urdf_path
@@ -43,6 +48,7 @@ def load_robot(
         UrdfError: The file is missing, or its URDF is not usable.
         InvalidInputError: Not a text or a path; a tip that nothing moves, or that `base` does not
             carry.
+        MissingPackageError: A named robot, and example-robot-data was taken away.
 
     Example:
         >>> load_robot("two_link").joint_names
@@ -88,10 +94,10 @@ def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:
         entry = NAMED[text]
         path = urdf_path(entry)
         if not path.is_file():
-            raise UrdfError(
-                f"robot {text!r} needs the package example-robot-data "
-                "(pip install example-robot-data)",
-                given=source,
+            raise MissingPackageError(
+                f"robot {text!r} needs example-robot-data, which is not installed: "
+                "pip install example-robot-data",
+                given="example-robot-data",
             )
         return _read(path), path, entry
     path = Path(source)

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.checks import Array, as_number, as_vector, require
-from approxjac.errors import InvalidInputError, UrdfError
+from approxjac.errors import InvalidInputError, MissingPackageError, UrdfError
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.sensing import Sensing
@@ -51,8 +51,8 @@ class MujocoPlant(Plant):
         joint_limits: Whether the joints stop at `Robot.position_limits`.
 
     Raises:
-        InvalidInputError: As for `Plant`, a floor that is no height, mimic joints that move, or
-            MuJoCo is not installed.
+        InvalidInputError: As for `Plant`, a floor that is no height, or mimic joints that move.
+        MissingPackageError: MuJoCo is not installed.
         UrdfError: MuJoCo cannot open the URDF, such as for collision meshes that are missing.
     """
 
@@ -141,9 +141,10 @@ def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujo
     try:
         import mujoco
     except ImportError as error:
-        raise InvalidInputError(
-            f"MujocoPlant needs MuJoCo, which cannot be imported ({error}): "
-            "pip install 'approxjac[mujoco]'"
+        raise MissingPackageError(
+            f"MujocoPlant needs mujoco, which cannot be imported ({error}): "
+            "pip install 'approxjac[mujoco]'",
+            given="mujoco",
         ) from error
     with tempfile.TemporaryDirectory() as folder:
         path = robot.save_urdf(Path(folder) / "robot.urdf")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -312,7 +313,8 @@ def _npz(path: str | Path) -> Path:
 # what NumPy, zipfile and json raise on damaged files
 _UNREADABLE = (
     ApproxJacError, OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, IndexError,
-    RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+    RuntimeError, NotImplementedError, SyntaxError, tokenize.TokenError, zipfile.BadZipFile,
+    zlib.error,
 )  # fmt: skip
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if f.name not in (*_TEXTS, "scene"))

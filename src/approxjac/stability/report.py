@@ -118,7 +118,8 @@ class StabilityReport:
                     "0 gravity",
                     "not exact",
                     f"off by up to {self.gravity_error:.3g} N m: the error does not go to 0 but to "
-                    "where K_p makes up for it, unless gravity is learnt (AdaptiveGravity)",
+                    "where K_p makes up for it, unless gravity is learnt (AdaptiveGravity); if "
+                    "it is known exactly, leave it out (Robot.with_gravity((0, 0, 0)), NoGravity)",
                 )
             )
         if self.singular_q is not None:

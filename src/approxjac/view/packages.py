@@ -19,6 +19,6 @@ def view_package(name: str) -> Any:
     except ImportError as error:
         raise MissingPackageError(
             f"the browser view needs {name.split('.')[0]}, which cannot be imported ({error}): "
-            "install approxjac with its extra view, such as pip install '.[view]' in its folder",
+            "pip install 'approxjac[view]'",
             given=name,
         ) from error

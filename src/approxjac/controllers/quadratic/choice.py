@@ -13,7 +13,7 @@ from approxjac.controllers.quadratic.daqp import Daqp
 from approxjac.controllers.quadratic.osqp import Osqp
 from approxjac.controllers.quadratic.problem import QuadraticProgram, Solver
 from approxjac.controllers.quadratic.threaded import InThread
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, MissingPackageError, UnknownNameError
 
 # With these the solvers of qpsolvers reach residuals of 1e-6 on the degenerate problems of the
 # tests, which their own settings do not.
@@ -61,8 +61,9 @@ def as_solver(
         time_budget: Time for one problem > 0 [s].
 
     Raises:
-        InvalidInputError: No name and no function, a solver that is not installed or refused,
-            or a budget that is not > 0.
+        InvalidInputError: No name and no function, a solver that is refused, or a budget that is
+            not > 0.
+        MissingPackageError: A solver of qpsolvers that is not installed.
         UnknownNameError: No solver of that name.
     """
     budget = min(as_number("time_budget", time_budget, unit="s", above=0.0), threading.TIMEOUT_MAX)
@@ -105,7 +106,7 @@ def _require_offered(name: str) -> None:
     if name in known:
         extras = importlib.metadata.metadata("qpsolvers").get_all("Provides-Extra") or ()
         how = f"pip install 'qpsolvers[{name}]'" if name in extras else "see its own web page"
-        raise InvalidInputError(f"QP solver {name!r} is not installed: {how}", given=name)
+        raise MissingPackageError(f"QP solver {name!r} is not installed: {how}", given=name)
     offered = set(qpsolvers.available_solvers) - set(_REFUSED)
     raise UnknownNameError("QP solver", name, "the installed ones", offered)
 

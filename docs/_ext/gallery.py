@@ -1,0 +1,176 @@
+"""Runs the examples when the site is built, and makes a page of each and a gallery of them all.
+
+Nothing is listed by hand: what is said of an example is its own header, what is shown are the files
+that it says it made.
+"""
+
+import ast
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from study_figures import ROOT, gather
+
+FOLDER = ROOT / "examples"
+
+
+@dataclass(frozen=True)
+class Story:
+    """An example that was run, and what it left.
+
+    Attributes:
+        path: Of the example.
+        pictures: The PNGs that it made, one or more.
+        pages: The pages of runs that it made.
+        printed: What it printed beside the paths of its files.
+    """
+
+    path: Path
+    pictures: list[Path]
+    pages: list[Path]
+    printed: str
+
+    @property
+    def title(self):
+        """Number and name of the file, as words."""
+        number, _, name = self.path.stem.partition("_")
+        words = name.replace("_", " ")
+        return f"{int(number)}. {words[0].upper()}{words[1:]}"
+
+    @property
+    def summary(self):
+        """The first line of its header, on one line."""
+        return " ".join(self._header()[0].split())
+
+    @property
+    def text(self):
+        """What else its header says, but for the command, as Markdown."""
+        return "\n\n".join(part for part in self._header()[1:] if not part.startswith("    "))
+
+    def _header(self):
+        return ast.get_docstring(ast.parse(self.path.read_text(encoding="utf-8"))).split("\n\n")
+
+
+def examples():
+    """The examples in the order of their numbers."""
+    return sorted(FOLDER.glob("[0-9][0-9]_*.py"))
+
+
+def run(path, out):
+    """Run an example as a user does.
+
+    Raises:
+        RuntimeError: It failed.
+    """
+    process = subprocess.run(
+        [sys.executable, str(path), "--out", str(out)], capture_output=True, text=True
+    )
+    if process.returncode != 0:
+        raise RuntimeError(f"{path.name} ended with {process.returncode}:\n{process.stderr}")
+    return story(path, process.stdout)
+
+
+def story(path, printed):
+    """What an example tells of itself by its header and by what it printed.
+
+    Raises:
+        RuntimeError: It made no picture.
+    """
+    lines = printed.splitlines()
+    made = {line: Path(line) for line in lines if line.endswith((".png", ".svg", ".html"))}
+    pictures = [file for file in made.values() if file.suffix == ".png"]
+    if not pictures:
+        raise RuntimeError(f"{path.name} printed no path of a PNG: the gallery has no picture")
+    pages = [file for file in made.values() if file.suffix == ".html" and file.name != "index.html"]
+    return Story(path, pictures, pages, "\n".join(line for line in lines if line not in made))
+
+
+def picture(told, file, up=""):
+    """A picture with its alternative text, as Markdown of a page in docs, or `up` from there."""
+    return f"![{told.summary}]({up}_generated/examples/{file.name})"
+
+
+def runs(told, up=""):
+    """Links to the pages of its runs. They are no documents of Sphinx, so these are HTML."""
+    links = []
+    for file in told.pages:
+        which = file.stem.removeprefix(told.pictures[0].stem).replace("_", " ").strip()
+        href = f"{up}runs/examples/{file.name}"
+        links.append(f'<a class="run" href="{href}">Watch {which or "it move"}</a>')
+    return " · ".join(links)
+
+
+def card(told):
+    """What the gallery shows of an example, as Markdown of docs/gallery.md."""
+    return (
+        f"::::{{container}} example\n{picture(told, told.pictures[0])}\n\n"
+        f"[{told.title}](gallery/{told.path.stem}.md)\n\n"
+        f"{told.summary}\n\n{runs(told)}\n::::\n"
+    )
+
+
+def cards(stories):
+    """All of them."""
+    return ":::::{container} gallery\n" + "".join(map(card, stories)) + ":::::\n"
+
+
+def page(told):
+    """The page of an example, as Markdown of docs/gallery/."""
+    pictures = "\n\n".join(picture(told, file, "../") for file in told.pictures)
+    return f"""---
+hide-toc: true
+---
+
+# {told.title}
+
+{told.summary}
+
+{pictures}
+
+{told.text}
+
+{runs(told, "../")}
+
+```sh
+python examples/{told.path.name} --out results/examples
+```
+
+When this site was built, it printed:
+
+```text
+{told.printed}
+```
+
+## Source
+
+```{{literalinclude}} ../../examples/{told.path.name}
+:language: python
+:class: example-source
+```
+"""
+
+
+def write(docs, stories):
+    """Write the cards and the pages below a folder of documents."""
+    (docs / "_generated").mkdir(exist_ok=True)
+    (docs / "_generated" / "gallery.md").write_text(cards(stories), encoding="utf-8")
+    folder = docs / "gallery"
+    shutil.rmtree(folder, ignore_errors=True)  # an example may have another name now
+    folder.mkdir()
+    for told in stories:
+        (folder / f"{told.path.stem}.md").write_text(page(told), encoding="utf-8")
+
+
+def make(app):
+    docs = Path(app.srcdir)
+    out = docs / "_generated" / "examples"
+    shutil.rmtree(out, ignore_errors=True)
+    write(docs, [run(path, out) for path in examples()])
+    gather(out, docs / "_generated" / "site" / "runs" / "examples")
+
+
+def setup(app):
+    app.connect("builder-inited", make)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,120 @@
+"""What breaks it: a Panda with an unknown tool, made worse until it fails.
+
+You will see: six ways to fail, as curves of what is left after 6 s: a camera rolled too far, a
+measurement that is late, damping faster than it is sampled; joint axes that point elsewhere, a
+payload neither known nor learnt, weak motors. Dashed: where the local test says so beforehand.
+
+You will learn: what the limits of the law look like, and which of them can be told beforehand.
+
+    python examples/12_what_breaks_it.py --out results/examples
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import approxjac as aj
+from approxjac import view
+
+arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+arguments.add_argument("--out", type=Path, default=Path("results/examples"))
+out = arguments.parse_args().out
+out.mkdir(parents=True, exist_ok=True)
+
+FAR = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+GOAL = FAR + [0.3, 0.2, -0.2, 0.3, 0.2, -0.2, 0.1]
+NEAR = GOAL + 0.05 * (FAR - GOAL)
+arm = aj.load_robot("panda")
+truth, belief = arm.with_object(0.2, 0.5, axis="x"), arm.with_object(0.0)
+sensor, task = aj.PositionTask(truth), aj.PositionTask(belief)
+plant, Z, tip = aj.Plant(truth, sensor), aj.GravityRegressor(belief), sensor.value(GOAL)
+known, gains = aj.RegressorGravity(Z, Z.fit(truth)[0]), aj.default_gains(task)
+camera = aj.PinholeCamera.looking_at(tip, tip + [1.0, -0.7, 0.5], 600.0, (640, 480))
+watched = aj.Plant(truth, aj.ImageTask(truth, camera))
+usual = aj.default_gains(aj.ImageTask(belief, camera))
+aside = np.random.default_rng(0).choice([-1.0, 1.0], (7, 3)) / np.sqrt(3.0)  # unit vectors
+
+
+def rolled(degrees, a):
+    """A camera with a roll that its controller does not know, at the gain ratio a = k_p/k_v."""
+    wrong = aj.ImageTask(belief, camera.with_error(rotation=(0.0, 0.0, np.radians(degrees))))
+    scaled = aj.Gains(a * usual.kv, usual.kv, usual.damping)
+    return watched, aj.SetpointController(wrong, scaled, gravity=known), 4e-3
+
+
+def late(age, settling_time):
+    """A measurement of that age [ms]."""
+    law = aj.SetpointController(task, aj.default_gains(task, settling_time), gravity=known)
+    return aj.Plant(truth, sensor, sensing=aj.Sensing(x_delay=1e-3 * age)), law, 4e-3
+
+
+def damped(period, times):
+    """So many times the default joint damping, sampled with that period [ms]."""
+    stronger = aj.Gains(gains.kp, gains.kv, times * gains.damping)
+    return plant, aj.SetpointController(task, stronger, gravity=known), 1e-3 * period
+
+
+def tilted(degrees, learns):
+    """Each joint axis of the believed arm turned, in a direction of its own."""
+    turns = dict(zip(arm.joint_names, np.radians(degrees) * aside, strict=True))
+    wrong = belief.with_kinematic_error(rotations=turns)
+    Z = aj.GravityRegressor(wrong)
+    gravity = aj.AdaptiveGravity(Z) if learns else aj.RegressorGravity(Z, Z.fit(truth)[0])
+    return plant, aj.SetpointController(aj.PositionTask(wrong), gravity=gravity), 4e-3
+
+
+def loaded(mass, learns):
+    """A payload [kg] of which the controller knows nothing."""
+    held = aj.PositionTask(arm.with_object(0.2, mass, axis="x"))
+    gravity = aj.AdaptiveGravity(Z) if learns else aj.ModelGravity(belief)
+    return aj.Plant(held.robot, held), aj.SetpointController(task, gravity=gravity), 4e-3
+
+
+def weak(share, limiter):
+    """Motors with a share of their torques."""
+    law = aj.SetpointController(task, gravity=known)
+    return plant, limiter(law, aj.Limits.of(belief, scale=share)), 1e-3
+
+
+def left(truly, law, dt, start, shown):
+    """The largest error in the last tenth of 6 s, or the largest speed."""
+    how = {"duration": round(6.0 / dt) * dt, "dt": dt, "integrator": "semi_implicit_euler"}
+    try:
+        run = aj.simulate(truly, law, truly.sensor.value(GOAL), start, **how)
+    except aj.SimulationError:  # it diverged
+        return np.inf
+    e = run.error_norm[run.t > 5.4].max()
+    return {SHARE: e / run.error_norm[0], MM: 1e3 * e, SPEED: np.abs(run.v).max()}[shown]
+
+
+SHARE, MM, SPEED = "error left, share of the first", "error left [mm]", "largest speed [rad/s]"
+PANELS = [  # what is made worse, by how much, a curve for each of, what is shown; test up to there
+    (rolled, "unknown roll [°]", range(0, 101, 10), {"a = 1 1/s": 1, "a = 8 1/s": 8}, SHARE, 120),
+    (late, "age of x [ms]", range(0, 321, 40), {"settling in 0.5 s": 0.5, "1 s": 1.0}, SHARE, 400),
+    (damped, "sampling period [ms]", range(3, 25, 2), {"default B_c": 1, "4 B_c": 4}, SPEED, 40),
+    (tilted, "axes off by [°]", range(0, 41, 5), {"θ fitted": False, "θ learnt": True}, MM, 0),
+    (loaded, "unknown payload [kg]", [0.0, 0.1, 0.3, 1.0, 3.0],
+     {"gravity believed": False, "gravity learnt": True}, MM, 0),
+    (weak, "share of the motors' torques [–]", [0.2, 0.25, 0.28, 0.3, 0.35],
+     {"clipped": aj.TorqueClipped, "limited by the QP": aj.TorqueLimited}, MM, 0),
+]  # fmt: skip
+figure, axes = view.new_figure(3, 2, title="Left after 6 s. Dashed: what the local test says")
+for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=True):
+    for color, (label, setting) in zip(view.COLORS, curves.items(), strict=False):
+        y = [left(*make(value, setting), NEAR if limit else FAR, shown) for value in values]
+        low, high = 0.0, limit
+        while high - low > 1e-3 * limit:  # by bisection: up to where it is stable
+            truly, law, dt = make(middle := 0.5 * (low + high), setting)
+            stable = aj.local_stability(truly, law, GOAL, dt=dt).stable
+            low, high = (middle, high) if stable else (low, middle)
+        with view.style():
+            ax.semilogy(values, np.clip(y, 1e-6, 1e4), "o-", color=color, markersize=3, label=label)
+            if limit:
+                ax.axvline(low, color=color, linestyle="--", linewidth=1.0)
+        told = f" (stable up to {low:.4g})" if limit else ""
+        print(f"{name}, {label}{told}: {', '.join(f'{each:.2g}' for each in y)}")
+    ax.set(xlabel=name, ylabel=shown, ylim=(5e-7, 2e4))
+    view.legend_below(ax)
+for path in view.save_figure(figure, out / "what_breaks_it"):
+    print(path)

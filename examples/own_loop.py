@@ -1,0 +1,117 @@
+"""The loop of a robot at 1 kHz around any controller of approxjac: a file to copy and to change.
+
+`11_your_own_loop.py` runs it on a simulated arm, the page "Into your own loop" explains it.
+"""
+
+import gc
+import itertools
+import math
+import time
+
+import numpy as np
+
+import approxjac as aj
+
+DT = 1e-3  # of the loop, and of the controllers in it [s]
+UNKNOWN = -1  # in place of a Status, where q or q̇ was not finite
+
+
+def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0, rows=60_000):
+    """Lead an arm until it is to stop or something is wrong; brake it to standstill; say why.
+
+    Args:
+        arm: The driver: `read()` returns q, q̇ and x, NaN where x is lost; `send(torque)`; and
+            `brake()`, which hands the arm back to its own brakes or its own controller.
+        controller: A SetpointController, or better TorqueLimited around one, for DT.
+        goal: Where to go at time t [s], a function that returns x_d, shape (n_x,).
+        stop: Whether to stop at time t [s], a function too.
+        unseen: As for HeldMeasurement [unit of the task].
+        speed: Of the target on its way to the goal [unit of the task, per s].
+        longest: Time from torque to torque after which to stop [s].
+        patience: Time without images, or without a torque that keeps the limits, likewise [s].
+        rows: Cycles that are logged: the last ones.
+
+    Returns:
+        Why it stopped; the log, a structured array with a row for each cycle; and θ̂, for the
+        `theta0` of the next run's AdaptiveGravity.
+    """
+    held, law, task = aj.HeldMeasurement(controller, unseen, DT), controller.law, controller.task
+    log = new_log(task, rows)
+    q, v, x = arm.read()
+    state = held.initial_state(aj.Measurement(0.0, q, v, x))
+    held.evaluate(state, aj.Measurement(0.0, q, v, x), goal(0.0))  # mistakes show here
+    known = np.array(q)
+    aim, fault, limit = None, "", aj.LimitStatus.UNLIMITED
+    unknown = troubled = stopping = 0  # cycles
+    gc.disable()  # its pauses may be longer than a period
+    gap, due = 0.0, time.perf_counter()
+    sent = due
+    try:
+        for k in itertools.count():
+            wait_until(due)
+            began, t = time.perf_counter(), k * DT
+            q, v, x = arm.read()
+            faults = {
+                "a torque came too late": gap > longest,
+                "blind, or no torque keeps the limits": troubled * DT > patience,
+                "joints unknown": unknown > 10,
+            }
+            fault = fault or next((name for name, holds in faults.items() if holds), "")
+            if stop(t) or fault or stopping:
+                stopping += 1
+                aim = None if stopping == 1 else aim  # it is to stay where it is
+            acting = controller if fault else held
+            if fault:  # without x the law is gravity, damping and limits: it needs neither x nor Ĵ
+                x = np.full_like(x, np.nan)
+            if aim is None and np.isfinite(x).all():
+                aim = x.copy()  # from where it is, so that the torque does not jump
+            own = state[: acting.n_state]  # the state of what is held comes first, here as a view
+            try:
+                wanted = goal(t) if aim is None else aim
+                answer = acting.evaluate(own, aj.Measurement(t, q, v, x), wanted)
+                own += DT * answer.state_rate  # the period of the controllers, not the clock's
+                torque, status, limit = answer.torque, answer.status, answer.limit_status
+                known[:], unknown = q, 0
+            except aj.MeasurementError:  # nothing may depend on q and q̇ now: hold the arm up
+                torque = law.gravity_torque(state[: law.n_state], known)
+                status, unknown = UNKNOWN, unknown + 1
+            arm.send(torque)
+            before, sent = sent, time.perf_counter()
+            gap = sent - before
+            log[k % rows] = t, gap, sent - began, status, q, v, x, torque
+
+            blind = status == aj.Status.MEASUREMENT_LOST
+            troubled = troubled + 1 if blind or limit >= aj.LimitStatus.INFEASIBLE else 0
+            if blind:
+                aim = None  # from where it is seen again
+            elif aim is not None and np.isfinite(x).all() and not stopping:  # else it waits
+                aim = moved(task, aim, goal(t), speed * DT)
+            if stopping and (np.abs(v).max() < 0.02 or stopping * DT > 2.0 or unknown > 10):
+                theta_hat = law.theta_hat(state[: law.n_state])
+                return fault or "asked to", np.roll(log, -k - 1)[-k - 1 :], theta_hat
+            missed = math.ceil((sent - due) / DT)
+            due += DT * max(1, missed)  # periods that are over are left out, not run in a burst
+    finally:
+        gc.enable()
+        arm.brake()  # whatever happened
+
+
+def wait_until(due):
+    """Sleep for most of the time, as a sleep ends late; the rest passes in short ones."""
+    while (left := due - time.perf_counter()) > 0.0:
+        time.sleep(max(0.0, left - 2e-4))
+
+
+def moved(task, aim, goal, step):
+    """The target one step nearer to the goal, of any task: poses turn by it, too."""
+    e = task.error(goal, aim)
+    return task.displaced(aim, e * min(1.0, step / max(np.linalg.norm(e), 1e-9)))
+
+
+def new_log(task, rows):
+    """A ring of rows that is there before the loop begins: nothing grows while it runs."""
+    nq, nv, n_x = task.robot.nq, task.robot.nv, task.n_x
+    times = [("t", float), ("gap", float), ("work", float), ("status", int)]
+    return np.zeros(
+        rows, [*times, ("q", float, nq), ("v", float, nv), ("x", float, n_x), ("torque", float, nv)]
+    )

@@ -1,0 +1,237 @@
+"""The loop that the examples offer to copy: what it does with faults, and how it ends."""
+
+import gc
+import runpy
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+ARM = aj.load_robot("two_link")
+TRUTH, BELIEF = ARM.with_object(0.3, 0.1), ARM.with_object(0.0)
+HEAVY = ARM.with_object(0.3, 0.5)
+SENSOR = aj.PositionTask(TRUTH, axes="xz")
+LAW = aj.SetpointController(
+    aj.PositionTask(BELIEF, axes="xz"),
+    gravity=aj.AdaptiveGravity(aj.GravityRegressor(BELIEF)),
+)
+LIMITED = aj.TorqueLimited(LAW, aj.Limits(effort=(200.0, 100.0)))
+Q0 = np.array([0.6, 1.2])
+GOAL = SENSOR.value(Q0) + [0.1, -0.2]
+
+
+@pytest.fixture
+def own_loop(monkeypatch):
+    """The module of the loop, which does not wait: as fast as it can."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    monkeypatch.delitem(sys.modules, "own_loop", raising=False)
+    import own_loop
+
+    monkeypatch.setattr(own_loop, "wait_until", lambda due: None)
+    yield own_loop
+    assert gc.isenabled()
+    del sys.modules["own_loop"]
+
+
+class Arm:
+    """A driver whose faults begin at some cycle."""
+
+    def __init__(self, fault="", since=300, truth=TRUTH):
+        self.plant = aj.Plant(truth, aj.PositionTask(truth, axes="xz"))
+        self.q, self.v = Q0.copy(), np.zeros(2)
+        self.fault, self.since, self.torques, self.brakes = fault, since, [], 0
+
+    def read(self):
+        x = self.plant.sensor.value(self.q)
+        fault = self.fault if len(self.torques) >= self.since else ""
+        if fault == "fails":
+            raise ConnectionError("no cable")
+        q = self.q * (np.nan if fault == "joints" else 1.0)
+        if fault == "slow" and len(self.torques) == self.since:
+            time.sleep(0.05)
+        return q, self.v, x * (np.nan if fault == "blind" else 1.0)
+
+    def send(self, torque):
+        self.torques.append(np.array(torque))
+        self.v = self.v + 1e-3 * self.plant.acceleration(self.q, self.v, torque)
+        self.q = self.q + 1e-3 * self.v
+
+    def brake(self):
+        self.brakes += 1
+
+
+def lead(own_loop, arm, seconds=20.0, **changes):
+    arguments = {"unseen": 0.02, "speed": 0.3, "longest": 10.0, "patience": 0.5} | changes
+    arm.ended = own_loop.control(arm, LIMITED, lambda t: GOAL, lambda t: t >= seconds, **arguments)
+    return arm.ended[:2]
+
+
+def test_it_starts_without_a_jump_arrives_and_ends_at_standstill(own_loop):
+    arm = Arm()
+    why, log = lead(own_loop, arm, 8.0)
+    assert why == "asked to"
+    believed = LAW.gravity_torque(LAW.adaptation.theta0, Q0)
+    np.testing.assert_allclose(arm.torques[0], believed, atol=1e-9)
+    before = log[log["t"] < 8.0]
+    assert np.linalg.norm(before["x"][-1] - GOAL) < 1e-3
+    assert np.abs(arm.v).max() < 0.02
+    assert arm.brakes == 1
+    g = arm.plant.dynamics.g(arm.q)
+    again = LAW.gravity_torque(arm.ended[2], arm.q)  # what was learnt is handed back
+    assert np.abs(again - g).max() < 0.1 * np.abs(believed - g).max()
+    assert len(log) == len(arm.torques)
+    np.testing.assert_array_equal(log["torque"], arm.torques)
+    np.testing.assert_array_equal(log["t"], 1e-3 * np.arange(len(log)))
+
+
+@pytest.mark.parametrize("truth", [TRUTH, HEAVY])
+def test_a_stop_in_mid_motion_is_soft_and_ends_at_standstill(own_loop, truth):
+    arm = Arm(truth=truth)
+    why, log = lead(own_loop, arm, 0.6)
+    assert why == "asked to"
+    assert np.abs(log["v"][599]).max() > 0.2
+    assert np.abs(arm.v).max() < 0.02
+    assert log["t"][-1] < 2.59  # before it gives up
+    assert is_soft(arm, log[600:])
+
+
+def is_soft(arm, log):
+    """Whether torques stay near those that hold the arm: it is not switched off."""
+    g = np.array([arm.plant.dynamics.g(q) for q in log["q"]])
+    return np.abs(log["torque"] - g).max() < 0.5 * np.abs(g).max()
+
+
+@pytest.mark.parametrize(
+    ("fault", "changes", "reason"),
+    [
+        ("blind", {}, "blind, or no torque keeps the limits"),
+        ("slow", {"longest": 0.04}, "a torque came too late"),
+    ],
+)
+def test_a_fault_that_lasts_stops_it(own_loop, fault, changes, reason):
+    arm = Arm(fault)
+    why, log = lead(own_loop, arm, **changes)
+    assert why == reason
+    assert log["t"][-1] < 4.0
+    assert arm.brakes == 1
+    moving = np.abs(log["v"]).max(axis=1)
+    assert moving[-1] < 0.7 * moving[300]  # what it has not learnt of its weight lets it sink
+    assert is_soft(arm, log[300:])
+    assert log["status"][-1] == aj.Status.MEASUREMENT_LOST
+
+
+def test_one_late_torque_is_no_reason_to_stop(own_loop):
+    why, log = lead(own_loop, Arm("slow"), 1.0, longest=1.0)
+    assert why == "asked to"
+    assert (log["gap"] > 0.05).sum() >= 1
+
+
+def test_without_joints_it_holds_the_arm_up_for_some_cycles_and_brakes(own_loop):
+    arm = Arm("joints")
+    why, log = lead(own_loop, arm)
+    assert why == "joints unknown"
+    assert arm.brakes == 1
+    unknown = log[log["status"] == own_loop.UNKNOWN]
+    assert len(unknown) == 12
+    assert len(log) == 312
+    q_known = log["q"][299]
+    np.testing.assert_allclose(unknown["torque"], unknown["torque"][:1].repeat(12, axis=0))
+    g = arm.plant.dynamics.g(q_known)
+    assert np.abs(unknown["torque"][0] - g).max() < 0.3 * np.abs(g).max()
+
+
+def test_a_blind_arm_waits_and_goes_on_from_where_it_is_seen(own_loop):
+    class Blinking(Arm):
+        def read(self):
+            self.fault = "blind" if len(self.torques) < 700 else ""
+            return super().read()
+
+    arm = Blinking()
+    why, log = lead(own_loop, arm, 8.0)
+    assert why == "asked to"
+    assert (log["status"][400:700] == aj.Status.MEASUREMENT_LOST).any()
+    jumps = np.abs(np.diff(log["torque"][699:710], axis=0)).max()
+    assert jumps < 5.0
+    assert np.linalg.norm(log["x"][7999] - GOAL) < 2e-3
+
+
+def test_whatever_happens_the_brakes_close(own_loop):
+    arm = Arm("fails")
+    with pytest.raises(ConnectionError):
+        lead(own_loop, arm)
+    assert arm.brakes == 1
+
+
+def test_the_log_keeps_the_last_cycles(own_loop):
+    _, log = lead(own_loop, Arm(), 0.5, rows=100)
+    assert len(log) == 100
+    np.testing.assert_allclose(np.diff(log["t"]), 1e-3)
+
+
+def test_the_target_moves_at_its_speed_in_every_kind_of_task(own_loop):
+    task = aj.PoseTask(aj.load_robot("panda"))
+    aim = task.value(np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]))
+    goal = task.displaced(aim, np.array([0.0, 0.0, 0.1, 0.3, 0.0, 0.0]))
+    step = own_loop.moved(task, aim, goal, 0.01)
+    assert np.linalg.norm(task.error(step, aim)) == pytest.approx(0.01)
+    np.testing.assert_allclose(own_loop.moved(task, aim, goal, 1.0), goal, atol=1e-12)
+    np.testing.assert_allclose(own_loop.moved(task, goal, goal, 0.01), goal, atol=1e-12)
+
+
+def test_after_a_late_torque_it_goes_on_at_the_next_whole_period(own_loop, monkeypatch):
+    class Clock:
+        now = 7.0
+
+        def perf_counter(self):
+            return self.now
+
+        def wait_until(self, due):
+            self.now = max(self.now, due)
+
+    class Timed(Arm):
+        def send(self, torque):
+            super().send(torque)
+            clock.now += 3.7e-3 if len(self.torques) == 10 else 0.2e-3
+
+    clock = Clock()
+    monkeypatch.setattr(own_loop, "time", clock)
+    monkeypatch.setattr(own_loop, "wait_until", clock.wait_until)
+    _, log = lead(own_loop, Timed(), 0.02)
+    begins = np.cumsum(log["gap"]) - log["work"]
+    periods = np.concatenate([np.arange(10), np.arange(13, 21)])  # three are left out
+    np.testing.assert_allclose(begins[:18], 1e-3 * periods, atol=1e-9)
+    assert log["work"][9] == pytest.approx(3.7e-3)
+
+
+def test_waiting_ends_when_it_is_due(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    from own_loop import wait_until
+
+    due = time.perf_counter() + 5e-3
+    wait_until(due)
+    assert time.perf_counter() >= due
+    began = time.perf_counter()
+    wait_until(began - 1.0)  # what is over is not waited for
+    assert time.perf_counter() - began < 0.5
+
+
+def test_the_example_arrives_although_it_was_blind_and_stands_still(
+    own_loop, tmp_path, monkeypatch
+):
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
+    monkeypatch.setattr(sys, "argv", ["11_your_own_loop.py", "--out", str(tmp_path)])
+    ran = runpy.run_path(str(EXAMPLES / "11_your_own_loop.py"), run_name="__main__")
+    assert ran["why"] == "asked to"
+    at_start, _, seen_again, arrived = ran["error"][list(ran["at"].values())]
+    assert at_start > 200.0
+    assert seen_again > 30.0
+    assert arrived < 1.0
+    assert ran["speed"][-1] <= 0.02
+    assert 1.0 < ran["jump"] < 4.0
+    assert (ran["log"]["status"] == own_loop.UNKNOWN).sum() == 3
