@@ -311,7 +311,7 @@ def test_an_arm_without_a_floor_touches_nothing(rng):
 
 def test_repr(above_floor):
     text = repr(above_floor)
-    assert text.startswith("MujocoPlant(Robot('panda'")
+    assert text.startswith("MujocoPlant('panda', PositionTask('panda'")
     assert text.endswith(", floor=0.0, joint_limits=True)")
 
 
