@@ -41,7 +41,7 @@ for left, right, kv in ((axes[0], axes[1], 5000.0), (axes[2], axes[3], 10000.0))
     )
     local = aj.local_stability(plant, controller, goal)
     # dt is not given: (q, v) are integrated as one differential equation, as in the paper.
-    run = aj.simulate(plant, controller, target, start, duration=60.0)
+    run = aj.simulate(plant, controller, target, start, duration=60.0, dt=None)
     said = "stable" if local.stable else "unstable"
     print(f"a = {5000.0 / kv:g}: max Re λ = {local.max_real_eigenvalue:+.4f} 1/s ({said}); {run}")
     view.plot_error(run, left, title=f"Error in the image, a = {5000.0 / kv:g}: {said}")

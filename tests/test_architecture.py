@@ -14,13 +14,14 @@ SOURCE = Path(approxjac.__file__).parent
 # Each may import itself and what stands in its set; nothing else of ours.
 ALLOWED = {
     "errors": set(),
+    "text": set(),
     "checks": {"errors"},
-    "interface": {"checks"},
+    "interface": {"checks", "text"},
     "robots": {"checks", "errors"},
     "law": {"checks", "errors"},
-    "tasks": {"robots", "checks", "errors"},
-    "controllers": {"law", "tasks", "robots", "interface", "checks", "errors"},
-    "simulation": {"law", "tasks", "robots", "interface", "checks", "errors"},
+    "tasks": {"robots", "text", "checks", "errors"},
+    "controllers": {"law", "tasks", "robots", "interface", "text", "checks", "errors"},
+    "simulation": {"law", "tasks", "robots", "interface", "text", "checks", "errors"},
     "stability": {
         "controllers", "simulation", "law", "tasks", "robots", "interface", "checks", "errors",
     },
@@ -107,8 +108,11 @@ def test_an_import_loads_nothing_heavy():
 def test_stability_is_loaded_when_it_is_asked_for():
     code = (
         "import sys, approxjac as aj\n"
-        "assert 'approxjac.stability' not in sys.modules\n"
+        "assert not {'approxjac.stability', 'approxjac.view'} & set(sys.modules)\n"
         "assert set(aj.__all__) <= set(dir(aj))\n"
+        "assert {'stability', 'view', 'errors'} <= set(dir(aj))\n"
+        "assert not {'Any', 'importlib', 'TYPE_CHECKING', 'interface'} & set(dir(aj))\n"
+        "assert aj.view.plot_run.__module__ == 'approxjac.view.plots'\n"
         "from approxjac import stability_report\n"
         "assert stability_report is aj.stability.stability_report is aj.stability_report\n"
     )

@@ -2,6 +2,9 @@
 
 The plant owns the true robot, the controller the believed one; only measurements and torques
 pass between them. Import as `import approxjac as aj`.
+
+What one builds and calls is here by name. What functions return, and what is built rarely, is in
+the module that makes it: `aj.stability.Tube`, `aj.tasks.Camera`, `aj.view.plot_run`.
 """
 
 import importlib
@@ -26,7 +29,6 @@ from approxjac.controllers import (
     TorqueLimited,
     VelocityServo,
     bounded_gains,
-    default_adaptation,
     default_gains,
 )
 from approxjac.errors import (
@@ -43,7 +45,6 @@ from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
 from approxjac.law import Linear, Sine, Tanh
 from approxjac.robots import (
     Dynamics,
-    Excitation,
     GravityRegressor,
     Robot,
     excitation,
@@ -52,7 +53,6 @@ from approxjac.robots import (
 )
 from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
 from approxjac.tasks import (
-    Camera,
     CombinedTask,
     ImageTask,
     NonsingularTask,
@@ -65,44 +65,35 @@ from approxjac.tasks import (
 )
 
 if TYPE_CHECKING:
-    from approxjac.stability import (  # type: ignore[no-redef]  # of functions named as modules
-        JointBox,
-        LocalStability,
-        LyapunovValue,
-        Region,
-        RegularPart,
-        Rollout,
-        Rollouts,
-        StabilityMap,
-        StabilityReport,
-        SublevelSet,
-        Suggestion,
-        Tolerance,
-        Tube,
-        Uncertainty,
-        local_stability,
-        lyapunov,
-        rollouts,
-        stability_map,
-        stability_report,
-        suggest_gains,
-        tolerance,
-    )
+    from approxjac import stability, view
+
+    # from their own modules: through the package, type checkers take functions that are named as
+    # modules for these
+    from approxjac.stability.local import local_stability
+    from approxjac.stability.lyapunov import lyapunov
+    from approxjac.stability.map import stability_map
+    from approxjac.stability.region import JointBox
+    from approxjac.stability.report import stability_report
+    from approxjac.stability.rollouts import rollouts
+    from approxjac.stability.suggest import suggest_gains
+    from approxjac.stability.tolerance import tolerance
+    from approxjac.stability.uncertainty import Uncertainty
 
 __version__ = "0.1.0"
+
+_LAZY = ("stability", "view")  # modules that many programs never need
+_MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [
     "AdaptiveGravity",
     "ApproxJacError",
     "BoundedController",
     "BoundedGains",
-    "Camera",
     "CombinedTask",
     "Controller",
     "DifferentiatedVelocity",
     "Dynamics",
     "Evaluation",
-    "Excitation",
     "Gains",
     "GravityRegressor",
     "HeldMeasurement",
@@ -112,8 +103,6 @@ __all__ = [
     "LimitStatus",
     "Limits",
     "Linear",
-    "LocalStability",
-    "LyapunovValue",
     "Measurement",
     "MeasurementError",
     "MissingPackageError",
@@ -127,37 +116,26 @@ __all__ = [
     "PoseTask",
     "PositionTask",
     "Posture",
-    "Region",
     "RegressorGravity",
-    "RegularPart",
     "Robot",
-    "Rollout",
-    "Rollouts",
     "Sensing",
     "SetpointController",
     "SimulationError",
     "Sine",
-    "StabilityMap",
-    "StabilityReport",
     "StackedTask",
     "Status",
-    "SublevelSet",
-    "Suggestion",
     "Tanh",
     "Task",
     "TaskTorqueScaled",
-    "Tolerance",
     "TorqueClipped",
     "TorqueLimited",
     "Trajectory",
     "TrajectoryFileError",
-    "Tube",
     "Uncertainty",
     "UnknownNameError",
     "UrdfError",
     "VelocityServo",
     "bounded_gains",
-    "default_adaptation",
     "default_gains",
     "excitation",
     "law",
@@ -167,21 +145,28 @@ __all__ = [
     "robot_names",
     "rollouts",
     "simulate",
+    "stability",
     "stability_map",
     "stability_report",
     "suggest_gains",
     "tolerance",
+    "view",
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """Load `approxjac.stability` when one of its names is asked for: many programs never do."""
-    if name == "stability" or name in __all__:
-        module = importlib.import_module("approxjac.stability")
-        found = globals()[name] = module if name == "stability" else getattr(module, name)
+if not TYPE_CHECKING:  # or no name would be unknown to type checkers
+
+    def __getattr__(name: str) -> Any:
+        """Load `approxjac.stability` and `view` when they, or their names, are asked for."""
+        if name in _LAZY:
+            found = importlib.import_module(f"approxjac.{name}")
+        elif name in __all__:
+            found = getattr(importlib.import_module("approxjac.stability"), name)
+        else:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = found
         return found
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *_MODULES, "__version__", "__doc__", "__file__", "__path__"})

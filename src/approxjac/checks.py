@@ -98,6 +98,12 @@ def as_diagonal(
         InvalidInputError: Wrong shape, not finite, above 1e60, negative, or zero where `positive`.
     """
     scalar = is_scalar(value)
+    if len(shape_of(value)) == 2:
+        raise InvalidInputError(
+            f"{name} must be a number or the diagonal of a matrix, one number an entry, got shape "
+            f"{shape_of(value)}",
+            given=value,
+        )
     array = as_array(name, [value] * max(size, 1) if scalar else value, (max(size, 1),), unit)
     if (array > _LARGEST).any():  # or products of gains could overflow in a control step
         raise InvalidInputError(

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from approxjac.checks import Array
+from approxjac.text import listed
 
 
 class Status(enum.IntEnum):
@@ -118,6 +119,10 @@ class Measurement(NamedTuple):
     v: Array
     x: Array
 
+    def __repr__(self) -> str:
+        q, v, x = listed(self.q), listed(self.v), listed(self.x)
+        return f"Measurement(t={self.t:g} s, q={q}, v={v}, x={x})"
+
 
 class Evaluation(NamedTuple):
     """What a controller answers to one measurement.
@@ -139,6 +144,12 @@ class Evaluation(NamedTuple):
     J_hat: Array | None = None
     limit_status: LimitStatus = LimitStatus.UNLIMITED
     slack: float = 0.0
+
+    def __repr__(self) -> str:
+        said = str(self.status)
+        if self.limit_status is not LimitStatus.UNLIMITED:
+            said += f", {self.limit_status}, slack={self.slack:.4g} W"
+        return f"Evaluation({said}, torque={listed(self.torque)}, e={listed(self.e)})"
 
     @property
     def sigma_min(self) -> float:

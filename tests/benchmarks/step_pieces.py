@@ -34,6 +34,7 @@ def pieces(controller, bare, inputs):
     robot, frame = task.robot, task.robot.frame_id(task.frame)
     model, data, gravity_data = robot.model, robot.model.createData(), robot.model.createData()
     kp, kv, damping = controller.diagonals
+    at_rest = np.zeros(robot.nv)
     q, _, x = inputs[0]
     J, s, alpha = task.compute_jacobian(q), x.copy(), controller._alpha
     x_d, scale = np.zeros(3), controller._scale
@@ -49,12 +50,10 @@ def pieces(controller, bare, inputs):
         if learning is None:
             pin.computeGeneralizedGravity(model, gravity_data, q)
         else:
-            pin.computeStaticRegressor(model, gravity_data, q)
-            pin.computeJointJacobians(model, gravity_data)
+            pin.computeJointTorqueRegressor(model, gravity_data, q, at_rest, at_rest)
 
     def regressor_in_pinocchio(q, v, x):
-        pin.computeStaticRegressor(model, gravity_data, q)
-        pin.computeJointJacobians(model, gravity_data)
+        pin.computeJointTorqueRegressor(model, gravity_data, q, at_rest, at_rest)
 
     def equations(q, v, x):
         e = x - x_d

@@ -49,7 +49,7 @@ def test_defaults_are_filled_in_where_nothing_is_given(arms):
     assert gravity.alpha is None
     controller = aj.SetpointController(task, gravity=gravity)
     filled = controller.adaptation
-    L, alpha = aj.default_adaptation(task, controller.diagonals, regressor)
+    L, alpha = aj.controllers.default_adaptation(task, controller.diagonals, regressor)
     assert_allclose(filled.L, L, atol=0)
     assert filled.alpha == alpha
     assert filled.L.shape == (12,)

@@ -404,7 +404,7 @@ def test_objects_of_the_wrong_kind_are_refused(panda):
         ),
         (lambda: aj.SetpointController(task, gains, saturation=aj.Sine), "saturation must be Lin"),
         (lambda: aj.SetpointController(task, gains, saturation=0.2), "saturation must be Linear"),
-        (lambda: aj.AdaptiveGravity(panda, 1.0, 1.0), "regressor must be a GravityRegressor of"),
+        (lambda: aj.AdaptiveGravity(task, 1.0, 1.0), "model must be the believed Robot, or a Grav"),
         (lambda: aj.RegressorGravity(panda, np.ones(12)), "regressor must be a GravityRegressor"),
         (lambda: aj.GravityRegressor(task), "robot must be a Robot, got PositionTask"),
         (lambda: aj.PositionTask("panda"), "robot must be a Robot, got 'panda'"),
@@ -412,7 +412,7 @@ def test_objects_of_the_wrong_kind_are_refused(panda):
         (lambda: aj.Plant(panda, panda), "sensor must be a task of the true robot, such as"),
         (lambda: aj.Plant(task, task), "robot must be the true Robot, got PositionTask"),
         (
-            lambda: aj.simulate(aj.SetpointController(task, gains), None, 0, 0, 1),
+            lambda: aj.simulate(aj.SetpointController(task, gains), None, 0, 0, 1, dt=None),
             "plant must be a Plant",
         ),
         (lambda: panda.with_locked_joints(["panda_joint1"]), "positions must be a mapping from"),

@@ -167,7 +167,7 @@ def test_with_the_exact_model_the_error_decays_as_it_should(name, rng):
     task = controller.task
     rate, bandwidth = controller.rate, controller.inner_bandwidth
     target = task.value(START) + 0.02 * rng.normal(size=3)
-    run = aj.simulate(aj.Plant(task.robot, task), controller, target, START, 4.0 / rate)
+    run = aj.simulate(aj.Plant(task.robot, task), controller, target, START, 4.0 / rate, dt=None)
     share = run.error / run.error[0]
     expected = second_order(rate, bandwidth, run.t)
     assert_allclose(share, np.broadcast_to(expected[:, np.newaxis], share.shape), atol=0.01)
@@ -177,7 +177,7 @@ def test_with_a_quick_inner_loop_the_error_decays_like_exp_minus_rate_t():
     task = controllers()["panda"].task
     controller = aj.VelocityServo(task, 4.0, inner_bandwidth=1000.0)
     target = task.value(START) + np.array([0.03, -0.02, 0.03])
-    run = aj.simulate(aj.Plant(task.robot, task), controller, target, START, 1.5)
+    run = aj.simulate(aj.Plant(task.robot, task), controller, target, START, 1.5, dt=None)
     assert_allclose(run.error_norm / run.error_norm[0], np.exp(-4.0 * run.t), atol=0.005)
 
 

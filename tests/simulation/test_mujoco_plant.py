@@ -161,8 +161,8 @@ def test_closed_loops_agree_to_1e_12(controller, integrator):
 
 def test_the_continuous_closed_loop_agrees_to_1e_7():
     arguments = (LAWS["law (6)"], X0 + [0.10, -0.15, 0.16], Q0, 2.0)
-    ours = aj.simulate(aj.Plant(TRUTH, SENSOR), *arguments)
-    theirs = aj.simulate(aj.MujocoPlant(TRUTH, SENSOR), *arguments)
+    ours = aj.simulate(aj.Plant(TRUTH, SENSOR), *arguments, dt=None)
+    theirs = aj.simulate(aj.MujocoPlant(TRUTH, SENSOR), *arguments, dt=None)
     assert np.abs(ours.q - theirs.q).max() < 1e-7
 
 
@@ -311,7 +311,7 @@ def test_an_arm_without_a_floor_touches_nothing(rng):
 
 def test_repr(above_floor):
     text = repr(above_floor)
-    assert text.startswith("MujocoPlant(Robot('panda'")
+    assert text.startswith("MujocoPlant('panda', PositionTask('panda'")
     assert text.endswith(", floor=0.0, joint_limits=True)")
 
 

@@ -463,7 +463,7 @@ def test_coulomb_friction_dissipates_exactly_its_power(viscous):
         coulomb_velocity=width,
     )
     probe = Probe(lambda t: np.zeros(2))
-    run = aj.simulate(plant, probe, np.zeros(2), (0.3, 0.8), 2.0, record_every=1e-3)
+    run = aj.simulate(plant, probe, np.zeros(2), (0.3, 0.8), 2.0, record_every=1e-3, dt=None)
     energy = np.array([plant.dynamics.energy(q, v) for q, v in zip(run.q, run.v, strict=True)])
     power = (run.v * np.tanh(run.v / width)) @ coulomb + viscous * (run.v**2).sum(axis=1)
     lost = cumulative_simpson(power, x=run.t, initial=0.0)

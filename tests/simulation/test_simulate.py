@@ -37,7 +37,8 @@ def released(robot, tau, duration, friction=0.0, **options):
     q0 = robot.random_configuration(rng)
     v0 = rng.uniform(-1, 1, robot.nv)
     target = np.zeros(plant.sensor.m)
-    run = aj.simulate(plant, ConstantTorque(tau), target, q0, duration, v0=v0, **options)
+    options = {"dt": None, "v0": v0, **options}
+    run = aj.simulate(plant, ConstantTorque(tau), target, q0, duration, **options)
     return plant, run
 
 
@@ -82,7 +83,7 @@ def test_a_sampled_run_converges_to_the_continuous_one():
         gravity=aj.AdaptiveGravity(aj.GravityRegressor(robot, "x"), 0.1, 1.0, theta0=(0.0, 0.0)),
     )
     arguments = (plant_of(robot), controller, (0.5, 1.2), (0.3, 0.8), 1.0)
-    exact = aj.simulate(*arguments, record_every=0.1)
+    exact = aj.simulate(*arguments, dt=None, record_every=0.1)
     errors = []
     for dt in (2e-3, 1e-3, 5e-4):
         run = aj.simulate(*arguments, dt=dt, record_every=0.1)
@@ -117,10 +118,10 @@ def test_gravity_direction_is_the_plants():
     robot = aj.load_robot("two_link")
     q0 = np.array([0.3, 0.4])
     still = plant_of(robot.with_gravity((0.0, 0.0, 0.0)))
-    run = aj.simulate(still, ConstantTorque((0.0, 0.0)), (0.0, 0.0), q0, 0.5)
+    run = aj.simulate(still, ConstantTorque((0.0, 0.0)), (0.0, 0.0), q0, 0.5, dt=None)
     assert_allclose(run.q, np.tile(q0, (len(run.t), 1)), atol=1e-12)
     sideways = plant_of(robot.with_gravity((0.0, -9.81, 0.0)))  # across the arm's plane
-    run = aj.simulate(sideways, ConstantTorque((0.0, 0.0)), (0.0, 0.0), q0, 0.5)
+    run = aj.simulate(sideways, ConstantTorque((0.0, 0.0)), (0.0, 0.0), q0, 0.5, dt=None)
     assert_allclose(run.q[-1], q0, atol=1e-12)
 
 
@@ -260,7 +261,7 @@ def test_records_can_be_thinned(short_run):
     assert_allclose(thin.t, [0.0, 0.03, 0.06, 0.09, 0.1])
     assert_allclose(thin.q, short_run.q[[0, 3, 6, 9, 10]])
     seen = []
-    run = aj.simulate(*arguments, record_every=0.025, progress=seen.append)
+    run = aj.simulate(*arguments, dt=None, record_every=0.025, progress=seen.append)
     assert_allclose(run.t, [0.0, 0.025, 0.05, 0.075, 0.1])
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(0.1)
@@ -274,8 +275,12 @@ def test_records_can_be_thinned(short_run):
     [
         ({"target": (1.0,)}, aj.InvalidInputError, r"target must have shape \(2,\) \[m\], got sha"),
         ({"target": (np.nan, 1.0)}, aj.InvalidInputError, r"target must be finite \[m\], got"),
-        ({"q0": (1.0,)}, aj.InvalidInputError, r"q0 must have shape \(2,\) \[rad\], got shape"),
-        ({"q0": (np.nan, 0.0)}, aj.InvalidInputError, r"q0 must be finite \[rad\], got \[nan"),
+        (
+            {"q0": (1.0,)},
+            aj.InvalidInputError,
+            r"q0 must have shape \(2,\) \[rad or m\], got shape",
+        ),
+        ({"q0": (np.nan, 0.0)}, aj.InvalidInputError, r"q0 must be finite \[rad or m\], got \[nan"),
         ({"v0": (1.0, np.inf)}, aj.InvalidInputError, r"v0 must be finite \[rad/s\], got"),
         ({"duration": 0.0}, aj.InvalidInputError, r"duration must be a finite number > 0 \[s\]"),
         ({"dt": -1.0}, aj.InvalidInputError, r"dt must be a finite number > 0 \[s\], got -1.0"),
@@ -305,7 +310,7 @@ def test_records_can_be_thinned(short_run):
 )
 def test_bad_arguments_are_refused(changes, error, text):
     robot = aj.load_robot("two_link")
-    arguments = {"target": (0.5, 1.2), "q0": (0.3, 0.8), "duration": 1.0, **changes}
+    arguments = {"target": (0.5, 1.2), "q0": (0.3, 0.8), "duration": 1.0, "dt": None, **changes}
     with pytest.raises(error, match=text):
         aj.simulate(plant_of(robot), ConstantTorque((0.0, 0.0)), **arguments)
 
@@ -313,7 +318,9 @@ def test_bad_arguments_are_refused(changes, error, text):
 def test_a_configuration_off_the_circle_is_refused():
     robot = aj.load_robot("kinova")
     with pytest.raises(aj.InvalidInputError, match=r"q0 must have cos\^2 \+ sin\^2 = 1"):
-        aj.simulate(plant_of(robot), ConstantTorque(np.zeros(6)), np.zeros(3), np.zeros(9), 1.0)
+        aj.simulate(
+            plant_of(robot), ConstantTorque(np.zeros(6)), np.zeros(3), np.zeros(9), 1.0, dt=None
+        )
 
 
 def test_a_sensor_of_another_robot_is_refused(two_link, panda):
@@ -424,7 +431,14 @@ def test_axes_in_another_order_are_refused():
 def test_absurdly_many_steps_are_refused(changes):
     plant = plant_of(aj.load_robot("two_link"))
     with pytest.raises(aj.InvalidInputError, match="must be at least 1e-9 of duration = 1"):
-        aj.simulate(plant, ConstantTorque((0.0, 0.0)), (0.5, 1.2), (0.3, 0.8), 1.0, **changes)
+        aj.simulate(
+            plant,
+            ConstantTorque((0.0, 0.0)),
+            (0.5, 1.2),
+            (0.3, 0.8),
+            1.0,
+            **{"dt": None, **changes},
+        )
 
 
 def test_damaged_files_are_always_a_named_error(short_run, tmp_path):

@@ -192,19 +192,19 @@ def measured_rate(plant, controller, q_target, duration, dt, size=1e-6):
 
 def test_a_point_of_the_complex_plane_is_read_as_rate_and_ratio():
     pair = np.array([-3.0 + 4.0j, -3.0 - 4.0j, -50.0])
-    local = aj.LocalStability(pair, self_motion=0, unseen_parameters=0, singular=False)
+    local = aj.stability.LocalStability(pair, self_motion=0, unseen_parameters=0, singular=False)
     assert_allclose((local.decay_rate, local.damping_ratio), (3.0, 0.6))
-    growing = aj.LocalStability(-pair, 0, 0, False)
+    growing = aj.stability.LocalStability(-pair, 0, 0, False)
     assert_allclose((growing.decay_rate, growing.damping_ratio), (-50.0, -1.0))
-    real = aj.LocalStability(pair[2:], 0, 0, False)
+    real = aj.stability.LocalStability(pair[2:], 0, 0, False)
     assert_allclose((real.decay_rate, real.damping_ratio), (50.0, 1.0))
 
 
 def test_modes_that_are_over_before_the_loop_answers_do_not_count_as_oscillation():
     slow, over = -2.0 + 0.5j, -400.0 + 3000.0j
     modes = np.array([slow, over, complex(-np.inf, 0.0)])
-    kept = aj.LocalStability(modes, 0, 0, False, dt=1e-3, dead_time=5e-3)
-    left_out = aj.LocalStability(modes, 0, 0, False, dt=1e-3, dead_time=6e-3)
+    kept = aj.stability.LocalStability(modes, 0, 0, False, dt=1e-3, dead_time=5e-3)
+    left_out = aj.stability.LocalStability(modes, 0, 0, False, dt=1e-3, dead_time=6e-3)
     assert_allclose(kept.damping_ratio, 400.0 / abs(over))
     assert_allclose(left_out.damping_ratio, 2.0 / abs(slow))
 

@@ -21,9 +21,9 @@ def regions(panda):
     return {
         "limits": aj.JointBox(panda),
         "box": box,
-        "tube": aj.Tube(panda, np.linspace(Q, Q + 0.5, 20), 0.1),
-        "regular": aj.RegularPart(aj.JointBox(panda), task, 0.2),
-        "sublevel": aj.SublevelSet(plant, controller, target, Q, alpha=0.5, within=box),
+        "tube": aj.stability.Tube(panda, np.linspace(Q, Q + 0.5, 20), 0.1),
+        "regular": aj.stability.RegularPart(aj.JointBox(panda), task, 0.2),
+        "sublevel": aj.stability.SublevelSet(plant, controller, target, Q, alpha=0.5, within=box),
     }
 
 
@@ -70,7 +70,7 @@ def test_continuous_joints_are_counted_from_the_centre():
 
 def test_regular_part_keeps_the_bound(panda):
     task = aj.PositionTask(panda)
-    region = aj.RegularPart(aj.JointBox(panda), task, 0.25)
+    region = aj.stability.RegularPart(aj.JointBox(panda), task, 0.25)
     for q in region.sample(50, np.random.default_rng(0)):
         assert np.linalg.svd(task.jacobian(q), compute_uv=False)[-1] >= 0.25
 
@@ -85,7 +85,7 @@ def test_sublevel_set_is_where_v_lets_the_arm_go(two_link):
     )
     start, target_posture = np.array([0.65, 1.15]), np.array([0.8, 1.0])
     target = plant.sensor.value(target_posture)
-    region = aj.SublevelSet(plant, controller, target, start)
+    region = aj.stability.SublevelSet(plant, controller, target, start)
     assert region.contains(start)
     assert region.contains(target_posture)
     level = 100.0 * 0.5 * np.sum((plant.sensor.value(start) - target) ** 2)
@@ -110,7 +110,7 @@ def test_a_cross_term_makes_the_set_larger(alpha, seed):
     plant = aj.Plant(arm, aj.PositionTask(arm, axes="xz"))
     start = np.array([0.5, 1.2])
     target = task.value(np.array([0.8, 1.0]))
-    region = aj.SublevelSet(plant, controller, target, start, alpha)
+    region = aj.stability.SublevelSet(plant, controller, target, start, alpha)
     q = start + np.random.default_rng(seed).uniform(-0.3, 0.3, 2)
     e = task.value(q) - target
     M, J = plant.dynamics.M(q), task.jacobian(q)
@@ -128,20 +128,20 @@ def test_empty_regions_are_refused(panda):
     with pytest.raises(
         aj.InvalidInputError, match=r"the region is empty: of .* have sigma_min >= 9"
     ):
-        aj.RegularPart(aj.JointBox(panda), task, 9.0).sample(5, np.random.default_rng(0))
+        aj.stability.RegularPart(aj.JointBox(panda), task, 9.0).sample(5, np.random.default_rng(0))
     with pytest.raises(aj.InvalidInputError, match="radius must be > 0 in every joint, or the reg"):
-        aj.Tube(panda, np.array([Q]), 0.0)
+        aj.stability.Tube(panda, np.array([Q]), 0.0)
     with pytest.raises(
         aj.InvalidInputError, match=r"postures must be of shape \(N, 7\) with N > 0"
     ):
-        aj.Tube(panda, np.zeros((0, 7)))
+        aj.stability.Tube(panda, np.zeros((0, 7)))
     plant = aj.Plant(panda, task)
     controller = aj.SetpointController(task)
     far = aj.JointBox.around(panda, Q + 1.0, 0.1)
     with pytest.raises(
         aj.InvalidInputError, match=r"q0 must be in JointBox.*or the region is empty"
     ):
-        aj.SublevelSet(plant, controller, task.value(Q), Q, within=far)
+        aj.stability.SublevelSet(plant, controller, task.value(Q), Q, within=far)
 
 
 def test_bounds_come_together(panda):
@@ -181,5 +181,5 @@ def test_boxes_of_continuous_joints_hold_what_they_draw():
 
 def test_regular_part_does_not_give_up_at_once(panda):
     task = aj.PositionTask(panda)
-    region = aj.RegularPart(aj.JointBox(panda), task, 0.3)
+    region = aj.stability.RegularPart(aj.JointBox(panda), task, 0.3)
     assert all(len(region.sample(1, np.random.default_rng(seed))) == 1 for seed in range(100))

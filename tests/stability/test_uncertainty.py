@@ -182,7 +182,7 @@ def test_ranges_of_a_pinhole_camera(watched):
     assert_array_equal(watched.scaled(2.0).high, (0.4, 720.0, 0.8, 0.6))
 
 
-class Fixed(aj.Camera):
+class Fixed(aj.tasks.Camera):
     """A camera in whose calibration only the roll may be wrong, or nothing."""
 
     labels, unit = ("a", "b"), "m"
@@ -353,7 +353,10 @@ REFUSED = [
         r"object_length must be \(smallest, largest\) \[m\], got \(0.3, 0.0\); \(0.0, 0.3\) is",
     ),
     ({"object_length": (0.0, np.nan)}, r"object_length must be finite \[m\], got \[0.0, nan\]"),
-    ({"object_length": 0.3}, r"object_length must have shape \(2,\) \[m\]"),
+    (
+        {"object_length": 0.3},
+        r"object_length must be \(smallest, largest\) \[m\], such as \(0.0, 0.3\), got 0.3",
+    ),
     (
         {"object_length": (0.1, 0.3)},
         r"object_length must hold what is believed, 0 \[m\], got \(0.1, 0.3\); \(0.0, 0.3\) does",

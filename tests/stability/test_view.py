@@ -163,14 +163,14 @@ def test_a_set_that_v_lets_be_reached_is_in_view(rng):
     controller, errors = loop()
     plant = errors.plant([0.1])
     target = plant.sensor.value(np.array([-0.2, 1.6]))
-    region = aj.SublevelSet(plant, controller, target, (0.1, 1.0), alpha=0.1, within=BOX)
+    region = aj.stability.SublevelSet(plant, controller, target, (0.1, 1.0), alpha=0.1, within=BOX)
     for q in region.sample(20, rng):
         assert plant.sensor.sees(q)
     assert not region.contains(np.array([-1.1, 0.5]))
     with pytest.raises(
         aj.InvalidInputError, match="q0 must be a posture that the sensor sees, got"
     ):
-        aj.SublevelSet(plant, controller, target, (-1.1, 0.5), within=BOX)
+        aj.stability.SublevelSet(plant, controller, target, (-1.1, 0.5), within=BOX)
 
 
 def test_v_and_w_out_of_view_are_refused():
@@ -214,7 +214,7 @@ def test_the_other_tests_refuse_it():
             lambda: aj.lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
         ],
         "the set of V with alpha > 0": [
-            lambda: aj.SublevelSet(plant, controller, task.value(q), q, alpha=1.0)
+            lambda: aj.stability.SublevelSet(plant, controller, task.value(q), q, alpha=1.0)
         ],
     }
     for what, calls in tests.items():
@@ -235,7 +235,7 @@ def test_a_panda_before_a_camera(panda):
     q = np.array([0.3, 0.4, -0.2, -1.8, 0.1, 2.0, 0.5])
     tip = aj.PositionTask(arm).value(q)
     camera = aj.PinholeCamera.looking_at(tip, tip + [0.9, -0.7, 0.5], 600.0, (640, 480))
-    tube = aj.Tube(arm, q[None], 0.05)
+    tube = aj.stability.Tube(arm, q[None], 0.05)
     small = aj.Uncertainty(
         arm, camera=camera, roll=(-0.1, 0.1), focal_length=(570.0, 630.0), distance=(-0.05, 0.05)
     )

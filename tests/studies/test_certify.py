@@ -78,7 +78,13 @@ def test_damping_is_scaled_and_nothing_else():
 
 def simulated(loop: certify_cases.Loop, duration: float = 0.5) -> Trajectory:
     return aj.simulate(
-        loop.plant, loop.controller, loop.target, loop.q0, duration, record_every=duration / 2000.0
+        loop.plant,
+        loop.controller,
+        loop.target,
+        loop.q0,
+        duration,
+        record_every=duration / 2000.0,
+        dt=None,
     )
 
 

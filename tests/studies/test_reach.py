@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.studies import reach, reach_report
 from approxjac.studies.reach import Settings
+from approxjac.tasks import best_axes
 
 HOME = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)
 
@@ -149,8 +150,8 @@ def test_a_tool_points_on_from_the_arm():
 
 
 def test_of_two_joints_the_axes_that_they_command_are_taken():
-    assert reach.best_axes(aj.load_robot("two_link")) == "xz"
-    assert reach.best_axes(aj.load_robot("panda")) == "xyz"
+    assert best_axes(aj.load_robot("two_link")) == "xz"
+    assert best_axes(aj.load_robot("panda")) == "xyz"
 
 
 @pytest.mark.parametrize(

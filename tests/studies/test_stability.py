@@ -118,17 +118,17 @@ def test_regions(tmp_path):
     joints = tuple(float(q) for q in AROUND)
     start = aj.PositionTask(arm).value(np.array(joints))
     near = StabilitySettings(reach_from=joints, target=tuple(start + [0.02, 0.0, 0.02]))
-    assert isinstance(study.prepare("panda", near).region, aj.SublevelSet)
+    assert isinstance(study.prepare("panda", near).region, aj.stability.SublevelSet)
     run = aj.simulate(
         aj.Plant(arm, aj.PositionTask(arm)), aj.SetpointController(aj.PositionTask(arm)),
         start + 0.02, joints, 0.1, dt=1e-3,
     )  # fmt: skip
     run.save(tmp_path / "run.npz")
     tube = study.prepare("panda", StabilitySettings(run=str(tmp_path / "run.npz"), radius=0.1))
-    assert isinstance(tube.region, aj.Tube)
-    assert isinstance(study.prepare("panda", StabilitySettings()).region, aj.RegularPart)
+    assert isinstance(tube.region, aj.stability.Tube)
+    assert isinstance(study.prepare("panda", StabilitySettings()).region, aj.stability.RegularPart)
     regular = study.prepare("panda", StabilitySettings(around=joints, sigma_min=0.1))
-    assert isinstance(regular.region, aj.RegularPart)
+    assert isinstance(regular.region, aj.stability.RegularPart)
     assert isinstance(regular.region.region, aj.JointBox)
 
 

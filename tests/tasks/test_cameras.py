@@ -239,7 +239,7 @@ def test_a_view_that_has_no_direction_or_no_up_is_refused():
 
 
 def test_calibrations_that_do_not_exist_are_refused():
-    class Flat(aj.Camera):
+    class Flat(aj.tasks.Camera):
         labels, unit = ("a", "b"), "m"
 
         def project(self, r):

@@ -68,7 +68,9 @@ def test_a_planar_camera_has_an_image_without_a_border():
     arm = aj.load_robot("two_link")
     task = aj.ImageTask(arm, aj.PlanarCamera(0.05, 3.0))
     controller = aj.SetpointController(task, aj.Gains(100.0, 100.0))
-    run = aj.simulate(aj.Plant(arm, task), controller, task.value([1.5, 1.5]), (1.0, 1.5), 0.1)
+    run = aj.simulate(
+        aj.Plant(arm, task), controller, task.value([1.5, 1.5]), (1.0, 1.5), 0.1, dt=None
+    )
     ax = view.plot_image(run, task.camera)
     assert_allclose(drawn(ax)["path"], run.x)
     assert not any(len(line) == 5 for line in drawn(ax).values())
@@ -78,7 +80,7 @@ def test_a_run_of_another_task_is_refused(sensor):
     arm = aj.load_robot("two_link")
     task = aj.PositionTask(arm, axes="xz")
     controller = aj.SetpointController(task, aj.Gains(60.0, 20.0))
-    run = aj.simulate(aj.Plant(arm, task), controller, (0.5, 1.2), (0.3, 0.8), 0.1)
+    run = aj.simulate(aj.Plant(arm, task), controller, (0.5, 1.2), (0.3, 0.8), 0.1, dt=None)
     with pytest.raises(aj.InvalidInputError, match="run must be that of an image task, with coord"):
         view.plot_image(run, sensor.camera)
     with pytest.raises(aj.InvalidInputError, match="camera must be a camera"):

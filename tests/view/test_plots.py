@@ -14,7 +14,7 @@ def run():
     robot = aj.load_robot("two_link")
     task = aj.PositionTask(robot, axes="xz")
     controller = aj.SetpointController(task, aj.Gains(60.0, 20.0))
-    return aj.simulate(aj.Plant(robot, task), controller, (0.5, 1.2), (0.3, 0.8), 1.0)
+    return aj.simulate(aj.Plant(robot, task), controller, (0.5, 1.2), (0.3, 0.8), 1.0, dt=None)
 
 
 def test_the_error_is_drawn_in_millimetres(run):

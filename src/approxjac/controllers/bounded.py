@@ -19,7 +19,7 @@ from approxjac.controllers.bounded_gains import (
 from approxjac.controllers.checked import CheckedController, is_beyond
 from approxjac.controllers.gravity import Gravity
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Evaluation, Measurement, Status
+from approxjac.interface import Evaluation, Status
 from approxjac.law import Tanh
 from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
@@ -119,19 +119,6 @@ class BoundedController(CheckedController):
         self.guaranteed = guaranteed
         self.saturation = Tanh(self.diagonals.gamma)
         self._scale = vanishing(task)
-
-    def initial_state(self, measurement: Measurement) -> Array:
-        """Nothing, shape (0,).
-
-        Raises:
-            InvalidInputError: A measurement of the wrong shapes.
-        """
-        self._require_arrays(self._no_rate, measurement, np.zeros(self.task.n_x))
-        return np.zeros(0)
-
-    def gravity_torque(self, state: Array, q: Array) -> Array:
-        """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
-        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # learnt gravity is refused
 
     def torque_bound(self, q: Array) -> Array:
         """What no abs(τᵢ) of the law exceeds at q, whatever e and q̇ are; shape (n_v,) [N m or N].

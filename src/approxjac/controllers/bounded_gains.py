@@ -21,7 +21,6 @@ from approxjac.checks import (
     require,
     shape_of,
 )
-from approxjac.controllers.gains import short
 from approxjac.controllers.gravity import (
     AdaptiveGravity,
     Gravity,
@@ -35,6 +34,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.robots.ranges import JointRange, Load
 from approxjac.tasks import ImageTask, PlanarCamera, PoseTask, PositionTask, StackedTask, Task
+from approxjac.text import short_fields
 
 JointRangeLike = tuple[float | Sequence[float] | Array, float | Sequence[float] | Array]
 
@@ -80,8 +80,7 @@ class BoundedGains:
             object.__setattr__(self, name, float(value) if is_scalar(value) else diagonal)
 
     def __repr__(self) -> str:
-        shown = {name: short(getattr(self, name)) for name in ("kp", "gamma", "kd", "v0")}
-        return f"BoundedGains({', '.join(f'{name}={text}' for name, text in shown.items())})"
+        return short_fields(self)
 
     def diagonals(self, m: int, nv: int) -> BoundedDiagonals:
         """Return the diagonals for a task of m coordinates on an arm of n_v joints.

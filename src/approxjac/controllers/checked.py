@@ -8,20 +8,26 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from approxjac.checks import Array
+from approxjac.controllers.gravity import Gravity
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement
 from approxjac.law import Saturation
 from approxjac.tasks import Task
 
 _FLOAT = np.dtype(np.float64)
+_MAKES_ONE = "numpy.array({0}, dtype=float) makes one of numbers"
 _HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 
 
 class CheckedController(ABC):
     """A controller of one task: what it is told is looked at here, the law is in `_answer`.
 
+    The state and the gravity torque here are those of a law that learns nothing.
+
     What is usual costs one comparison of shapes and one sum; only what is not is taken apart.
     """
+
+    gravity: Gravity
 
     def _take(self, task: Task, n_state: int) -> None:
         """Remember the task and what the arguments of an evaluation have to look like."""
@@ -39,9 +45,14 @@ class CheckedController(ABC):
         """Length of the state."""
         return self._n_state
 
-    @abstractmethod
     def initial_state(self, measurement: Measurement) -> Array:
-        """State before the first evaluation, shape (n_state,)."""
+        """State before the first evaluation: none, shape (0,).
+
+        Raises:
+            InvalidInputError: A measurement of the wrong shapes.
+        """
+        self._require_arrays(self._no_rate, measurement, np.zeros(self.task.n_x))
+        return np.zeros(0)
 
     def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
         """Torque for one measurement.
@@ -95,9 +106,9 @@ class CheckedController(ABC):
             given=measurement,
         )
 
-    @abstractmethod
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
+        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # others are not learnt
 
     @abstractmethod
     def with_task(self, task: Task) -> CheckedController:
@@ -132,7 +143,8 @@ class CheckedController(ABC):
             if not isinstance(value, np.ndarray) or value.shape != shape:
                 given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
                 raise InvalidInputError(
-                    f"{name} must be an array of shape {shape} for {self.task!r}, got {given}",
+                    f"{name} must be an array of shape {shape} for {self.task!r}, got {given}"
+                    + ("" if isinstance(value, np.ndarray) else f"; {_MAKES_ONE.format(name)}"),
                     given=value,
                 )
             if value.dtype != _FLOAT:  # differences of unsigned pixels would wrap around

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from approxjac.checks import Array, as_diagonal, is_scalar, shape_of
+from approxjac.text import short_fields
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,8 +37,7 @@ class Gains:
             object.__setattr__(self, name, float(value) if is_scalar(value) else diagonal)
 
     def __repr__(self) -> str:
-        shown = {name: short(getattr(self, name)) for name in ("kp", "kv", "damping")}
-        return f"Gains({', '.join(f'{name}={text}' for name, text in shown.items())})"
+        return short_fields(self)
 
     def diagonals(self, m: int, nv: int) -> Diagonals:
         """Return the diagonals for a task of m coordinates on an arm of n_v joints.
@@ -52,14 +50,6 @@ class Gains:
             as_diagonal("kv", self.kv, m),
             as_diagonal("damping", self.damping, nv, positive=False),
         )
-
-
-def short(value: float | Sequence[float] | Array) -> str:
-    """A number, or one of all entries that are equal, or a list, to four digits."""
-    if is_scalar(value):
-        return f"{value:.4g}"
-    entries = [f"{entry:.4g}" for entry in np.asarray(value)]
-    return f"[{', '.join(entries)}]"
 
 
 class Diagonals(NamedTuple):

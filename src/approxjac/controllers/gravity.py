@@ -11,6 +11,7 @@ import pinocchio as pin
 from approxjac.checks import Array, as_array, as_diagonal, as_limits, as_number, is_scalar, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots import GravityRegressor, Robot
+from approxjac.text import listed, short
 
 
 class ModelGravity:
@@ -29,6 +30,9 @@ class ModelGravity:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot,)  # a copy has scratch memory of its own
 
+    def __repr__(self) -> str:
+        return f"ModelGravity({self.robot.name!r})"
+
     def torque(self, q: Array) -> Array:
         """g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
         g: Array = pin.computeGeneralizedGravity(self._model, self._data, q)
@@ -46,6 +50,9 @@ class NoGravity:
         require("robot", robot, Robot, "the believed Robot")
         self.robot = robot
         self._zero = np.zeros(robot.nv)
+
+    def __repr__(self) -> str:
+        return f"NoGravity({self.robot.name!r})"
 
     def torque(self, q: Array) -> Array:
         """Zeros, shape (n_v,)."""
@@ -77,6 +84,9 @@ class RegressorGravity:
         """The robot whose regressor is used."""
         return self.regressor.robot
 
+    def __repr__(self) -> str:
+        return f"RegressorGravity({self.robot.name!r}, theta={listed(self.theta)})"
+
     def torque(self, q: Array) -> Array:
         """Z(q) θ, shape (n_v,) [N m or N]."""
         g: Array = self.regressor.compute_Z(q).dot(self.theta)
@@ -90,7 +100,7 @@ class AdaptiveGravity:
     what a saturated motor fails to do is no evidence about gravity.
 
     Args:
-        regressor: Z(q) of the believed robot.
+        model: The believed robot, or a `GravityRegressor` of it.
         L: Adaptation gain > 0: a number, a diagonal (p,), or a symmetric positive definite
             matrix (p, p). None takes that of `default_adaptation`.
         alpha: α > 0 of eq. (10) [1/s]. None takes that of `default_adaptation`.
@@ -101,6 +111,7 @@ class AdaptiveGravity:
             the believed robot's effort limits by default, `numpy.inf` for never.
 
     Attributes:
+        regressor: Z(q) of the believed robot.
         L: As a diagonal (p,) or a matrix (p, p), or None.
         bounds: As two arrays (p,), or None.
 
@@ -111,7 +122,7 @@ class AdaptiveGravity:
 
     def __init__(
         self,
-        regressor: GravityRegressor,
+        model: Robot | GravityRegressor,
         L: float | Sequence[float] | Array | None = None,
         alpha: float | None = None,
         theta0: Sequence[float] | Array | None = None,
@@ -119,9 +130,9 @@ class AdaptiveGravity:
         | None = None,
         torque_limits: float | Sequence[float] | Array | None = None,
     ) -> None:
-        require(
-            "regressor", regressor, GravityRegressor, "a GravityRegressor of the believed robot"
-        )
+        wanted = "the believed Robot, or a GravityRegressor of it"
+        require("model", model, (Robot, GravityRegressor), wanted)
+        regressor = GravityRegressor(model) if isinstance(model, Robot) else model
         p = regressor.p
         self.regressor = regressor
         self.L = None if L is None else _adaptation_gain(L, p)
@@ -138,6 +149,14 @@ class AdaptiveGravity:
     def robot(self) -> Robot:
         """The robot whose regressor is used."""
         return self.regressor.robot
+
+    def __repr__(self) -> str:
+        shown = [f"{self.robot.name!r}", f"{self.regressor.p} parameters"]
+        if self.L is not None:
+            shown.append(f"L={short(self.L) if self.L.ndim == 1 else 'a matrix'}")
+        if self.alpha is not None:
+            shown.append(f"alpha={self.alpha:.4g}")
+        return f"AdaptiveGravity({', '.join(shown)})"
 
     def _bounds(self, bounds: Any) -> tuple[Array, Array]:
         p = self.regressor.p
@@ -177,6 +196,10 @@ class Adaptation(NamedTuple):
     bounds: tuple[Array, Array] | None
     torque_limits: Array
 
+    def __repr__(self) -> str:
+        L = short(self.L) if self.L.ndim == 1 else "a matrix"
+        return f"Adaptation({self.regressor.robot.name!r}, L={L}, alpha={self.alpha:.4g})"
+
 
 Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
 
@@ -184,7 +207,10 @@ Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
 def require_gravity(gravity: object) -> None:
     """Refuse what is neither None nor a source of gravity torque."""
     if gravity is not None:
-        wanted = "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity"
+        wanted = (
+            "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity, such as "
+            "AdaptiveGravity(belief)"
+        )
         require("gravity", gravity, get_args(Gravity), wanted)
 
 

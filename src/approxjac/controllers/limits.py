@@ -10,9 +10,10 @@ import numpy as np
 from approxjac.checks import Array, as_limits, as_number, require, shape_of
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
+from approxjac.text import short_fields
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Limits:
     """Limits of the motors and joints of an arm. Each is off where it is None, or infinite.
 
@@ -43,6 +44,9 @@ class Limits:
                 object.__setattr__(self, name, limits if size else float(limits[0]))
         if self.position is not None:
             object.__setattr__(self, "position", _range(self.position))
+
+    def __repr__(self) -> str:
+        return short_fields(self)
 
     @classmethod
     def of(cls, robot: Robot, scale: float = 1.0) -> Limits:

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from approxjac.checks import Array, as_array, as_diagonal, is_scalar, shape_of
+from approxjac.text import short_fields
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Posture:
     """The torque N τ₀ with τ₀ = −k (q ⊖ q_posture) and N = I − Ĵ⁺Ĵ.
 
@@ -36,3 +37,6 @@ class Posture:
         diagonal = as_diagonal("stiffness", self.stiffness, size, unit="N m/rad")
         scalar = is_scalar(self.stiffness)
         object.__setattr__(self, "stiffness", float(diagonal[0]) if scalar else diagonal)
+
+    def __repr__(self) -> str:
+        return short_fields(self)

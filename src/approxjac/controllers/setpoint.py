@@ -240,7 +240,7 @@ class SetpointController(CheckedController):
         """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
         if self.adaptation is not None:
             return law.gravity(self.adaptation.regressor.compute_Z(q), state[: self._p])
-        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
+        return super().gravity_torque(state, q)
 
     def with_gravity(self, gravity: Gravity) -> SetpointController:
         """Return this controller with another source of gravity."""
@@ -360,7 +360,8 @@ class SetpointController(CheckedController):
 
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
-        return f"SetpointController(law {law}, {self.task!r}, {self.gains!r})"
+        parts = [f"law {law}", repr(self.task), repr(self.gains), repr(self.gravity)]
+        return f"SetpointController({', '.join(parts)})"
 
 
 def _with_options(

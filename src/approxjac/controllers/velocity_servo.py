@@ -16,7 +16,7 @@ from approxjac.controllers.gravity import (
     require_gravity,
 )
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Evaluation, Measurement, Status
+from approxjac.interface import Evaluation, Status
 from approxjac.law import Linear, Saturation
 from approxjac.robots import Dynamics
 from approxjac.tasks import Task
@@ -95,19 +95,6 @@ class VelocityServo(CheckedController):
         self._dynamics = Dynamics(robot.with_gravity((0.0, 0.0, 0.0)))
         self._scale = vanishing(task)
         self._take(task, 0)
-
-    def initial_state(self, measurement: Measurement) -> Array:
-        """Nothing, shape (0,).
-
-        Raises:
-            InvalidInputError: A measurement of the wrong shapes.
-        """
-        self._require_arrays(self._no_rate, measurement, np.zeros(self.task.n_x))
-        return np.zeros(0)
-
-    def gravity_torque(self, state: Array, q: Array) -> Array:
-        """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
-        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # learnt gravity is refused
 
     def velocity_reference(self, answer: Evaluation) -> Array:
         """q̇_ref where this controller gave an answer, shape (n_v,) [rad/s or m/s].

@@ -82,16 +82,8 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Sine:
-    """The paper's example: γ sin(e/γ) up to an error of γπ/2, ±γ beyond.
-
-    Implements Eq. (8) with d = 1 and c̄ = ½, for S(e) = γ²(1 − cos(e/γ)) inside and
-    γ² + γ(abs(e) − γπ/2) outside. (The paper calls γ the error at which s saturates; here, as
-    in its simulations, γ is the value it saturates at.)
-
-    Attributes:
-        gamma: Saturation value γ > 0, a number or shape (m,) [unit of the task].
-    """
+class _Bounded:
+    """What saturations with a γ have in common."""
 
     gamma: float | Sequence[float] | Array
     d: float = 1.0
@@ -102,6 +94,18 @@ class Sine:
         gamma = _checked_gamma(self.gamma)
         object.__setattr__(self, "_gamma", gamma)
         object.__setattr__(self, "gamma", gamma if gamma.ndim else float(gamma))
+
+
+class Sine(_Bounded):
+    """The paper's example: γ sin(e/γ) up to an error of γπ/2, ±γ beyond.
+
+    Implements Eq. (8) with d = 1 and c̄ = ½, for S(e) = γ²(1 − cos(e/γ)) inside and
+    γ² + γ(abs(e) − γπ/2) outside. (The paper calls γ the error at which s saturates; here, as
+    in its simulations, γ is the value it saturates at.)
+
+    Attributes:
+        gamma: Saturation value γ > 0, a number or shape (m,) [unit of the task].
+    """
 
     def s(self, e: Array) -> Array:
         """s(e), between −γ and γ."""
@@ -134,8 +138,7 @@ class Sine:
         return clipped  # np.clip costs five times as much
 
 
-@dataclass(frozen=True, eq=False)
-class Tanh:
+class Tanh(_Bounded):
     """s(e) = γ tanh(e/γ): smooth everywhere, strictly increasing, bounded by γ.
 
     Implements Eq. (8) with d = 1 and c̄ = ½, for S(e) = γ² log cosh(e/γ). Departure from the
@@ -144,16 +147,6 @@ class Tanh:
     Attributes:
         gamma: Saturation value γ > 0, a number or shape (m,) [unit of the task].
     """
-
-    gamma: float | Sequence[float] | Array
-    d: float = 1.0
-    c_bar: float = 0.5
-    _gamma: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        gamma = _checked_gamma(self.gamma)
-        object.__setattr__(self, "_gamma", gamma)
-        object.__setattr__(self, "gamma", gamma if gamma.ndim else float(gamma))
 
     def s(self, e: Array) -> Array:
         """s(e), between −γ and γ."""

@@ -40,6 +40,9 @@ class Dynamics:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot,)  # a copy has scratch memory of its own
 
+    def __repr__(self) -> str:
+        return f"Dynamics({self.robot.name!r})"
+
     def M(self, q: Array) -> Array:
         """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
         return mass_matrix(self._model, self._data, self._q(q))

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from approxjac.checks import Array, axis_rows, require
 from approxjac.errors import InvalidInputError
@@ -21,10 +20,10 @@ _EXACT = 1e-9  # relative error of Z θ that counts as none
 class GravityRegressor:
     """g(q) = Z(q) θ with as few parameters as gravity can tell apart.
 
-    Gravity pulls at each moving link through its mass and three first moments (m c_x, m c_y,
-    m c_z), a column each. Many of these depend on each other (an outer link's mass acts like a
-    first moment of its parent). A column that depends on columns before it, in link order, is left
-    out and its parameter is added to theirs.
+    Pinocchio's joint-torque regressor at rest has for each moving link its mass and three first
+    moments (m c_x, m c_y, m c_z). Many of these columns depend on each other (an outer link's
+    mass acts like a first moment of its parent). A column that depends on columns before it,
+    in link order, is left out and its parameter is added to theirs.
 
     The span of Z does not change when the translations of joint origins are wrong, so gravity
     can be learnt exactly with wrong lengths; wrong axis directions break that.
@@ -52,22 +51,16 @@ class GravityRegressor:
         self._moments = moments
         axes = axis_rows("moments", moments)
         self.robot = robot
-        self._coupling = robot.coupling
-        model = robot.coupling.model  # each mimic joint carries a link of its own
-        self._kinematics = _with_one_kilogram(model)
-        self._data = self._kinematics.createData()
-        x, y, z = robot.gravity
-        # with a joint's velocity (v, ω) of the Jacobian: what a unit of first moment along each
-        # axis of the world weighs on that joint, −(a × ω), and a unit of mass besides, −a · v
-        self._of_moments = np.zeros((6, 3))
-        self._of_moments[3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-        self._of_masses = np.array([-x, -y, -z, 0.0, 0.0, 0.0])
-        # of each moving link in turn m, m c_x, m c_y, m c_z
+        self._model = robot.coupling.model  # Pinocchio has no regressor with mimic joints
+        self._data = self._model.createData()
+        self._zero = np.zeros(self._model.nv)
+        # of each link's ten dynamic parameters, the first four are m, m c_x, m c_y, m c_z
         offsets = [0, *(1 + axis for axis in sorted(axes))]
-        candidates = np.array([4 * i + k for i in range(model.njoints - 1) for k in offsets])
-        self._choose(candidates)
+        candidates = np.array([10 * i + k for i in range(self._model.nv) for k in offsets])
         rng = np.random.default_rng(0)
-        stacked = np.vstack([self.compute_Z(q) for q in _anywhere(robot, rng, _POSTURES)])
+        stacked = np.vstack(
+            [self._full(q)[:, candidates] for q in _anywhere(robot, rng, _POSTURES)]
+        )
         kept, grouping = _independent_columns(stacked)
         if not kept:
             raise InvalidInputError(
@@ -75,12 +68,12 @@ class GravityRegressor:
                 f"(gravity is {robot.gravity.tolist()} m/s^2)",
                 given=robot,
             )
-        self._choose(candidates[kept])
+        self._columns = candidates[kept]
         labels = ["m", "mx", "my", "mz"]
-        movers = list(model.names)[1:]
-        self.names = tuple(f"{movers[c // 4]}.{labels[c % 4]}" for c in self._columns)
+        movers = list(self._model.names)[1:]
+        self.names = tuple(f"{movers[c // 10]}.{labels[c % 10]}" for c in self._columns)
         parameters = np.concatenate(
-            [inertia.toDynamicParameters()[:4] for inertia in list(model.inertias)[1:]]
+            [inertia.toDynamicParameters() for inertia in list(self._model.inertias)[1:]]
         )
         self.theta = grouping @ parameters[candidates]
         self.theta.flags.writeable = False
@@ -106,25 +99,16 @@ class GravityRegressor:
 
     def compute_Z(self, q: Array) -> Array:
         """`Z` at a q that has been checked already, for loops."""
-        model, data, coupling = self._kinematics, self._data, self._coupling
-        # [p, R] of every moving link, of which each column is what one parameter adds to the first
-        # moment of the whole arm, in the world; this places all joints, too
-        moments = pin.computeStaticRegressor(model, data, coupling.q(q)).take(self._columns, 1)
-        J = pin.computeJointJacobians(model, data)
-        Z = J.T.dot(self._of_moments).dot(moments)
-        if self._masses is not None:
-            Z = Z + np.outer(J.T.dot(self._of_masses), self._masses)
-        # with one joint J has lost an axis, which is back with this product
-        return coupling.rows(Z * self._carried)
+        return self._full(q).take(self._columns, 1)
 
     def masses(self, theta: Array) -> tuple[Array, Array]:
         """Masses of the moving links (n_all,) and their first moments (n_all, 3) that make g = Zθ.
 
         In the links' frames, with mimic joints counted [kg, kg m]. Others would do as well.
         """
-        parameters = np.zeros((self._kinematics.njoints - 1, 4))
+        parameters = np.zeros((self._model.nv, 10))
         parameters.ravel()[self._columns] = theta
-        return parameters[:, 0], parameters[:, 1:]
+        return parameters[:, 0], parameters[:, 1:4]
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
         """Return the θ with which this Z(q) reproduces the gravity of another robot.
@@ -174,12 +158,15 @@ class GravityRegressor:
         Z, g = self._samples(robot, rng)
         return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
 
-    def _choose(self, columns: NDArray[np.intp]) -> None:
-        """Settle which parameters Z is for, of four for each moving link."""
-        self._columns = columns
-        masses = columns % 4 == 0
-        self._masses = masses.astype(float) if masses.any() else None
-        self._carried = _carried(self._kinematics).take(columns // 4, 1)
+    def _full(self, q: Array) -> Array:
+        """All columns at rest, ten for each moving link; an alias of scratch memory."""
+        coupling = self.robot.coupling
+        regressor: Array = pin.computeJointTorqueRegressor(
+            self._model, self._data, coupling.q(q), self._zero, self._zero
+        )
+        if regressor.ndim == 1:  # of one joint Pinocchio's regressor has lost an axis
+            regressor = regressor[np.newaxis]
+        return coupling.rows(regressor)
 
     def __repr__(self) -> str:
         return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
@@ -190,24 +177,6 @@ def _anywhere(robot: Robot, rng: np.random.Generator, count: int) -> list[Array]
     reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
     motions = rng.uniform(-reach, reach, (count, robot.nv))
     return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]
-
-
-def _with_one_kilogram(model: pin.Model) -> pin.Model:
-    """A copy whose links weigh 1 kg together: Pinocchio divides its static regressor by that."""
-    copy = pin.Model(model)
-    for i in range(copy.njoints):
-        copy.inertias[i] = pin.Inertia.Identity() if i == 1 else pin.Inertia.Zero()
-    return copy
-
-
-def _carried(model: pin.Model) -> Array:
-    """1 where a joint moves a link, else 0; shape (n_v, number of moving links)."""
-    carried = np.zeros((model.nv, model.njoints - 1))
-    for link in range(1, model.njoints):
-        for joint in list(model.supports[link])[1:]:
-            first = model.idx_vs[joint]
-            carried[first : first + model.nvs[joint], link - 1] = 1.0
-    return carried
 
 
 def _independent_columns(A: Array) -> tuple[list[int], Array]:

@@ -31,15 +31,15 @@ class MujocoPlant(Plant):
     touch is the floor only, never each other; the shapes are those of <collision> in the URDF,
     meshes as their convex hulls.
 
-    Give `simulate` a `dt` (1e-3 s is a good one) if a limit or the floor may be touched: these
-    forces jump, and the continuous integration does not keep its tolerance across a jump.
+    Do not give `simulate` dt=None if a limit or the floor may be touched: these forces jump, and
+    the continuous integration does not keep its tolerance across a jump.
     Damping and friction that the URDF mentions are not used, as in `Plant`.
 
     Needs `pip install 'approxjac[mujoco]'`. Owns scratch memory: one instance a thread.
 
     Args:
         robot: The true robot.
-        sensor: What measures X: a task of the true robot.
+        sensor: As for `Plant`.
         friction: Natural viscous friction B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
         coulomb: As for `Plant`.
         coulomb_velocity: As for `Plant`.
@@ -59,7 +59,7 @@ class MujocoPlant(Plant):
     def __init__(
         self,
         robot: Robot,
-        sensor: Task,
+        sensor: Task | None = None,
         friction: float | Sequence[float] | Array = 0.0,
         *,
         coulomb: float | Sequence[float] | Array = 0.0,
@@ -98,9 +98,10 @@ class MujocoPlant(Plant):
         """MuJoCo's model of the robot and the floor, such as for its viewer. Read-only."""
         return self.dynamics.mujoco_model
 
-    def __repr__(self) -> str:
-        plant = super().__repr__().removesuffix(")")
-        return f"{plant}, floor={self.floor}, joint_limits={self.joint_limits})"
+    def _shown(self) -> list[str]:
+        return [
+            *super()._shown(), f"floor={self.floor}", f"joint_limits={self.joint_limits}"
+        ]  # fmt: skip
 
 
 class MujocoDynamics(Dynamics):

@@ -10,8 +10,10 @@ from approxjac.checks import Array, as_diagonal, as_limits, as_number, as_vector
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
+from approxjac.simulation.ready import ready_posture
 from approxjac.simulation.sensing import Sensing, SensorReadings
-from approxjac.tasks import Task
+from approxjac.tasks import PositionTask, Task
+from approxjac.text import short
 
 
 class Plant:
@@ -25,7 +27,8 @@ class Plant:
 
     Args:
         robot: The true robot.
-        sensor: What measures X: a task of the true robot.
+        sensor: What measures X: a task of the true robot; by default the position of its tip,
+            `PositionTask(robot)`.
         friction: Natural viscous friction B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
             Damping that the URDF mentions is not used.
         coulomb: Coulomb friction τ_c ≥ 0, a number or shape (n_v,) [N m or N].
@@ -45,7 +48,7 @@ class Plant:
     def __init__(
         self,
         robot: Robot,
-        sensor: Task,
+        sensor: Task | None = None,
         friction: float | Sequence[float] | Array = 0.0,
         *,
         coulomb: float | Sequence[float] | Array = 0.0,
@@ -55,13 +58,14 @@ class Plant:
         torque_limits: float | Sequence[float] | Array | None = None,
     ) -> None:
         require("robot", robot, Robot, "the true Robot")
+        sensor = PositionTask(robot) if sensor is None else sensor
         require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
         if sensing is not None:
             require("sensing", sensing, Sensing, "Sensing(...) or None")
         if sensor.robot != robot:
             raise InvalidInputError(
-                f"sensor must be a task of the plant's own robot {robot!r}, "
-                f"got one of {sensor.robot!r}",
+                f"sensor must be a task of the plant's own robot, the true one, such as "
+                f"PositionTask(truth), got {sensor!r} of another (the believed one?)",
                 given=sensor,
             )
         if sensing is not None:
@@ -80,6 +84,22 @@ class Plant:
             else as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         )
         self.dynamics = Dynamics(robot)
+
+    def ready_posture(self) -> Array:
+        """A posture to start from, the same each time; `simulate` starts from it by default.
+
+        Of 300 seeded postures in the middle 80 % of each joint's range (`Robot.usual_range`), the
+        one farthest from singular, with the largest σ_min of the sensor's Jacobian; among those
+        that the sensor sees and that the motors hold with at most 70 % of their limits.
+
+        Returns:
+            Shape (nq,).
+
+        Raises:
+            InvalidInputError: There is none.
+        """
+        motors = np.inf if self.torque_limits is None else self.torque_limits
+        return ready_posture(self.sensor, np.minimum(self.robot.effort_limits, motors))
 
     @property
     def needs_sampling(self) -> bool:
@@ -143,11 +163,17 @@ class Plant:
         self._require_same(task, self.sensor.measured, task.measured)
 
     def _require_same(self, task: Task, sensor: Task, wanted: Task) -> None:
-        same = sensor.labels == wanted.labels and sensor.n_x == wanted.n_x
-        if not same or self.robot.nv != task.robot.nv:
+        if self.robot.nv != task.robot.nv:
+            raise InvalidInputError(
+                f"the controller's robot must have the {self.robot.nv} joints of the plant's, "
+                f"{self.robot.name}, got {task.robot.name} with {task.robot.nv}",
+                given=task,
+            )
+        if sensor.labels != wanted.labels or sensor.n_x != wanted.n_x:
             raise InvalidInputError(
                 f"the controller's task must have the coordinates of the plant's sensor "
-                f"{self.sensor!r}, got {task!r}",
+                f"{self.sensor!r}, got {task!r}; Plant(robot, sensor=...) takes such a task of "
+                "the true robot",
                 given=task,
             )
 
@@ -172,5 +198,19 @@ class Plant:
         return Measurement(t, q, v, self.sensor.seen(self.sensor.value(q)))
 
     def __repr__(self) -> str:
-        name = type(self).__name__
-        return f"{name}({self.robot!r}, {self.sensor!r}, friction={self.friction.tolist()})"
+        return f"{type(self).__name__}({', '.join(self._shown())})"
+
+    def _shown(self) -> list[str]:
+        """The robot, the sensor, and what differs from an ideal plant."""
+        shown = [repr(self.robot.name), repr(self.sensor)]
+        if self.friction.any():
+            shown.append(f"friction={short(self.friction)}")
+        if self.coulomb.any():
+            shown.append(f"coulomb={short(self.coulomb)}")
+        if self.sensing is not None:
+            shown.append(repr(self.sensing))
+        if self.actuator_delay > 0.0:
+            shown.append(f"actuator_delay={self.actuator_delay:g}")
+        if self.torque_limits is not None:
+            shown.append(f"torque_limits={short(self.torque_limits)}")
+        return shown

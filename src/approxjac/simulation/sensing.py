@@ -15,12 +15,13 @@ from approxjac.checks import Array, as_diagonal, as_number, shape_of
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
+from approxjac.text import short_fields
 
 _FOREVER = 1e15  # samples
 _TINY = 1e-6  # of a frame or a sample: more than round-off in k dt, less than anyone means
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sensing:
     """How the measurements differ from the truth. Everything is off by default.
 
@@ -75,6 +76,9 @@ class Sensing:
             as_number("x_rate", self.x_rate, unit="Hz", above=0.0)
         object.__setattr__(self, "x_lost", _intervals("x_lost", self.x_lost, parts=True))
         object.__setattr__(self, "x_frozen", _intervals("x_frozen", self.x_frozen, parts=False))
+
+    def __repr__(self) -> str:
+        return short_fields(self)
 
     @property
     def is_linear(self) -> bool:

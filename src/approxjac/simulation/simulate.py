@@ -25,10 +25,10 @@ def simulate(
     plant: Plant,
     controller: Controller,
     target: Sequence[float] | Array,
-    q0: Sequence[float] | Array,
-    duration: float,
+    q0: Sequence[float] | Array | None = None,
+    duration: float = 10.0,
     *,
-    dt: float | None = None,
+    dt: float | None = 1e-3,
     v0: Sequence[float] | Array | None = None,
     record_every: float | None = None,
     integrator: str = "rk4",
@@ -44,7 +44,7 @@ def simulate(
         plant: The true robot.
         controller: Anything with the interface of `Controller`.
         target: x_d, shape (n_x,) [unit of the task].
-        q0: Start configuration, shape (nq,).
+        q0: Start configuration, shape (nq,); `plant.ready_posture()` by default.
         duration: > 0 [s].
         dt: Sampling time [s]: torques are held over it, as a robot does. None integrates
             (q, v, controller state) as one differential equation with LSODA, as the paper does.
@@ -79,9 +79,11 @@ def simulate(
     require_fit(plant, controller, dt)
     robot = plant.robot
     x_d = plant.sensor.target(target)
-    q = robot.configuration(as_array("q0", q0, (robot.nq,), "rad"), "q0")
+    q0 = plant.ready_posture() if q0 is None else as_array("q0", q0, (robot.nq,), "rad or m")
+    q = robot.configuration(q0, "q0")
     v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
     duration = as_number("duration", duration, unit="s", above=0.0)
+    rtol, atol = as_number("rtol", rtol, above=0.0), as_number("atol", atol, above=0.0)
     if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, "the integrators", INTEGRATORS)
     if type(seed) is not int or seed < 0:
@@ -107,8 +109,6 @@ def simulate(
                 given=dt,
             )
         count = 1000 if record_every is None else _whole("record_every", record_every, duration)
-        rtol = as_number("rtol", rtol, above=0.0)
-        atol = as_number("atol", atol, above=0.0)
         with _overflow_is_expected():
             return _continuous(plant, controller, x_d, q, v, duration, count, rtol, atol, progress)
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -264,16 +265,40 @@ class Trajectory:
         if scene is not None and (scene.truth.nv, scene.truth.nq) != (joints, self.q.shape[1]):
             raise ValueError("its scene has another number of joints")
 
-    def __repr__(self) -> str:
-        norm = self.error_norm
-        counts = ", ".join(f"{s.name} {n}" for s, n in self.status_counts().items())
+    def __str__(self) -> str:
+        """A few lines: the error, the largest torque, and what was wrong meanwhile."""
+        norm, last = self.error_norm, len(self.t) - 1
+        error = f"{norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}"
+        above = np.nonzero(norm > 0.01 * norm[0])[0]
+        if len(above) and above[-1] < last:
+            error += f", below 1 % of the start from {self.t[above[-1] + 1]:.3g} s on"
+        k = int(np.abs(self.tau).max(axis=0).argmax())
+        unit = {"rad": "N m", "m": "N"}[self.joint_units[k]]
+        lines = [
+            f"{self.robot_name}, {self.t[-1]:g} s, {len(self.t)} samples",
+            f"error   {error}",
+            f"torque  at most {np.abs(self.tau[:, k]).max():.3g} {unit} ({self.joint_names[k]})",
+            f"status  {_counted(self.status_counts())}",
+        ]
         limits = self.limit_status_counts()
         if set(limits) != {LimitStatus.UNLIMITED}:
-            counts += "; limits " + ", ".join(f"{s.name} {n}" for s, n in limits.items())
+            lines.append(f"limits  {_counted(limits)}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        norm = self.error_norm
+        counts = _counted(self.status_counts())
+        limits = self.limit_status_counts()
+        if set(limits) != {LimitStatus.UNLIMITED}:
+            counts += f"; limits {_counted(limits)}"
         return (
             f"Trajectory({self.robot_name!r}, {self.t[-1]:g} s, {len(self.t)} samples; "
             f"|e| {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}; {counts})"
         )
+
+
+def _counted(counts: Mapping[Any, int]) -> str:
+    return ", ".join(f"{status.name} {n}" for status, n in counts.items())
 
 
 def _npz(path: str | Path) -> Path:
@@ -288,7 +313,8 @@ def _npz(path: str | Path) -> Path:
 # what NumPy, zipfile and json raise on damaged files
 _UNREADABLE = (
     ApproxJacError, OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, IndexError,
-    RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+    RuntimeError, NotImplementedError, SyntaxError, tokenize.TokenError, zipfile.BadZipFile,
+    zlib.error,
 )  # fmt: skip
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if f.name not in (*_TEXTS, "scene"))

@@ -27,7 +27,7 @@ _NOTABLE = 1e-3  # margin
 _MISSED = 0.05 / 3  # three families share the 5 %
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MatrixTest:
     """What the matrix form says over a region with one family of Lyapunov functions.
 
@@ -46,6 +46,10 @@ class MatrixTest:
     checked: int
     violations: int
     independent: bool
+
+    def __repr__(self) -> str:
+        verdict = "certified" if self.certified else "not certified"
+        return f"MatrixTest({self.family!r}: {verdict}, margin {self.margin:.3g})"
 
     @property
     def margin(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from approxjac.checks import as_array
+from approxjac.checks import as_array, is_scalar
 from approxjac.errors import InvalidInputError
 
 
@@ -34,6 +34,12 @@ def as_range(field_name: str, name: str, given: Any, believed: float, unit: str)
     Raises:
         InvalidInputError: Not two finite numbers, reversed, or without what is believed in it.
     """
+    if is_scalar(given):
+        raise InvalidInputError(
+            f"{field_name} must be (smallest, largest) [{unit}], such as (0.0, {given!r}), "
+            f"got {given!r}",
+            given=given,
+        )
     low, high = as_array(field_name, given, (2,), unit).tolist()
     if low > high:
         raise InvalidInputError(

@@ -30,7 +30,7 @@ _NEAR = 1e-2  # how far from the target gravity is compared [rad or m]
 _MOST_STATES = 1000  # eigenvalues of more take many seconds
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LocalStability:
     """Eigenvalues of the linearised closed loop, those of the equilibria themselves left out.
 
@@ -83,6 +83,9 @@ class LocalStability:
     def stable(self) -> bool:
         """Whether every error near the target dies out."""
         return not self.singular and self.max_real_eigenvalue < 0.0
+
+    def __repr__(self) -> str:
+        return f"LocalStability({self})"
 
     def __str__(self) -> str:
         return f"{self._verdict()} {self._loop()}{self._left_out()}"

@@ -42,7 +42,7 @@ PARAMETERS: Mapping[str, str] = MappingProxyType(
 _POOL = 200  # targets that the hard ones are chosen from
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StabilityMap:
     """What the tests say over a grid of two parameters.
 
@@ -71,6 +71,16 @@ class StabilityMap:
     theorem1: Array
     matrix: Array
     rollouts: Array
+
+    def __repr__(self) -> str:
+        stable = float((self.decay_rate > 0.0).mean())
+        certified = float((self.matrix > 0.0).mean())
+        grid = f"{self.names[0]} {self.x[0]:g} to {self.x[-1]:g}"
+        grid += f", {self.names[1]} {self.y[0]:g} to {self.y[-1]:g}"
+        return (
+            f"StabilityMap({grid}: locally stable in {100 * stable:.3g} %, "
+            f"certified by the matrix form in {100 * certified:.3g} %)"
+        )
 
 
 def stability_map(

@@ -33,7 +33,7 @@ from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.uncertainty import Uncertainty
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StabilityReport:
     """What the four tests say about a controller, strongest claim first.
 
@@ -172,6 +172,11 @@ class StabilityReport:
         if self.rollouts is not None:
             rows.append(("4 rollouts", "", str(self.rollouts)))
         return rows
+
+    def __repr__(self) -> str:
+        name, by = self.controller.task.robot.name, self.certified_by
+        verdict = "not certified" if by is None else f"certified by {by}"
+        return f"StabilityReport({name!r}: {verdict} on {self.region!r}; print it for the tests)"
 
     def __str__(self) -> str:
         rows = self.lines()

@@ -15,16 +15,16 @@ from approxjac.checks import Array, as_number, require
 from approxjac.errors import InvalidInputError, SimulationError
 from approxjac.interface import Controller
 from approxjac.simulation import Trajectory, simulate
+from approxjac.simulation.sampled_loop import require_fit
 from approxjac.stability.region import Region
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.view import SeenPart, UnattainedError
-from approxjac.tasks import Task
 
 _RECORDS = 500  # of a run: 50 in its last tenth
 _CHUNKS = 64  # that runs are handed to an executor in, at most
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rollout:
     """One run.
 
@@ -51,6 +51,14 @@ class Rollout:
     converged: bool
     diverged: bool
     stayed: bool
+
+    def __repr__(self) -> str:
+        if self.diverged:
+            return f"Rollout({self.index}: diverged)"
+        ended = f"ended {self.final_error:.3g} off"
+        if self.converged:
+            return f"Rollout({self.index}: converged after {self.settling_time:.3g} s, {ended})"
+        return f"Rollout({self.index}: did not converge, {ended})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -170,7 +178,7 @@ def rollouts(
             region of which a true camera sees nothing, or something that cannot be sent to the
             processes of an executor.
     """
-    _require_arguments(controller, uncertainty, region, executor, progress)
+    _require_arguments(controller, uncertainty, region, dt, executor, progress)
     for name, value, least in (("runs", runs, 1), ("seed", seed, 0)):
         if type(value) is not int or value < least:
             raise InvalidInputError(
@@ -325,18 +333,13 @@ def _require_arguments(
     controller: Controller,
     uncertainty: Uncertainty,
     region: Region,
+    dt: float,
     executor: Executor | None,
     progress: Callable[[int], None] | None,
 ) -> None:
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    if isinstance(controller, type) or not hasattr(controller, "evaluate"):
-        raise InvalidInputError(
-            f"controller must be a controller, such as SetpointController(...), got {controller!r}",
-            given=controller,
-        )
-    task = getattr(controller, "task", None)
-    if isinstance(task, Task):
-        uncertainty.plant(uncertainty.believed).require_measured(task)
+    dt = as_number("dt", dt, unit="s", above=0.0)
+    require_fit(uncertainty.plant(uncertainty.believed), controller, dt)
     require("region", region, Region, "a Region, such as JointBox(robot)")
     if executor is not None:
         require("executor", executor, Executor, "an executor of concurrent.futures or None")

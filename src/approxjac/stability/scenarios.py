@@ -24,7 +24,7 @@ _DECADES = 6.0  # of the sizes of small errors
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scenarios:
     """What the conditions need at N combinations of true robot, posture and target.
 
@@ -53,6 +53,9 @@ class Scenarios:
     dJ_hat: Array
     s: Array
     slope: Array
+
+    def __repr__(self) -> str:
+        return f"Scenarios({len(self)} of {len(set(self.truth.tolist()))} true robots)"
 
     def __len__(self) -> int:
         return len(self.q)

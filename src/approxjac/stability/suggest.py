@@ -32,7 +32,7 @@ _TARGETS = 40  # postures that the settling time is taken over
 _SETTLED = 4.0  # time constants until 2 % are left
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Candidate:
     """Gains, and how they meet the three demands.
 
@@ -50,8 +50,11 @@ class Candidate:
     torque_ratio: float
     settling_time: float
 
+    def __repr__(self) -> str:
+        return f"Candidate({_in_words(self)})"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Suggestion:
     """What `suggest_gains` found.
 
@@ -71,6 +74,10 @@ class Suggestion:
     def gains(self) -> Gains | None:
         """The gains, or None if none meet all demands."""
         return None if self.found is None else self.found.gains
+
+    def __repr__(self) -> str:
+        found = "none that meet all demands" if self.found is None else repr(self.found.gains)
+        return f"Suggestion({self.test}: {found}; {len(self.tried)} tried)"
 
     def __str__(self) -> str:
         if self.found is None:

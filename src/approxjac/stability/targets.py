@@ -14,7 +14,7 @@ from approxjac.stability.scenarios import Indices, Sampler, Scenarios, Targets
 _LOCAL = 1000  # postures at most
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LocalTest:
     """What the exact linearisation says with each posture taken as a target.
 
@@ -30,6 +30,10 @@ class LocalTest:
     damping_ratios: Array
     q: Array
     truth: Indices
+
+    def __repr__(self) -> str:
+        slowest = f"slowest decay {self.decay_rates.min():.3g}/s"
+        return f"LocalTest(stable at {100 * self.share:.4g} % of {len(self.q)} postures, {slowest})"
 
     @property
     def share(self) -> float:

@@ -14,7 +14,7 @@ from approxjac.stability.matrix_form import Setting
 from approxjac.stability.scenarios import Scenarios
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Theorem1:
     """The constants of Theorem 1 over a region, and what they allow.
 
@@ -39,6 +39,10 @@ class Theorem1:
     c1: float
     setting: Setting
     worst: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __repr__(self) -> str:
+        verdict = "holds" if self.holds else "does not hold"
+        return f"Theorem1({verdict}: p = {self.p:.4g}, allowed {max(self.allowed_p, 0.0):.4g})"
 
     @property
     def alpha_max(self) -> float:

@@ -35,7 +35,7 @@ TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
 _STEPS = 20  # of bisection
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tolerance:
     """How far a set of errors may be scaled while a test passes.
 
@@ -55,6 +55,9 @@ class Tolerance:
     worst: Array
     uncertainty: Uncertainty
     worst_text: str
+
+    def __repr__(self) -> str:
+        return f"Tolerance({self})"
 
     def __str__(self) -> str:
         allowed = self.uncertainty.describe_box()

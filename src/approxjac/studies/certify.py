@@ -202,7 +202,7 @@ def move(loop: Loop, rate: float) -> Motion:
     for length in lengths:
         try:
             piece = simulate(
-                loop.plant, loop.controller, loop.target, q, length, v0=v,
+                loop.plant, loop.controller, loop.target, q, length, v0=v, dt=None,
                 record_every=length / _RECORDS,
             )  # fmt: skip
         except SimulationError:
@@ -283,7 +283,7 @@ def near_rate(loop: Loop, rate: float) -> float:
     time = 3.0 / abs(rate)
     run = simulate(
         plant, loop.controller, loop.target, start, 2.0 * time, record_every=time / 400.0,
-        atol=1e-12, rtol=1e-7,
+        dt=None, atol=1e-12, rtol=1e-7,
     )  # fmt: skip
     kp = loop.controller.diagonals.kp
     M = plant.dynamics.M(loop.q_target)

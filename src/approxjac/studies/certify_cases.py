@@ -18,7 +18,7 @@ from approxjac.simulation import Plant
 from approxjac.stability import JointBox
 from approxjac.studies import paper
 from approxjac.studies.arms import carried_object
-from approxjac.studies.reach import best_axes, outward_axis
+from approxjac.studies.reach import outward_axis
 from approxjac.tasks import ImageTask, PlanarCamera, PositionTask, Task
 
 KINDS = ("two-link, camera", "two-link, lengths", "ur5", "panda", "xarm7", "kinova", "so100")
@@ -135,8 +135,7 @@ def _camera(_: str, size: float, rng: np.random.Generator) -> tuple[Task, Task]:
 
 def _lengths(_: str, size: float, rng: np.random.Generator) -> tuple[Task, Task]:
     truth, belief = _two_links(0.6 * size, rng)
-    axes = best_axes(truth)
-    return PositionTask(truth, axes=axes), PositionTask(belief, axes=axes)
+    return PositionTask(truth), PositionTask(belief)
 
 
 def _two_links(size: float, rng: np.random.Generator) -> tuple[Robot, Robot]:

@@ -231,8 +231,8 @@ def _arm(robot: str) -> _Arm:
     arm, axis = load_robot(robot), reach.outward_axis(load_robot(robot))
     truth = arm.with_object(*carried_object(robot), axis=axis)
     belief = arm.with_object(0.0, 0.0, axis=axis)
-    sensor = PositionTask(truth, axes=reach.best_axes(truth))
-    task = PositionTask(belief, axes=reach.best_axes(belief))
+    sensor = PositionTask(truth)
+    task = PositionTask(belief)
     regressor = GravityRegressor(belief)
     controller = SetpointController(
         task,

@@ -280,6 +280,7 @@ def run_experiment(
         target=plant.sensor.value(q_target),
         q0=setup.start,
         duration=setup.duration,
+        dt=None,
         # at most 50 ms, whatever the duration: error ratios are read between the records
         record_every=setup.duration / max(2400, math.ceil(setup.duration / 0.05)),
         progress=progress,

@@ -8,11 +8,11 @@ import pinocchio as pin
 from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
+from approxjac.simulation.ready import holdable
 from approxjac.tasks import Task
 
 REGULAR = 0.1
 """Starts and targets have σ_min of J and of Ĵ above this share of σ_max."""
-_HOLDABLE = 0.7  # of the effort limits
 
 
 def regular_posture(
@@ -51,11 +51,6 @@ def regular_posture(
         f"those of {sensor!r}",
         given=sensor,
     )
-
-
-def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:
-    """Whether holding a posture takes at most 70 % of the effort limits."""
-    return not (np.abs(dynamics.g(q)) > _HOLDABLE * effort).any()
 
 
 def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bool:

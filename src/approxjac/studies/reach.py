@@ -47,7 +47,6 @@ __all__ = [
     "Reach",
     "Result",
     "Settings",
-    "best_axes",
     "outward_axis",
     "prepare",
     "run",
@@ -155,21 +154,6 @@ def sampled(
     )
 
 
-def best_axes(robot: Robot) -> str:
-    """World axes of a position that an arm commands: all three, or of two joints the best two."""
-    if robot.nv >= 3:
-        return "xyz"
-    rng = np.random.default_rng(0)
-    speeds = np.zeros(3)
-    for i, axis in enumerate("xyz"):
-        task = PositionTask(robot, axes=axis)
-        speeds[i] = sum(
-            np.linalg.norm(task.jacobian(robot.random_configuration(rng))) for _ in range(20)
-        )
-    best = sorted(np.argsort(-speeds)[: robot.nv])
-    return "".join("xyz"[i] for i in best)
-
-
 def outward_axis(robot: Robot) -> str:
     """Axis of the tip's frame along which the last three joints lead to the tip."""
     data = robot.model.createData()
@@ -197,7 +181,7 @@ def _task(robot: Robot, settings: Settings) -> Task:
                 given=settings.axes,
             )
         return PoseTask(robot)
-    return PositionTask(robot, axes=settings.axes or best_axes(robot))
+    return PositionTask(robot, axes=settings.axes)
 
 
 def _target(
@@ -244,9 +228,9 @@ def gravity_from(truth: Robot, belief: Robot, kind: str) -> Gravity:
         return NoGravity(belief)
     if kind == "believed":
         return ModelGravity(belief)
-    regressor = GravityRegressor(belief)
     if kind == "learnt":
-        return AdaptiveGravity(regressor)
+        return AdaptiveGravity(belief)
+    regressor = GravityRegressor(belief)
     return RegressorGravity(regressor, regressor.fit(truth)[0])
 
 

@@ -22,12 +22,13 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.robots import Dynamics, Robot, load_robot
 from approxjac.simulation import Plant, SampledLoop, Sensing
+from approxjac.simulation.ready import holdable
 from approxjac.studies.limiting import limited, limits_named
-from approxjac.studies.postures import REGULAR, holdable, is_regular, posture_from
+from approxjac.studies.postures import REGULAR, is_regular, posture_from
 from approxjac.studies.reach import given_or, gravity_from, outward_axis, sampled
 from approxjac.studies.servo_checks import require_effect
 from approxjac.studies.servo_result import Servo, ServoResult
-from approxjac.studies.servo_scene import Scene, carried_scene, watched_scene, well_within
+from approxjac.studies.servo_scene import ServoScene, carried_scene, watched_scene, well_within
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import CombinedTask, ImageTask, Task
 from approxjac.tasks.task import seen_postures
@@ -104,7 +105,7 @@ def run(
 
 def _watched(
     truth: Robot, belief: Robot, settings: ServoSettings, rng: np.random.Generator
-) -> tuple[Scene, Array, Array]:
+) -> tuple[ServoScene, Array, Array]:
     """Scene, start and goal for a camera in the world."""
     scene = watched_scene(truth, belief, settings)
     sensor, q0 = scene.sensor, None
@@ -127,7 +128,7 @@ def _watched(
 
 def _carried(
     truth: Robot, belief: Robot, mount: str, settings: ServoSettings, rng: np.random.Generator
-) -> tuple[Scene, Array, Array]:
+) -> tuple[ServoScene, Array, Array]:
     """Scene, start and goal for a camera on the arm: points are put before it at the goal."""
     usual = []
     for _ in range(_SAMPLES):
@@ -171,7 +172,7 @@ def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
     return min(REGULAR, 0.5 * float(np.median(ratios)))
 
 
-def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
+def _is_usable(scene: ServoScene, q: Array, ratio: float) -> bool:
     """Whether a posture can be a start or a goal."""
     low, high = scene.sensor.robot.position_limits
     motion = pin.difference(scene.sensor.robot.model, scene.sensor.robot.neutral(), q)
@@ -199,7 +200,7 @@ def _require_seen(sensor: ImageTask, q0: Array) -> None:
             )
 
 
-def _require_in_view(scene: Scene) -> None:
+def _require_in_view(scene: ServoScene) -> None:
     for which, task in (("true", scene.sensor), ("believed", scene.task)):
         try:
             seen_postures(task, 1)

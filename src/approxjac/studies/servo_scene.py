@@ -22,7 +22,7 @@ _WORKING_DEPTH = 0.35  # of the points of the world before a camera in hand [m]
 _MARGIN = 0.1  # of the image at each edge, where no target is put
 
 
-class Scene(NamedTuple):
+class ServoScene(NamedTuple):
     """The true sensor and the believed task of a visual servoing run.
 
     Attributes:
@@ -34,7 +34,7 @@ class Scene(NamedTuple):
     task: ImageTask
 
 
-def watched_scene(truth: Robot, belief: Robot, settings: ServoSettings) -> Scene:
+def watched_scene(truth: Robot, belief: Robot, settings: ServoSettings) -> ServoScene:
     """A camera in the world that watches points of the object that the arm holds."""
     view = settings.camera_target
     reach = arm_reach(truth)
@@ -55,7 +55,7 @@ def watched_scene(truth: Robot, belief: Robot, settings: ServoSettings) -> Scene
     chosen = settings.depth or "believed"
     measured = "measured" if chosen == "measured" else "believed"
     constant = settings.depth_factor * depth
-    return Scene(
+    return ServoScene(
         ImageTask(truth, camera, points=points, depth=measured),
         ImageTask(
             belief, believed, points=points, depth=constant if chosen == "constant" else chosen
@@ -65,7 +65,7 @@ def watched_scene(truth: Robot, belief: Robot, settings: ServoSettings) -> Scene
 
 def carried_scene(
     truth: Robot, belief: Robot, mount: str, q_goal: Array, settings: ServoSettings
-) -> Scene:
+) -> ServoScene:
     """A camera on the arm that watches points of the world, before it at the goal.
 
     Args:
@@ -96,7 +96,7 @@ def carried_scene(
     measured = "measured" if chosen == "measured" else "believed"
     sensor = ImageTask(truth, camera, points=points, depth=measured)
     constant = settings.depth_factor * sensor.depths(q_goal)
-    return Scene(
+    return ServoScene(
         sensor,
         ImageTask(
             belief, believed, points=points, depth=constant if chosen == "constant" else chosen

@@ -56,7 +56,7 @@ LAWS = {
 """The laws that are compared, by name; a name says whose gains a law has, if not its own."""
 
 
-class Scene(NamedTuple):
+class Setting(NamedTuple):
     """An arm and what is seen of it.
 
     Attributes:
@@ -75,12 +75,12 @@ class Scene(NamedTuple):
 ONE_POINT = "panda, one point"
 WITHIN_LIMITS = "panda, one point, limits kept"
 SCENES = {
-    ONE_POINT: Scene("panda", ServoSettings(), tuple(LAWS), NOISES),
-    WITHIN_LIMITS: Scene("panda", ServoSettings(torque_limits="urdf"), (), ()),
-    "panda, two points": Scene(
+    ONE_POINT: Setting("panda", ServoSettings(), tuple(LAWS), NOISES),
+    WITHIN_LIMITS: Setting("panda", ServoSettings(torque_limits="urdf"), (), ()),
+    "panda, two points": Setting(
         "panda", ServoSettings(points=2), ("law 6", "IBVS"), (_USUAL_NOISE,)
     ),
-    "ur5, camera in hand, two points": Scene(
+    "ur5, camera in hand, two points": Setting(
         "ur5",
         ServoSettings(eye="in-hand", points=2, object_length=0.0, object_mass=0.0),
         ("law 6", "IBVS"),

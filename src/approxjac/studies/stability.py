@@ -39,7 +39,7 @@ from approxjac.stability import (
 from approxjac.stability.loop import default_region
 from approxjac.stability.map import PARAMETERS
 from approxjac.stability.tolerance import Test
-from approxjac.studies.reach import best_axes, outward_axis
+from approxjac.studies.reach import outward_axis
 from approxjac.tasks import PlanarCamera, PositionTask
 
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of what `tolerance` finds, that is certified in full
@@ -56,30 +56,30 @@ class StabilitySettings:
         tip: End-effector frame that holds the object; the robot's own by default.
         base: Link that the chain to the tip starts from.
         free: Joints that are not locked although the tip does not need them.
-        object_length: Smallest and largest true length of the object.
-        object_mass: Smallest and largest true mass of the object.
+        object_length: Smallest and largest true length of the object, m.
+        object_mass: Smallest and largest true mass of the object, kg.
         object_axis: Axis of the tip's frame that the object points along, such as "z" or "-x"; the
             one that leads on from the arm by default.
-        believed_length: Length of the object that the controller believes.
-        believed_mass: Mass of the object that the controller believes.
-        joint_shifts: How far joint origins may be off either way, such as panda_joint4 0 0.01 0.
-        joint_rotations: The same for joint axes, as rotation vectors.
+        believed_length: Length of the object that the controller believes, m.
+        believed_mass: Mass of the object that the controller believes, kg.
+        joint_shifts: How far joint origins may be off either way, m, such as panda_joint4 0 0.01 0.
+        joint_rotations: The same for joint axes, as rotation vectors, rad.
         axes: World axes of the position task; those that the arm commands best by default.
         camera: Focal length, distance and roll of a believed camera that looks at the arm's x-z
             plane; the task is then the tip's image.
-        focal_length: Smallest and largest true focal length.
-        distance: Smallest and largest true distance of the camera.
-        roll: Smallest and largest true roll of the camera.
+        focal_length: Smallest and largest true focal length, m.
+        distance: Smallest and largest true distance of the camera, m.
+        roll: Smallest and largest true roll of the camera, rad.
         friction: Viscous friction of every true joint, N m s/rad.
         gravity: "exact" takes gravity as compensated exactly, "learnt" is the law (28), (29).
-        settling_time: Wanted by the default gains.
+        settling_time: Wanted by the default gains, s.
         kp: K_p instead of the default gains' one; one number, or one a task coordinate.
         kv: K_v instead of the default gains' one; one number, or one a task coordinate.
         damping: Added joint damping instead of the default gains' one; one number, or one a joint.
-        gamma: Saturation of the error by γ sin(e/γ); none by default.
-        around: Joint positions, one a joint: look within `radius` of them; by default within the
-            joint limits, where the believed Jacobian is not near singular.
-        radius: How far each joint may be from `around`, or from a run's postures.
+        gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; none by default.
+        around: Joint positions, one a joint, rad or m: look within `radius` of them; by default
+            within the joint limits, where the believed Jacobian is not near singular.
+        radius: How far each joint may be from `around`, or from a run's postures, rad or m.
         run: File run.npz of `approxjac simulate`: look near its postures.
         reach_from: Joint positions of a start: look where V lets the arm get to the target.
         sigma_min: Leave out postures where σ_min of the believed Jacobian is smaller, m/rad.
@@ -232,7 +232,7 @@ def _require_map(settings: StabilitySettings) -> None:
 
 
 def _uncertainty(arm: Robot, settings: StabilitySettings) -> Uncertainty:
-    camera, make = None, functools.partial(PositionTask, axes=settings.axes or best_axes(arm))
+    camera, make = None, functools.partial(PositionTask, axes=settings.axes)
     if settings.camera is not None:
         camera = PlanarCamera(*settings.camera)
         if settings.axes is not None:

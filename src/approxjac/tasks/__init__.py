@@ -7,7 +7,7 @@ from approxjac.tasks.image import ImageTask
 from approxjac.tasks.nonsingular import NonsingularTask
 from approxjac.tasks.pinhole import PinholeCamera
 from approxjac.tasks.pose import PoseTask
-from approxjac.tasks.position import PositionTask
+from approxjac.tasks.position import PositionTask, best_axes
 from approxjac.tasks.stacked import StackedTask
 from approxjac.tasks.task import Task
 
@@ -23,4 +23,5 @@ __all__ = [
     "PositionTask",
     "StackedTask",
     "Task",
+    "best_axes",
 ]

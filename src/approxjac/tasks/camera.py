@@ -11,6 +11,7 @@ import numpy as np
 
 from approxjac.checks import Array, as_array, as_number, axis_rows
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.text import short_fields
 
 
 class Calibrated(NamedTuple):
@@ -83,7 +84,7 @@ class Camera(ABC):
                 raise UnknownNameError("value", name, where, self.calibration)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PlanarCamera(Camera):
     """The paper's camera (section 5.1), parallel to the plane that the arm moves in.
 
@@ -127,6 +128,9 @@ class PlanarCamera(Camera):
         J[:, rows] = self.magnification * np.array([[c, s], [-s, c]])
         object.__setattr__(self, "_J", J)
         object.__setattr__(self, "_d", np.array(self.offset, dtype=float))
+
+    def __repr__(self) -> str:
+        return short_fields(self)
 
     @property
     def magnification(self) -> float:

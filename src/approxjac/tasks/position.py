@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from approxjac.checks import Array, axis_rows, require
 from approxjac.robots import Robot
 from approxjac.tasks.frame import FrameKinematics
@@ -14,20 +16,22 @@ class PositionTask(Task):
     Args:
         robot: The robot, true or believed.
         frame: Frame name; the robot's `tip` by default.
-        axes: World axes in the order wanted, such as "xyz" or "xz".
+        axes: World axes in the order wanted, such as "xyz" or "xz"; by default those that the arm
+            commands: all three, or of an arm with fewer joints the best of them (`best_axes`).
 
     Raises:
         UnknownNameError: No such frame, or an axis that is not x, y or z.
         InvalidInputError: No or doubled axes, or more of them than joints.
     """
 
-    def __init__(self, robot: Robot, frame: str | None = None, axes: str = "xyz") -> None:
+    def __init__(self, robot: Robot, frame: str | None = None, axes: str | None = None) -> None:
         require("robot", robot, Robot, "a Robot")
+        frame = robot.tip_or(frame)
+        axes = best_axes(robot, frame) if axes is None else axes
         # a slice for "xyz", which NumPy takes without a copy
-        rows = axis_rows("axes", axes)
-        self._rows = slice(0, 3) if axes == "xyz" else rows
+        self._rows = slice(0, 3) if axes == "xyz" else axis_rows("axes", axes)
         self._labels = tuple(axes)
-        self._frame = FrameKinematics(robot, robot.tip_or(frame))
+        self._frame = FrameKinematics(robot, frame)
         self._frame_jacobian = self._frame.compute_jacobian
         require_rows(len(axes), robot)
 
@@ -62,3 +66,23 @@ class PositionTask(Task):
 
     def __repr__(self) -> str:
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {''.join(self.labels)!r})"
+
+
+def best_axes(robot: Robot, frame: str | None = None) -> str:
+    """World axes along which an arm commands a frame: all three, or those of its fastest motion.
+
+    Args:
+        robot: The robot.
+        frame: Frame name; the robot's `tip` by default.
+
+    Returns:
+        "xyz", or as many axes as there are joints where there are fewer: those along which the
+        frame moves fastest, in the mean over seeded postures.
+    """
+    if robot.nv >= 3:
+        return "xyz"
+    rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(frame))
+    postures = [robot.random_configuration(rng) for _ in range(20)]
+    jacobians = np.array([kinematics.jacobian(q)[:3] for q in postures])
+    speeds = np.linalg.norm(jacobians, axis=2).sum(axis=0)
+    return "".join("xyz"[i] for i in sorted(np.argsort(-speeds)[: robot.nv]))

@@ -22,7 +22,7 @@ def run():
     arm = aj.load_robot("two_link")
     task = aj.PositionTask(arm, axes="xz")
     controller = aj.SetpointController(task, aj.Gains(60.0, 20.0))
-    return aj.simulate(aj.Plant(arm, task), controller, (0.5, 1.2), (0.3, 0.8), 1.0)
+    return aj.simulate(aj.Plant(arm, task), controller, (0.5, 1.2), (0.3, 0.8), 1.0, dt=None)
 
 
 def data_of(text):

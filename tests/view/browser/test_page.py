@@ -41,7 +41,7 @@ def drawn():
     setup = paper.Setup(duration=60.0)
     plant, controller = paper.build(paper.EXPERIMENTS[7], setup)
     target = plant.sensor.value(np.array(setup.target))
-    return aj.simulate(plant, controller, target, setup.start, 60.0)
+    return aj.simulate(plant, controller, target, setup.start, 60.0, dt=None)
 
 
 @pytest.fixture(scope="module")

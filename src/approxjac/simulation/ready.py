@@ -1,0 +1,45 @@
+"""A posture to start from: that the motors hold, that is seen, and that is far from singular."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics
+from approxjac.tasks import Task
+
+_DRAWN = 300
+_INNER = 0.8  # share of each joint's range that is drawn from
+_HOLDABLE = 0.7  # of the effort limits
+
+
+def ready_posture(sensor: Task, effort: Array) -> Array:
+    """The rule of `Plant.ready_posture`, for motors with the limits `effort`, shape (n_v,)."""
+    robot = sensor.robot
+    rng, dynamics = np.random.default_rng(0), Dynamics(robot)
+    low, high = robot.usual_range()
+    middle, half = 0.5 * (low + high), 0.5 * _INNER * (high - low)
+    best, found = -1.0, None
+    for _ in range(_DRAWN):
+        motion = middle + half * rng.uniform(-1.0, 1.0, robot.nv)
+        q = np.array(pin.integrate(robot.model, robot.neutral(), motion))
+        if not (sensor.sees(q) and holdable(dynamics, q, effort)):
+            continue
+        J = sensor.jacobian(q, sensor.value(q))
+        sigma_min = float(np.linalg.svd(J, compute_uv=False)[-1])
+        if sigma_min > best:
+            best, found = sigma_min, q
+    if found is None:
+        raise InvalidInputError(
+            f"q0 must be given for {robot.name}: no posture was found that its motors can hold and "
+            f"that {sensor!r} sees; a lighter object may help",
+            given=None,
+        )
+    return found
+
+
+def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:
+    """Whether holding a posture takes at most 70 % of the effort limits."""
+    return not (np.abs(dynamics.g(q)) > _HOLDABLE * effort).any()

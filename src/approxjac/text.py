@@ -1,0 +1,34 @@
+"""How numbers and records are written in one line."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+
+def short(value: Any) -> str:
+    """Numbers to four digits: one, one where all entries are equal, or a list."""
+    entries = [f"{entry:.4g}" for entry in np.ravel(value)]
+    return entries[0] if len(set(entries)) == 1 else listed(value)
+
+
+def listed(values: Any) -> str:
+    """Numbers to four digits, as a list of all of them."""
+    return f"[{', '.join(f'{entry:.4g}' for entry in np.ravel(values))}]"
+
+
+def short_fields(record: Any) -> str:
+    """A dataclass with its fields, without those that are as by default."""
+    shown = []
+    for field in filter(lambda field: field.repr, dataclasses.fields(record)):
+        value = getattr(record, field.name)
+        if isinstance(value, np.ndarray | float):
+            if field.default is dataclasses.MISSING or np.any(value != field.default):
+                shown.append(f"{field.name}={short(value)}")
+        elif isinstance(value, tuple) and any(isinstance(part, np.ndarray) for part in value):
+            shown.append(f"{field.name}=({', '.join(short(part) for part in value)})")
+        elif value is not field.default and value != field.default:
+            shown.append(f"{field.name}={value!r}")
+    return f"{type(record).__name__}({', '.join(shown)})"

@@ -1,0 +1,125 @@
+"""The public names: each stands in the reference, and type checkers know it."""
+
+import importlib
+import inspect
+import os
+import re
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+import approxjac as aj
+
+REFERENCE = Path(__file__).parents[1] / "docs" / "api.md"
+MODULES = ("robots", "tasks", "controllers", "simulation", "stability", "law", "view")
+DIRECTIVE = re.compile(r"^\.\. auto(\w+):: (\S+)\n((?:   :.*\n)*)", re.MULTILINE)
+
+
+def found(name):
+    """The object that a dotted name means: the longest part that is a module, then attributes."""
+    module, _, attribute = name.rpartition(".")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def described():
+    """Every object that the reference describes."""
+    for kind, name, options in DIRECTIVE.findall(REFERENCE.read_text(encoding="utf-8")):
+        if kind != "module":
+            yield name, found(name)
+            continue
+        module = importlib.import_module(name)
+        members = re.search(r":members:(.*)", options)
+        excluded = re.search(r":exclude-members:(.*)", options)
+        left_out = {word.strip() for word in excluded[1].split(",")} if excluded else set()
+        named = [word.strip() for word in members[1].split(",") if word.strip()]
+        own = [
+            key
+            for key, value in vars(module).items()
+            if not key.startswith("_") and getattr(value, "__module__", "") == name
+        ]
+        for key in named or own:
+            if key not in left_out:
+                yield f"{name}.{key}", getattr(module, key)
+
+
+def test_every_public_name_is_in_the_reference():
+    inside = {id(thing) for _, thing in described()}
+    for module in (aj, *(getattr(aj, name) for name in MODULES)):
+        missing = {
+            name
+            for name in module.__all__
+            if callable(thing := getattr(module, name)) and id(thing) not in inside
+        }
+        assert missing == set(), module.__name__
+
+
+def test_the_reference_describes_each_thing_once_and_nothing_private():
+    names = [name for name, _ in described()]
+    things = [thing for _, thing in described()]
+    assert len(names) > 150
+    assert not [name for name in names if "._" in name]
+    assert sorted(n for n, t in zip(names, things, strict=True) if things.count(t) > 1) == []
+
+
+@pytest.mark.parametrize("module", [aj, *(getattr(aj, name) for name in MODULES)])
+def test_every_name_has_a_docstring(module):
+    for name in module.__all__:
+        thing = getattr(module, name)
+        if inspect.isclass(thing) or inspect.isfunction(thing):
+            assert inspect.getdoc(thing), name
+
+
+def test_tab_completion_shows_what_helps(panda):
+    controller = aj.SetpointController(aj.PositionTask(panda))
+    for thing in (panda, controller, aj.Plant(panda), controller.task):
+        shown = {name for name in dir(thing) if not name.startswith("_")}
+        assert not shown & {"np", "pin", "math", "data"}
+        assert all(hasattr(thing, name) for name in shown)
+
+
+PROGRAM = """
+    import approxjac as aj
+
+    arm = aj.load_robot("panda")
+    belief = arm.with_object(length=0.0)
+    controller = aj.SetpointController(
+        aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief)
+    )
+    run = aj.simulate(aj.Plant(arm.with_object(length=0.2)), controller, target=[0.5, 0.0, 0.5])
+    report = aj.stability_report(controller, truth=arm)
+    reveal_type(run)
+    reveal_type(report)
+    reveal_type(aj.stability.Tube(arm, run.q))
+    reveal_type(aj.view.plot_run)
+    reveal_type(aj.rollouts)
+    aj.Gains(kp="400", kv=80.0)
+    aj.stabilty_report
+"""
+
+
+def test_type_checkers_know_the_names(tmp_path):
+    pytest.importorskip("mypy")
+    path = tmp_path / "program.py"
+    path.write_text(textwrap.dedent(PROGRAM), encoding="utf-8")
+    config = Path(__file__).parents[1] / "pyproject.toml"
+    process = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", f"--config-file={config}", str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=config.parent,
+        env={**os.environ, "MYPYPATH": str(Path(aj.__file__).parents[1])},
+    )
+    types = re.findall(r'Revealed type is "([^"]*)"', process.stdout)
+    assert types[0] == "approxjac.simulation.trajectory.Trajectory"
+    assert types[1] == "approxjac.stability.report.StabilityReport"
+    assert types[2] == "approxjac.stability.region.Tube"
+    assert types[3].startswith("def (run: approxjac.simulation.trajectory.Trajectory)")
+    assert types[4].startswith("def (controller: approxjac.interface.Controller, uncertainty:")
+    errors = re.findall(r"error: (.*)", process.stdout)
+    assert len(errors) == 2
+    assert 'Argument "kp" to "Gains" has incompatible type "str"' in errors[0]
+    assert 'has no attribute "stabilty_report"' in errors[1]
