@@ -23,7 +23,8 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
         arm: The driver: `read()` returns q, q̇ and x, NaN where x is lost; `send(torque)`; and
             `brake()`, which hands the arm back to its own brakes or its own controller.
         controller: A SetpointController, or better TorqueLimited around one, for DT.
-        goal: Where to go at time t [s], a function that returns x_d, shape (n_x,).
+        goal: Where to go at time t [s], a function that returns x_d, shape (n_x,). t counts cycles:
+            it stands still while periods are missed.
         stop: Whether to stop at time t [s], a function too.
         unseen: As for HeldMeasurement [unit of the task].
         speed: Of the target on its way to the goal [unit of the task, per s].
@@ -39,8 +40,8 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
     log = new_log(task, rows)
     q, v, x = arm.read()
     state = held.initial_state(aj.Measurement(0.0, q, v, x))
-    held.evaluate(state, aj.Measurement(0.0, q, v, x), goal(0.0))  # mistakes show here
-    known = np.array(q)
+    # mistakes show here, before the arm moves
+    torque = held.evaluate(state, aj.Measurement(0.0, q, v, x), goal(0.0)).torque
     aim, fault, limit = None, "", aj.LimitStatus.UNLIMITED
     unknown = troubled = stopping = 0  # cycles
     gc.disable()  # its pauses may be longer than a period
@@ -71,10 +72,9 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
                 answer = acting.evaluate(own, aj.Measurement(t, q, v, x), wanted)
                 own += DT * answer.state_rate  # the period of the controllers, not the clock's
                 torque, status, limit = answer.torque, answer.status, answer.limit_status
-                known[:], unknown = q, 0
-            except aj.MeasurementError:  # nothing may depend on q and q̇ now: hold the arm up
-                torque = law.gravity_torque(state[: law.n_state], known)
-                status, unknown = UNKNOWN, unknown + 1
+                unknown = 0
+            except aj.MeasurementError:  # nothing may depend on q and q̇ now: the last torque once
+                status, unknown = UNKNOWN, unknown + 1  # more, which no limit has to object to
             arm.send(torque)
             before, sent = sent, time.perf_counter()
             gap = sent - before

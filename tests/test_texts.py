@@ -76,6 +76,8 @@ def test_texts_of_what_passes_between(panda, controller):
     assert repr(measurement) == (
         f"Measurement(t=0.25 s, q=[0, -0.5, 0, -2, 0, 1.6, 0.7], v=[0, 0, 0, 0, 0, 0, 0], x=[{x}])"
     )
+    refused = aj.Measurement(0.25, np.zeros(1), np.zeros(1), None)
+    assert repr(refused) == "Measurement(t=0.25 s, q=[0], v=[0], x=None)"
     answer = controller.evaluate(np.zeros(0), measurement, measurement.x)
     assert repr(answer).startswith("Evaluation(OK, torque=[")
     assert repr(answer).endswith("e=[0, 0, 0])")

@@ -112,17 +112,17 @@ def test_a_posture_leaves_an_error_within_its_ultimate_bound():
     bound = np.sqrt(kappa / c) * t0 / w
 
     def rate(t, z):
-        pull = t0 * np.sign(np.sin(0.7 * t))  # the worst that ‖N τ₀‖ ≤ t₀ allows is to push on
+        pull = t0 * np.sign(np.sin(0.7 * t))  # as large as it may be, and not constant
         return np.array([-kp * z[2] - (kv + b) * z[0], -b * z[1] + pull, z[0]])
 
-    z, dt, late = np.array([3.0, -2.0, 5.0]), 1e-3, []
-    for k in range(60_000):
+    z, dt, late = np.array([3.0, -2.0, 5.0]), 1e-2, []
+    for k in range(6_000):
         slope = 2 * (half_P @ z) @ rate(k * dt, z)
         push = rate(k * dt, z)[1] + b * z[1]
         assert slope == pytest.approx(-z @ Q @ z + z[1] * push, abs=1e-9)
         z = z + dt * rate(k * dt, z)
         late.append(np.linalg.norm(z))
-    assert 0.5 < max(late[40_000:]) <= bound
+    assert 0.5 < max(late[4_000:]) <= bound
     assert abs(z[2]) < 1e-6  # N τ₀ does not reach the task
 
 

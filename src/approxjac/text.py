@@ -15,8 +15,11 @@ def short(value: Any) -> str:
 
 
 def listed(values: Any) -> str:
-    """Numbers to four digits, as a list of all of them."""
-    return f"[{', '.join(f'{entry:.4g}' for entry in np.ravel(values))}]"
+    """Numbers to four digits, as a list of all of them; what are no numbers as it is."""
+    try:
+        return f"[{', '.join(f'{entry:.4g}' for entry in np.ravel(values))}]"
+    except (TypeError, ValueError):  # a record that is refused still has to be printed
+        return repr(values)
 
 
 def short_fields(record: Any) -> str:
