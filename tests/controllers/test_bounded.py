@@ -34,6 +34,10 @@ def controllers():
     two = aj.StackedTask(
         aj.PositionTask(panda, axes="xz"), aj.PositionTask(panda, "panda_link4", axes="y")
     )
+    # a point beside its frame: no bound of its Jacobian over a range is known, so it is drawn
+    point = aj.StackedTask(
+        aj.ImageTask(panda, camera, points=[(0.0, 0.0, 0.1)]), aj.PositionTask(panda, axes="y")
+    )
     return {
         "panda": aj.BoundedController(task),
         "panda, weak": aj.BoundedController(task, weak, joint_range=around),
@@ -43,6 +47,7 @@ def controllers():
         ),
         "panda, pose": aj.BoundedController(aj.PoseTask(panda), joint_range=around),
         "panda, stacked": aj.BoundedController(two, joint_range=around),
+        "panda, point": aj.BoundedController(point, joint_range=around),
         "panda, nonsingular": aj.BoundedController(
             aj.NonsingularTask(task, {"panda_joint4": 0.3}), joint_range=around
         ),
@@ -56,7 +61,8 @@ def controllers():
 
 NAMES = (
     "panda", "panda, weak", "panda, no gravity", "panda, theta", "panda, pose", "panda, stacked",
-    "panda, nonsingular", "xarm7", "kinova", "two_link", "two_link, camera", "slider",
+    "panda, point", "panda, nonsingular", "xarm7", "kinova", "two_link", "two_link, camera",
+    "slider",
 )  # fmt: skip
 
 
@@ -114,8 +120,8 @@ def test_the_bound_is_within_the_limits_over_the_range(controller, rng):
         assert share.max() <= 1.0
         closest = max(closest, float(share[limited].max()))
     assert closest > 0.75  # what the motors have is used
-    drawn = isinstance(controller.task, aj.NonsingularTask)
-    assert controller.guaranteed == (not drawn)
+    drawn = [controllers()[name] for name in ("panda, point", "panda, nonsingular")]
+    assert controller.guaranteed == (controller not in drawn)
 
 
 def test_the_task_cannot_accelerate_a_joint_for_ever(controller, rng):

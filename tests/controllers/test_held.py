@@ -491,6 +491,12 @@ def test_bad_arguments_are_refused(arguments, text):
         aj.HeldMeasurement(*arguments)
 
 
+def test_what_is_held_is_not_held_again(task):
+    once = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
+    with pytest.raises(aj.InvalidInputError, match=r"must be one that is not held yet, got Held"):
+        aj.HeldMeasurement(once, 0.1)
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [

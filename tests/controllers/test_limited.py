@@ -739,6 +739,24 @@ def test_another_alpha_than_the_adaptations_is_refused(panda):
         aj.TorqueLimited(learning(panda), alpha=2.0)
 
 
+def test_alpha_may_be_given(panda):
+    assert aj.TorqueLimited(law_of(panda), alpha=2.0).alpha == 2.0
+    assert aj.TorqueLimited(learning(panda), alpha=1.0).alpha == 1.0
+
+
+def test_without_a_force_on_the_task_no_direction_is_dear(panda, rng):
+    """At rest at the target τ* is g: weight "task force" is then that of the plain distance."""
+    measurement, _ = some_measurement(panda, rng, speed=0.0)
+    limits = aj.Limits(effort=0.5 * np.abs(law_of(panda).gravity.torque(measurement.q)).max())
+    answers = []
+    for weight in ("task force", "identity"):
+        limited = aj.TorqueLimited(law_of(panda), limits, weight=weight)
+        state = limited.initial_state(measurement)
+        answers.append(limited.evaluate(state, measurement, measurement.x).torque)
+    assert_allclose(answers[0], answers[1])
+    assert np.abs(answers[0]).max() == limits.effort  # a limit is reached
+
+
 def test_only_controllers_are_limited(panda):
     with pytest.raises(aj.InvalidInputError, match="controller must be a SetpointController"):
         aj.TorqueLimited(aj.PositionTask(panda))

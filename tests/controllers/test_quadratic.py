@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from approxjac import ApproxJacError
-from approxjac.controllers.quadratic import QuadraticProgram, Verdict, as_solver
+from approxjac.controllers.quadratic import QuadraticProgram, Verdict, as_solver, choice
 from approxjac.errors import InvalidInputError, MissingPackageError, UnknownNameError
 
 INF = np.inf
@@ -439,6 +439,17 @@ def test_answers_a_little_outside_are_brought_inside():
     z, verdict = as_solver(lambda p: np.array([1e3 + 5e-4, 0.0]), 1.0).solve(big)
     assert verdict is Verdict.SOLVED
     np.testing.assert_array_equal(z, [1e3, 0.0])
+
+
+def test_a_solver_that_is_there_and_does_not_run_is_refused(monkeypatch):
+    def without_a_licence(name):
+        raise RuntimeError("no licence")
+
+    monkeypatch.setattr(choice, "_Qpsolvers", without_a_licence)
+    with pytest.raises(
+        InvalidInputError, match="'clarabel' is installed but does not run: no licence"
+    ):
+        as_solver("clarabel", 1.0)
 
 
 GARBAGE = {

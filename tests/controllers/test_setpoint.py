@@ -396,6 +396,12 @@ def test_objects_of_the_wrong_kind_are_refused(panda):
             "gravity must be one of .*, got the class NoGravity",
         ),
         (lambda: aj.SetpointController(task, gains, velocity=0.02), "velocity must be Different"),
+        (
+            lambda: aj.SetpointController(
+                aj.PoseTask(panda), gains, velocity=aj.DifferentiatedVelocity(0.01)
+            ),
+            r"law \(5\) differentiates x and needs a task whose error is x - x_d, got PoseTask",
+        ),
         (lambda: aj.SetpointController(task, gains, saturation=aj.Sine), "saturation must be Lin"),
         (lambda: aj.SetpointController(task, gains, saturation=0.2), "saturation must be Linear"),
         (lambda: aj.AdaptiveGravity(task, 1.0, 1.0), "model must be the believed Robot, or a Grav"),
@@ -536,3 +542,14 @@ def test_one_task_coordinate_is_bounded_through_its_singular_posture(two_link):
         assert (answer.status is aj.Status.NEAR_SINGULAR) == (abs(turn) < 1e-3)
     assert np.abs(rates).max() < 1e3
     assert np.abs(np.diff(rates[2:6], axis=0)).max() < 1e-3
+
+
+def test_v_is_not_known_where_the_error_is_not(panda, rng):
+    controller, q = aj.SetpointController(aj.PositionTask(panda)), panda.random_configuration(rng)
+    x, v, M = controller.task.value(q), rng.normal(size=7), np.eye(7)
+    state = np.zeros(0)
+    values = []
+    for seen in (x, np.full(3, np.nan)):
+        answer = controller.evaluate(state, aj.Measurement(0.0, q, v, seen), x)
+        values.append(controller.lyapunov_value(answer, v, M, 1.0, state, None))
+    assert_allclose(values, [0.5 * v @ v, np.nan])

@@ -26,6 +26,16 @@ def test_constants_of_eq_8_hold(gamma, ratio):
         assert (S > 0).all()
 
 
+@given(gammas)
+def test_d_and_c_bar_are_the_largest_that_hold(gamma):
+    """Near zero, where every s is e."""
+    e = np.array([1e-5 * gamma])
+    for f in saturations(gamma):
+        s, S = f.s(e), f.S(e)
+        assert_allclose(f.d * s**2, e * s, rtol=1e-9)
+        assert_allclose(f.c_bar * s**2, S, rtol=1e-9)
+
+
 @given(gammas, ratios)
 def test_the_bound_d_bar_is_attained(gamma, ratio):
     e = np.array([abs(gamma * ratio)])

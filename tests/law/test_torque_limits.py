@@ -136,6 +136,15 @@ def test_a_power_of_zero_is_left_alone():
     assert slack == 0.0
 
 
+def test_a_proof_that_is_short_by_a_billionth_is_not_claimed():
+    """Joint 1 would have to brake with 2, and may with a billionth less."""
+    lower = np.array([-1.0, -2.0 + 1e-9])
+    torque, weight = np.array([-3.0, 0.0]), np.ones(2)
+    tau, slack = law.limited_torque(torque, np.ones(2), lower, np.full(2, 9.0), weight, 10.0)
+    assert_allclose(tau, lower, atol=0.0)
+    assert slack == pytest.approx(1e-9, rel=1e-6)
+
+
 def test_a_joint_that_stands_still_takes_no_part():
     """Joint 1 has y = 0. The others reach and leave limits on the way, so one guess is not enough.
 
