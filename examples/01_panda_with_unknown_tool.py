@@ -24,21 +24,18 @@ out.mkdir(parents=True, exist_ok=True)
 # The truth, which only the simulated plant owns: a 20 cm tool in the hand.
 arm = aj.load_robot("panda")
 truth = arm.with_object(length=0.20, mass=0.5, axis="x")
-plant = aj.Plant(truth, sensor=aj.PositionTask(truth, frame="object_tip"))
+plant = aj.Plant(truth)  # measures the position of the tool's tip
 
 # The belief, which only the controller owns: no tool at all. The tool's weight is unknown to it
-# too, so gravity is learnt while the arm moves.
-belief = arm.with_object(length=0.0, mass=0.0)
-controller = aj.SetpointController(
-    aj.PositionTask(belief, frame="object_tip"),
-    aj.Gains(kp=400.0, kv=80.0, damping=1.0),
-    gravity=aj.AdaptiveGravity(aj.GravityRegressor(belief), L=0.5, alpha=2.0),
-)
+# too, so gravity is learnt while the arm moves. Gains are chosen from the believed arm's inertia.
+belief = arm.with_object(length=0.0)
+task = aj.PositionTask(belief)
+controller = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief))
 
-# Sampled at 1 kHz, as on the robot.
+# Where it stands, where the tip is to go, and 10 s sampled at 1 kHz as on the robot.
 q0 = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
 x_d = plant.sensor.value(q0) + [0.10, -0.15, 0.16]
-run = aj.simulate(plant, controller, target=x_d, q0=q0, duration=6.0, dt=1e-3)
+run = aj.simulate(plant, controller, target=x_d, q0=q0)
 print(run)
 
 title = "A Panda with a 20 cm tool that its controller believes absent"

@@ -48,7 +48,7 @@ task = aj.PoseTask(belief)
 controller = aj.SetpointController(
     task,
     aj.default_gains(task, settling_time=1.0, bandwidth=200.0),
-    gravity=aj.AdaptiveGravity(aj.GravityRegressor(belief)),
+    gravity=aj.AdaptiveGravity(belief),
 )
 run = aj.simulate(plant, controller, target, start, duration=10.0, dt=1e-3, seed=1)
 position, turn = run.error[:, :3], run.error[:, 3:]

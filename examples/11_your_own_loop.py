@@ -54,7 +54,7 @@ out.mkdir(parents=True, exist_ok=True)
 
 panda = aj.load_robot("panda")
 truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
-gravity = aj.AdaptiveGravity(aj.GravityRegressor(belief))
+gravity = aj.AdaptiveGravity(belief)
 law = aj.SetpointController(aj.PositionTask(belief), gravity=gravity)
 limited = aj.TorqueLimited(law, aj.Limits.of(belief, scale=0.8))
 plant = aj.MujocoPlant(truth, sensor=aj.PositionTask(truth))

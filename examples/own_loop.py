@@ -60,11 +60,11 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
             if stop(t) or fault or stopping:
                 stopping += 1
                 aim = None if stopping == 1 else aim  # it is to stay where it is
-            acting = controller if fault else held
-            if fault:  # without x the law is gravity, damping and limits: it needs neither x nor Ĵ
-                x = np.full_like(x, np.nan)
             if aim is None and np.isfinite(x).all():
                 aim = x.copy()  # from where it is, so that the torque does not jump
+            acting = held
+            if fault or aim is None:  # nothing to steer to: gravity, damping and limits, whatever
+                acting, x = controller, np.full_like(x, np.nan)  # was seen last and may be held
             own = state[: acting.n_state]  # the state of what is held comes first, here as a view
             try:
                 wanted = goal(t) if aim is None else aim

@@ -100,6 +100,46 @@ def test_a_stop_in_mid_motion_is_soft_and_ends_at_standstill(own_loop, truth):
     assert is_soft(arm, log[600:])
 
 
+def test_a_stop_while_an_image_is_lost_does_not_push_to_the_goal(own_loop):
+    """What is held is compared with a target that waits, never with the goal itself."""
+
+    class Blinking(Arm):
+        def read(self):
+            self.fault = "blind" if 590 <= len(self.torques) < 650 else ""
+            return super().read()
+
+    arm = Blinking()
+    why, log = lead(own_loop, arm, 0.6, unseen=0.1)
+    assert why == "asked to"
+    assert log["status"][599] == aj.Status.MEASUREMENT_HELD
+    assert np.abs(log["v"][599]).max() > 0.2
+    assert np.abs(log["v"][600:]).max() < 1.1 * np.abs(log["v"][599]).max()  # it only brakes
+    assert np.abs(arm.v).max() < 0.02
+    assert is_soft(arm, log[600:])
+
+
+def test_parts_that_come_back_one_by_one_do_not_push_to_the_goal(own_loop):
+    """The first part is seen again while the second is lost, and held."""
+    both = [
+        aj.StackedTask(aj.PositionTask(robot, axes="x"), aj.PositionTask(robot, axes="z"))
+        for robot in (TRUTH, BELIEF)
+    ]
+    law = aj.SetpointController(both[1], gravity=aj.AdaptiveGravity(BELIEF))
+
+    class InParts(Arm):
+        def read(self):
+            q, v, x = super().read()
+            k = len(self.torques)
+            return q, v, np.where([200 <= k < 700, 690 <= k < 760], np.nan, x)
+
+    arm = InParts()
+    _, log, _ = own_loop.control(
+        arm, law, lambda t: GOAL, lambda t: t >= 0.9, unseen=0.02, speed=0.3, longest=10.0
+    )
+    assert (log["status"][400:700] == aj.Status.MEASUREMENT_LOST).any()
+    assert np.abs(np.diff(log["torque"][695:765], axis=0)).max() < 5.0
+
+
 def is_soft(arm, log):
     """Whether torques stay near those that hold the arm: it is not switched off."""
     g = np.array([arm.plant.dynamics.g(q) for q in log["q"]])

@@ -425,4 +425,4 @@ def test_copies_have_the_same_bits_and_scratch_of_their_own(controller, copied, 
 def test_what_it_is_called(panda):
     text = repr(controllers()["panda"])
     assert text.startswith("BoundedController(PositionTask('panda', 'panda_hand_tcp', 'xyz'), Bou")
-    assert "gamma=[" in text
+    assert "gamma=0.06" in text

@@ -262,6 +262,9 @@ def test_refused_parts(controller, uncertainty, panda):
     with pytest.raises(aj.InvalidInputError, match="uncertainty must be an Uncertainty, got"):
         aj.rollouts(controller, panda, REGION)
     other = aj.SetpointController(aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match="robot must have the 2 joints of the plant.s"):
+        aj.rollouts(other, uncertainty, REGION)
+    other = aj.SetpointController(aj.PositionTask(uncertainty.belief(), axes="x"))
     with pytest.raises(aj.InvalidInputError, match="task must have the coordinates of the plant's"):
         aj.rollouts(other, uncertainty, REGION)
     with pytest.raises(aj.InvalidInputError, match=r"q0 must have shape \(2,\)"):

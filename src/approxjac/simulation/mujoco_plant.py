@@ -98,6 +98,9 @@ class MujocoPlant(Plant):
         """MuJoCo's model of the robot and the floor, such as for its viewer. Read-only."""
         return self.dynamics.mujoco_model
 
+    def _is_free(self, q: Array) -> bool:
+        return not self.dynamics.touches(q)
+
     def _shown(self) -> list[str]:
         return [
             *super()._shown(), f"floor={self.floor}", f"joint_limits={self.joint_limits}"
@@ -134,6 +137,14 @@ class MujocoDynamics(Dynamics):
         data.qfrc_applied[places] = as_vector("tau", tau, self.robot.nv)
         self._mujoco.mj_forward(self.mujoco_model, data)
         return np.array(data.qacc[places])
+
+    def touches(self, q: Array) -> bool:
+        """Whether the arm touches the floor, or is in it, in a posture of shape (nq,)."""
+        data = self._mujoco_data
+        data.qpos[self._places] = pin.difference(self.robot.model, self._neutral, self._q(q))
+        self._mujoco.mj_kinematics(self.mujoco_model, data)
+        self._mujoco.mj_collision(self.mujoco_model, data)
+        return bool(data.ncon)
 
 
 def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:

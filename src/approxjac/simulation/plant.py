@@ -90,7 +90,8 @@ class Plant:
 
         Of 300 seeded postures in the middle 80 % of each joint's range (`Robot.usual_range`), the
         one farthest from singular, with the largest σ_min of the sensor's Jacobian; among those
-        that the sensor sees and that the motors hold with at most 70 % of their limits.
+        that the sensor sees, that the motors hold with at most 70 % of their limits, and in which
+        the arm touches nothing.
 
         Returns:
             Shape (nq,).
@@ -99,7 +100,12 @@ class Plant:
             InvalidInputError: There is none.
         """
         motors = np.inf if self.torque_limits is None else self.torque_limits
-        return ready_posture(self.sensor, np.minimum(self.robot.effort_limits, motors))
+        effort = np.minimum(self.robot.effort_limits, motors)
+        return ready_posture(self.sensor, effort, self._is_free)
+
+    def _is_free(self, q: Array) -> bool:
+        """Whether the arm touches nothing in a posture."""
+        return True
 
     @property
     def needs_sampling(self) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pinocchio as pin
 
@@ -15,8 +17,11 @@ _INNER = 0.8  # share of each joint's range that is drawn from
 _HOLDABLE = 0.7  # of the effort limits
 
 
-def ready_posture(sensor: Task, effort: Array) -> Array:
-    """The rule of `Plant.ready_posture`, for motors with the limits `effort`, shape (n_v,)."""
+def ready_posture(sensor: Task, effort: Array, is_free: Callable[[Array], bool]) -> Array:
+    """The rule of `Plant.ready_posture`, for motors with the limits `effort`, shape (n_v,).
+
+    Of the postures that are free, `is_free(q)`.
+    """
     robot = sensor.robot
     rng, dynamics = np.random.default_rng(0), Dynamics(robot)
     low, high = robot.usual_range()
@@ -25,7 +30,7 @@ def ready_posture(sensor: Task, effort: Array) -> Array:
     for _ in range(_DRAWN):
         motion = middle + half * rng.uniform(-1.0, 1.0, robot.nv)
         q = np.array(pin.integrate(robot.model, robot.neutral(), motion))
-        if not (sensor.sees(q) and holdable(dynamics, q, effort)):
+        if not (sensor.sees(q) and holdable(dynamics, q, effort) and is_free(q)):
             continue
         J = sensor.jacobian(q, sensor.value(q))
         sigma_min = float(np.linalg.svd(J, compute_uv=False)[-1])
