@@ -1,6 +1,7 @@
 """Tests 1 and 2: Theorem 1 and the matrix form, on single postures and over regions."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,21 @@ def test_theorem_1_holds_for_small_errors_and_says_for_which_alpha():
     for alpha, inside in ((1.01 * low, True), (0.99 * low, False), (0.99 * high, True)):
         bounds = law.allowed_p(alpha, setting.kp, setting.kv, found.lambda_1, found.c0, found.c1)
         assert (found.p < min(bounds)) == inside
+
+
+def test_theorem_1_with_the_alpha_of_an_adaptation_has_no_other():
+    scenarios, setting = on_panda(0.005, 5.0, radius=0.1)
+    free = theorem1(scenarios, setting)
+    low, high = free.alpha_range
+    for alpha, holds in ((0.9 * low, False), (1.1 * low, True), (0.9 * high, True)):
+        learnt = theorem1(scenarios, replace(setting, fixed_alpha=alpha))
+        assert learnt.alpha == alpha
+        assert learnt.holds == holds
+        assert_allclose(learnt.alpha_range, [alpha] * 2 if holds else [np.nan] * 2, atol=0.0)
+        assert learnt.allowed_p < free.allowed_p  # which is with the best α
+    beyond = theorem1(scenarios, replace(setting, fixed_alpha=1.01 * free.alpha_max))
+    assert beyond.allowed_p == 0.0  # (14) does not hold, whatever p is
+    assert beyond.margin == -math.inf
 
 
 def test_theorem_1_is_weaker_than_its_matrix_form():

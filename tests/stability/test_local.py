@@ -485,3 +485,15 @@ def test_gravity_that_is_not_learnt_there_is_refused(two_link, panda):
         aj.InvalidInputError, match=r"must be learnable near the target .* Adaptive"
     ):
         aj.local_stability(plant, wrong, q)
+
+
+def test_bounds_that_hold_the_parameters_change_nothing(two_link):
+    regressor = aj.GravityRegressor(two_link, "x")
+    plant, controller = two_link_loop(two_link)
+    found = []
+    for bounds in (None, (0.0, 4.0)):
+        learnt = aj.AdaptiveGravity(regressor, 1.0, 1.0, bounds=bounds, theta0=(1.0, 1.0))
+        loop = aj.SetpointController(controller.task, aj.Gains(60.0, 30.0), gravity=learnt)
+        found.append(aj.local_stability(plant, loop, GOAL).eigenvalues)
+    assert_allclose(found[0], found[1], atol=0.0)
+    assert len(found[0]) == 6  # of q, q̇ and two parameters

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,6 +65,11 @@ def test_what_was_chosen_is_checked_elsewhere(report):
         assert test.checked == 200
         assert test.violations == 0
         assert_allclose(test.violating_at_most, 1.0 - (0.05 / 3.0) ** (1.0 / 200.0))
+        # of postures of a random walk no such bound is known, and none is told
+        assert math.isnan(replace(test, independent=False).violating_at_most)
+    walked = {name: replace(test, independent=False) for name, test in report.matrix.items()}
+    assert "of all do (95 %)" in str(report)
+    assert "of all do (95 %)" not in str(replace(report, matrix=walked))
 
 
 def test_report_repeats_bit_by_bit(tools, box, report):
@@ -261,9 +267,14 @@ def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
 
 def test_tolerance_of_a_controller_that_never_passes(tools, box):
     weak = controller_of(tools, aj.Gains(1.0, 80.0, 100.0))  # k_p < c₁, which damping makes large
-    found = aj.tolerance(weak, tools, box, tests=("theorem1",), postures=40)["theorem1"]
+    shares = []
+    found = aj.tolerance(
+        weak, tools, box, tests=("theorem1",), postures=40, progress=shares.append
+    )["theorem1"]
     assert found.scale == 0.0
     assert found.fails_at == 0.0
+    assert shares == sorted(shares)
+    assert all(0.0 <= share <= 1.0 for share in shares)
 
 
 def test_tolerance_refuses(tools, box, weightless):
@@ -303,10 +314,14 @@ def test_suggested_gains_meet_what_was_asked(tools, small_box):
 
 
 def test_where_no_gains_do_it_says_what_to_relax(tools, small_box):
+    shares = []
     found = aj.suggest_gains(
-        tools, small_box, settling_time=0.8, postures=20, torque_limits=8.0, test="local"
-    )
+        tools, small_box, settling_time=0.8, postures=20, torque_limits=8.0, test="local",
+        progress=shares.append,
+    )  # fmt: skip
     assert found.gains is None
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0  # every candidate was tried
     text = str(found)
     assert text.startswith("no gains meet all demands:")
     assert "the torque limits: " in text
