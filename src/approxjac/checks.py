@@ -182,3 +182,20 @@ def axis_rows(name: str, axes: str) -> list[int]:
         if letter not in "xyz":
             raise UnknownNameError("axis", letter, name, "xyz")
     return ["xyz".index(letter) for letter in axes]
+
+
+class SetOnce:
+    """Its public attributes are what it was built with: to assign to one again is an error.
+
+    Controllers work out what a step needs when they are built. Gains that were exchanged afterwards
+    would be printed, and not used.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_") and name in self.__dict__:
+            kind = type(self).__name__
+            raise InvalidInputError(
+                f"{name} of a {kind} cannot be changed once it is built; build a new {kind}",
+                given=value,
+            )
+        super().__setattr__(name, value)

@@ -69,3 +69,21 @@ def test_gravity_and_what_learns_it_stay(beliefs):
     assert other.adaptation.alpha == controller.adaptation.alpha
     theta = controller.adaptation.theta0
     assert_array_equal(other.gravity_torque(theta, Q), controller.gravity_torque(theta, Q))
+
+
+def test_what_a_controller_was_built_with_is_not_exchanged(panda):
+    law = aj.SetpointController(aj.PositionTask(panda), gravity=aj.AdaptiveGravity(panda))
+    limited = aj.TorqueLimited(law)
+    held = aj.HeldMeasurement(limited, 0.02, 1e-3)
+    for thing, name, value in (
+        (law, "gains", aj.Gains(1.0, 1.0, 1.0)),
+        (law, "gravity", aj.NoGravity(panda)),
+        (law.gravity, "alpha", 3.0),
+        (limited, "limits", aj.Limits.of(panda, scale=0.01)),
+        (held, "unseen", 1.0),
+    ):
+        before, kind = repr(thing), type(thing).__name__
+        text = f"{name} of a {kind} cannot be changed once it is built; build a new {kind}"
+        with pytest.raises(aj.InvalidInputError, match=text):
+            setattr(thing, name, value)
+        assert repr(thing) == before

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from approxjac.checks import Array
+from approxjac.checks import Array, SetOnce
 from approxjac.controllers.gravity import Gravity
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement
@@ -19,7 +19,7 @@ _MAKES_ONE = "numpy.array({0}, dtype=float) makes one of numbers"
 _HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 
 
-class CheckedController(ABC):
+class CheckedController(SetOnce, ABC):
     """A controller of one task: what it is told is looked at here, the law is in `_answer`.
 
     The state and the gravity torque here are those of a law that learns nothing.

@@ -8,13 +8,22 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_diagonal, as_limits, as_number, is_scalar, require
+from approxjac.checks import (
+    Array,
+    SetOnce,
+    as_array,
+    as_diagonal,
+    as_limits,
+    as_number,
+    is_scalar,
+    require,
+)
 from approxjac.errors import InvalidInputError
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.text import listed, short
 
 
-class ModelGravity:
+class ModelGravity(SetOnce):
     """g(q) of a robot's model, by RNEA: exact as far as its masses and lengths are.
 
     Args:
@@ -59,7 +68,7 @@ class NoGravity:
         return self._zero.copy()
 
 
-class RegressorGravity:
+class RegressorGravity(SetOnce):
     """g(q) = Z(q) θ, eq. (27), with θ known from elsewhere (identification, a data sheet).
 
     It is exact even where the regressor's robot has wrong lengths: see `GravityRegressor`.
@@ -93,7 +102,7 @@ class RegressorGravity:
         return g
 
 
-class AdaptiveGravity:
+class AdaptiveGravity(SetOnce):
     """Z(q) θ̂ with θ̂ learnt by eq. (29).
 
     θ̂ stands still while x is lost, and while the torque of the law is beyond `torque_limits`:

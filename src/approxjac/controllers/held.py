@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_limits, as_number
+from approxjac.checks import Array, SetOnce, as_limits, as_number
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Controller, Evaluation, Measurement, Status
 from approxjac.tasks import Task
@@ -21,7 +21,7 @@ _FLOAT = np.dtype(np.float64)
 _ROUND_OFF = 1e-12
 
 
-class HeldMeasurement:
+class HeldMeasurement(SetOnce):
     """A controller that goes on with the last x that was seen, until the arm has moved too far.
 
     Images come some 30 times a second and some are lost; control runs at 1 kHz. What makes an old

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array, as_number, require
+from approxjac.checks import Array, SetOnce, as_number, require
 from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.gravity import Adaptation, AdaptiveGravity
 from approxjac.controllers.limits import Limits, effort_bounds, rate_bounds
@@ -41,7 +41,7 @@ class Asked(NamedTuple):
     free: bool
 
 
-class Limiter(abc.ABC):
+class Limiter(SetOnce, abc.ABC):
     """A controller whose torque is brought within limits.
 
     Its state is that of the controller, followed by the torque of the step before where the rate
