@@ -31,6 +31,10 @@ MISTAKES = {
         lambda: aj.simulate(PLANT, LAW, X, Q[:6]),
         r"q0 must have shape \(7,\) \[rad or m\], got shape \(6,\)",
     ),
+    "a start in degrees": (
+        lambda: aj.simulate(PLANT, LAW, X, np.degrees(Q)),
+        r"q0 must be in radians: it is .* rad beyond the limits of panda_joint4; numpy.radians",
+    ),
     "a matrix of gains": (
         lambda: aj.Gains(np.eye(3), 80.0),
         r"kp must be a number or the diagonal of a matrix, .*, got shape \(3, 3\)",

@@ -109,7 +109,8 @@ class AdaptiveGravity(SetOnce):
     what a saturated motor fails to do is no evidence about gravity.
 
     Args:
-        model: The believed robot, or a `GravityRegressor` of it.
+        model: The believed robot, or a `GravityRegressor` of it. What it holds
+            changes θ̂(0) only.
         L: Adaptation gain > 0: a number, a diagonal (p,), or a symmetric positive definite
             matrix (p, p). None takes that of `default_adaptation`.
         alpha: α > 0 of eq. (10) [1/s]. None takes that of `default_adaptation`.

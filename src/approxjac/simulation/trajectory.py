@@ -226,8 +226,11 @@ class Trajectory:
             run._require_shapes()
             return run
         except FileNotFoundError as error:
+            folder = Path(path).with_suffix("")
+            runs = sorted(folder.rglob("*.npz"))[:3] if folder.is_dir() else []
+            there = f"; there are {', '.join(map(str, runs))}" if runs else ""
             raise TrajectoryFileError(
-                f"trajectory file {path} does not exist", given=path
+                f"trajectory file {path} does not exist{there}", given=path
             ) from error
         except _UNREADABLE as error:
             raise TrajectoryFileError(

@@ -73,18 +73,3 @@ def posture_from(robot: Robot, joints: tuple[float, ...]) -> Array:
                 given=joints,
             )
     return np.array(pin.integrate(robot.model, robot.neutral(), motion))
-
-
-def beyond_positions(robot: Robot, q: Array) -> Array:
-    """How far each joint is beyond its position limits, negative within.
-
-    Args:
-        robot: The robot.
-        q: Configurations, shape (N, nq).
-
-    Returns:
-        Shape (N, n_v) [rad or m]; −∞ where a joint has no limits.
-    """
-    low, high = robot.position_limits
-    motions = np.array([pin.difference(robot.model, robot.neutral(), each) for each in q])
-    return np.asarray(np.maximum(motions - high, low - motions))

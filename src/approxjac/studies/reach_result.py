@@ -14,7 +14,7 @@ from approxjac.controllers import Limits, SetpointController
 from approxjac.interface import Controller, LimitStatus, Status
 from approxjac.robots import Robot
 from approxjac.simulation import Plant, Trajectory
-from approxjac.studies.postures import beyond_positions
+from approxjac.simulation.ready import beyond_positions
 from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Tally
 

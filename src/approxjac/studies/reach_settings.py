@@ -16,8 +16,8 @@ class Settings:
         free: Joints that are not locked although the tip does not need them.
         object_length: True length of the object, m.
         object_mass: True mass of the object, kg.
-        object_axis: Axis of the tip's frame that the object points along, such as "z" or "-x"; the
-            one that leads on from the arm by default.
+        object_axis: Axis of the tip's frame that the object points along, such as z, or -x as
+            --object-axis=-x; the one that leads on from the arm by default.
         believed_length: Length of the object that the controller believes, m.
         believed_mass: Mass of the object that the controller believes, kg.
         joint_shifts: Errors of the believed joint origins, m, such as panda_joint4 0 0.01 0.

@@ -14,7 +14,7 @@ from approxjac.controllers import HeldMeasurement, SetpointController, VelocityS
 from approxjac.interface import Status
 from approxjac.robots import Robot
 from approxjac.simulation import Plant, Trajectory
-from approxjac.studies.postures import beyond_positions
+from approxjac.simulation.ready import beyond_positions
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import ImageTask
 

@@ -18,6 +18,8 @@ def with_file(arguments: list[str], commands: Mapping[str, type]) -> list[str]:
     path, given = Path(files[0]), [word for word in arguments[1:] if word != files[0]]
     try:
         settings = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InvalidInputError(f"{path} does not exist", given=path) from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InvalidInputError(f"{path} cannot be read as TOML: {error}", given=path) from error
     robot = settings.pop("robot", None)

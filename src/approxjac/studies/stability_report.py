@@ -29,7 +29,8 @@ def text(result: StabilityResult) -> str:
         f"{result.report}",
     ]
     if result.tolerances:
-        lines += ["", "how far the errors may be scaled", *_tolerated(result)]
+        heading = "how far the errors may be scaled (a search, on fewer postures)"
+        lines += ["", heading, *_tolerated(result)]
     return "\n".join([*lines, "", *advice(result)])
 
 
@@ -76,7 +77,7 @@ def advice(result: StabilityResult) -> list[str]:
         )
     if result.certified_part is not None:
         part = result.certified_part.describe_box()
-        lines.append(f"as it is, certified are errors of {part}")
+        lines.append(f"as it is, and with all postures, certified are errors of {part}")
     return lines
 
 

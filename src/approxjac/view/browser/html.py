@@ -274,6 +274,8 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
         for status, count in counts.items():
             if status not in _USUAL:
                 name = status.name.lower().replace("_", " ")
+                if isinstance(status, LimitStatus) and status is not LimitStatus.LIMITED:
+                    name = f"limited, {name}"  # where it was not, the proof holds as well
                 facts.append((name, f"{100.0 * count / n:.2g} % of the time"))
     return facts
 
