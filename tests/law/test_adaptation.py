@@ -32,6 +32,10 @@ def test_inside_nothing_changes(rng):
         (2.5, 3.0, 0.0),
         (2.5, -3.0, -3.0),
         (2.0, 0.0, 0.0),
+        (2.0, 1e-9, 0.0),  # however slowly it would lead out
+        (-1.0, -1e-9, 0.0),
+        (2.0, -1e-9, -1e-9),
+        (-1.0, 1e-9, 1e-9),
     ],
 )
 def test_at_a_bound_only_what_leads_out_is_left_out(theta, rate, kept):
