@@ -411,7 +411,7 @@ def test_bad_options_of_simulate_are_one_clear_line(tmp_path, capsys):
         (["pando"], "robot 'pando' not in the robots known by name; did you mean"),
         (["panda", "--object-length", "-1"], "length must be a finite number >= 0"),
         (["panda", "--floor", "0"], "a floor needs the engine mujoco"),
-        (["missing.toml"], "missing.toml cannot be read as TOML"),
+        (["missing.toml"], "missing.toml does not exist"),
     ):
         assert main(["simulate", *words, "--out", str(tmp_path)]) == 2
         error = capsys.readouterr().err
@@ -547,7 +547,7 @@ def test_bad_options_of_servo_are_one_clear_line(tmp_path, capsys):
         (["panda", "--law", "ibvs", "--gravity", "learnt"], "gravity must be exact, believed or"),
         (["panda", "--lost-point", "1"], "lost_point must be one of the points"),
         (["panda", "--eye", "in-hand", "--camera-target", "1", "0", "0"], "for an eye to hand"),
-        (["missing.toml"], "missing.toml cannot be read as TOML"),
+        (["missing.toml"], "missing.toml does not exist"),
         ([str(path)], "did you mean 'roll'"),
     ):
         assert main(["servo", *words, "--out", str(tmp_path)]) == 2
