@@ -123,3 +123,10 @@ def test_type_checkers_know_the_names(tmp_path):
     assert len(errors) == 2
     assert 'Argument "kp" to "Gains" has incompatible type "str"' in errors[0]
     assert 'has no attribute "stabilty_report"' in errors[1]
+
+
+def test_a_misspelled_name_is_told_what_was_meant():
+    code = "import approxjac as aj; aj.simulat"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "module 'approxjac' has no attribute 'simulat'" in process.stderr
+    assert "Did you mean: 'simulate'?" in process.stderr

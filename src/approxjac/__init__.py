@@ -8,6 +8,7 @@ the module that makes it: `aj.stability.Tube`, `aj.tasks.Camera`, `aj.view.plot_
 """
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 from approxjac import law
@@ -163,7 +164,9 @@ if not TYPE_CHECKING:  # or no name would be unknown to type checkers
         elif name in __all__:
             found = getattr(importlib.import_module("approxjac.stability"), name)
         else:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            # with these Python adds what was meant
+            where = {"name": name, "obj": sys.modules[__name__]}
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}", **where)
         globals()[name] = found
         return found
 
