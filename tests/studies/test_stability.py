@@ -56,6 +56,7 @@ def test_pictures_are_drawn(certified):
         assert picture.std() > 0.05  # something is on it
 
 
+@pytest.mark.slow
 def test_it_repeats_bit_by_bit(certified, tmp_path):
     _, out = certified
     stability(
@@ -66,6 +67,7 @@ def test_it_repeats_bit_by_bit(certified, tmp_path):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     code = stability(
         tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
