@@ -229,9 +229,11 @@ def stability(
             bar.set_description(what, refresh=False)
             bar.update(share - bar.n)
 
-        result = study.run(case, executor, tell)
+        result = study.run(
+            case, executor, tell, lambda found: bar.write(report.verdicts(case, found))
+        )
     report.write(result, out)
-    print(report.text(result))
+    print(report.consequences(result))
     print(f"\nPictures and summary.json are in {out}")
     return 0 if result.report.certified_by is not None else 1
 

@@ -172,7 +172,7 @@ def test_divergence_counts_as_not_converged(uncertainty):
     assert not many.worst.stayed
     assert "0 of 3 runs converged" in str(many)
     assert (
-        "3 diverged, 0 of the others left the region on their way; the worst, run 0, diverged with"
+        "3 diverged, 0 went outside the region without diverging; the worst, run 0, diverged with"
         in str(many)
     )
 

@@ -121,7 +121,7 @@ class Rollouts:
             f"throughout their last tenth: "
             f"{100 * self.share:.1f} %, with {100 * self.confidence:g} % confidence "
             f"{100 * low:.1f} to {100 * high:.1f} %; {self.n_diverged} diverged, {self.n_left} "
-            f"of the others left the region on their way; the worst, run {worst.index}, {ended} "
+            f"went outside the region without diverging; the worst, run {worst.index}, {ended} "
             f"with {self.uncertainty.describe(worst.values)}"
         )
 

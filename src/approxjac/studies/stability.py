@@ -192,9 +192,18 @@ def prepare(robot: str, settings: StabilitySettings) -> Case:
 
 
 def run(
-    case: Case, executor: Executor | None = None, progress: Progress | None = None
+    case: Case,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    found: Callable[[StabilityReport], None] = lambda report: None,
 ) -> StabilityResult:
     """Make the tests, find what they tolerate, and draw the map's figures.
+
+    Args:
+        case: What to look at.
+        executor: What shares the runs; this process by default.
+        progress: Called with what is being done and the share of it that is.
+        found: Called with the report of the tests, long before the rest is known.
 
     Raises:
         ApproxJacError: An empty region, or a target out of reach.
@@ -205,6 +214,7 @@ def run(
         seed=settings.seed, postures=settings.postures, runs=settings.runs,
         executor=executor, progress=tell,
     )  # fmt: skip
+    found(report)
     tolerances: dict[Test, Tolerance] = {}
     raised, part, drawn = None, None, None
     if case.uncertainty.d > 0:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.checks import Array
+from approxjac.stability import StabilityReport
 from approxjac.stability.map import PARAMETERS
-from approxjac.studies.stability import StabilityResult
+from approxjac.studies.stability import Case, StabilityResult
 from approxjac.tasks import FrameKinematics
 from approxjac.view import new_figure, plot_allowed_error, plot_map, plot_margins, save_figure
 
@@ -21,17 +22,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def text(result: StabilityResult) -> str:
-    """The table of the four tests, what each tolerates, and what to do."""
-    case = result.case
-    lines = [
-        f"{case.uncertainty!r}",
-        f"{result.report}",
-    ]
+def verdicts(case: Case, report: StabilityReport) -> str:
+    """The table of the four tests."""
+    return f"{case.uncertainty!r}\n{report}\n"
+
+
+def consequences(result: StabilityResult) -> str:
+    """What each test tolerates, and what to do."""
+    lines = []
     if result.tolerances:
         heading = "how far the errors may be scaled (a search, on fewer postures)"
-        lines += ["", heading, *_tolerated(result)]
-    return "\n".join([*lines, "", *advice(result)])
+        lines = [heading, *_tolerated(result), ""]
+    return "\n".join([*lines, *advice(result)])
 
 
 def advice(result: StabilityResult) -> list[str]:
