@@ -84,6 +84,16 @@ def test_an_arm_of_few_joints_has_the_axes_that_it_commands(two_link):
     assert aj.PositionTask(slider).m == 1
 
 
+def test_a_planar_arm_of_four_joints_has_two_axes(panda):
+    turned = ("panda_joint1", "panda_joint3", "panda_joint5")  # about axes within its plane
+    planar = panda.with_locked_joints(dict.fromkeys(turned, 0.0))
+    assert planar.nv == 4
+    assert aj.PositionTask(planar).labels == ("x", "z")
+    aj.default_gains(aj.PositionTask(planar))
+    with pytest.raises(aj.InvalidInputError, match=r"does not command, such as y by axes=\"xz\""):
+        aj.default_gains(aj.PositionTask(planar, axes="xyz"))
+
+
 def test_learnt_gravity_needs_the_believed_robot_only(panda):
     short, long = aj.AdaptiveGravity(panda), aj.AdaptiveGravity(aj.GravityRegressor(panda))
     assert short.regressor.names == long.regressor.names

@@ -155,6 +155,8 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert learnt.certified_by == "matrix"
     assert set(learnt.matrix) == {"paper", "free"}
     assert learnt.local.stable
+    assert "/s (learnt parameters, often slow, included), damping" in str(learnt)
+    assert "learnt parameters" not in str(known)
 
 
 def test_rollouts_join_the_report(tools, box):

@@ -128,12 +128,20 @@ def test_the_same_seed_is_the_same_run_and_another_is_not():
     a, b = (reach.run(reach.prepare("ur3", settings)).run for _ in range(2))
     assert np.array_equal(a.q, b.q)
     other = reach.prepare("ur3", Settings(duration=0.2, rate=500.0, x_noise=1e-3, seed=5))
-    assert not np.array_equal(other.q0, a.q[0])
+    assert not np.array_equal(other.target, a.target)
+    assert np.array_equal(other.q0, other.plant.ready_posture())  # whichever the seed
+
+
+def test_a_random_start_is_one_of_the_seed():
+    starts = [
+        reach.prepare("ur3", Settings(start="random", seed=seed)).q0.tolist() for seed in (4, 4, 5)
+    ]
+    assert starts[0] == starts[1] != starts[2]
 
 
 def test_starts_and_targets_are_regular_and_can_be_held():
     for seed in range(5):
-        ready = reach.prepare("talos_arm", Settings(seed=seed))
+        ready = reach.prepare("talos_arm", Settings(start="random", seed=seed))
         sensor, task = ready.plant.sensor, ready.controller.task
         for jacobian in (sensor.jacobian(ready.q0), task.jacobian(ready.q0)):
             values = np.linalg.svd(jacobian, compute_uv=False)
@@ -161,6 +169,7 @@ def test_of_two_joints_the_axes_that_they_command_are_taken():
         ({"target": (0.4, 0.0)}, r"target must have shape \(3,\)"),
         ({"start": (0.0, 0.0)}, r"start must have shape \(7,\)"),
         ({"object_length": -1.0}, "length must be a finite number >= 0"),
+        ({"object_length": 200.0}, r"at most 10 \[m\], got 200 and 0.01; 200 mm are 0.2"),
         ({"object_mass": 500.0}, "that its motors can hold"),
         ({"joint_shifts": {"elbow": (0.0, 0.0, 0.0)}}, "joint 'elbow' not in panda"),
         ({"axes": "xw"}, "axis 'w' not in axes"),
@@ -208,7 +217,9 @@ def test_joints_beyond_their_limits_are_reported():
     beyond = np.maximum(result.run.q - high, low - result.run.q).max()
     assert beyond > 0.0
     assert result.summary()["joint_limit_excess"] == beyond
-    assert "beyond its position limits" in reach_report.text(result)
+    assert f"panda_joint6 was {beyond:.2g} rad beyond its position limits" in reach_report.text(
+        result
+    )
 
 
 def test_gains_may_be_given_one_by_one():

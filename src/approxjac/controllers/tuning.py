@@ -191,7 +191,8 @@ def _regular_postures(task: Task) -> list[tuple[Array, Array]]:
     found = [pair for pair, ratio in zip(usual, ratios, strict=True) if ratio > least]
     if not found:
         raise InvalidInputError(
-            f"task must not be singular everywhere for gains to be chosen, got {task!r}",
+            f"task must not be singular everywhere for gains to be chosen, got {task!r}; leave out "
+            'coordinates that the arm does not command, such as y by axes="xz"',
             given=task,
         )
     return found

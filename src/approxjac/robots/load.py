@@ -31,7 +31,8 @@ def load_robot(
 
     Where the tip is known, the arm is the chain from `base` to it: the robot's other joints, such
     as those of fingers, wheels or the other arm, are locked, each at zero or at its limit nearest
-    to zero. Mimic joints are locked with the joint that they follow.
+    to zero. Mimic joints are locked with the joint that they follow. A robot that is loaded by name
+    has that name.
 
     Args:
         source: A name ("panda", "two_link", …), a path, or text that starts with "<".
@@ -62,7 +63,8 @@ def load_robot(
         root = urdf_xml.parse(text, label)
         if lock_off_chain(root, urdf_xml.read(root, label), base, tip, free):
             text = urdf_xml.to_text(root)
-    return Robot(text, gravity=gravity, tip=tip, urdf_dir=folder, source=label)
+    name = None if entry is None else str(source)
+    return Robot(text, gravity=gravity, tip=tip, urdf_dir=folder, source=label, name=name)
 
 
 def robot_names() -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from approxjac.robots.coupling import Coupling
 from approxjac.robots.model import build_model, own_joints
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+_LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
 
 
 class Robot:
@@ -34,6 +35,7 @@ class Robot:
             unbranched arm.
         urdf_dir: Folder that mesh names in the URDF are relative to.
         source: What to call the URDF in errors.
+        name: What to call the robot; its name in the URDF by default.
 
     Raises:
         UrdfError: Malformed, no moving joint, joints of more than one degree of freedom,
@@ -49,6 +51,7 @@ class Robot:
         tip: str | None = None,
         urdf_dir: Path | None = None,
         source: str = "URDF text",
+        name: str | None = None,
     ) -> None:
         require("urdf", urdf, str, "URDF text")
         self._urdf = urdf
@@ -57,7 +60,7 @@ class Robot:
         self._source = source
         root = urdf_xml.parse(urdf, source)
         links = urdf_xml.read(root, source)
-        self._name = str(root.get("name"))
+        self._name = str(root.get("name")) if name is None else name
         self._model, self._coupling = build_model(root, source)
         self._joints = own_joints(self._model)
         for model in (self._model, self._coupling.model):
@@ -79,7 +82,7 @@ class Robot:
 
     @property
     def name(self) -> str:
-        """Name in the URDF."""
+        """The name that it was loaded by, or else its name in the URDF."""
         return self._name
 
     @property
@@ -254,26 +257,27 @@ class Robot:
         of `parent`.
 
         Args:
-            length: From the parent's origin to the tip, ≥ 0 [m].
+            length: From the parent's origin to the tip, 0 to 10 [m].
             mass: ≥ 0 [kg].
-            radius: Of the cylinder, ≥ 0 [m]; 0 is a thin rod.
+            radius: Of the cylinder, 0 to 10 [m]; 0 is a thin rod.
             parent: Link that holds it; the robot's `tip` by default.
             axis: Direction in the parent's frame: "x", "y", "z", with a sign if wanted, or a
                 vector of shape (3,).
             name: Name of the new link.
 
         Raises:
-            InvalidInputError: Negative or non-finite numbers, an axis that is none, or a name
-                that is taken.
+            InvalidInputError: Numbers that are negative, not finite or too large, an axis that is
+                none, or a name that is taken.
             UnknownNameError: No such parent.
         """
         length = as_number("length", length, unit="m", minimum=0.0)
         mass = as_number("mass", mass, unit="kg", minimum=0.0)
         radius = as_number("radius", radius, unit="m", minimum=0.0)
         direction = urdf_edit.direction(axis)
-        if max(length, radius) > 1e6:
+        if max(length, radius) > _LONGEST:
             raise InvalidInputError(
-                f"length and radius must be at most 1e6 [m], got {length:g} and {radius:g}",
+                f"length and radius must be at most {_LONGEST:g} [m], got {length:g} and "
+                f"{radius:g}; 200 mm are 0.2",
                 given=(length, radius),
             )
         parent = self.tip_or(parent)
@@ -397,13 +401,21 @@ class Robot:
         gravity: Sequence[float] | Array | None = None,
         tip: str | None = None,
     ) -> Robot:
-        return Robot(
-            urdf,
-            gravity=self._gravity if gravity is None else gravity,
-            tip=tip or self._tip,
-            urdf_dir=self._urdf_dir,
-            source=self._source,
-        )
+        changes = {
+            "gravity": self._gravity if gravity is None else gravity,
+            "tip": tip or self._tip,
+        }
+        return Robot(urdf, **self._options() | changes)
+
+    def _options(self) -> dict[str, Any]:
+        """The arguments besides the URDF."""
+        return {
+            "gravity": tuple(self._gravity),
+            "tip": self._tip,
+            "urdf_dir": self._urdf_dir,
+            "source": self._source,
+            "name": self._name,
+        }
 
     def __repr__(self) -> str:
         return (
@@ -431,11 +443,4 @@ class Robot:
         return self  # it never changes
 
     def __reduce__(self) -> tuple[Any, ...]:
-        make = functools.partial(
-            Robot,
-            gravity=tuple(self._gravity),
-            tip=self._tip,
-            urdf_dir=self._urdf_dir,
-            source=self._source,
-        )
-        return make, (self._urdf,)
+        return functools.partial(Robot, **self._options()), (self._urdf,)

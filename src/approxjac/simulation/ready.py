@@ -65,6 +65,19 @@ def beyond_positions(robot: Robot, q: Array) -> Array:
     return np.asarray(np.maximum(motions - high, low - motions))
 
 
+def farthest_beyond(robot: Robot, q: Array) -> str:
+    """Which joint was how far beyond its position limits at most, in words.
+
+    Args:
+        robot: The robot.
+        q: Configurations, shape (N, nq), at least one beyond them.
+    """
+    beyond = beyond_positions(robot, q).max(axis=0)
+    i = int(beyond.argmax())
+    name, unit = robot.joint_names[i], robot.joint_units[i]
+    return f"{name} was {beyond[i]:.2g} {unit} beyond its position limits"
+
+
 def require_radians(robot: Robot, q0: Array) -> None:
     """Refuse a start that is a turn or more beyond the limits of a joint: it is in degrees.
 

@@ -160,13 +160,15 @@ class StabilityReport:
                 )
             )
         local = self.local
+        learns = self.controller.adaptation is not None
+        learnt = " (learnt parameters, often slow, included)" if learns else ""
         rows.append(
             (
                 "3 local",
                 "stable" if local.stable else "not stable",
                 f"at {100 * local.share:.4g} % of {len(local.q)} postures; slowest decay "
-                f"{local.decay_rates.min():.3g}/s, damping ratio {local.damping_ratios.min():.2g}; "
-                f"worst with {self._case(local, local.worst)}",
+                f"{local.decay_rates.min():.3g}/s{learnt}, damping ratio "
+                f"{local.damping_ratios.min():.2g}; worst with {self._case(local, local.worst)}",
             )
         )
         if self.rollouts is not None:

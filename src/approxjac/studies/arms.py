@@ -81,6 +81,7 @@ def run_case(case: Case) -> Outcome:
     settings = reach.Settings(
         object_length=length,
         object_mass=mass,
+        start="random",
         gravity=case.gravity,  # type: ignore[arg-type]
         duration=case.duration,
         seed=case.seed,

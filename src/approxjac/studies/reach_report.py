@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from approxjac.checks import Array
 from approxjac.simulation import Trajectory
+from approxjac.simulation.ready import farthest_beyond
 from approxjac.studies.reach import Result
 from approxjac.view import (
     legend_below,
@@ -50,9 +51,7 @@ def text(result: Result) -> str:
     lines[-1:-1] = _limits(result)
     if excess > 0.0:
         cure = ", which --torque-limits urdf keeps" if result.tally is None else ""
-        lines.insert(
-            -1, f"limits      a joint was {excess:.2g} rad or m beyond its position limits{cure}"
-        )
+        lines.insert(-1, f"limits      {farthest_beyond(reach.plant.robot, run.q)}{cure}")
     lines[-1:-1] = moved_target(run)
     return "\n".join(lines)
 

@@ -24,8 +24,9 @@ class Settings:
         joint_rotations: Errors of the believed joint axes, as rotation vectors, rad.
         task: Bring the object's tip to a position, or to a pose.
         axes: World axes of a position; those that the arm commands best by default.
-        start: Joint positions at the start, one a joint, rad or m; a posture of the seed by
-            default.
+        start: Joint positions at the start, one a joint, rad or m, or "random" for a posture of the
+            seed; by default one that is far from singular, the same for each seed
+            (`Plant.ready_posture`).
         target: Position (one number for each of axes, m) or pose (x y z qx qy qz qw); that of a
             posture of the seed by default.
         target_offset: Target of a position relative to where the tip starts, m.
@@ -41,7 +42,7 @@ class Settings:
         duration: Of the run, s.
         rate: Of control, Hz.
         tolerance: Error below which the task counts as done, m (and rad of a pose).
-        seed: Of start, target, noise and dropouts.
+        seed: Of target, noise and dropouts, and of a random start.
         friction: Viscous friction of every true joint, N m s/rad, unknown to the controller.
         coulomb: Coulomb friction of every true joint, N m, unknown to the controller.
         x_noise: Standard deviation of noise on x, m.
@@ -75,7 +76,7 @@ class Settings:
     joint_rotations: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     task: Literal["position", "pose"] = "position"
     axes: str | None = None
-    start: tuple[float, ...] | None = None
+    start: tuple[float, ...] | Literal["random"] | None = None
     target: tuple[float, ...] | None = None
     target_offset: tuple[float, ...] | None = None
     gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"

@@ -13,6 +13,7 @@ import numpy as np
 from approxjac.checks import Array
 from approxjac.controllers import VelocityServo
 from approxjac.interface import Status
+from approxjac.simulation.ready import farthest_beyond
 from approxjac.studies.reach_report import moved_target
 from approxjac.studies.servo_result import ServoResult
 from approxjac.studies.servo_settings import ServoSettings
@@ -75,10 +76,7 @@ def _limits(result: ServoResult) -> list[str]:
         cure = ""
         if result.servo.settings.torque_limits is None:
             cure = ", which --torque-limits urdf keeps"
-        told.append(
-            f"limits      a joint was {result.joint_limit_excess:.2g} rad or m beyond its position "
-            f"limits{cure}"
-        )
+        told.append(f"limits      {farthest_beyond(result.servo.plant.robot, result.run.q)}{cure}")
     return told
 
 

@@ -9,6 +9,8 @@ from approxjac.robots import Robot
 from approxjac.tasks.frame import FrameKinematics
 from approxjac.tasks.task import Task, require_rows
 
+_STILL = 1e-9  # share of the fastest axis below which nothing moves along an axis
+
 
 class PositionTask(Task):
     """X = position of a frame's origin along world axes [m].
@@ -17,7 +19,8 @@ class PositionTask(Task):
         robot: The robot, true or believed.
         frame: Frame name; the robot's `tip` by default.
         axes: World axes in the order wanted, such as "xyz" or "xz"; by default those that the arm
-            commands: all three, or of an arm with fewer joints the best of them (`best_axes`).
+            commands: all three, or of a planar arm or one with fewer joints the best of them
+            (`best_axes`).
 
     Raises:
         UnknownNameError: No such frame, or an axis that is not x, y or z.
@@ -76,13 +79,13 @@ def best_axes(robot: Robot, frame: str | None = None) -> str:
         frame: Frame name; the robot's `tip` by default.
 
     Returns:
-        "xyz", or as many axes as there are joints where there are fewer: those along which the
-        frame moves fastest, in the mean over seeded postures.
+        "xyz" without the axes along which nothing moves the frame, as of a planar arm; and of an
+        arm with fewer joints as many as joints, those along which it moves fastest, in the mean
+        over seeded postures.
     """
-    if robot.nv >= 3:
-        return "xyz"
     rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(frame))
     postures = [robot.random_configuration(rng) for _ in range(20)]
     jacobians = np.array([kinematics.jacobian(q)[:3] for q in postures])
     speeds = np.linalg.norm(jacobians, axis=2).sum(axis=0)
-    return "".join("xyz"[i] for i in sorted(np.argsort(-speeds)[: robot.nv]))
+    moving = int((speeds > _STILL * speeds.max()).sum()) or 3
+    return "".join("xyz"[i] for i in sorted(np.argsort(-speeds)[: min(moving, robot.nv)]))

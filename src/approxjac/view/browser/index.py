@@ -19,15 +19,14 @@ _PAGE = """<!DOCTYPE html>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title>
 <style>
-body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 64rem; margin: 2rem auto; padding: 0 1rem;
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem;
   color: #222; background: #fff; }}
 h1 {{ font-size: 1.5rem; }}
-ul {{ list-style: none; padding: 0; display: grid; gap: 1rem;
-  grid-template-columns: repeat(auto-fill, minmax(18rem, 1fr)); }}
-a {{ display: block; height: 100%; box-sizing: border-box; padding: 1rem; color: {link};
+ul {{ list-style: none; padding: 0; display: grid; gap: 1rem; }}
+a {{ display: block; padding: 1rem; color: {link};
   border: 1px solid #ddd; border-radius: 6px; text-decoration: none; }}
 a:hover, a:focus {{ border-color: {link}; }}
-img {{ display: block; width: 100%; height: 9rem; object-fit: contain; margin-bottom: 0.5rem; }}
+img {{ display: block; max-width: 100%; max-height: 40rem; margin: 0 auto 0.5rem; }}
 p {{ margin: 0.25rem 0 0; color: {text}; }}
 </style>
 </head>
