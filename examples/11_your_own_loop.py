@@ -71,6 +71,7 @@ why, log, _ = control(
     stop=lambda t: t >= 6.0 or asked,
     unseen=0.03,
     speed=0.2,
+    astray=0.3,
     longest=np.inf,  # 0.02 would do for an arm that does not wait
 )
 

@@ -16,8 +16,13 @@ DT = 1e-3  # of the loop, and of the controllers in it [s]
 UNKNOWN = -1  # in place of a Status, where q or q̇ was not finite
 
 
-def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0, rows=60_000):
+def control(
+    arm, controller, goal, stop, *, unseen, speed, astray, longest, fastest=None, patience=2.0,
+    rows=60_000,
+):  # fmt: skip
     """Lead an arm until it is to stop or something is wrong; brake it to standstill; say why.
+
+    It does not begin where the limits do not hold the arm, as believed.
 
     Args:
         arm: The driver: `read()` returns q, q̇ and x, NaN where x is lost; `send(torque)`; and
@@ -27,9 +32,14 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
             it stands still while periods are missed.
         stop: Whether to stop at time t [s], a function too.
         unseen: As for HeldMeasurement [unit of the task].
-        speed: Of the target on its way to the goal [unit of the task, per s].
+        speed: Of the target on its way to the goal [unit of the task, per s; of a pose 1 m and
+            1 rad alike].
+        astray: Error to that target after which to stop [unit of the task]: x is not what the
+            controller takes it for, or the arm is stuck.
         longest: Time from torque to torque after which to stop [s].
-        patience: Time without images, or without a torque that keeps the limits, likewise [s].
+        fastest: Joint speeds above which the brakes close at once, shape (n_v,) [rad/s or m/s];
+            1.2 times the URDF's by default.
+        patience: Time without images, or with limits that void the proof, likewise [s].
         rows: Cycles that are logged: the last ones.
 
     Returns:
@@ -37,12 +47,18 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
         `theta0` of the next run's AdaptiveGravity.
     """
     held, law, task = aj.HeldMeasurement(controller, unseen, DT), controller.law, controller.task
-    log = new_log(task, rows)
+    fastest = 1.2 * task.robot.velocity_limits if fastest is None else np.asarray(fastest)
+    log = new_log(law, rows)
     q, v, x = arm.read()
-    state = held.initial_state(aj.Measurement(0.0, q, v, x))
     # mistakes show here, before the arm moves
-    torque = held.evaluate(state, aj.Measurement(0.0, q, v, x), goal(0.0)).torque
-    aim, fault, limit = None, "", aj.LimitStatus.UNLIMITED
+    state = held.initial_state(aj.Measurement(0.0, q, v, x))
+    held.evaluate(state, aj.Measurement(0.0, q, v, x), goal(0.0))
+    hold = aj.Measurement(0.0, q, np.zeros_like(v), np.full_like(x, np.nan))  # gravity alone
+    answer = controller.evaluate(state[: controller.n_state], hold, goal(0.0))
+    if answer.limit_status > aj.LimitStatus.FREE:
+        raise ValueError(f"the limits do not hold the arm as it stands: {answer.limit_status}")
+    torque, limit, slack, error = answer.torque, answer.limit_status, 0.0, 0.0
+    wanted, aim, fault, slowest = goal(0.0), None, "", math.inf
     unknown = troubled = stopping = 0  # cycles
     gc.disable()  # its pauses may be longer than a period
     gap, due = 0.0, time.perf_counter()
@@ -52,10 +68,13 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
             wait_until(due)
             began, t = time.perf_counter(), k * DT
             q, v, x = arm.read()
+            pace = np.abs(v).max()
             faults = {
-                "a torque came too late": gap > longest,
-                "blind, or no torque keeps the limits": troubled * DT > patience,
+                "too fast": (np.abs(v) > fastest).any(),
                 "joints unknown": unknown > 10,
+                "far from its target": error > astray,
+                "a torque came too late": gap > longest,
+                "blind, or at its limits, for too long": troubled * DT > patience,
             }
             fault = fault or next((name for name, holds in faults.items() if holds), "")
             if stop(t) or fault or stopping:
@@ -71,24 +90,29 @@ def control(arm, controller, goal, stop, *, unseen, speed, longest, patience=2.0
                 wanted = goal(t) if aim is None else aim
                 answer = acting.evaluate(own, aj.Measurement(t, q, v, x), wanted)
                 own += DT * answer.state_rate  # the period of the controllers, not the clock's
-                torque, status, limit = answer.torque, answer.status, answer.limit_status
-                unknown = 0
+                torque, status, unknown = answer.torque, answer.status, 0
+                limit, slack, error = answer.limit_status, answer.slack, np.linalg.norm(answer.e)
             except aj.MeasurementError:  # nothing may depend on q and q̇ now: the last torque once
                 status, unknown = UNKNOWN, unknown + 1  # more, which no limit has to object to
             arm.send(torque)
             before, sent = sent, time.perf_counter()
             gap = sent - before
-            log[k % rows] = t, gap, sent - began, status, q, v, x, torque
+            theta_hat = law.theta_hat(state[: law.n_state])
+            did = t, gap, sent - began, status, limit, slack
+            log[k % rows] = *did, q, v, x, wanted, torque, theta_hat
 
             blind = status == aj.Status.MEASUREMENT_LOST
-            troubled = troubled + 1 if blind or limit >= aj.LimitStatus.INFEASIBLE else 0
+            troubled = troubled + 1 if blind or limit >= aj.LimitStatus.PROOF_GIVEN_UP else 0
             if blind:
                 aim = None  # from where it is seen again
             elif aim is not None and np.isfinite(x).all() and not stopping:  # else it waits
                 aim = moved(task, aim, goal(t), speed * DT)
-            if stopping and (np.abs(v).max() < 0.02 or stopping * DT > 2.0 or unknown > 10):
-                theta_hat = law.theta_hat(state[: law.n_state])
-                return fault or "asked to", np.roll(log, -k - 1)[-k - 1 :], theta_hat
+            if stopping:
+                slowest = min(slowest, pace)
+                over = faults["too fast"] or unknown > 10 or stopping * DT > 2.0
+                sinks = fault and pace > slowest + 0.1  # it was slower: a weight draws it down
+                if pace < 0.02 or over or sinks:
+                    return fault or "asked to", np.roll(log, -k - 1)[-k - 1 :], theta_hat.copy()
             missed = math.ceil((sent - due) / DT)
             due += DT * max(1, missed)  # periods that are over are left out, not run in a burst
     finally:
@@ -108,10 +132,11 @@ def moved(task, aim, goal, step):
     return task.displaced(aim, e * min(1.0, step / max(np.linalg.norm(e), 1e-9)))
 
 
-def new_log(task, rows):
+def new_log(law, rows):
     """A ring of rows that is there before the loop begins: nothing grows while it runs."""
-    nq, nv, n_x = task.robot.nq, task.robot.nv, task.n_x
-    times = [("t", float), ("gap", float), ("work", float), ("status", int)]
-    return np.zeros(
-        rows, [*times, ("q", float, nq), ("v", float, nv), ("x", float, n_x), ("torque", float, nv)]
-    )
+    nq, nv, n_x = law.task.robot.nq, law.task.robot.nv, law.task.n_x
+    p = len(law.theta_hat(np.zeros(law.n_state)))
+    numbers = [(name, float) for name in ("t", "gap", "work")]
+    numbers += [("status", int), ("limit", int), ("slack", float)]
+    arrays = {"q": nq, "v": nv, "x": n_x, "target": n_x, "torque": nv, "theta_hat": p}
+    return np.zeros(rows, numbers + [(name, float, (size,)) for name, size in arrays.items()])

@@ -82,7 +82,8 @@ class Arm:
 
 
 def lead(own_loop, arm, seconds=20.0, **changes):
-    arguments = {"unseen": 0.02, "speed": 0.3, "longest": 10.0, "patience": 0.5} | changes
+    arguments = {"unseen": 0.02, "speed": 0.3, "astray": 0.5, "longest": 10.0, "patience": 0.5}
+    arguments |= changes
     arm.ended = own_loop.control(arm, LIMITED, lambda t: GOAL, lambda t: t >= seconds, **arguments)
     return arm.ended[:2]
 
@@ -150,8 +151,9 @@ def test_parts_that_come_back_one_by_one_do_not_push_to_the_goal(own_loop):
 
     arm = InParts()
     _, log, _ = own_loop.control(
-        arm, law, lambda t: GOAL, lambda t: t >= 0.9, unseen=0.02, speed=0.3, longest=10.0
-    )
+        arm, law, lambda t: GOAL, lambda t: t >= 0.9, unseen=0.02, speed=0.3, astray=0.5,
+        longest=10.0,
+    )  # fmt: skip
     assert (log["status"][400:700] == aj.Status.MEASUREMENT_LOST).any()
     assert np.abs(np.diff(log["torque"][695:765], axis=0)).max() < 5.0
 
@@ -165,7 +167,7 @@ def is_soft(arm, log):
 @pytest.mark.parametrize(
     ("fault", "changes", "reason"),
     [
-        ("blind", {}, "blind, or no torque keeps the limits"),
+        ("blind", {}, "blind, or at its limits, for too long"),
         ("slow", {"longest": 0.04}, "a torque came too late"),
     ],
 )
@@ -179,6 +181,73 @@ def test_a_fault_that_lasts_stops_it(own_loop, fault, changes, reason):
     assert moving[-1] < 0.7 * moving[300]  # what it has not learnt of its weight lets it sink
     assert is_soft(arm, log[300:])
     assert log["status"][-1] == aj.Status.MEASUREMENT_LOST
+
+
+def test_it_does_not_begin_where_the_limits_do_not_hold_the_arm(own_loop):
+    arm = Arm()
+    weak = aj.TorqueLimited(LAW, aj.Limits(effort=(2.0, 1.0)))
+    with pytest.raises(ValueError, match="limits do not hold the arm as it stands"):
+        own_loop.control(
+            arm, weak, lambda t: GOAL, lambda t: False, unseen=0.02, speed=0.3, astray=0.5,
+            longest=10.0,
+        )  # fmt: skip
+    assert arm.torques == []
+    assert gc.isenabled()
+
+
+class Turned(Arm):
+    """A driver whose x has its axes turned by 180° against those of the robot."""
+
+    def read(self):
+        q, v, x = super().read()
+        return q, v, -x
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [({"astray": 0.3}, "far from its target"), ({"fastest": (1.0, 1.5)}, "too fast")],
+)
+def test_a_measurement_in_other_axes_stops_it(own_loop, options, reason):
+    arm = Turned()
+    options = {"unseen": 0.02, "speed": 0.3, "astray": 9.0, "longest": 10.0} | options
+    why, log, _ = own_loop.control(arm, LIMITED, lambda t: -GOAL, lambda t: t > 20.0, **options)
+    assert why == reason
+    assert arm.brakes == 1
+    beyond = np.abs(log["v"]) > options.get("fastest", np.inf)
+    assert not beyond[:-1].any()  # the cycle after which the brakes close is the last
+    assert beyond[-1].any() == (why == "too fast")
+
+
+def test_limits_that_void_the_proof_for_long_stop_it(own_loop):
+    arm = Arm()
+    enough = 1.3 * np.abs(LAW.gravity_torque(LAW.adaptation.theta0, Q0))
+    weak = aj.TorqueLimited(LAW, aj.Limits(effort=enough))
+    far = SENSOR.value(np.array([-0.3, 0.4]))
+    options = {"unseen": 0.02, "speed": 0.3, "astray": 9.0, "longest": 10.0, "patience": 0.5}
+    why, log, _ = own_loop.control(arm, weak, lambda t: far, lambda t: t > 20.0, **options)
+    assert why == "blind, or at its limits, for too long"
+    assert (log["limit"][-1000:] >= aj.LimitStatus.PROOF_GIVEN_UP).any()
+    assert (np.abs(log["torque"]) <= enough + 1e-9).all()
+
+
+def test_an_arm_that_sinks_under_a_fault_is_braked_when_it_gains_speed(own_loop):
+    """The weight that it has not learnt draws it down once x is lost."""
+    arm = Arm("blind", since=50, truth=ARM.with_object(0.3, 3.0))
+    why, log = lead(own_loop, arm)
+    assert why == "blind, or at its limits, for too long"
+    stopping = np.abs(log["v"][log["t"] > 0.55]).max(axis=1)
+    assert log["t"][-1] < 2.0
+    assert stopping[-1] > 0.02
+    assert stopping[-1] < stopping.min() + 0.15
+
+
+def test_the_log_tells_what_the_limits_did_and_what_was_learnt(own_loop):
+    arm = Arm()
+    _, log = lead(own_loop, arm, 2.0)
+    assert (log["limit"] == aj.LimitStatus.FREE).mean() > 0.5
+    assert (log["slack"] == 0.0).any()
+    np.testing.assert_allclose(log["target"][1900], GOAL)
+    np.testing.assert_array_equal(log["theta_hat"][-1], arm.ended[2])
 
 
 def test_one_late_torque_is_no_reason_to_stop(own_loop):
