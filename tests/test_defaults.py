@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac.robots.named import NAMED, urdf_path
 from approxjac.studies.arms import carried_object
-from approxjac.studies.reach import outward_axis
 from approxjac.tasks import best_axes
 
 OFFSET = 0.05  # of the target from the start along each axis [m], with signs that alternate
@@ -16,7 +15,7 @@ OFFSET = 0.05  # of the target from the start along each axis [m], with signs th
 def ten_lines(name):
     length, mass = carried_object(name)  # 20 cm and 0.5 kg, less for the light arms
     arm = aj.load_robot(name)
-    truth = arm.with_object(length=length, mass=mass, axis=outward_axis(arm))
+    truth = arm.with_object(length=length, mass=mass)
     belief = arm.with_object(length=0.0)
     plant = aj.Plant(truth)
     controller = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))

@@ -339,6 +339,20 @@ def test_a_plain_tuple_is_a_measurement(controller):
         controller.evaluate(state, (0.0, q, np.full_like(v, np.inf), x), x)
 
 
+@pytest.mark.parametrize("limiter", [aj.TorqueLimited, aj.TorqueClipped, aj.TaskTorqueScaled])
+def test_limiters_take_a_plain_tuple(limiter):
+    panda = aj.load_robot("panda")
+    law = aj.SetpointController(aj.PositionTask(panda))
+    limits = aj.Limits(effort=10.0, rate=1e3, velocity=2.0)
+    q, v = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]), np.full(7, 0.1)
+    controller, x = limiter(law, limits), law.task.value(q)
+    state = controller.initial_state((0.0, q, v, x))
+    answer = controller.evaluate(state, (0.0, q, v, x), x + 0.2)
+    usual = controller.evaluate(state, aj.Measurement(0.0, q, v, x), x + 0.2)
+    assert answer.limit_status is not aj.LimitStatus.FREE
+    assert np.array_equal(answer.torque, usual.torque)
+
+
 # -- a closed loop --------------------------------------------------------------------------
 
 

@@ -101,7 +101,7 @@ MISTAKES = {
     ),
     "a second object of the same name": (
         lambda: TRUTH.with_object(0.1),
-        "name must be new to the robot, got 'object': panda already has a frame 'object'; give",
+        "name must be new to the robot, got 'object': panda already has a frame 'object', perh",
     ),
     "one number for a range": (
         lambda: aj.Uncertainty(ARM, object_length=0.2),

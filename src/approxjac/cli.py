@@ -313,6 +313,9 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\napproxjac: stopped", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # whoever read it has seen enough, as `head` does
+        sys.stdout = None  # or Python complains once more when it ends
+        return 0
     except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
         print(f"approxjac: {error}", file=sys.stderr)
         return 2

@@ -86,7 +86,7 @@ def test_explicit_ones_are_kept(arms):
 
 
 def test_every_arm_has_defaults(arm):
-    axes = "yz" if arm.name == "2dof_planar" else "xz" if arm.nv == 2 else "xyz"
+    axes = "yz" if arm.name == "double_pendulum" else "xz" if arm.nv == 2 else "xyz"
     gravity = aj.AdaptiveGravity(aj.GravityRegressor(arm))
     filled = aj.SetpointController(aj.PositionTask(arm, axes=axes), gravity=gravity).adaptation
     assert np.isfinite(filled.L).all()
@@ -144,9 +144,9 @@ def test_inside_the_bounds_nothing_changes(arms):
         ({"bounds": (np.nan, 9.0)}, r"bounds must be finite, got \[nan"),
         ({"bounds": (-9.0, np.ones(3))}, r"bounds must have shape \(2,\), got shape \(3,\)"),
         ({"bounds": ("low", 9.0)}, r"bounds must be numbers of shape \(2,\)"),
-        ({"bounds": (9.0, -9.0)}, r"bounds must hold theta0 = \[.*\], got \[9\.0, 9\.0\] to \[-9"),
-        ({"bounds": (0.0, 1e-3)}, r"bounds must hold theta0"),
-        ({"bounds": (1.0, 1.0), "theta0": (1.0, 1.0)}, r"bounds must hold theta0"),
+        ({"bounds": (9.0, -9.0)}, r"a smallest and a larger theta, got \[9\.0, 9\.0\] to \[-9"),
+        ({"bounds": (0.0, 1e-3)}, r"bounds must hold theta0 = \[.*\], got \[0\.0, 0\.0\] to"),
+        ({"bounds": (1.0, 1.0), "theta0": (1.0, 1.0)}, r"a smallest and a larger theta"),
         ({"bounds": (-9.0, 9.0), "L": np.eye(2)}, "bounds need L to be a number or a diagonal: wi"),
         ({"L": 1e300}, r"L must be at most 1e\+60"),
         ({"L": 1e300 * np.eye(2)}, r"L must be at most 1e\+60"),

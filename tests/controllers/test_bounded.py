@@ -84,7 +84,8 @@ def test_the_torque_is_the_formula(controller, rng):
     task, (kp, gamma, kd, v0) = controller.task, controller.diagonals
     q, v = posture_in(controller, rng), rng.normal(size=task.robot.nv)
     x, target = (task.displaced(task.origin, rng.normal(size=task.m)) for _ in range(2))
-    answer = controller.evaluate(np.zeros(0), aj.Measurement(0.0, q, v, x), target)
+    measurement = aj.Measurement(0.0, q, v, x)
+    answer = controller.evaluate(np.zeros(0), measurement, target)
     e = task.error(x, target)
     g = np.array(controller.gravity.torque(q))
     J = task.jacobian(q)
@@ -93,7 +94,7 @@ def test_the_torque_is_the_formula(controller, rng):
     assert_allclose(law.bounded_torque(J, kp, controller.saturation.s(e), v, kd, v0, g), expected)
     assert_allclose(answer.e, e)
     assert_array_equal(answer.J_hat, J)
-    assert answer.state_rate.shape == controller.initial_state((0.0, q, v, x)).shape == (0,)
+    assert answer.state_rate.shape == controller.initial_state(measurement).shape == (0,)
     assert controller.n_state == 0
     bound = law.bounded_torque_bound(J, kp, gamma, kd, g)
     assert_allclose(controller.torque_bound(q), bound)

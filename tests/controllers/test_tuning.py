@@ -106,7 +106,7 @@ def test_half_the_settling_time_takes_four_times_the_stiffness(name):
 @pytest.mark.parametrize("settling_time", [0.05, 0.3, 1.0])
 def test_the_damping_can_be_applied_at_1_khz(arm, settling_time, rng):
     """B_c (M⁻¹)ᵢᵢ dt ≤ ½ at the regular postures that the rule looked at."""
-    axes = "yz" if arm.name == "2dof_planar" else "xz" if arm.nv == 2 else "xyz"
+    axes = "yz" if arm.name == "double_pendulum" else "xz" if arm.nv == 2 else "xyz"
     task = aj.PositionTask(arm, axes=axes)
     gains = aj.default_gains(task, settling_time)
     dynamics, postures = aj.Dynamics(arm), np.random.default_rng(0)

@@ -94,7 +94,7 @@ def test_yourdfpy(saved, rng):
 def test_meshcat(name, tmp_path, rng):
     from pinocchio.visualize import MeshcatVisualizer
 
-    robot = aj.load_robot(name).with_object(0.2, 0.5)
+    robot = aj.load_robot(name).with_object(0.2, 0.5, axis="z")
     path = robot.save_urdf(tmp_path / "held.urdf")
     viewer = MeshcatVisualizer(*pin.buildModelsFromUrdf(str(path)))
     viewer.initViewer(open=False)

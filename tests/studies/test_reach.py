@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.robots.model import outward_axis
 from approxjac.studies import reach, reach_report
 from approxjac.studies.reach import Settings
 from approxjac.tasks import best_axes
@@ -153,8 +154,15 @@ def test_starts_and_targets_are_regular_and_can_be_held():
 
 
 def test_a_tool_points_on_from_the_arm():
-    axes = {name: reach.outward_axis(aj.load_robot(name)) for name in ("panda", "two_link", "z1")}
+    arms = {name: aj.load_robot(name) for name in ("panda", "two_link", "z1")}
+    axes = {name: outward_axis(arm.model, arm.frame_id(arm.tip)) for name, arm in arms.items()}
     assert axes == {"panda": "z", "two_link": "x", "z1": "x"}
+    for name, arm in arms.items():
+        assert arm.with_object(0.1) == arm.with_object(0.1, axis=axes[name])
+    hand = arms["panda"].with_object(0.1).with_object(0.1, name="second")  # on from the first
+    assert hand == arms["panda"].with_object(0.1).with_object(0.1, name="second", axis="z")
+    base = arms["panda"].with_object(0.1, parent="panda_link0")  # nothing moves it
+    assert base == arms["panda"].with_object(0.1, parent="panda_link0", axis="z")
 
 
 def test_of_two_joints_the_axes_that_they_command_are_taken():

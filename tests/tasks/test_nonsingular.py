@@ -156,7 +156,12 @@ def test_all_else_is_that_of_the_task(panda, rng):
         (({},), aj.InvalidInputError, r"bend must displace at least one joint of two_link, got \{"),
         (({"joint2": 0.0},), aj.InvalidInputError, "bend must displace at least one joint"),
         (({"joint2": np.nan},), aj.InvalidInputError, r"bend of joint2 must be a finite number"),
-        (({"joint2": "far"},), aj.InvalidInputError, r"bend of joint2 must be .* \[rad or m\], go"),
+        (
+            ({"joint2": "far"},),
+            aj.InvalidInputError,
+            r"bend of joint2 must be .* \[rad\], got 'far'",
+        ),
+        (({"joint2": 20.0},), aj.InvalidInputError, r"bend of joint2 must be less than a turn"),
         (({"elbow": 0.1},), aj.UnknownNameError, "moving joint 'elbow' not in two_link; valid are"),
         (((0.0, 0.1),), aj.InvalidInputError, "bend must be a mapping from joint names to displ"),
         (({"joint2": 0.1}, 0.0), aj.InvalidInputError, "ratio must be a finite number > 0, got 0"),

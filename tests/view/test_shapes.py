@@ -115,7 +115,7 @@ def test_arms_are_light(arm, look):
     shapes = [shape for shapes in look.shapes.values() for shape in shapes]
     for shape in shapes:
         check(shape)
-    many_parts = 1.3 if arm.name == "talos" else 1.0
+    many_parts = 1.3 if arm.name == "talos_arm" else 1.0
     assert sum(len(shape.faces) for shape in shapes) <= many_parts * 25_000
 
 

@@ -16,6 +16,7 @@ from approxjac.tasks import Task
 
 _FLOAT = np.dtype(np.float64)
 _MAKES_ONE = "numpy.array({0}, dtype=float) makes one of numbers"
+_NUMBERS = (list, tuple, int, float)
 _HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 
 
@@ -144,7 +145,7 @@ class CheckedController(SetOnce, ABC):
                 given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
                 raise InvalidInputError(
                     f"{name} must be an array of shape {shape} for {self.task!r}, got {given}"
-                    + ("" if isinstance(value, np.ndarray) else f"; {_MAKES_ONE.format(name)}"),
+                    + (f"; {_MAKES_ONE.format(name)}" if isinstance(value, _NUMBERS) else ""),
                     given=value,
                 )
             if value.dtype != _FLOAT:  # differences of unsigned pixels would wrap around

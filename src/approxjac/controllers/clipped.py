@@ -43,7 +43,7 @@ class TaskTorqueScaled(Limiter):
 
     def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
         answer, state, measurement, lower, upper, _, _ = asked
-        g = self._law.gravity_torque(state, measurement.q)
+        g = self._law.gravity_torque(state, measurement[1])
         hold = np.minimum(np.maximum(g, lower), upper)
         change = answer.torque - hold
         room = np.where(change > 0.0, upper - hold, lower - hold)

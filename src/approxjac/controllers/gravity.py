@@ -114,7 +114,7 @@ class AdaptiveGravity(SetOnce):
         L: Adaptation gain > 0: a number, a diagonal (p,), or a symmetric positive definite
             matrix (p, p). None takes that of `default_adaptation`.
         alpha: α > 0 of eq. (10) [1/s]. None takes that of `default_adaptation`.
-        theta0: θ̂(0), shape (p,); that of the believed robot by default.
+        theta0: θ̂(0), a number or shape (p,); that of the believed robot by default.
         bounds: Smallest and largest θ, each a number or shape (p,), that θ̂ is kept in by
             projection (to within one step of dt where control is sampled). Needs a diagonal L.
         torque_limits: Torques beyond which θ̂ stands still, a number or shape (n_v,) [N m or N];
@@ -135,7 +135,7 @@ class AdaptiveGravity(SetOnce):
         model: Robot | GravityRegressor,
         L: float | Sequence[float] | Array | None = None,
         alpha: float | None = None,
-        theta0: Sequence[float] | Array | None = None,
+        theta0: float | Sequence[float] | Array | None = None,
         bounds: tuple[float | Sequence[float] | Array, float | Sequence[float] | Array]
         | None = None,
         torque_limits: float | Sequence[float] | Array | None = None,
@@ -149,7 +149,8 @@ class AdaptiveGravity(SetOnce):
         self.alpha = None if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
         if self.alpha is not None:
             as_diagonal("alpha", self.alpha, 1, unit="1/s")  # not beyond what gains may be
-        self.theta0 = as_array("theta0", regressor.theta if theta0 is None else theta0, (p,))
+        theta0 = regressor.theta if theta0 is None else theta0
+        self.theta0 = as_array("theta0", [theta0] * p if is_scalar(theta0) else theta0, (p,))
         self.bounds = None if bounds is None else self._bounds(bounds)
         robot = regressor.robot
         limits = robot.effort_limits if torque_limits is None else torque_limits
@@ -181,7 +182,13 @@ class AdaptiveGravity(SetOnce):
             raise InvalidInputError(
                 f"bounds must be a smallest and a largest theta, got {bounds!r}", given=bounds
             ) from error
-        if not ((lower <= self.theta0) & (self.theta0 <= upper) & (lower < upper)).all():
+        if not (lower < upper).all():
+            raise InvalidInputError(
+                f"bounds must be a smallest and a larger theta, got {lower.tolist()} to "
+                f"{upper.tolist()}",
+                given=bounds,
+            )
+        if not ((lower <= self.theta0) & (self.theta0 <= upper)).all():
             raise InvalidInputError(
                 f"bounds must hold theta0 = {self.theta0.tolist()}, got {lower.tolist()} to "
                 f"{upper.tolist()}",

@@ -176,7 +176,7 @@ class TorqueLimited(Limiter):
     def _nearest(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
         """`_limit` itself."""
         answer, state, measurement, lower, upper, torque, free = asked
-        wanted, q, v = answer.torque, measurement.q, measurement.v
+        wanted, (_, q, v, _) = answer.torque, measurement
         y, rho, slack = None, 0.0, math.nan
         if not free and self.proof:
             y, rho = self._passive_output(answer, v)

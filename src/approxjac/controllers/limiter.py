@@ -65,7 +65,10 @@ class Limiter(SetOnce, abc.ABC):
     def __init__(
         self, controller: CheckedController, limits: Limits | None = None, *, dt: float = 1e-3
     ) -> None:
-        wanted = "a SetpointController, a BoundedController or a VelocityServo"
+        wanted = (
+            "a SetpointController, a BoundedController or a VelocityServo (what holds measurements "
+            "goes around it: HeldMeasurement(TorqueLimited(law), ...))"
+        )
         require("controller", controller, CheckedController, wanted)
         if limits is not None:
             require("limits", limits, Limits, "Limits(effort=...), Limits.of(robot) or None")
@@ -115,14 +118,15 @@ class Limiter(SetOnce, abc.ABC):
         state = self._law.initial_state(measurement)
         if not self._has_rate:
             return state
-        if not np.isfinite(measurement.q).all():
+        _, q, _, _ = measurement
+        if not np.isfinite(q).all():
             raise MeasurementError(
-                f"q must be finite, got {measurement.q.tolist()}: the torque that holds the arm is "
+                f"q must be finite, got {q.tolist()}: the torque that holds the arm is "
                 "not known without it",
                 given=measurement,
             )
-        self.task.robot.configuration(measurement.q)
-        hold = self._law.gravity_torque(state, measurement.q)
+        self.task.robot.configuration(q)
+        hold = self._law.gravity_torque(state, q)
         return np.concatenate([state, np.clip(hold, self._lower, self._upper)])
 
     def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.checks import Array, as_array, as_diagonal, as_number, require
+from approxjac.checks import Array, as_diagonal, as_number, require
 from approxjac.controllers.checked import CheckedController, is_beyond, require_saturation
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
@@ -26,6 +26,7 @@ from approxjac.controllers.tuning import default_adaptation, default_gains, slow
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Status
 from approxjac.law import Linear, Saturation
+from approxjac.robots.positions import require_radians
 from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
 
@@ -370,6 +371,16 @@ def _with_options(
     return kind(task, **options)
 
 
+def require_setpoint(controller: Any) -> None:
+    """Refuse what is not a `SetpointController` itself.
+
+    Raises:
+        InvalidInputError: It is another one, or one that limits it or holds measurements for it.
+    """
+    wanted = "a SetpointController (of what limits it, or holds measurements for it, its .law)"
+    require("controller", controller, SetpointController, wanted)
+
+
 def _resolved_posture(posture: Posture, task: Task) -> tuple[Array, Array]:
     robot = task.robot
     if robot.nv <= task.m:
@@ -378,5 +389,6 @@ def _resolved_posture(posture: Posture, task: Task) -> tuple[Array, Array]:
             f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
             given=posture,
         )
-    q = robot.configuration(as_array("q of the posture", posture.q, (robot.nq,), "rad"))
+    q = robot.configuration(posture.q, "q of the posture")
+    require_radians("q of the posture", robot, q)
     return q, as_diagonal("stiffness", posture.stiffness, robot.nv, unit="N m/rad")

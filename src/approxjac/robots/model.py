@@ -67,6 +67,19 @@ def _is_lower(n: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return np.tri(n, k=-1, dtype=bool)
 
 
+def outward_axis(model: pin.Model, frame: int) -> str:
+    """Axis of a frame, "x", "-z", …, along which the last three joints before it lead to it.
+
+    With every joint at zero; z where the frame is in their place.
+    """
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    joints = list(model.supports[model.frames[frame].parentJoint])
+    lever = -data.oMf[frame].actInv(data.oMi[joints[-3:][0]].translation)
+    k = int(np.abs(lever).argmax()) if np.linalg.norm(lever) > 1e-9 else 2
+    return ("" if lever[k] >= 0.0 else "-") + "xyz"[k]
+
+
 def _require_inertia(model: pin.Model, source: str) -> None:
     """Refuse a robot whose inertia matrix is singular: no torque control is possible.
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_number, as_vector, require
+from approxjac.checks import Array, as_array, as_number, as_vector, require, shape_of
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import meshes, urdf_edit
 from approxjac.robots import urdf as urdf_xml
 from approxjac.robots.coupling import Coupling
-from approxjac.robots.model import build_model, own_joints
+from approxjac.robots.model import build_model, outward_axis, own_joints
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 _LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
@@ -201,6 +201,13 @@ class Robot:
             InvalidInputError: Wrong shape, not finite, or (cos, sin) pairs of continuous joints
                 that are off the unit circle.
         """
+        if self.nq != self.nv and shape_of(q) == (self.nv,):
+            raise InvalidInputError(
+                f"{name} must have shape ({self.nq},) for {self._name}, whose continuous joints "
+                f"take (cos, sin), got {self.nv} numbers; pinocchio.integrate(robot.model, "
+                "robot.neutral(), angles) makes it of angles",
+                given=q,
+            )
         vector = as_vector(name, q, self.nq)
         if self.nq != self.nv and not pin.isNormalized(self._model, vector, 1e-3):
             raise InvalidInputError(
@@ -231,8 +238,9 @@ class Robot:
         if frame is None:
             if self._tip is None:
                 raise InvalidInputError(
-                    f"frame must be named: {self._name} has more than one end; "
-                    f"links are {', '.join(self._links)}",
+                    f"a frame must be named: {self._name} has more than one end; name its tip "
+                    "once, load_robot(path, tip=...), or --tip on the command line; links are "
+                    f"{', '.join(self._links)}",
                     given=None,
                 )
             return self._tip
@@ -247,7 +255,7 @@ class Robot:
         mass: float = 0.0,
         radius: float = 0.01,
         parent: str | None = None,
-        axis: str | Sequence[float] = "z",
+        axis: str | Sequence[float] | None = None,
         name: str = "object",
     ) -> Robot:
         """Return this robot holding an object: a uniform cylinder with a frame at its far end.
@@ -262,7 +270,8 @@ class Robot:
             radius: Of the cylinder, 0 to 10 [m]; 0 is a thin rod.
             parent: Link that holds it; the robot's `tip` by default.
             axis: Direction in the parent's frame: "x", "y", "z", with a sign if wanted, or a
-                vector of shape (3,).
+                vector of shape (3,); by default the axis that leads on from the arm, such as z of
+                the Panda's hand and x of the two-link arm.
             name: Name of the new link.
 
         Raises:
@@ -273,7 +282,6 @@ class Robot:
         length = as_number("length", length, unit="m", minimum=0.0)
         mass = as_number("mass", mass, unit="kg", minimum=0.0)
         radius = as_number("radius", radius, unit="m", minimum=0.0)
-        direction = urdf_edit.direction(axis)
         if max(length, radius) > _LONGEST:
             raise InvalidInputError(
                 f"length and radius must be at most {_LONGEST:g} [m], got {length:g} and "
@@ -283,18 +291,9 @@ class Robot:
         parent = self.tip_or(parent)
         if parent not in self._links:
             raise UnknownNameError("link", parent, self._name, self._links)
-        taken = set(self._frames) | {"universe"}
-        if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
-            raise InvalidInputError(
-                f"name must be a text without spaces, such as 'object', got {name!r}", given=name
-            )
-        for new in (name, f"{name}_tip", f"{name}_joint", f"{name}_tip_joint"):
-            if new in taken:
-                raise InvalidInputError(
-                    f"name must be new to the robot, got {name!r}: {self._name} already has a "
-                    f"frame {new!r}; give another name",
-                    given=name,
-                )
+        axis = outward_axis(self._model, self.frame_id(parent)) if axis is None else axis
+        direction = urdf_edit.direction(axis)
+        urdf_edit.require_new(name, set(self._frames) | {"universe"}, self._name)
         root = urdf_xml.parse(self._urdf, self._source)
         urdf_edit.append_object(
             root,

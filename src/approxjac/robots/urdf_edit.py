@@ -5,7 +5,7 @@ yourdfpy writes the new elements; they go into the original XML tree, which keep
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,6 +49,21 @@ def direction(axis: str | Sequence[float]) -> Array:
         raise InvalidInputError(f"axis must not be zero, got {vector.tolist()}", given=axis)
     vector = vector / largest
     return np.asarray(vector / np.linalg.norm(vector))
+
+
+def require_new(name: str, taken: Collection[str], robot: str) -> None:
+    """Refuse a name of an object that is none, or that a robot's frames have."""
+    if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
+        raise InvalidInputError(
+            f"name must be a text without spaces, such as 'object', got {name!r}", given=name
+        )
+    for new in (name, f"{name}_tip", f"{name}_joint", f"{name}_tip_joint"):
+        if new in taken:
+            raise InvalidInputError(
+                f"name must be new to the robot, got {name!r}: {robot} already has a frame "
+                f"{new!r}, perhaps as it holds an object already; give another name",
+                given=name,
+            )
 
 
 def rotation_onto(axis: Array) -> Array:

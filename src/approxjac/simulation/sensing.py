@@ -44,6 +44,10 @@ class Sensing:
         velocity_filter: Time constant T of q̇ from differences of the measured q,
             T dq̇/dt + q̇ = Δq/dt [s], from q̇ = 0 at the first sample; 0 does not filter. None is an
             exact tachometer.
+        x_rate: Frames of x a second [Hz]; None takes one at each control sample.
+        x_lost: Intervals (start, end) [s] in which x is lost, or (start, end, part) for one of the
+            parts that a task of several measurements has, counted from 0.
+        x_frozen: Intervals (start, end) [s] in which no new frame arrives and the last is read.
 
     Raises:
         InvalidInputError: Negative or not finite, or a probability above 1.

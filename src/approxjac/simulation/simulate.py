@@ -10,9 +10,9 @@ import pinocchio as pin
 from approxjac.checks import Array, as_array, as_number, require
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
 from approxjac.interface import Controller
+from approxjac.robots.positions import require_radians
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
-from approxjac.simulation.ready import require_radians
 from approxjac.simulation.record import Record
 from approxjac.simulation.sampled_loop import SampledLoop, diverged, first_state, require_fit
 from approxjac.simulation.trajectory import Trajectory
@@ -82,7 +82,7 @@ def simulate(
     x_d = plant.sensor.target(target)
     q0 = plant.ready_posture() if q0 is None else as_array("q0", q0, (robot.nq,), "rad or m")
     q = robot.configuration(q0, "q0")
-    require_radians(robot, q)
+    require_radians("q0", robot, q)
     v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
     duration = as_number("duration", duration, unit="s", above=0.0)
     rtol, atol = as_number("rtol", rtol, above=0.0), as_number("atol", atol, above=0.0)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from approxjac.checks import Array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.controllers.gravity import Adaptation
+from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 from approxjac.stability.linear_loop import (
@@ -146,7 +147,7 @@ def local_stability(
             dropouts or torque limits; delays or a filter of q̇ without dt, or of very many samples.
     """
     require("plant", plant, Plant, "a Plant")
-    require("controller", controller, SetpointController, "a SetpointController")
+    require_setpoint(controller)
     plant.require_task(controller.task)
     timing = _timing(plant, dt)
     q = plant.robot.configuration(q_target, "q_target")

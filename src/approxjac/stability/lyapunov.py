@@ -7,6 +7,7 @@ from typing import NamedTuple
 from approxjac import law
 from approxjac.checks import Array, as_array, as_number, require
 from approxjac.controllers import SetpointController
+from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 from approxjac.tasks.task import require_jacobian_of_q
@@ -58,7 +59,7 @@ def lyapunov(
             friction, sensing, actuator delay or torque limits.
     """
     require("plant", plant, Plant, "a Plant")
-    require("controller", controller, SetpointController, "a SetpointController")
+    require_setpoint(controller)
     plant.require_task(controller.task)
     plant.require_ideal("the Lyapunov function")
     alpha = as_number("alpha", alpha, unit="1/s", above=0.0)

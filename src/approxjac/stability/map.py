@@ -11,6 +11,7 @@ import numpy as np
 
 from approxjac.checks import Array, as_array, require
 from approxjac.controllers import Gains, SetpointController
+from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.loop import (
     default_region,
@@ -129,7 +130,7 @@ def stability_map(
             parameter, or what `stability_report` refuses.
         UnknownNameError: No such parameter.
     """
-    require("controller", controller, SetpointController, "a SetpointController")
+    require_setpoint(controller)
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
     require_law(controller)
     for name in names:

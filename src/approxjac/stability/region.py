@@ -11,8 +11,10 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.checks import Array, as_array, as_number, is_scalar, require
 from approxjac.controllers import SetpointController
+from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
+from approxjac.robots.positions import require_radians
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
 from approxjac.tasks.task import require_jacobian_of_q
@@ -118,6 +120,7 @@ class JointBox(Region):
     ) -> JointBox:
         """Box of all postures whose joints are within `radius` [rad or m] of posture q."""
         radius = np.asarray(radius, dtype=np.float64)
+        require_radians("q", robot, robot.configuration(q))
         return cls(robot, -radius + np.zeros(robot.nv), radius + np.zeros(robot.nv), q)
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
@@ -222,7 +225,7 @@ class SublevelSet(Region):
         within: Region | None = None,
     ) -> None:
         require("plant", plant, Plant, "a Plant")
-        require("controller", controller, SetpointController, "a SetpointController")
+        require_setpoint(controller)
         plant.require_task(controller.task)
         self.robot = plant.robot
         self.within = JointBox(plant.robot) if within is None else within

@@ -11,6 +11,7 @@ import numpy as np
 
 from approxjac.checks import Array, require
 from approxjac.controllers import SetpointController
+from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
@@ -280,7 +281,7 @@ def stability_report(
             an empty region or one that a true camera sees nothing of, a target that no posture of
             a true robot attains, or numbers out of range.
     """
-    require("controller", controller, SetpointController, "a SetpointController")
+    require_setpoint(controller)
     require_law(controller)
     uncertainty = truth if isinstance(truth, Uncertainty) else None
     corners, plants = true_plants(controller, truth)

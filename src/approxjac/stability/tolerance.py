@@ -10,6 +10,7 @@ import numpy as np
 
 from approxjac.checks import Array, as_number, require
 from approxjac.controllers import SetpointController
+from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificate import refine_constants, refine_weights
 from approxjac.stability.loop import (
@@ -114,7 +115,7 @@ def tolerance(
         UnknownNameError: No such test.
     """
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    require("controller", controller, SetpointController, "a SetpointController")
+    require_setpoint(controller)
     require_law(controller)
     if uncertainty.d == 0:
         raise InvalidInputError(

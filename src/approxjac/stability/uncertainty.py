@@ -45,7 +45,8 @@ class Uncertainty:
         object_mass: Smallest and largest true mass of the object [kg].
         believed_length: Length of the object that is believed, ≥ 0 [m].
         believed_mass: Mass of the object that is believed, ≥ 0 [kg].
-        object_axis: Axis of the tip's frame that the object points along.
+        object_axis: Axis of the tip's frame that the object points along; by default the one that
+            leads on from the arm, as of `Robot.with_object`.
         joint_shifts: Joint name → how far its true origin may be from the believed one to either
             side along each axis of the parent link, shape (3,) [m]; an axis with 0 is certain.
         joint_rotations: Joint name → the same for the rotation vector in the joint's own frame,
@@ -82,7 +83,7 @@ class Uncertainty:
     object_mass: tuple[float, float] | None = None
     believed_length: float = 0.0
     believed_mass: float = 0.0
-    object_axis: str | Sequence[float] = "z"
+    object_axis: str | Sequence[float] | None = None
     joint_shifts: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
     joint_rotations: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
     camera: Camera | None = None
@@ -96,6 +97,12 @@ class Uncertainty:
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
+        if "object_tip" in self.arm.frame_names and (self.object_length or self.object_mass):
+            raise InvalidInputError(
+                "arm must be the bare arm, as the set itself puts the object into its hand "
+                f"(object_length, object_mass), got one that holds one: {self.arm!r}",
+                given=self.arm,
+            )
         self._require_task()
         as_number("believed_length", self.believed_length, unit="m", minimum=0.0)
         as_number("believed_mass", self.believed_mass, unit="kg", minimum=0.0)

@@ -18,7 +18,6 @@ from approxjac.simulation import Plant
 from approxjac.stability import JointBox
 from approxjac.studies import paper
 from approxjac.studies.arms import carried_object
-from approxjac.studies.reach import outward_axis
 from approxjac.tasks import ImageTask, PlanarCamera, PositionTask, Task
 
 KINDS = ("two-link, camera", "two-link, lengths", "ur5", "panda", "xarm7", "kinova", "so100")
@@ -149,8 +148,8 @@ def _arm(name: str, size: float, rng: np.random.Generator) -> tuple[Task, Task]:
     length, mass = carried_object(name)
     arm = _weightless(load_robot(name))
     held = size * rng.uniform(size=2)
-    truth = arm.with_object(held[0] * length, held[1] * mass, axis=outward_axis(arm))
-    belief = arm.with_object(0.0, 0.0, axis=outward_axis(arm))
+    truth = arm.with_object(held[0] * length, held[1] * mass)
+    belief = arm.with_object(0.0, 0.0)
     shift, turn = size * rng.uniform(size=2) * (_SHIFT * length / 0.2, _TURN)
     joints = arm.joint_names
     belief = belief.with_kinematic_error(

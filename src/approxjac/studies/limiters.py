@@ -228,9 +228,9 @@ def _limits(ready: Reach) -> Limits:
 @cache
 def _arm(robot: str) -> _Arm:
     """Truth and belief of an arm, as in the study of all arms, and its unscaled limits."""
-    arm, axis = load_robot(robot), reach.outward_axis(load_robot(robot))
-    truth = arm.with_object(*carried_object(robot), axis=axis)
-    belief = arm.with_object(0.0, 0.0, axis=axis)
+    arm = load_robot(robot)
+    truth = arm.with_object(*carried_object(robot))
+    belief = arm.with_object(0.0)
     sensor = PositionTask(truth)
     task = PositionTask(belief)
     regressor = GravityRegressor(belief)

@@ -65,11 +65,12 @@ def posture_from(robot: Robot, joints: tuple[float, ...]) -> Array:
     """Configuration from one number a joint, continuous joints included."""
     motion = as_array("start", joints, (robot.nv,), "rad or m")
     low, high = robot.position_limits
-    for name, value, a, b in zip(robot.joint_names, motion, low, high, strict=True):
+    limits = zip(robot.joint_names, robot.joint_units, motion, low, high, strict=True)
+    for name, unit, value, a, b in limits:
         if not a <= value <= b:
             raise InvalidInputError(
                 f"start must be within the joint limits, got {value:g} for {name} "
-                f"({a:.4g} to {b:.4g})",
+                f"({a:.4g} to {b:.4g} {unit})",
                 given=joints,
             )
     return np.array(pin.integrate(robot.model, robot.neutral(), motion))

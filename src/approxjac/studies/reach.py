@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac.checks import Array, as_array, as_number
 from approxjac.controllers import (
@@ -47,7 +46,6 @@ __all__ = [
     "Reach",
     "Result",
     "Settings",
-    "outward_axis",
     "prepare",
     "run",
 ]
@@ -60,9 +58,9 @@ def prepare(robot: str, settings: Settings) -> Reach:
         ApproxJacError: Settings that are out of range or do not fit the robot.
     """
     arm = load_robot(robot, tip=settings.tip, base=settings.base, free=settings.free)
-    axis = settings.object_axis or outward_axis(arm)
+    axis = settings.object_axis
     truth = arm.with_object(settings.object_length, settings.object_mass, axis=axis)
-    believe = partial(_believed, arm, axis, settings)
+    believe = partial(_believed, arm, settings)
     belief = believe(settings.believed_length)
     sensor, task = _task(truth, settings), _task(belief, settings)
     as_number("rate", settings.rate, unit="Hz", above=0.0)
@@ -156,20 +154,9 @@ def sampled(
     )
 
 
-def outward_axis(robot: Robot) -> str:
-    """Axis of the tip's frame along which the last three joints lead to the tip."""
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.neutral())
-    tip = data.oMf[robot.frame_id(robot.tip_or(None))]
-    wrist = max(1, robot.model.njoints - 3)
-    lever = -tip.actInv(data.oMi[wrist].translation)
-    k = int(np.abs(lever).argmax())
-    return ("" if lever[k] >= 0.0 else "-") + "xyz"[k]
-
-
-def _believed(arm: Robot, axis: str, settings: Settings, length: float) -> Robot:
+def _believed(arm: Robot, settings: Settings, length: float) -> Robot:
     """The arm with the object that the controller believes, of a length [m]."""
-    belief = arm.with_object(length, settings.believed_mass, axis=axis)
+    belief = arm.with_object(length, settings.believed_mass, axis=settings.object_axis)
     if settings.joint_shifts or settings.joint_rotations:
         belief = belief.with_kinematic_error(settings.joint_shifts, settings.joint_rotations)
     return belief

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from approxjac.checks import Array
+from approxjac.robots.positions import farthest_beyond
 from approxjac.simulation import Trajectory
-from approxjac.simulation.ready import farthest_beyond
 from approxjac.studies.reach import Result
 from approxjac.view import (
     legend_below,

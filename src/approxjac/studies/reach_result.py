@@ -13,8 +13,8 @@ from approxjac.checks import Array
 from approxjac.controllers import Limits, SetpointController
 from approxjac.interface import Controller, LimitStatus, Status
 from approxjac.robots import Robot
+from approxjac.robots.positions import beyond_positions
 from approxjac.simulation import Plant, Trajectory
-from approxjac.simulation.ready import beyond_positions
 from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Tally
 

@@ -25,7 +25,7 @@ from approxjac.simulation import Plant, SampledLoop, Sensing
 from approxjac.simulation.ready import holdable
 from approxjac.studies.limiting import limited, limits_named
 from approxjac.studies.postures import REGULAR, is_regular, posture_from
-from approxjac.studies.reach import given_or, gravity_from, outward_axis, sampled
+from approxjac.studies.reach import given_or, gravity_from, sampled
 from approxjac.studies.servo_checks import require_effect
 from approxjac.studies.servo_result import Servo, ServoResult
 from approxjac.studies.servo_scene import ServoScene, carried_scene, watched_scene, well_within
@@ -57,7 +57,7 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
             f"{arm.nv // 2} for {arm.name}, got {settings.points}",
             given=settings.points,
         )
-    axis = settings.object_axis or outward_axis(arm)
+    axis = settings.object_axis
     truth = arm.with_object(settings.object_length, settings.object_mass, axis=axis)
     believe = partial(arm.with_object, mass=settings.believed_mass, axis=axis)
     belief = believe(settings.believed_length)

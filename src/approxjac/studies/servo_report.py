@@ -13,7 +13,7 @@ import numpy as np
 from approxjac.checks import Array
 from approxjac.controllers import VelocityServo
 from approxjac.interface import Status
-from approxjac.simulation.ready import farthest_beyond
+from approxjac.robots.positions import farthest_beyond
 from approxjac.studies.reach_report import moved_target
 from approxjac.studies.servo_result import ServoResult
 from approxjac.studies.servo_settings import ServoSettings

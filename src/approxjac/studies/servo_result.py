@@ -13,8 +13,8 @@ from approxjac.checks import Array
 from approxjac.controllers import HeldMeasurement, SetpointController, VelocityServo
 from approxjac.interface import Status
 from approxjac.robots import Robot
+from approxjac.robots.positions import beyond_positions
 from approxjac.simulation import Plant, Trajectory
-from approxjac.simulation.ready import beyond_positions
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import ImageTask
 

@@ -39,7 +39,6 @@ from approxjac.stability import (
 from approxjac.stability.loop import default_region
 from approxjac.stability.map import PARAMETERS
 from approxjac.stability.tolerance import Test
-from approxjac.studies.reach import outward_axis
 from approxjac.tasks import PlanarCamera, PositionTask
 
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of what `tolerance` finds, that is certified in full
@@ -258,7 +257,7 @@ def _uncertainty(arm: Robot, settings: StabilitySettings) -> Uncertainty:
         object_mass=settings.object_mass,
         believed_length=settings.believed_length,
         believed_mass=settings.believed_mass,
-        object_axis=settings.object_axis or outward_axis(arm),
+        object_axis=settings.object_axis,
         joint_shifts=settings.joint_shifts,
         joint_rotations=settings.joint_rotations,
         camera=camera,

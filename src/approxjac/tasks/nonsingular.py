@@ -60,7 +60,12 @@ class NonsingularTask(WrappedTask):
             if joint not in robot.joint_names:
                 raise UnknownNameError("moving joint", joint, robot.name, robot.joint_names)
             name = f"bend of {joint}"
-            offset[robot.joint_names.index(joint)] = as_number(name, displacement, unit="rad or m")
+            i = robot.joint_names.index(joint)
+            offset[i] = as_number(name, displacement, unit=robot.joint_units[i])
+            if abs(offset[i]) > 2.0 * np.pi and robot.joint_units[i] == "rad":
+                raise InvalidInputError(
+                    f"{name} must be less than a turn [rad], got {displacement!r}", given=bend
+                )
         if not offset.any():
             raise InvalidInputError(
                 f"bend must displace at least one joint of {robot.name}, got {dict(bend)}",

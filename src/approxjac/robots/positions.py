@@ -1,0 +1,56 @@
+"""Postures beside the position limits of the joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.checks import Array
+from approxjac.errors import InvalidInputError
+from approxjac.robots.robot import Robot
+
+
+def beyond_positions(robot: Robot, q: Array) -> Array:
+    """How far each joint is beyond its position limits, negative within.
+
+    Args:
+        robot: The robot.
+        q: Configurations, shape (N, nq).
+
+    Returns:
+        Shape (N, n_v) [rad or m]; −∞ where a joint has no limits.
+    """
+    low, high = robot.position_limits
+    motions = np.array([pin.difference(robot.model, robot.neutral(), each) for each in q])
+    return np.asarray(np.maximum(motions - high, low - motions))
+
+
+def farthest_beyond(robot: Robot, q: Array) -> str:
+    """Which joint was how far beyond its position limits at most, in words.
+
+    Args:
+        robot: The robot.
+        q: Configurations, shape (N, nq), at least one beyond them.
+    """
+    beyond = beyond_positions(robot, q).max(axis=0)
+    i = int(beyond.argmax())
+    name, unit = robot.joint_names[i], robot.joint_units[i]
+    return f"{name} was {beyond[i]:.2g} {unit} beyond its position limits"
+
+
+def require_radians(name: str, robot: Robot, q: Array) -> None:
+    """Refuse a posture that is a turn or more beyond the limits of a joint: it is in degrees.
+
+    One that is a little beyond them may be where a run ended.
+
+    Raises:
+        InvalidInputError: It is.
+    """
+    beyond = beyond_positions(robot, q[np.newaxis])[0]
+    beyond[np.array(robot.joint_units) != "rad"] = 0.0
+    if beyond.max() > 2.0 * np.pi:
+        raise InvalidInputError(
+            f"{name} must be in radians: it is {beyond.max():.4g} rad beyond the limits of "
+            f"{robot.joint_names[int(beyond.argmax())]}; numpy.radians turns degrees into them",
+            given=q,
+        )
