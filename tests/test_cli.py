@@ -48,16 +48,23 @@ def test_the_study_makes_every_file(paper):
 
 
 def test_the_summary_has_the_agreed_form(paper):
-    figures = json.loads((paper[0] / "summary.json").read_text())["figures"]
+    summary = json.loads((paper[0] / "summary.json").read_text())
+    figures = summary["figures"]
     assert sorted(figures) == ["fig1", *(f"fig{n}" for n in range(3, 9))]
     for n in range(3, 9):
         entry = figures[f"fig{n}"]
         assert sorted(entry["error_ratio"], key=float) == ["5", "20", "60", "120"]
         assert entry["verdict"] == ("unstable" if n == 3 else "stable")
         assert entry["agrees_with_paper"] is True
-        assert (entry["max_real_eigenvalue"] is None) == (n == 8)
+        assert (entry["max_real_eigenvalue"] > 0.0) == (n == 3)
     assert figures["fig5"]["max_real_eigenvalue"] == pytest.approx(-0.0130, abs=5e-5)
     assert figures["fig8"]["theta_hat"] == pytest.approx([3.5, 1.625], rel=0.01)
+    true = {"focal_length": 0.05, "distance": 3.0, "roll": 0.0}
+    assert summary["truth"] == {"lengths": [1.0, 1.0, 0.5], "object_mass": 0.5, "camera": true}
+    assert figures["fig6"]["believed"] == {"lengths": [0.75, 1.25, 0.0], "camera": true}
+    assert (figures["fig7"]["kp"], figures["fig7"]["kv"]) == (5000.0, 30000.0)
+    assert figures["fig7"]["gravity"] == "known"
+    assert figures["fig8"]["gravity"]["L"] == 0.12
     assert figures["fig1"]["condition_23_met_by_figure_4"] is False
     assert figures["fig1"]["allowed_p_at_a_of_figure_4"] < figures["fig1"]["largest_allowed_p"]
 
@@ -621,7 +628,8 @@ def test_the_study_writes_pages_with_an_index(paper):
         assert f'href="fig{n}.html"' in index
         assert f'src="fig{n}.png"' in index
         assert (out / f"fig{n}.html").stat().st_size < 4_000_000
-    assert index.index("fig3.html") < index.index("fig8.html")
+    assert index.index("fig1.png") < index.index("fig3.html") < index.index("fig8.html")
+    assert "wrong by 60°, a = 1 — unstable; the paper: “an unstable response”" in index
 
 
 def test_the_pages_of_the_study_load(paper, open_page):

@@ -24,10 +24,9 @@ def table(figures):
     for name, entry in figures.items():
         if "verdict" not in entry:
             continue
-        eigenvalue = entry["max_real_eigenvalue"]
         cells = [
             f"{name.removeprefix('fig')}: {entry['title']}",
-            "–" if eigenvalue is None else f"{eigenvalue:+.4f}",
+            f"{entry['max_real_eigenvalue']:+.4f}",
             *(f"{entry['error_ratio'][t]:.4f}" for t in times),
             entry["verdict"],
             entry["paper"],
@@ -49,13 +48,11 @@ def make(app):
 
 
 def gather(folder, site):
-    """Copy the pages of runs, with the pictures that their index shows."""
+    """Copy the pages of runs, with the pictures that their index may show."""
     shutil.rmtree(site, ignore_errors=True)
     site.mkdir(parents=True)
-    for page in folder.glob("*.html"):
-        for path in (page, page.with_suffix(".png")):
-            if path.exists():
-                shutil.copy(path, site)
+    for path in [*folder.glob("*.html"), *folder.glob("*.png")]:
+        shutil.copy(path, site)
 
 
 def setup(app):

@@ -139,6 +139,9 @@ def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
     ax = view.plot_parameters(learnt, ("a", "b"), theta=(0.9, 1.9))
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert_allclose(lines["b"].get_ydata(), 2.0 * run.t)
+    assert view.plot_parameters(learnt, ("j.m",)).get_ylabel() == "θ̂ [kg]"
+    assert view.plot_parameters(learnt, ("j.mx", "k.my")).get_ylabel() == "θ̂ [kg m]"
+    assert view.plot_parameters(learnt, ("j.mx", "k.m")).get_ylabel() == "θ̂ [kg m or kg]"
     assert [
         line.get_ydata()[0]
         for line in ax.get_lines()

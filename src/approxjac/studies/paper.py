@@ -34,9 +34,11 @@ Inertia = Literal["rod", "point-mass"]
 LENGTHS = (1.0, 1.0, 0.5)
 """l₁, l₂ and l_o of the true arm [m]."""
 OBJECT_MASS = 0.5
-"""m_o [kg]; the links' masses are in urdf/two_link.urdf."""
+"""m_o [kg], believed too; the links' masses are in urdf/two_link.urdf."""
 CAMERA = PlanarCamera(focal_length=0.05, distance=3.0)
 """The true camera."""
+LEARNING_GAIN, ALPHA = 0.12, 1.0
+"""L = 0.12 I and α [1/s] where gravity is learnt."""
 REPORT_TIMES = (5.0, 20.0, 60.0, 120.0)
 """Times at which error ratios are reported [s]."""
 _ROLLED = PlanarCamera(focal_length=0.05, distance=3.0, roll=math.radians(60.0))
@@ -55,7 +57,7 @@ class Experiment:
         lengths: Believed l̂₁, l̂₂, l̂_o [m].
         kp: K_p = kp I [N/m].
         kv: K_v = kv I [N s/m].
-        learn_gravity: Whether θ̂ starts at zero and is learnt, with L = 0.12 I and α = 1.
+        learn_gravity: Whether θ̂ starts at zero and is learnt, with `LEARNING_GAIN` and `ALPHA`.
         paper_says: The paper's verdict.
         paper_words: The paper's words.
     """
@@ -153,13 +155,13 @@ class Result:
     Attributes:
         experiment: What was run.
         run: What happened.
-        local: The exact linearisation at the target; None where gravity is learnt.
+        local: The exact linearisation at the target.
         theta_hat: θ̂ at the end, shape (2,); None where gravity is known.
     """
 
     experiment: Experiment
     run: Trajectory
-    local: LocalStability | None
+    local: LocalStability
     theta_hat: Array | None
 
     @property
@@ -178,21 +180,18 @@ class Result:
 
     @property
     def evidence_agrees(self) -> bool:
-        """Whether the linearisation, where there is one, and the run say the same."""
-        return self.local is None or self.local.stable == self.settles
+        """Whether the linearisation and the run say the same."""
+        return self.local.stable == self.settles
 
     @property
     def verdict(self) -> Verdict:
-        """Stable if the linearisation (where there is one) and the run both say so."""
-        locally = self.local is None or self.local.stable
-        return "stable" if locally and self.settles else "unstable"
+        """Stable if the linearisation and the run both say so."""
+        return "stable" if self.local.stable and self.settles else "unstable"
 
     @property
     def reason(self) -> str:
         """What the verdict rests on; says so where linearisation and run differ."""
         run = "the run's error " + ("falls" if self.settles else "does not fall")
-        if self.local is None:
-            return run
         if self.local.singular:
             return (
                 f"the target is a singular posture, where the linearisation decides nothing; {run}"
@@ -201,7 +200,10 @@ class Result:
         if self.local.stable and not self.settles:
             text += "; they differ: the run may be too short, or end elsewhere than at the target"
         if not self.local.stable and self.settles:
-            text += "; they differ: the run may be too short to show the growth"
+            text += (
+                "; they differ: the run may be too short to show the growth, or end elsewhere than "
+                "at the target"
+            )
         return text
 
     @property
@@ -251,7 +253,7 @@ def build(experiment: Experiment, setup: Setup) -> tuple[Plant, SetpointControll
         ImageTask(belief, experiment.camera),
         Gains(kp=experiment.kp, kv=experiment.kv),
         gravity=(
-            AdaptiveGravity(regressor, L=0.12, alpha=1.0, theta0=np.zeros(2))
+            AdaptiveGravity(regressor, L=LEARNING_GAIN, alpha=ALPHA, theta0=np.zeros(2))
             if experiment.learn_gravity
             else RegressorGravity(regressor, GravityRegressor(truth, moments="x").theta)
         ),
@@ -285,9 +287,8 @@ def run_experiment(
         record_every=setup.duration / max(2400, math.ceil(setup.duration / 0.05)),
         progress=progress,
     )
-    if experiment.learn_gravity:
-        return Result(experiment, run, None, controller.theta_hat(run.state)[-1])
-    return Result(experiment, run, local_stability(plant, controller, q_target), None)
+    theta_hat = controller.theta_hat(run.state)[-1] if experiment.learn_gravity else None
+    return Result(experiment, run, local_stability(plant, controller, q_target), theta_hat)
 
 
 @dataclass(frozen=True, eq=False)

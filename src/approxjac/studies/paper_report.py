@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 from approxjac.errors import MissingPackageError
 from approxjac.robots import GravityRegressor, Robot
-from approxjac.studies.paper import JacobianBound, Result, Setup
+from approxjac.studies.paper import (
+    ALPHA,
+    CAMERA,
+    LEARNING_GAIN,
+    LENGTHS,
+    OBJECT_MASS,
+    Experiment,
+    JacobianBound,
+    Result,
+    Setup,
+)
+from approxjac.tasks import PlanarCamera
 from approxjac.view import (
     new_figure,
     plot_allowed_error,
@@ -23,6 +34,9 @@ from approxjac.view import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+_BOUND = "Figure 1: how wrong Theorem 1 lets the Jacobian be, and how wrong that of Figure 4 is"
 
 
 def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
@@ -71,9 +85,8 @@ def summary(results: Sequence[Result], bound: JacobianBound | None, setup: Setup
     for result in results:
         entry: dict[str, Any] = {
             "title": result.experiment.title,
-            "max_real_eigenvalue": None
-            if result.local is None
-            else result.local.max_real_eigenvalue,
+            **_settings(result.experiment),
+            "max_real_eigenvalue": result.local.max_real_eigenvalue,
             "error_ratio": {f"{t:g}": ratio for t, ratio in result.error_ratios.items()},
             "verdict": result.verdict,
             "reason": result.reason,
@@ -84,7 +97,31 @@ def summary(results: Sequence[Result], bound: JacobianBound | None, setup: Setup
         if result.theta_hat is not None:
             entry["theta_hat"] = result.theta_hat.tolist()
         figures[f"fig{result.experiment.figure}"] = entry
-    return {"study": "paper", "setup": dataclasses.asdict(setup), "figures": figures}
+    return {
+        "study": "paper",
+        "setup": dataclasses.asdict(setup),
+        "truth": {
+            "lengths": LENGTHS,
+            "object_mass": OBJECT_MASS,
+            "camera": _camera(CAMERA),
+        },
+        "figures": figures,
+    }
+
+
+def _settings(experiment: Experiment) -> dict[str, Any]:
+    """The paper's numbers of one experiment: gains, and what is believed of arm and camera."""
+    learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
+    return {
+        "kp": experiment.kp,
+        "kv": experiment.kv,
+        "believed": {"lengths": experiment.lengths, "camera": _camera(experiment.camera)},
+        "gravity": learnt if experiment.learn_gravity else "known",
+    }
+
+
+def _camera(camera: PlanarCamera) -> dict[str, float]:
+    return {name: getattr(camera, name) for name in ("focal_length", "distance", "roll")}
 
 
 def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
@@ -111,12 +148,11 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
         ]
     for result in results:
         experiment = result.experiment
-        eigenvalue = "–" if result.local is None else f"{result.local.max_real_eigenvalue:+.4f}"
         ratios = "".join(f"{r:8.4f}" for r in result.error_ratios.values())
         agrees = "" if result.agrees_with_paper else "  << differs"
         name = f"{experiment.figure}  {experiment.title}"
         lines.append(
-            f"{name:<46}{eigenvalue:>9} {ratios}  {result.verdict:<10}"
+            f"{name:<46}{result.local.max_real_eigenvalue:>+9.4f} {ratios}  {result.verdict:<10}"
             f"“{experiment.paper_words}”{agrees}"
         )
         if not result.agrees_with_paper or not result.evidence_agrees:
@@ -134,11 +170,16 @@ def write_pages(results: Sequence[Result], out: Path) -> str:
         try:
             result.run.to_html(
                 out / f"fig{experiment.figure}.html",
-                title=f"Figure {experiment.figure}: {experiment.title} ({result.verdict})",
+                title=f"Figure {experiment.figure}: {experiment.title} — {result.verdict}; "
+                f"the paper: “{experiment.paper_words}”",
             )
         except MissingPackageError as error:
             return f"There are no pages to see in a browser: {error}"
-    index = write_index(out, "The paper's two-link study: the arm as it is, and as it is believed")
+    index = write_index(
+        out,
+        "The paper's two-link study: the arm as it is, and as it is believed",
+        pictures={"fig1.png": _BOUND} if (out / "fig1.png").is_file() else {},
+    )
     return f"See them move: {index}"
 
 

@@ -224,7 +224,9 @@ def plot_parameters(
                 ax.axhline(theta[i], color=color, linestyle="--", linewidth=0.8)
         if theta is not None:
             ax.plot([], [], "--", color=NEUTRAL, linewidth=0.8, label="true values")
-        ax.set(xlabel="time [s]", ylabel="θ̂ [kg m, kg]", title=title)
+        # a mass is named "joint1.m", a first moment "joint1.mx"
+        units = dict.fromkeys("kg" if name.endswith(".m") else "kg m" for name in names)
+        ax.set(xlabel="time [s]", ylabel=f"θ̂ [{' or '.join(units)}]", title=title)
         legend_below(ax)
     return ax
 

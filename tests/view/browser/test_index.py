@@ -4,6 +4,7 @@ import re
 from urllib.parse import unquote
 
 import pytest
+from PIL import Image
 
 import approxjac as aj
 from approxjac import view
@@ -27,6 +28,25 @@ def test_it_links_the_pages_of_runs_in_their_order(tmp_path):
     assert "<b>Run &amp; fig9.html</b><p>error: 3 &lt; 4</p>" in text
     assert re.findall(r'<img src="(.*?)"', text) == ["fig9.png"]
     assert view.write_index(tmp_path).read_text(encoding="utf-8").count("<li>") == 5
+
+
+def test_pictures_without_a_page_stand_among_the_pages(tmp_path, open_page):
+    for name in ("fig3.html", "fig10.html"):
+        (tmp_path / name).write_text(PAGE.format(name), encoding="utf-8")
+    for name in ("fig4 #1.png", "fig5.png"):
+        Image.new("RGB", (40, 30)).save(tmp_path / name)
+    page = open_page(view.write_index(tmp_path, pictures={"fig4 #1.png": "A < b"}))
+    assert page.locator("li b").all_inner_texts() == ["fig3.html", "A < b", "fig10.html"]
+    assert page.locator("a").count() == 2
+    assert page.locator("img").evaluate_all("all => all.map((i) => i.naturalWidth)") == [40]
+
+
+def test_pictures_that_are_not_there_are_refused(tmp_path):
+    (tmp_path / "fig3.html").write_text(PAGE.format("Run"), encoding="utf-8")
+    with pytest.raises(aj.InvalidInputError, match=r"pictures must be names of files .* 'a\.png'"):
+        view.write_index(tmp_path, pictures={"a.png": "A"})
+    with pytest.raises(aj.InvalidInputError, match="pictures must be titles by file names"):
+        view.write_index(tmp_path, pictures=["a.png"])
 
 
 def test_links_with_odd_names_open(tmp_path, open_page):

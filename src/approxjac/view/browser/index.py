@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from html import escape, unescape
 from pathlib import Path
 from urllib.parse import quote
 
+from approxjac.checks import require
 from approxjac.errors import InvalidInputError
 from approxjac.view.style import NEUTRAL, TRUE
 
@@ -23,8 +25,8 @@ body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem aut
   color: #222; background: #fff; }}
 h1 {{ font-size: 1.5rem; }}
 ul {{ list-style: none; padding: 0; display: grid; gap: 1rem; }}
-a {{ display: block; padding: 1rem; color: {link};
-  border: 1px solid #ddd; border-radius: 6px; text-decoration: none; }}
+li > * {{ display: block; padding: 1rem; border: 1px solid #ddd; border-radius: 6px; }}
+a {{ color: {link}; text-decoration: none; }}
 a:hover, a:focus {{ border-color: {link}; }}
 img {{ display: block; max-width: 100%; max-height: 40rem; margin: 0 auto 0.5rem; }}
 p {{ margin: 0.25rem 0 0; color: {text}; }}
@@ -40,7 +42,11 @@ p {{ margin: 0.25rem 0 0; color: {text}; }}
 """
 
 
-def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
+def write_index(
+    folder: str | Path,
+    title: str = "Runs to look at",
+    pictures: Mapping[str, str] | None = None,
+) -> Path:
     """Write index.html with a link to every run page in a folder, in the order of their names.
 
     A picture of the same name beside a page (run.png beside run.html) is shown with its link.
@@ -48,28 +54,38 @@ def write_index(folder: str | Path, title: str = "Runs to look at") -> Path:
     Args:
         folder: With pages that `Trajectory.to_html` wrote.
         title: Of the index.
+        pictures: Titles of pictures in the folder that have no page, by the names of their files;
+            none by default. They are shown among the pages.
 
     Returns:
         The path of the index.
 
     Raises:
-        InvalidInputError: A folder without such pages, or that cannot be written to.
+        InvalidInputError: A folder without such pages, or that cannot be written to, or a picture
+            that is not in it.
     """
     folder = Path(folder)
-    entries = []
+    if pictures is not None:
+        require("pictures", pictures, Mapping, 'titles by file names, such as {"map.png": "Map"}')
+    pages = 0
     try:
-        for path in sorted(folder.glob("*.html"), key=lambda path: _natural(path.name)):
+        entries = {name: _shown(folder, name, said) for name, said in (pictures or {}).items()}
+        for path in folder.glob("*.html"):
             with path.open(encoding="utf-8", errors="replace") as file:
                 head = file.read(_HEAD)
             if _MARK in head:
-                entries.append(_entry(path, head))
-        if not entries:
+                pages += 1
+                entries[path.name] = _entry(path, head)
+        if not pages:
             raise InvalidInputError(
                 f"folder must hold pages that run.to_html(path) wrote, got {folder} without any",
                 given=folder,
             )
         text = _PAGE.format(
-            title=escape(title), entries="\n".join(entries), link=TRUE, text=NEUTRAL
+            title=escape(title),
+            entries="\n".join(entries[name] for name in sorted(entries, key=_natural)),
+            link=TRUE,
+            text=NEUTRAL,
         )
         index = folder / "index.html"
         index.write_text(text, encoding="utf-8")
@@ -88,6 +104,15 @@ def _entry(path: Path, head: str) -> str:
     picture = f'<img src="{quote(image.name)}" alt="">' if image.is_file() else ""
     told = f"<p>{escape(text)}</p>" if text else ""
     return f'<li><a href="{quote(path.name)}">{picture}<b>{escape(title)}</b>{told}</a></li>'
+
+
+def _shown(folder: Path, name: str, title: str) -> str:
+    """A picture without a page."""
+    if not (folder / name).is_file():
+        raise InvalidInputError(
+            f"pictures must be names of files in {folder}, got {name!r}", given=name
+        )
+    return f'<li><div><img src="{quote(name)}" alt=""><b>{escape(title)}</b></div></li>'
 
 
 def _found(pattern: str, text: str) -> str:
