@@ -8,10 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.robots import positions
 from approxjac.robots.model import outward_axis
 from approxjac.studies import reach, reach_report
 from approxjac.studies.reach import Settings
 from approxjac.tasks import best_axes
+from approxjac.tasks.frame import FrameKinematics
 
 HOME = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)
 
@@ -197,6 +199,24 @@ def test_of_two_joints_the_axes_that_they_command_are_taken():
 def test_bad_settings_are_refused(options, text):
     with pytest.raises(aj.ApproxJacError, match=text):
         reach.prepare("panda", Settings(**options))
+
+
+def test_a_target_out_of_reach_is_named_as_the_reason():
+    settings = Settings(target=(3.0, 0.0, 0.5), duration=0.5, rate=500.0)
+    result = reach.run(reach.prepare("ur5", settings))
+    assert result.reason.startswith("out of reach: 3.0")
+    within = Settings(target=(0.5, 0.1, 0.5), duration=0.1, rate=500.0)
+    assert "out of reach" not in reach.run(reach.prepare("ur5", within)).reason
+
+
+@pytest.mark.parametrize("name", aj.robot_names())
+def test_no_posture_is_beyond_the_reach(name, rng):
+    robot = aj.load_robot(name).with_object(0.1)
+    first, most = positions.reach(robot, "object_tip")
+    tip = FrameKinematics(robot, "object_tip")
+    tips = [tip.position(robot.random_configuration(rng)) for _ in range(200)]
+    farthest = np.linalg.norm(np.array(tips) - first, axis=1).max()
+    assert 0.3 * most < farthest <= most + 1e-9
 
 
 def test_a_run_of_one_step_is_judged():

@@ -1,4 +1,4 @@
-"""Postures beside the position limits of the joints."""
+"""Where joints may be, and how far they bring a frame."""
 
 from __future__ import annotations
 
@@ -54,3 +54,20 @@ def require_radians(name: str, robot: Robot, q: Array) -> None:
             f"{robot.joint_names[int(beyond.argmax())]}; numpy.radians turns degrees into them",
             given=q,
         )
+
+
+def reach(robot: Robot, frame: str) -> tuple[Array, float]:
+    """Where the first joint before a frame stands, shape (3,), and how far from it the frame gets.
+
+    The second is a bound [m]: the arm stretched out along its links, whatever its joints allow;
+    infinite with a prismatic joint without limits.
+    """
+    model, there = robot.model, robot.model.frames[robot.frame_id(frame)]
+    joints = list(model.supports[there.parentJoint])[1:]
+    links = [np.linalg.norm(model.jointPlacements[j].translation) for j in joints[1:]]
+    names, (lower, upper) = robot.joint_names, robot.position_limits
+    for i in (names.index(model.names[j]) for j in joints):
+        if robot.joint_units[i] == "m":
+            links.append(max(abs(lower[i]), abs(upper[i])))
+    first = np.array(model.jointPlacements[joints[0]].translation) if joints else np.zeros(3)
+    return first, float(sum(links) + np.linalg.norm(there.placement.translation))

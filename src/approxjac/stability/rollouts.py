@@ -70,12 +70,14 @@ class Rollouts:
         uncertainty: What the true robots were drawn from.
         confidence: Of the interval.
         tolerance: Error below which a task counts as done [unit of the task].
+        duration: Of each run [s].
     """
 
     runs: tuple[Rollout, ...]
     uncertainty: Uncertainty
     confidence: float
     tolerance: float
+    duration: float
 
     @property
     def n(self) -> int:
@@ -118,7 +120,7 @@ class Rollouts:
         ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
         return (
             f"{self.n_converged} of {self.n} runs converged to within {self.tolerance:g} {unit} "
-            f"throughout their last tenth: "
+            f"throughout the last tenth of their {self.duration:g} s: "
             f"{100 * self.share:.1f} %, with {100 * self.confidence:g} % confidence "
             f"{100 * low:.1f} to {100 * high:.1f} %; {self.n_diverged} diverged, {self.n_left} "
             f"went outside the region without diverging; the worst, run {worst.index}, {ended} "
@@ -206,7 +208,7 @@ def rollouts(
         if progress is not None:
             progress(len(done))
     done.sort(key=lambda run: run.index)
-    return Rollouts(tuple(done), uncertainty, confidence, tolerance)
+    return Rollouts(tuple(done), uncertainty, confidence, tolerance, duration)
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:

@@ -13,10 +13,11 @@ from approxjac.checks import Array
 from approxjac.controllers import Limits, SetpointController
 from approxjac.interface import Controller, LimitStatus, Status
 from approxjac.robots import Robot
-from approxjac.robots.positions import beyond_positions
+from approxjac.robots.positions import beyond_positions, reach
 from approxjac.simulation import Plant, Trajectory
 from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Tally
+from approxjac.tasks import PoseTask, PositionTask
 
 AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
@@ -94,6 +95,11 @@ class Result:
             return "the measurement of x is lost"
         if not math.isnan(self.settling_time):
             return f"within the tolerance since {self.settling_time:.3g} s only, too late to judge"
+        away, most = self._distance()
+        if away > most:
+            return (
+                f"out of reach: {away:.3g} m from the first joint, where {most:.3g} m is the most"
+            )
         beyond = np.abs(run.tau[last]) > self.motor_limits * (1.0 + 1e-9)  # solvers round
         if beyond.any(axis=1).mean() > 0.5:
             return "the law asks for more torque than the motors deliver"
@@ -113,6 +119,15 @@ class Result:
         if not stands:
             return "still approaching its target at the end"
         return "moves on without approaching: too short a run, or not stable with these errors"
+
+    def _distance(self) -> tuple[float, float]:
+        """How far the target is from the first joint at least, and the tip at most [m]."""
+        sensor = self.reach.plant.sensor
+        if not isinstance(sensor, PositionTask | PoseTask):
+            return 0.0, math.inf
+        first, most = reach(sensor.robot, sensor.frame)
+        axes = ["xyz".index(axis) for axis in sensor.labels[:3]]
+        return float(np.linalg.norm(self.run.target[: len(axes)] - first[axes])), most
 
     def _what_limits_did(self, last: slice, rests: bool) -> str:
         """The reason where limits were at work for most of the end."""

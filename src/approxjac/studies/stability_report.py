@@ -39,7 +39,7 @@ def consequences(result: StabilityResult) -> str:
 def advice(result: StabilityResult) -> list[str]:
     """What follows, as sentences that a person can act on."""
     report, case = result.report, result.case
-    errors = case.uncertainty.describe_box()
+    errors = case.uncertainty.describe_box() if case.uncertainty.d else "the belief as it is"
     if not report.gravity_is_exact:
         return ["not certified: gravity is neither known nor can it be learnt (wrong joint axes)"]
     if report.singular_q is not None:
@@ -79,7 +79,10 @@ def advice(result: StabilityResult) -> list[str]:
         )
     if result.certified_part is not None:
         part = result.certified_part.describe_box()
-        lines.append(f"as it is, and with all postures, certified are errors of {part}")
+        lines.append(
+            f"as it is, certified are errors of {part} (with all postures and others to check it, "
+            "which the search above has not)"
+        )
     return lines
 
 
