@@ -87,9 +87,11 @@ def test_gamma_may_differ_from_coordinate_to_coordinate():
         assert_allclose(both.s(e), each)
 
 
-@given(st.floats(1e-12, 1e-3))
-def test_the_potential_of_tanh_keeps_its_digits_near_zero(u):
-    assert_allclose(aj.Tanh(1.0).S(np.array([u])), [u * u / 2], rtol=1e-6)
+@pytest.mark.parametrize("kind", [aj.Sine, aj.Tanh])
+@given(st.floats(1e-9, 1e-3), st.floats(1.0, 1e20))
+def test_the_potential_keeps_its_digits_near_zero(kind, e, gamma):
+    """However large γ is: γ (e/γ) need not be e."""
+    assert_allclose(kind(gamma).S(np.array([e])), [e * e / 2], rtol=1e-6)
 
 
 @pytest.mark.parametrize("gamma", [0.0, -1.0, np.nan, np.inf])

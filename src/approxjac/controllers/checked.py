@@ -11,7 +11,6 @@ from approxjac.checks import Array, SetOnce
 from approxjac.controllers.gravity import Gravity
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement
-from approxjac.law import Saturation
 from approxjac.tasks import Task
 
 _FLOAT = np.dtype(np.float64)
@@ -185,18 +184,3 @@ def is_beyond(torque: Array, limits: Array) -> bool:
     share = torque / limits
     # the norm first: it is cheap, and mostly small enough
     return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)
-
-
-def require_saturation(saturation: Saturation, task: Task) -> None:
-    """Refuse a saturation whose γ has another length than the task."""
-    m = task.m
-    try:
-        fits = np.shape(saturation.s(np.zeros(m))) == (m,)
-    except (ValueError, TypeError, AttributeError):
-        fits = False
-    if not fits:
-        raise InvalidInputError(
-            f"saturation must be Linear(), Sine(gamma) or Tanh(gamma) with one gamma or {m} "
-            f"for {task!r}, got {saturation!r}",
-            given=saturation,
-        )

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.checks import Array, as_diagonal, as_number, require
-from approxjac.controllers.checked import CheckedController, is_beyond, require_saturation
+from approxjac.controllers.checked import CheckedController, is_beyond
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -22,6 +22,7 @@ from approxjac.controllers.gravity import (
     require_gravity,
 )
 from approxjac.controllers.posture import Posture
+from approxjac.controllers.saturation import require_saturation
 from approxjac.controllers.tuning import default_adaptation, default_gains, slow_rate
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Status
@@ -68,15 +69,15 @@ class SetpointController(CheckedController):
         gravity: Where the gravity torque comes from; the believed robot's own model by default.
             `NoGravity` is for robots that compensate it themselves, `AdaptiveGravity` makes this
             the law (28), (29).
-        saturation: s(e); s(e) = e by default.
+        saturation: s(e), any `law.Saturation`; s(e) = e by default.
         velocity: None for the paper's estimated task velocity Ĵq̇, law (6); or
             `DifferentiatedVelocity`, law (5).
         posture: Where the self-motion of a redundant arm is drawn to; nowhere by default.
 
     Raises:
-        InvalidInputError: Gains or saturation of the wrong shape, no added damping on an arm with
-            more joints than task coordinates, a posture for an arm without self-motion, or
-            gravity of a robot with other joints.
+        InvalidInputError: Gains of the wrong shape, a saturation that is no `law.Saturation`, no
+            added damping on an arm with more joints than task coordinates, a posture for an arm
+            without self-motion, or gravity of a robot with other joints.
     """
 
     def __init__(

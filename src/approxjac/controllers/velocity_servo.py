@@ -8,13 +8,14 @@ import numpy as np
 
 from approxjac import law
 from approxjac.checks import Array, as_diagonal, as_number, require
-from approxjac.controllers.checked import CheckedController, require_saturation
+from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.gravity import (
     AdaptiveGravity,
     Gravity,
     believed_gravity,
     require_gravity,
 )
+from approxjac.controllers.saturation import require_saturation
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Status
 from approxjac.law import Linear, Saturation
@@ -59,11 +60,11 @@ class VelocityServo(CheckedController):
             default.
         inner_bandwidth: ω > 0 [1/s].
         gravity: `ModelGravity` (default, of the believed robot), `RegressorGravity` or `NoGravity`.
-        saturation: s(e); s(e) = e by default.
+        saturation: s(e), any `law.Saturation`; s(e) = e by default.
 
     Raises:
         InvalidInputError: Numbers that are not positive, gravity that is learnt or of a robot with
-            other joints, or a saturation of the wrong shape.
+            other joints, or a saturation that is no `law.Saturation`.
     """
 
     def __init__(

@@ -25,9 +25,21 @@ _TOP, _BOTTOM = np.array(_QUARTER), np.array(-_QUARTER)
 
 
 class Saturation(Protocol):
-    """A function s with the properties (1)–(3) that the paper asks for.
+    """A function s with the properties (1)–(3) that the paper asks for, and slope 1 at 0.
 
-    With d and c̄ it obeys (8): θ s(θ) ≥ d s(θ)² and S(θ) ≥ c̄ s(θ)².
+    Any object with these six will do as the `saturation` of a controller; nothing is inherited.
+    What has to hold, entry by entry:
+
+    - s(0) = 0 and s'(0) = 1: another slope belongs into the gains. Every test of stability takes
+      it to be 1.
+    - s(θ) has the sign of θ and nowhere falls. ds is its slope.
+    - S(0) = 0, and s is the slope of S.
+    - With d and c̄ it obeys (8): θ s(θ) ≥ d s(θ)² and S(θ) ≥ c̄ s(θ)². Where s' is nowhere
+      above 1, d = 1 and c̄ = ½ do.
+
+    Control calls s with e of shape (m,), the tests of stability call s, S and ds with (N, m). A
+    controller looks at all of this at some hundred errors when it is built, and refuses what does
+    not hold.
     """
 
     @property
@@ -114,9 +126,9 @@ class Sine(_Bounded):
     def S(self, e: Array) -> Array:
         """S(e) ≥ 0."""
         u = self._angle(e)
-        beyond = np.abs(e) - self._gamma * np.abs(u)
+        beyond = np.abs(e / self._gamma) - np.abs(u)  # inside exactly 0, however large γ is
         # 1 − cos u = 2 sin²(u/2), which keeps its digits near zero
-        return np.asarray(2.0 * self._gamma**2 * np.sin(0.5 * u) ** 2 + self._gamma * beyond)
+        return np.asarray(self._gamma**2 * (2.0 * np.sin(0.5 * u) ** 2 + beyond))
 
     def ds(self, e: Array) -> Array:
         """s'(e), between 0 and 1."""

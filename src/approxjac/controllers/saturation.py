@@ -1,0 +1,160 @@
+"""What a saturation has to keep to, asked of it once, when a controller is built.
+
+The tests of stability take it for granted: none of them would notice a slope other than 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from approxjac.checks import Array, as_number
+from approxjac.errors import InvalidInputError
+from approxjac.law import Saturation
+from approxjac.tasks import Task
+
+_NAMES = ("s", "S", "ds", "d", "c_bar", "d_bar")
+_SLACK = 1e-5  # relative: round-off costs less, a mistake more
+_APART = 1e-4  # relative half distance of two points that are compared
+_DECADES = np.geomspace(1e-8, 1e8, 33)[:, None]  # errors in any unit
+_RATIOS = np.geomspace(1e-2, 1e2, 25)  # of errors to the error at which s saturates
+_SIGNED = np.concatenate([_RATIOS, -_RATIOS])[:, None]
+_PAIRS = np.concatenate([_SIGNED * (1.0 - _APART), _SIGNED * (1.0 + _APART)])
+
+
+class _Fault(Exception):
+    """What is wrong with a saturation, in words."""
+
+
+def require_saturation(saturation: Saturation, task: Task) -> None:
+    """Refuse what is no `law.Saturation` of the task's m coordinates.
+
+    Raises:
+        InvalidInputError: A part is missing or fails, s(0) is not 0 or its slope not 1, s, S and ds
+            do not belong together, or eq. (8) does not hold with its constants, at errors from far
+            below to far beyond the one at which s saturates.
+    """
+    try:
+        _require_parts(saturation)
+        with np.errstate(all="ignore"):  # such errors may never come
+            _require_law(saturation, task.m)
+    except _Fault as fault:
+        raise InvalidInputError(
+            f"saturation must be Linear(), Sine(gamma) or Tanh(gamma) with one gamma or {task.m} "
+            f"for {task!r}, or a law.Saturation of your own, got {saturation!r}: {fault}",
+            given=saturation,
+        ) from fault.__cause__
+
+
+def _require_parts(saturation: Saturation) -> None:
+    if isinstance(saturation, type):
+        raise _Fault("that is a class, give an object of it")
+    missing = [name for name in _NAMES if not hasattr(saturation, name)]
+    if missing:
+        raise _Fault(f"it has no {', '.join(missing)}")
+
+
+def _value(saturation: Saturation, name: str, e: Array) -> Array:
+    """Return s(e), S(e) or ds(e), of the shape of e."""
+    e.flags.writeable = False
+    try:
+        value = np.asarray(getattr(saturation, name)(e), dtype=np.float64)
+    except Exception as error:
+        m = e.shape[-1]
+        raise _Fault(
+            f"{name}(e) fails for an e of shape {e.shape} with {type(error).__name__}: {error} "
+            f"(control has e of shape ({m},), tests of stability (N, {m}), neither to be changed)"
+        ) from error
+    if value.shape != e.shape:
+        raise _Fault(f"{name}(e) must have the shape of e, {e.shape}, got {value.shape}")
+    return value
+
+
+def _require_law(f: Saturation, m: int) -> None:
+    """The properties (1)–(3) of the paper, and slope 1 at 0."""
+    for name in ("s", "S"):
+        at_zero = _value(f, name, np.zeros(m))
+        if at_zero.any():
+            raise _Fault(f"{name}(0) must be 0, got {at_zero.tolist()}")
+    slope = _value(f, "ds", np.zeros(m))
+    if not (np.abs(slope - 1.0) <= _SLACK).all():
+        raise _Fault(
+            f"its slope ds(0) must be 1 in every coordinate, got {slope.tolist()}; another slope "
+            "belongs into the gains, such as kp"
+        )
+    # the scale of each coordinate: up to there s is within half of e
+    far = _DECADES * np.ones(m)
+    near = np.logical_and.accumulate(np.abs(_value(f, "s", far) - far) <= 0.5 * far)
+    scale = np.maximum((far * near).max(axis=0), _DECADES[0])
+
+    sample = _Sample(f, _PAIRS * scale)
+    sample.require_alone(f)
+    sample.require_slopes()
+    sample.require_eq_8(f)
+
+
+class _Sample:
+    """s, S and ds at pairs of errors close to each other, all of shape (2, N, m)."""
+
+    def __init__(self, f: Saturation, e: Array) -> None:
+        self._e = e.reshape(2, -1, e.shape[1])
+        self._s, self._S, self._ds = (
+            _value(f, name, e).reshape(self._e.shape) for name in ("s", "S", "ds")
+        )
+        for values in (self._s, self._S, self._ds):
+            self._require(np.isfinite(values[0]), "s, S and ds must be finite")
+
+    def _require(self, holds: Array, rule: str, found: Array | None = None) -> None:
+        """Say where a rule, one truth value for each pair, does not hold."""
+        if holds.all():
+            return
+        k, i = np.unravel_index(np.argmin(holds), holds.shape)
+        raise _Fault(
+            f"{rule}{'' if found is None else f', here {found[k, i]:.6g}'}, got "
+            f"s(e) = {self._s[0, k, i]:.6g}, S(e) = {self._S[0, k, i]:.6g} and "
+            f"ds(e) = {self._ds[0, k, i]:.6g} at e = {self._e[0, k, i]:.6g}"
+        )
+
+    def require_alone(self, f: Saturation) -> None:
+        """What s makes of an entry is the same in other company, and in the shape of control."""
+        m = self._e.shape[2]
+        which = (7 * np.arange(m)) % self._e.shape[1], np.arange(m)
+        e, together = self._e[0][which], self._s[0][which]
+        alone = _value(f, "s", e)
+        if not (np.abs(alone - together) <= _SLACK * np.abs(together)).all():
+            raise _Fault(
+                f"s must act entry by entry, got s({e.tolist()}) = {alone.tolist()} and, with "
+                f"other entries beside each, {together.tolist()}"
+            )
+
+    def require_slopes(self) -> None:
+        """The mean slope between two points lies between those at the two, kinks or not."""
+        e, s, ds = self._e, self._s, self._ds
+        rise, lean = (s[1] - s[0]) / (e[1] - e[0]), (self._S[1] - self._S[0]) / (e[1] - e[0])
+        self._require(_is_between(rise, ds, _SLACK), "ds(e) must be the slope of s", rise)
+        self._require(ds[0] >= -_SLACK, "s must not fall anywhere, ds(e) >= 0")
+        self._require(np.sign(s[0]) == np.sign(e[0]), "s(e) must have the sign of e")
+        slack = _SLACK * np.abs(s[0])
+        self._require(_is_between(lean, s, slack), "s(e) must be the slope of S", lean)
+
+    def require_eq_8(self, f: Saturation) -> None:
+        """The constants keep what they promise."""
+        d = as_number("d of a saturation", f.d, above=0.0)
+        c_bar = as_number("c_bar of a saturation", f.c_bar, above=0.0)
+        e_max = float(np.abs(self._e).max())
+        d_bar = as_number("d_bar(e_max) of a saturation", f.d_bar(e_max), above=0.0)
+        e, s, S = np.abs(self._e[0]), np.abs(self._s[0]), self._S[0]
+        short = 1.0 + _SLACK
+        for holds, rule in (
+            (e * short >= d * s, f"e s(e) >= d s(e)² with d = {d:g}"),
+            (S * short >= c_bar * s * s, f"S(e) >= c_bar s(e)² with c_bar = {c_bar:g}"),
+            (
+                d_bar * s * short >= e,
+                f"d_bar(e_max) s(e)² >= e s(e) with d_bar({e_max:g}) = {d_bar:g}",
+            ),
+        ):
+            self._require(holds, f"eq. (8) asks for {rule}")
+
+
+def _is_between(slope: Array, ends: Array, slack: float | Array) -> Array:
+    holds: Array = (ends.min(axis=0) - slack <= slope) & (slope <= ends.max(axis=0) + slack)
+    return holds
