@@ -79,7 +79,9 @@ def laws(name):
         posture = aj.Posture(middle, naive.STIFFNESS)
         found.append(Law("(6), posture", law(posture=posture), *both(typed(posture=middle))))
     limits = np.minimum(robot.effort_limits, 150.0)  # the two-link arm has none
-    found.append(Law("(6), `TorqueLimited`", aj.TorqueLimited(law(), aj.Limits(effort=limits))))
+    limited = aj.TorqueLimited(law(), aj.Limits(effort=limits))
+    found.append(Law("(6), `TorqueLimited`", limited))
+    found.append(Law("(6), `TorqueLimited`, held", aj.HeldMeasurement(limited, 0.05)))
     dixon = aj.BoundedController(task, limits)
     found.append(Law("`BoundedController`", dixon, *both(naive.bounded(robot, J_of, x_d, dixon))))
     servo = aj.VelocityServo(task)

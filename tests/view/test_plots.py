@@ -155,3 +155,9 @@ def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
 def test_parameters_that_were_not_learnt_are_refused(run):
     with pytest.raises(aj.InvalidInputError, match="names must be those of learnt parameters, got"):
         view.plot_parameters(run, ("a",))
+
+
+@pytest.mark.parametrize("plot", [view.plot_run, view.plot_error, view.plot_torque])
+def test_what_is_no_run_is_refused(plot):
+    with pytest.raises(aj.InvalidInputError, match="run must be a Trajectory, such as simulate"):
+        plot(aj.load_robot("two_link"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_vector, axis_rows
+from approxjac.checks import Array, as_vector, axis_rows, require
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
@@ -36,6 +36,10 @@ _STATUS_COLORS = dict(
 )
 
 
+def _require_run(run: Trajectory) -> None:
+    require("run", run, Trajectory, "a Trajectory, such as simulate returns")
+
+
 def plot_error(
     run: Trajectory, ax: Axes | None = None, *, title: str = "Task error of each coordinate"
 ) -> Axes:
@@ -46,6 +50,7 @@ def plot_error(
         ax: Axes to draw into; new ones by default.
         title: Of the axes.
     """
+    _require_run(run)
     with style():
         ax = axes_or_new(ax)
         scales = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}
@@ -75,6 +80,7 @@ def plot_torque(
             each torque is drawn as a share of its limit.
         title: Of the axes.
     """
+    _require_run(run)
     with style():
         ax = axes_or_new(ax)
         scale = np.ones(run.tau.shape[1])
@@ -105,6 +111,7 @@ def plot_slack(
         ax: Axes to draw into; new ones by default.
         title: Of the axes.
     """
+    _require_run(run)
     with style():
         ax = axes_or_new(ax)
         ax.plot(run.t, run.slack, color=COLORS[0])
@@ -155,6 +162,7 @@ def plot_path(
     Raises:
         InvalidInputError: A plane, a posture or a target of another shape, or another arm.
     """
+    _require_run(run)
     rows = axis_rows("plane", plane)
     if len(rows) != 2:
         raise InvalidInputError(
@@ -209,6 +217,7 @@ def plot_parameters(
         theta: Their true values, drawn dashed if given, shape (p,).
         title: Of the axes.
     """
+    _require_run(run)
     if len(names) > run.state.shape[1]:
         raise InvalidInputError(
             f"names must be those of learnt parameters, got {len(names)} for a run with a state of "
@@ -233,6 +242,7 @@ def plot_parameters(
 
 def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
     """Return a new figure with the task error and the torques of a run, and its two axes."""
+    _require_run(run)
     figure, axes = new_figure(2, title=f"{run.robot_name}: error and torque")
     plot_error(run, axes[0])
     plot_torque(run, axes[1])
