@@ -338,6 +338,14 @@ def test_a_terminal_gets_a_progress_bar(tmp_path):
     assert b"100%" in shown
 
 
+def test_a_reader_that_has_seen_enough_is_no_error():
+    words = [sys.executable, "-m", "approxjac", "robots"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() == 0
+
+
 # -- approxjac simulate and approxjac arms ----------------------------------------------
 
 HOME = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]

@@ -6,6 +6,7 @@ Exit codes: 0 all is well, 1 a verdict fell short, 2 bad input.
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -309,12 +310,14 @@ def main(arguments: list[str] | None = None) -> int:
             raise UnknownNameError("command", arguments[0], "approxjac", _COMMANDS)
         arguments = with_file(arguments, _FROM_FILE)
         app = _app(arguments[0] if arguments else "")
-        return int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
+        code = int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
+        sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         print("\napproxjac: stopped", file=sys.stderr)
         return 130
     except BrokenPipeError:  # whoever read it has seen enough, as `head` does
-        sys.stdout = None  # or Python complains once more when it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or it fails at exit again
         return 0
     except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
         print(f"approxjac: {error}", file=sys.stderr)

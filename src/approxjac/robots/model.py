@@ -74,7 +74,7 @@ def outward_axis(model: pin.Model, frame: int) -> str:
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
-    joints = list(model.supports[model.frames[frame].parentJoint])
+    joints = list(model.supports[model.frames[frame].parentJoint])[1:] or [0]
     lever = -data.oMf[frame].actInv(data.oMi[joints[-3:][0]].translation)
     k = int(np.abs(lever).argmax()) if np.linalg.norm(lever) > 1e-9 else 2
     return ("" if lever[k] >= 0.0 else "-") + "xyz"[k]
