@@ -27,7 +27,8 @@ def control(
     Args:
         arm: The driver: `read()` returns q, q̇ and x, NaN where x is lost; `send(torque)`; and
             `brake()`, which hands the arm back to its own brakes or its own controller.
-        controller: A SetpointController, or better TorqueLimited around one, for DT.
+        controller: TorqueLimited around a SetpointController, for DT. A SetpointController alone
+            sends whatever torque the law asks for.
         goal: Where to go at time t [s], a function that returns x_d, shape (n_x,). t counts cycles:
             it stands still while periods are missed.
         stop: Whether to stop at time t [s], a function too.
@@ -48,31 +49,31 @@ def control(
     """
     held, law, task = aj.HeldMeasurement(controller, unseen, DT), controller.law, controller.task
     fastest = 1.2 * task.robot.velocity_limits if fastest is None else np.asarray(fastest)
-    log = new_log(law, rows)
-    q, v, x = arm.read()
-    # mistakes show here, before the arm moves
-    state = held.initial_state(aj.Measurement(0.0, q, v, x))
-    held.evaluate(state, aj.Measurement(0.0, q, v, x), goal(0.0))
-    hold = aj.Measurement(0.0, q, np.zeros_like(v), np.full_like(x, np.nan))  # gravity alone
-    answer = controller.evaluate(state[: controller.n_state], hold, goal(0.0))
-    if answer.limit_status > aj.LimitStatus.FREE:
-        raise ValueError(f"the limits do not hold the arm as it stands: {answer.limit_status}")
-    torque, limit, slack, error = answer.torque, answer.limit_status, 0.0, 0.0
-    wanted, aim, fault, slowest = goal(0.0), None, "", math.inf
+    log, aim, fault, slowest = new_log(law, rows), None, "", math.inf
     unknown = troubled = stopping = 0  # cycles
-    gc.disable()  # its pauses may be longer than a period
-    gap, due = 0.0, time.perf_counter()
-    sent = due
+    limit, slack, gap = aj.LimitStatus.UNLIMITED, 0.0, 0.0
     try:
+        q, v, x = arm.read()
+        # mistakes show here, before the arm moves
+        state = held.initial_state(aj.Measurement(0.0, q, v, x))
+        wanted = goal(0.0)
+        held.evaluate(state, aj.Measurement(0.0, q, v, x), wanted)
+        hold = aj.Measurement(0.0, q, np.zeros_like(v), np.full_like(x, np.nan))
+        answer = controller.evaluate(state[: controller.n_state], hold, wanted)
+        require_held(controller, answer, law.gravity_torque(state[: law.n_state], q))
+        torque = answer.torque
+        gc.disable()  # its pauses may be longer than a period
+        due = sent = time.perf_counter()
         for k in itertools.count():
             wait_until(due)
             began, t = time.perf_counter(), k * DT
             q, v, x = arm.read()
             pace = np.abs(v).max()
+            seen = np.nan_to_num(task.error(x, x if aim is None else aim))  # 0 where it is lost
             faults = {
                 "too fast": (np.abs(v) > fastest).any(),
                 "joints unknown": unknown > 10,
-                "far from its target": error > astray,
+                "far from its target": np.linalg.norm(seen) > astray,
                 "a torque came too late": gap > longest,
                 "blind, or at its limits, for too long": troubled * DT > patience,
             }
@@ -91,7 +92,7 @@ def control(
                 answer = acting.evaluate(own, aj.Measurement(t, q, v, x), wanted)
                 own += DT * answer.state_rate  # the period of the controllers, not the clock's
                 torque, status, unknown = answer.torque, answer.status, 0
-                limit, slack, error = answer.limit_status, answer.slack, np.linalg.norm(answer.e)
+                limit, slack = answer.limit_status, answer.slack
             except aj.MeasurementError:  # nothing may depend on q and q̇ now: the last torque once
                 status, unknown = UNKNOWN, unknown + 1  # more, which no limit has to object to
             arm.send(torque)
@@ -110,7 +111,8 @@ def control(
             if stopping:
                 slowest = min(slowest, pace)
                 over = faults["too fast"] or unknown > 10 or stopping * DT > 2.0
-                sinks = fault and pace > slowest + 0.1  # it was slower: a weight draws it down
+                # nothing holds the tip, and it was slower: a weight draws it down
+                sinks = (fault or aim is None) and pace > slowest + 0.1
                 if pace < 0.02 or over or sinks:
                     return fault or "asked to", np.roll(log, -k - 1)[-k - 1 :], theta_hat.copy()
             missed = math.ceil((sent - due) / DT)
@@ -118,6 +120,17 @@ def control(
     finally:
         gc.enable()
         arm.brake()  # whatever happened
+
+
+def require_held(controller, answer, gravity):
+    """Refuse to begin where the limits do not hold the arm as it stands, as it is believed."""
+    limits = getattr(controller, "limits", None)
+    effort = np.inf if limits is None else np.asarray(limits.effort)
+    if (np.abs(gravity) > effort).any() or answer.limit_status >= aj.LimitStatus.INFEASIBLE:
+        raise ValueError(
+            f"the limits do not hold the arm as it stands: gravity takes {gravity.round(1)}, the "
+            f"limits are {effort}, and the limiter says: {answer.limit_status.message}"
+        )
 
 
 def wait_until(due):

@@ -343,7 +343,7 @@ def test_a_reader_that_has_seen_enough_is_no_error():
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         assert process.stderr.read() == b""
-        assert process.wait() == 0
+        assert process.wait() in (0, 128 + 13)  # all was written, or nobody read it
 
 
 # -- approxjac simulate and approxjac arms ----------------------------------------------

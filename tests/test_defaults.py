@@ -89,6 +89,8 @@ def test_a_planar_arm_of_four_joints_has_two_axes(panda):
     assert planar.nv == 4
     assert aj.PositionTask(planar).labels == ("x", "z")
     aj.default_gains(aj.PositionTask(planar))
+    rounded = planar.with_kinematic_error(rotations={"panda_joint4": (4e-6, 0.0, 0.0)})
+    assert aj.PositionTask(rounded).labels == ("x", "z")  # as of an rpy of 1.5708
     with pytest.raises(aj.InvalidInputError, match=r"does not command, such as y by axes=\"xz\""):
         aj.default_gains(aj.PositionTask(planar, axes="xyz"))
 

@@ -310,15 +310,21 @@ def main(arguments: list[str] | None = None) -> int:
             raise UnknownNameError("command", arguments[0], "approxjac", _COMMANDS)
         arguments = with_file(arguments, _FROM_FILE)
         app = _app(arguments[0] if arguments else "")
-        code = int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
-        sys.stdout.flush()
-        return code
+        return _flushed(int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION)))
     except KeyboardInterrupt:
         print("\napproxjac: stopped", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # whoever read it has seen enough, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or it fails at exit again
-        return 0
+    except BrokenPipeError:  # nobody reads on, and what was not done yet is not done
+        return _flushed(128 + 13)  # as what SIGPIPE ends
     except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
         print(f"approxjac: {error}", file=sys.stderr)
         return 2
+
+
+def _flushed(code: int) -> int:
+    """Return the exit code when all is printed that somebody still reads, as `head` may not."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or it fails at exit again
+    return code

@@ -166,6 +166,7 @@ FAULTS = {
         "its slope ds(0) must be 1 in every coordinate, got [1.0, 2.0, 1.0]",
     ),
     "no slope at 0": (own(ds=lambda _, e: np.sin(e) / e), "got [nan, nan, nan]"),
+    "a number for d_bar": (own(d_bar=2.0), "d_bar must be a function of e_max, and it fails for"),
     "an offset of s": (own(s=lambda _, e: e + 0.1), "s(0) must be 0, got [0.1, 0.1, 0.1]"),
     "an offset of S": (own(S=lambda _, e: e * e / 2 + 1), "S(0) must be 0, got [1.0, 1.0, 1.0]"),
     "a slope that is told wrongly": (
@@ -280,3 +281,8 @@ def test_a_report_of_an_own_saturation_is_that_of_the_librarys():
         for s in (Own(0.1), aj.Tanh(0.1))
     )  # fmt: skip
     assert str(own_report) == str(report)
+
+
+def test_what_rounding_leaves_at_zero_is_no_fault():
+    for left in (1e-18, -3e-15):
+        require_saturation(own(S=lambda self, e, left=left: Own.S(self, e) + left), TASKS[3])

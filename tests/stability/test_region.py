@@ -183,3 +183,11 @@ def test_regular_part_does_not_give_up_at_once(panda):
     task = aj.PositionTask(panda)
     region = aj.stability.RegularPart(aj.JointBox(panda), task, 0.3)
     assert all(len(region.sample(1, np.random.default_rng(seed))) == 1 for seed in range(100))
+
+
+def test_a_box_around_a_posture_in_degrees_or_with_words_is_refused():
+    panda = aj.load_robot("panda")
+    with pytest.raises(aj.InvalidInputError, match="q must be in radians: it is 106"):
+        aj.JointBox.around(panda, [0, -30, 0, -110, 0, 90, 40], 0.1)
+    with pytest.raises(aj.InvalidInputError, match="radius must be numbers"):
+        aj.JointBox.around(panda, Q, "wide")

@@ -455,3 +455,20 @@ def test_refused_values_and_limits(arm):
 
 def test_a_box_without_a_range_is_no_error():
     assert aj.Uncertainty(aj.load_robot("panda")).describe_box() == "no error"
+
+
+def test_an_arm_that_holds_an_object_already_is_refused():
+    held = aj.load_robot("panda").with_object(0.1)
+    for ranges in ({"object_length": np.array([0.0, 0.3])}, {"believed_length": 0.2}):
+        with pytest.raises(aj.InvalidInputError, match="arm must be the bare arm, as the set itse"):
+            aj.Uncertainty(held, **ranges)
+    aj.Uncertainty(held, joint_shifts={"panda_joint4": (0.01, 0.0, 0.0)})
+
+
+def test_the_axes_are_those_of_the_belief():
+    arm = aj.load_robot("panda")
+    planar = arm.with_locked_joints(
+        dict.fromkeys(("panda_joint1", "panda_joint3", "panda_joint5"), 0.0)
+    )
+    errors = aj.Uncertainty(planar, joint_rotations={"panda_joint4": (0.05, 0.0, 0.0)})
+    assert errors.believed_task().labels == errors.plant([0.05]).sensor.labels == ("x", "z")

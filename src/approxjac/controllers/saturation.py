@@ -14,6 +14,7 @@ from approxjac.tasks import Task
 
 _NAMES = ("s", "S", "ds", "d", "c_bar", "d_bar")
 _SLACK = 1e-5  # relative: round-off costs less, a mistake more
+_ROUNDED = 1e-12  # relative: what formulas that cancel at 0 may leave
 _APART = 1e-4  # relative half distance of two points that are compared
 _DECADES = np.geomspace(1e-8, 1e8, 33)[:, None]  # errors in any unit
 _RATIOS = np.geomspace(1e-2, 1e2, 25)  # of errors to the error at which s saturates
@@ -71,21 +72,20 @@ def _value(saturation: Saturation, name: str, e: Array) -> Array:
 
 def _require_law(f: Saturation, m: int) -> None:
     """The properties (1)–(3) of the paper, and slope 1 at 0."""
-    for name in ("s", "S"):
-        at_zero = _value(f, name, np.zeros(m))
-        if at_zero.any():
-            raise _Fault(f"{name}(0) must be 0, got {at_zero.tolist()}")
-    slope = _value(f, "ds", np.zeros(m))
+    at_zero = {name: _value(f, name, np.zeros(m)) for name in ("s", "S", "ds")}
+    # the scale of each coordinate: up to there s is within half of e
+    far = _DECADES * np.ones(m)
+    near = np.logical_and.accumulate(np.abs(_value(f, "s", far) - far) <= 0.5 * far)
+    scale = np.maximum((far * near).max(axis=0), _DECADES[0])
+    for name, size in (("s", scale), ("S", scale**2)):
+        if not (np.abs(at_zero[name]) <= _ROUNDED * size).all():
+            raise _Fault(f"{name}(0) must be 0, got {at_zero[name].tolist()}")
+    slope = at_zero["ds"]
     if not (np.abs(slope - 1.0) <= _SLACK).all():
         raise _Fault(
             f"its slope ds(0) must be 1 in every coordinate, got {slope.tolist()}; another slope "
             "belongs into the gains, such as kp"
         )
-    # the scale of each coordinate: up to there s is within half of e
-    far = _DECADES * np.ones(m)
-    near = np.logical_and.accumulate(np.abs(_value(f, "s", far) - far) <= 0.5 * far)
-    scale = np.maximum((far * near).max(axis=0), _DECADES[0])
-
     sample = _Sample(f, _PAIRS * scale)
     sample.require_alone(f)
     sample.require_slopes()
@@ -141,7 +141,14 @@ class _Sample:
         d = as_number("d of a saturation", f.d, above=0.0)
         c_bar = as_number("c_bar of a saturation", f.c_bar, above=0.0)
         e_max = float(np.abs(self._e).max())
-        d_bar = as_number("d_bar(e_max) of a saturation", f.d_bar(e_max), above=0.0)
+        try:
+            found = f.d_bar(e_max)
+        except Exception as error:
+            raise _Fault(
+                f"d_bar must be a function of e_max, and it fails for {e_max:g} with "
+                f"{type(error).__name__}: {error}"
+            ) from error
+        d_bar = as_number("d_bar(e_max) of a saturation", found, above=0.0)
         e, s, S = np.abs(self._e[0]), np.abs(self._s[0]), self._S[0]
         short = 1.0 + _SLACK
         for holds, rule in (

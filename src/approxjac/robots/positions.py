@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 
@@ -56,18 +58,26 @@ def require_radians(name: str, robot: Robot, q: Array) -> None:
         )
 
 
-def reach(robot: Robot, frame: str) -> tuple[Array, float]:
+def reach_bound(robot: Robot, frame: str) -> tuple[Array, float]:
     """Where the first joint before a frame stands, shape (3,), and how far from it the frame gets.
 
     The second is a bound [m]: the arm stretched out along its links, whatever its joints allow;
-    infinite with a prismatic joint without limits.
+    infinite with a prismatic joint without limits, or one that mimics another.
     """
     model, there = robot.model, robot.model.frames[robot.frame_id(frame)]
     joints = list(model.supports[there.parentJoint])[1:]
-    links = [np.linalg.norm(model.jointPlacements[j].translation) for j in joints[1:]]
-    names, (lower, upper) = robot.joint_names, robot.position_limits
-    for i in (names.index(model.names[j]) for j in joints):
-        if robot.joint_units[i] == "m":
-            links.append(max(abs(lower[i]), abs(upper[i])))
+    links = [float(np.linalg.norm(model.jointPlacements[j].translation)) for j in joints[1:]]
+    slides = {
+        name: max(-low, high)
+        for name, unit, low, high in zip(
+            robot.joint_names, robot.joint_units, *robot.position_limits, strict=True
+        )
+        if unit == "m"
+    }
+    all_joints = robot.coupling.model  # those that mimic others as joints of their own
+    for name in (model.names[j] for j in joints):
+        kind = all_joints.joints[all_joints.getJointId(name)].shortname()
+        if kind.startswith("JointModelP"):
+            links.append(float(slides.get(name, math.inf)))
     first = np.array(model.jointPlacements[joints[0]].translation) if joints else np.zeros(3)
     return first, float(sum(links) + np.linalg.norm(there.placement.translation))

@@ -36,6 +36,8 @@ class Robot:
         urdf_dir: Folder that mesh names in the URDF are relative to.
         source: What to call the URDF in errors.
         name: What to call the robot; its name in the URDF by default.
+        outward: Axis of the tip, such as "z", along which the arm leads on; by default the one that
+            the last three joints say. Robots made from this one keep it.
 
     Raises:
         UrdfError: Malformed, no moving joint, joints of more than one degree of freedom,
@@ -52,6 +54,7 @@ class Robot:
         urdf_dir: Path | None = None,
         source: str = "URDF text",
         name: str | None = None,
+        outward: str | None = None,
     ) -> None:
         require("urdf", urdf, str, "URDF text")
         self._urdf = urdf
@@ -75,6 +78,7 @@ class Robot:
         parents = {joint.parent for joint in links.robot.joints}
         leaves = [link for link in self._links if link not in parents]
         self._tip = tip if tip is not None else (leaves[0] if len(leaves) == 1 else None)
+        self._outward = outward
         if self._tip is not None:
             self.frame_id(self._tip)
 
@@ -291,8 +295,7 @@ class Robot:
         parent = self.tip_or(parent)
         if parent not in self._links:
             raise UnknownNameError("link", parent, self._name, self._links)
-        axis = outward_axis(self._model, self.frame_id(parent)) if axis is None else axis
-        direction = urdf_edit.direction(axis)
+        direction = urdf_edit.direction(self.outward_axis(parent) if axis is None else axis)
         urdf_edit.require_new(name, set(self._frames) | {"universe"}, self._name)
         root = urdf_xml.parse(self._urdf, self._source)
         urdf_edit.append_object(
@@ -304,7 +307,15 @@ class Robot:
             radius=radius,
             mass=mass,
         )
-        return self._changed(urdf_xml.to_text(root), tip=f"{name}_tip")
+        outward = self.outward_axis(parent)  # the tip is turned as its parent is
+        return self._changed(urdf_xml.to_text(root), tip=f"{name}_tip", outward=outward)
+
+    def outward_axis(self, frame: str | None = None) -> str:
+        """Axis of a frame, the tip by default, along which the arm leads on: such as "-z"."""
+        frame = self.tip_or(frame)
+        if frame == self._tip and self._outward is not None:
+            return self._outward
+        return outward_axis(self._model, self.frame_id(frame))
 
     def with_kinematic_error(
         self,
@@ -393,17 +404,7 @@ class Robot:
 
     # -- Python -------------------------------------------------------------------------
 
-    def _changed(
-        self,
-        urdf: str,
-        *,
-        gravity: Sequence[float] | Array | None = None,
-        tip: str | None = None,
-    ) -> Robot:
-        changes = {
-            "gravity": self._gravity if gravity is None else gravity,
-            "tip": tip or self._tip,
-        }
+    def _changed(self, urdf: str, **changes: Any) -> Robot:
         return Robot(urdf, **self._options() | changes)
 
     def _options(self) -> dict[str, Any]:
@@ -414,6 +415,7 @@ class Robot:
             "urdf_dir": self._urdf_dir,
             "source": self._source,
             "name": self._name,
+            "outward": None if self._tip is None else self.outward_axis(),
         }
 
     def __repr__(self) -> str:

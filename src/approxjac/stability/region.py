@@ -119,7 +119,8 @@ class JointBox(Region):
         radius: float | Sequence[float] | Array,
     ) -> JointBox:
         """Box of all postures whose joints are within `radius` [rad or m] of posture q."""
-        radius = np.asarray(radius, dtype=np.float64)
+        nv = robot.nv
+        radius = as_array("radius", [radius] * nv if is_scalar(radius) else radius, (nv,), "rad")
         require_radians("q", robot, robot.configuration(q))
         return cls(robot, -radius + np.zeros(robot.nv), radius + np.zeros(robot.nv), q)
 

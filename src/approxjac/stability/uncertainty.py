@@ -17,7 +17,7 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability.coordinates import Coordinate, as_range, in_words
-from approxjac.tasks import Camera, ImageTask, PositionTask, Task
+from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
 
 _CORNER_SEED = 0
 _HALVINGS = 20
@@ -94,15 +94,10 @@ class Uncertainty:
     factor: float = 1.0
     _coordinates: tuple[Coordinate, ...] = field(init=False)
     _belief: Robot = field(init=False)
+    _axes: str | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
-        if "object_tip" in self.arm.frame_names and (self.object_length or self.object_mass):
-            raise InvalidInputError(
-                "arm must be the bare arm, as the set itself puts the object into its hand "
-                f"(object_length, object_mass), got one that holds one: {self.arm!r}",
-                given=self.arm,
-            )
         self._require_task()
         as_number("believed_length", self.believed_length, unit="m", minimum=0.0)
         as_number("believed_mass", self.believed_mass, unit="kg", minimum=0.0)
@@ -116,6 +111,8 @@ class Uncertainty:
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
         self._set("_belief", self._believed_robot())
+        if self.task is None and self.camera is None:
+            self._set("_axes", best_axes(self._belief))
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
 
     # -- the box ------------------------------------------------------------------------
@@ -267,6 +264,12 @@ class Uncertainty:
         none_given = self.object_length is None and self.object_mass is None
         if none_given and self.believed_length == 0.0 and self.believed_mass == 0.0:
             return self.arm
+        if "object_tip" in self.arm.frame_names:
+            raise InvalidInputError(
+                "arm must be the bare arm, as the set itself puts the object into its hand "
+                f"(object_length, object_mass), got one that holds one: {self.arm!r}",
+                given=self.arm,
+            )
         return self.arm.with_object(self.believed_length, self.believed_mass, axis=self.object_axis)
 
     def _true_camera(self, at: Mapping[str, float]) -> Camera | None:
@@ -282,7 +285,8 @@ class Uncertainty:
 
     def _task_of(self, robot: Robot, camera: Camera | None) -> Task:
         if camera is None:
-            task = (self.task or PositionTask)(robot)
+            # the axes of the belief, as errors may let another arm command others
+            task = PositionTask(robot, axes=self._axes) if self.task is None else self.task(robot)
         else:
             task = (self.task or ImageTask)(robot, camera)
         require("what task makes of a robot", task, Task, "a task, such as PositionTask(robot)")

@@ -13,7 +13,7 @@ from approxjac.checks import Array
 from approxjac.controllers import Limits, SetpointController
 from approxjac.interface import Controller, LimitStatus, Status
 from approxjac.robots import Robot
-from approxjac.robots.positions import beyond_positions, reach
+from approxjac.robots.positions import beyond_positions, reach_bound
 from approxjac.simulation import Plant, Trajectory
 from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Tally
@@ -125,7 +125,7 @@ class Result:
         sensor = self.reach.plant.sensor
         if not isinstance(sensor, PositionTask | PoseTask):
             return 0.0, math.inf
-        first, most = reach(sensor.robot, sensor.frame)
+        first, most = reach_bound(sensor.robot, sensor.frame)
         axes = ["xyz".index(axis) for axis in sensor.labels[:3]]
         return float(np.linalg.norm(self.run.target[: len(axes)] - first[axes])), most
 

@@ -11,7 +11,6 @@ import pinocchio as pin
 from approxjac.checks import Array, as_array, as_number
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
-from approxjac.robots.model import outward_axis
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import FrameKinematics, ImageTask, PinholeCamera
 
@@ -75,7 +74,7 @@ def carried_scene(
         q_goal: Posture at the goal, shape (nq,).
         settings: What was asked for.
     """
-    view = _axis(outward_axis(truth.model, truth.frame_id(mount)))
+    view = _axis(truth.outward_axis())
     right = np.cross(view, np.roll(np.abs(view), 1))
     R = np.column_stack([np.cross(right, view), right, view])
     position = settings.camera_position or tuple((-0.05 * R[:, 1]).tolist())

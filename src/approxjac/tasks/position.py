@@ -9,7 +9,7 @@ from approxjac.robots import Robot
 from approxjac.tasks.frame import FrameKinematics
 from approxjac.tasks.task import Task, require_rows
 
-_STILL = 1e-9  # share of the fastest axis below which nothing moves along an axis
+_STILL = 1e-4  # share of the fastest axis below which nothing moves along it (URDFs are rounded)
 
 
 class PositionTask(Task):

@@ -43,8 +43,12 @@ def test_pictures_without_a_page_stand_among_the_pages(tmp_path, open_page):
 
 def test_pictures_that_are_not_there_are_refused(tmp_path):
     (tmp_path / "fig3.html").write_text(PAGE.format("Run"), encoding="utf-8")
-    with pytest.raises(aj.InvalidInputError, match=r"pictures must be names of files .* 'a\.png'"):
+    with pytest.raises(aj.InvalidInputError, match=r"titles by the names of files .* 'a\.png'"):
         view.write_index(tmp_path, pictures={"a.png": "A"})
+    (tmp_path / "b.png").touch()
+    for name, title in ((tmp_path / "b.png", "B"), ("b.png", None), (str(tmp_path / "b.png"), "B")):
+        with pytest.raises(aj.InvalidInputError, match="titles by the names of files"):
+            view.write_index(tmp_path, pictures={name: title})
     with pytest.raises(aj.InvalidInputError, match="pictures must be titles by file names"):
         view.write_index(tmp_path, pictures=["a.png"])
 

@@ -108,9 +108,11 @@ def _entry(path: Path, head: str) -> str:
 
 def _shown(folder: Path, name: str, title: str) -> str:
     """A picture without a page."""
-    if not (folder / name).is_file():
+    texts = isinstance(name, str) and isinstance(title, str)
+    if not texts or Path(name).name != name or not (folder / name).is_file():
         raise InvalidInputError(
-            f"pictures must be names of files in {folder}, got {name!r}", given=name
+            f"pictures must be titles by the names of files in {folder}, got {name!r}: {title!r}",
+            given=name,
         )
     return f'<li><div><img src="{quote(name)}" alt=""><b>{escape(title)}</b></div></li>'
 
