@@ -69,11 +69,12 @@ def control(
             began, t = time.perf_counter(), k * DT
             q, v, x = arm.read()
             pace = np.abs(v).max()
-            seen = np.nan_to_num(task.error(x, x if aim is None else aim))  # 0 where it is lost
+            off = task.error(x, x if aim is None else aim)
+            off = np.where(np.isfinite(off), off, 0.0)  # what is lost is another matter
             faults = {
                 "too fast": (np.abs(v) > fastest).any(),
                 "joints unknown": unknown > 10,
-                "far from its target": np.linalg.norm(seen) > astray,
+                "far from its target": np.linalg.norm(off) > astray,
                 "a torque came too late": gap > longest,
                 "blind, or at its limits, for too long": troubled * DT > patience,
             }

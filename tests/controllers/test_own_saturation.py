@@ -48,28 +48,37 @@ def own(**parts):
     return type("Own", (Own,), parts)()
 
 
+def fault_of(saturation, task):
+    """What is said against a saturation; nothing if it is taken."""
+    try:
+        require_saturation(saturation, task)
+    except aj.InvalidInputError as error:
+        return str(error)
+    return ""
+
+
 @given(gammas)
 def test_the_librarys_own_are_taken_whatever_their_gamma(gamma):
     for kind in BUILT_IN:
-        require_saturation(kind(gamma), TASKS[1])
-        require_saturation(kind(gamma), TASKS[6])
+        assert fault_of(kind(gamma), TASKS[1]) == ""
+        assert fault_of(kind(gamma), TASKS[6]) == ""
 
 
 @given(st.lists(gammas, min_size=3, max_size=3))
 def test_and_whatever_the_gamma_of_each_coordinate(gamma):
     for kind in BUILT_IN:
-        require_saturation(kind(gamma), TASKS[3])
+        assert fault_of(kind(gamma), TASKS[3]) == ""
 
 
 @pytest.mark.parametrize("m", TASKS)
 def test_no_saturation_is_taken(m):
-    require_saturation(aj.Linear(), TASKS[m])
+    assert fault_of(aj.Linear(), TASKS[m]) == ""
 
 
 def test_where_two_points_lie_on_either_side_of_a_kink():
     """However the sine's last point, γπ/2, lies to those that are looked at."""
     for gamma in np.geomspace(1.0, np.sqrt(10.0), 500):
-        require_saturation(aj.Sine(gamma), TASKS[1])
+        assert fault_of(aj.Sine(gamma), TASKS[1]) == ""
 
 
 class Algebraic(Own):
@@ -114,7 +123,7 @@ class Unbounded(Own):
 def test_own_ones_in_plain_formulas_are_taken(kind, gamma):
     """Also those that cancel near 0, overflow far away or have kinks."""
     for m in TASKS:
-        require_saturation(kind(gamma), TASKS[m])
+        assert fault_of(kind(gamma), TASKS[m]) == ""
 
 
 def raises(*_):
@@ -285,4 +294,26 @@ def test_a_report_of_an_own_saturation_is_that_of_the_librarys():
 
 def test_what_rounding_leaves_at_zero_is_no_fault():
     for left in (1e-18, -3e-15):
-        require_saturation(own(S=lambda self, e, left=left: Own.S(self, e) + left), TASKS[3])
+        assert fault_of(own(S=lambda self, e, left=left: Own.S(self, e) + left), TASKS[3]) == ""
+
+
+class Gap(aj.Tanh):
+    """Not a number at one error, which no look at some hundred of them finds."""
+
+    def s(self, e):
+        return np.where(np.abs(e - 0.0123) < 1e-9, np.nan, super().s(e))
+
+
+@pytest.mark.parametrize("kind", [aj.SetpointController, aj.VelocityServo])
+def test_a_saturation_that_fails_on_the_way_is_an_error_and_no_torque(kind):
+    task = TASKS[3]
+    controller, q = kind(task, saturation=Gap(0.1)), np.array([0, -0.5, 0, -2, 0, 1.6, 0.7])
+    x = task.value(q)
+    measurement = aj.Measurement(0.0, q, np.zeros(7), x)
+    state = controller.initial_state(measurement)
+    assert np.isfinite(controller.evaluate(state, measurement, x - 0.02).torque).all()
+    with pytest.raises(aj.MeasurementError, match="the torque overflows or is no number"):
+        controller.evaluate(state, measurement, x - 0.0123)
+    limited = aj.TorqueLimited(aj.SetpointController(task, saturation=Gap(0.1)))
+    with pytest.raises(aj.MeasurementError, match="the torque overflows or is no number"):
+        limited.evaluate(limited.initial_state(measurement), measurement, x - 0.0123)

@@ -89,7 +89,10 @@ class CheckedController(SetOnce, ABC):
             if self._subtracts or math.isfinite(e.dot(e)):
                 if self._continuous:
                     self.task.robot.configuration(q)
-                return self._answer(q, v, x, e, state, lost=False)
+                answer = self._answer(q, v, x, e, state, lost=False)
+                torque = answer.torque
+                if torque.dot(torque) < _HUGE:  # a task or a saturation of one's own may fail
+                    return answer
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is a named error
             e = x - target if self._subtracts else self.task.error(x, target)
             lost = self._require_finite(q, v, x, target, state, e)
@@ -101,8 +104,9 @@ class CheckedController(SetOnce, ABC):
             except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
                 pass
         raise MeasurementError(
-            f"the torque overflows: q = {q.tolist()}, v = {v.tolist()}, x = {x.tolist()} are "
-            "beyond what the law can be evaluated at",
+            f"the torque overflows or is no number at q = {q.tolist()}, v = {v.tolist()}, "
+            f"x = {x.tolist()}: they are beyond what the law, or a task or saturation of your own, "
+            "is for",
             given=measurement,
         )
 

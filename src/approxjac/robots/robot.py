@@ -311,7 +311,7 @@ class Robot:
         return self._changed(urdf_xml.to_text(root), tip=f"{name}_tip", outward=outward)
 
     def outward_axis(self, frame: str | None = None) -> str:
-        """Axis of a frame, the tip by default, along which the arm leads on: such as "-z"."""
+        """Axis of a frame, the tip by default, along which the arm leads on, such as "-z"."""
         frame = self.tip_or(frame)
         if frame == self._tip and self._outward is not None:
             return self._outward
