@@ -56,6 +56,7 @@ def laws(name):
     task, gains = aj.PositionTask(robot, axes=axes), aj.Gains(naive.KP, naive.KV, naive.DAMPING)
     J_of, x_d = naive.jacobian(robot, rows), np.zeros(m)
     law = partial(aj.SetpointController, task, gains)
+    compiled = partial(aj.CompiledSetpointController, task, gains)
     typed = partial(naive.setpoint, robot, J_of, m, x_d, naive.KP, naive.KV)
     with_checks = partial(naive.checked, robot, J_of, x_d)
     learnt = aj.AdaptiveGravity(aj.GravityRegressor(robot), L=naive.LEARNING, alpha=naive.ALPHA)
@@ -65,16 +66,21 @@ def laws(name):
         return step, with_checks(step, learning)
 
     found = [
-        Law("(5)", law(velocity=aj.DifferentiatedVelocity(naive.LAG)), *both(typed(lag=naive.LAG))),
-        Law("(6)", law(), *both(typed())),
-        Law("(6), s = sine", law(saturation=sine), *both(typed(sine=True))),
-        Law("(28), (29)", law(gravity=learnt), *both(typed(learning=True), True)),
-        Law(
-            "(28), (29), s = sine",
-            law(gravity=learnt, saturation=sine),
-            *both(typed(sine=True, learning=True), True),
-        ),
+        Law("(5)", law(velocity=aj.DifferentiatedVelocity(naive.LAG)), *both(typed(lag=naive.LAG)))
     ]
+    for name, options, step, learning in (
+        ("(6)", {}, typed(), False),
+        ("(6), s = sine", {"saturation": sine}, typed(sine=True), False),
+        ("(28), (29)", {"gravity": learnt}, typed(learning=True), True),
+        (
+            "(28), (29), s = sine",
+            {"gravity": learnt, "saturation": sine},
+            typed(sine=True, learning=True),
+            True,
+        ),
+    ):
+        found.append(Law(name, law(**options), *both(step, learning)))
+        found.append(Law(f"{name}, compiled", compiled(**options), *both(step, learning)))
     if n > m:
         posture = aj.Posture(middle, naive.STIFFNESS)
         found.append(Law("(6), posture", law(posture=posture), *both(typed(posture=middle))))

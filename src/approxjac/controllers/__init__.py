@@ -3,6 +3,7 @@
 from approxjac.controllers.bounded import BoundedController
 from approxjac.controllers.bounded_gains import BoundedGains, bounded_gains
 from approxjac.controllers.clipped import TaskTorqueScaled, TorqueClipped
+from approxjac.controllers.compiled import CompiledSetpointController
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -26,6 +27,7 @@ __all__ = [
     "AdaptiveGravity",
     "BoundedController",
     "BoundedGains",
+    "CompiledSetpointController",
     "DifferentiatedVelocity",
     "Gains",
     "Gravity",

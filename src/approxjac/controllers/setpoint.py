@@ -363,7 +363,7 @@ class SetpointController(CheckedController):
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         parts = [f"law {law}", repr(self.task), repr(self.gains), repr(self.gravity)]
-        return f"SetpointController({', '.join(parts)})"
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _with_options(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.checks import Array
+from approxjac.law.products import dot
 
 
 def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:
@@ -36,7 +37,7 @@ def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
     Returns:
         Rate of the estimated parameters, shape (p,).
     """
-    rate: Array = -L * y.dot(Z) if L.ndim == 1 else -L.dot(y.dot(Z))
+    rate: Array = -L * dot(y, Z) if L.ndim == 1 else -dot(L, dot(y, Z))
     return rate
 
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from approxjac.checks import Array
+from approxjac.law.products import dot
 
 SINGULAR_RATIO = 0.02
 """Damping sets in where σ_min(Ĵ) falls below this share of σ_max(Ĵ)."""
@@ -48,15 +49,16 @@ def damped_gram_solve(
     """
     # In plain numbers, three times as fast as LAPACK through NumPy at these sizes.
     if len(b) == 2:
-        (g00, g01), (_, g11) = G.tolist()
-        b0, b1 = b.tolist()
+        g00, g01, g11 = float(G[0, 0]), float(G[0, 1]), float(G[1, 1])
+        b0, b1 = float(b[0]), float(b[1])
         determinant, trace = g00 * g11 - g01 * g01, g00 + g11
         if _surely_regular(determinant * trace, trace, singular_ratio, scale):
             b0, b1 = b0 / determinant, b1 / determinant
             return np.array((g11 * b0 - g01 * b1, g00 * b1 - g01 * b0)), 0.0
     elif len(b) == 3:
-        (g00, g01, g02), (_, g11, g12), (_, _, g22) = G.tolist()
-        b0, b1, b2 = b.tolist()
+        g00, g01, g02 = float(G[0, 0]), float(G[0, 1]), float(G[0, 2])
+        g11, g12, g22 = float(G[1, 1]), float(G[1, 2]), float(G[2, 2])
+        b0, b1, b2 = float(b[0]), float(b[1]), float(b[2])
         a00, a01, a02 = g11 * g22 - g12 * g12, g02 * g12 - g01 * g22, g01 * g12 - g02 * g11
         determinant = g00 * a00 + g01 * a01 + g02 * a02
         if _surely_regular(4.0 * determinant, g00 + g11 + g22, singular_ratio, scale):
@@ -72,19 +74,20 @@ def damped_gram_solve(
     threshold = singular_ratio**2 * max(float(squares[-1]), scale**2)
     damping = max(threshold - max(float(squares[0]), 0.0), 0.0)
     if threshold <= 0.0:
-        return np.zeros_like(b), 0.0
+        return np.zeros(len(b)), 0.0
     # squares below zero by round-off are lifted by the damping that is then at work
-    return U.dot(b.dot(U) / (np.maximum(squares, 0.0) + damping)), math.sqrt(damping)
+    return dot(U, dot(b, U) / (np.maximum(squares, 0.0) + damping)), math.sqrt(damping)
 
 
 def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0) -> bool:
     """Whether σ_min < `singular_ratio` · max(σ_max, `scale`) of J, from G = J Jᵀ, shape (m, m)."""
     if len(G) == 2:
-        (a, b), (_, d) = G.tolist()
+        a, b, d = float(G[0, 0]), float(G[0, 1]), float(G[1, 1])
         if _surely_regular((a * d - b * b) * (a + d), a + d, singular_ratio, scale):
             return False
     elif len(G) == 3:
-        (a, b, c), (_, d, e), (_, _, f) = G.tolist()
+        a, b, c = float(G[0, 0]), float(G[0, 1]), float(G[0, 2])
+        d, e, f = float(G[1, 1]), float(G[1, 2]), float(G[2, 2])
         determinant = a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
         if _surely_regular(4.0 * determinant, a + d + f, singular_ratio, scale):
             return False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.checks import Array
+from approxjac.law.products import dot
 from approxjac.law.pseudoinverse import damped_gram_solve
 
 
@@ -28,8 +29,8 @@ def velocity_reference(
     Returns:
         q̇_ref, shape (n_v,), and the damping of Ĵ⁺ (0 where it is exact).
     """
-    w, damping = damped_gram_solve(J_hat.dot(J_hat.T), s, scale=scale)
-    reference: Array = -rate * w.dot(J_hat)
+    w, damping = damped_gram_solve(dot(J_hat, J_hat.T), s, scale=scale)
+    reference: Array = -rate * dot(w, J_hat)
     return reference, damping
 
 

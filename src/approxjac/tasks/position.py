@@ -31,8 +31,7 @@ class PositionTask(Task):
         require("robot", robot, Robot, "a Robot")
         frame = robot.tip_or(frame)
         axes = best_axes(robot, frame) if axes is None else axes
-        # a slice for "xyz", which NumPy takes without a copy
-        self._rows = slice(0, 3) if axes == "xyz" else axis_rows("axes", axes)
+        self._rows = _as_slice(axis_rows("axes", axes))
         self._labels = tuple(axes)
         self._frame = FrameKinematics(robot, frame)
         self._frame_jacobian = self._frame.compute_jacobian
@@ -69,6 +68,14 @@ class PositionTask(Task):
 
     def __repr__(self) -> str:
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {''.join(self.labels)!r})"
+
+
+def _as_slice(rows: list[int]) -> slice | list[int]:
+    """Rows at equal distances as a slice, which NumPy takes without a copy."""
+    step = rows[1] - rows[0] if len(rows) > 1 else 1
+    end = rows[-1] + step
+    found = slice(rows[0], end if end >= 0 else None, step)
+    return found if list(range(3))[found] == rows else rows
 
 
 def best_axes(robot: Robot, frame: str | None = None) -> str:

@@ -1,0 +1,271 @@
+"""`CompiledSetpointController`: usual steps of the laws (6) and (28), (29) as machine code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from approxjac import law
+from approxjac.checks import Array
+from approxjac.controllers.gains import Gains
+from approxjac.controllers.gravity import Gravity
+from approxjac.controllers.machine_code import compiled
+from approxjac.controllers.posture import Posture
+from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status
+from approxjac.law import Linear, Saturation, Sine, Tanh
+from approxjac.law.products import dot
+from approxjac.law.saturation import sine, tanh
+from approxjac.tasks import PositionTask, Task
+
+_FLOAT = np.dtype(np.float64)
+_HUGE = 1e30
+_SATURATIONS = (Linear, Sine, Tanh)
+
+
+class CompiledSetpointController(SetpointController):
+    """A `SetpointController` whose usual steps are machine code, in half of the time.
+
+    A usual step is one whose status is OK. Whatever is not (x is lost, Ĵ near a singular pose,
+    torques beyond the limits where gravity is learnt, wrong arguments) is left to
+    `SetpointController.evaluate`, from the beginning. Torques are the same to rounding, everything
+    else is the same.
+
+    It needs Numba (`pip install 'approxjac[fast]'`) and time when it is built: some seconds for the
+    first one on a machine, about a second for the first one of a process. So it is for loops in
+    which microseconds count.
+
+    Args:
+        task: The task of the believed robot; its error must be x − x_d.
+        gains: As for `SetpointController`.
+        gravity: As for `SetpointController`.
+        saturation: `Linear`, `Sine` or `Tanh`.
+        velocity: None: law (5) is not compiled.
+        posture: As for `SetpointController`; its torque is computed in NumPy.
+
+    Raises:
+        InvalidInputError: As `SetpointController`, and for what is not compiled.
+        MissingPackageError: Numba is not installed.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        gains: Gains | None = None,
+        *,
+        gravity: Gravity | None = None,
+        saturation: Saturation | None = None,
+        velocity: DifferentiatedVelocity | None = None,
+        posture: Posture | None = None,
+    ) -> None:
+        super().__init__(
+            task,
+            gains,
+            gravity=gravity,
+            saturation=saturation,
+            velocity=velocity,
+            posture=posture,
+        )
+        for name, given, fits, wanted in (
+            ("velocity", velocity, velocity is None, "None: law (5) is not compiled"),
+            (
+                "saturation",
+                saturation,
+                type(self.saturation) in _SATURATIONS,
+                "Linear, Sine or Tanh: others are not compiled",
+            ),
+            ("task", task, task.subtracts, "one whose error is x - x_d: others are not compiled"),
+        ):
+            if not fits:
+                raise InvalidInputError(
+                    f"{name} of a CompiledSetpointController must be {wanted}, got {given!r}; "
+                    "SetpointController takes it",
+                    given=given,
+                )
+        # It hides the method: one that called it would take a tenth of the step.
+        vars(self)["evaluate"] = self._compiled_evaluate()
+
+    def _compiled_evaluate(self) -> Callable[[Array, Measurement, Array], Evaluation]:
+        """`SetpointController.evaluate`, with its usual steps in machine code.
+
+        What it needs are variables of this function: to look up attributes would take longer than
+        the law itself.
+        """
+        ordinary = super().evaluate
+        task, learning, pull = self.task, self.adaptation, self._pull
+        robot, jacobian, n, m, p = task.robot, task.compute_jacobian, task.robot.nv, task.m, self._p
+        q_shape, state_shape, continuous = (robot.nq,), (self.n_state,), self._continuous
+        # Pinocchio takes any number; where NumPy computes, huge ones would make warnings
+        guarded = type(task) is not PositionTask or pull is not None
+        kind = _SATURATIONS.index(type(self.saturation))
+        gamma = np.broadcast_to(getattr(self.saturation, "gamma", 1.0), m)
+        constants = np.concatenate([*self.diagonals, gamma, [self._scale]])
+        within_null_space, no_rate = self._pull_within_null_space, self._no_rate
+        parts = (fits, is_small, saturated, taken_apart)
+        if learning is None:
+            step = compiled(known_gravity, (2, 1, 1, 1, 1, 1, int), 2, parts)
+            gravity = self.gravity.torque  # type: ignore[union-attr]  # the others have one
+        else:
+            inputs = (2, 1, 1, 1, 1, 1, int, 2, 1, learning.L.ndim, float, 1)
+            step = compiled(learnt_gravity, inputs, 3, parts)
+            # copies, as Numba takes longer with arrays that are read-only
+            L, limits = learning.L.copy(), learning.torque_limits.copy()
+            alpha, bounds, nothing = learning.alpha, learning.bounds, np.zeros(n)
+            compute_Z = learning.regressor.compute_Z
+        float64, huge, empty = _FLOAT, _HUGE, np.empty
+        made, ok, unlimited = tuple.__new__, Status.OK, LimitStatus.UNLIMITED
+
+        def evaluate(state: Array, measurement: Measurement, target: Array) -> Evaluation:
+            try:
+                _, q, v, x = measurement
+                if (
+                    q.shape == q_shape
+                    and state.shape == state_shape
+                    and q.dtype is float64 is state.dtype
+                    and not (guarded and not (q.dot(q) < huge and x.dot(x) < huge))
+                ):
+                    if continuous:
+                        robot.configuration(q)
+                    J_hat = jacobian(q, x)
+                    g = gravity(q) if learning is None else nothing
+                    if pull is not None:
+                        g = g + within_null_space(q, J_hat, J_hat.dot(J_hat.T), *pull)
+                    torque, e, rate = empty(n), empty(m), no_rate
+                    if learning is None:
+                        usual = step(J_hat, v, x, target, g, constants, kind, torque, e)
+                    else:
+                        Z, rate = compute_Z(q), empty(p)
+                        usual = step(
+                            J_hat, v, x, target, g, constants, kind,
+                            Z, state, L, alpha, limits, torque, e, rate,
+                        )  # fmt: skip
+                        if bounds is not None:
+                            rate = law.within_bounds(rate, state, *bounds)
+                    if usual:  # made as Evaluation(...) makes it, in a third of the time
+                        return made(Evaluation, (torque, rate, ok, e, J_hat, unlimited, 0.0))
+            except (AttributeError, TypeError, ValueError):
+                pass  # if anything is wrong, what follows says what
+            return ordinary(state, measurement, target)
+
+        return evaluate
+
+
+def known_gravity(
+    J_hat: Array,
+    v: Array,
+    x: Array,
+    x_d: Array,
+    g: Array,
+    constants: Array,
+    kind: int,
+    torque: Array,
+    e: Array,
+) -> bool:
+    """Eq. (6) into `torque` and x − x_d into `e`; whether it was a usual step.
+
+    Args:
+        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
+        v: Joint velocity q̇.
+        x: Measured x.
+        x_d: Target.
+        g: Gravity torque, shape (n_v,).
+        constants: Diagonals of K_p, K_v and B_c, γ, and the scale of `law.is_near_singular`.
+        kind: Which of `_SATURATIONS`.
+        torque: Shape (n_v,).
+        e: Shape (m,).
+    """
+    if not fits(v, x, x_d, torque, e):
+        return False
+    kp, kv, damping, gamma, scale = taken_apart(constants, len(e))
+    e[:] = x - x_d
+    s = saturated(e, gamma, kind)
+    torque[:] = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, g)
+    return is_small(torque, e) and not law.is_near_singular(dot(J_hat, J_hat.T), scale=scale)
+
+
+def learnt_gravity(
+    J_hat: Array,
+    v: Array,
+    x: Array,
+    x_d: Array,
+    g: Array,
+    constants: Array,
+    kind: int,
+    Z: Array,
+    theta_hat: Array,
+    L: Array,
+    alpha: float,
+    limits: Array,
+    torque: Array,
+    e: Array,
+    rate: Array,
+) -> bool:
+    """Eq. (28) into `torque`, (29) into `rate`, x − x_d into `e`; whether it was a usual step.
+
+    The first arguments are those of `known_gravity`, with g what is added to what is learnt.
+
+    Args:
+        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
+        v: Joint velocity q̇.
+        x: Measured x.
+        x_d: Target.
+        g: Torque that is added to the learnt gravity, shape (n_v,).
+        constants: As above.
+        kind: As above.
+        Z: Gravity regressor, shape (n_v, p).
+        theta_hat: Estimated gravity parameters θ̂, shape (p,).
+        L: Adaptation gain, shape (p,) or (p, p).
+        alpha: α [1/s].
+        limits: Torques beyond which θ̂ stands still, shape (n_v,).
+        torque: Shape (n_v,).
+        e: Shape (m,).
+        rate: Shape (p,).
+    """
+    if not fits(v, x, x_d, torque, e):
+        return False
+    kp, kv, damping, gamma, scale = taken_apart(constants, len(e))
+    e[:] = x - x_d
+    s = saturated(e, gamma, kind)
+    torque[:] = g + law.learnt_gravity_torque(J_hat, kp, kv, s, v, damping, Z, theta_hat)
+    if not is_small(torque, e) or np.abs(torque / limits).max() > 1.0:
+        return False
+    w, damped = law.damped_gram_solve(dot(J_hat, J_hat.T), s, scale=scale)
+    rate[:] = law.theta_hat_rate(L, Z, law.passive_output(v, dot(w, J_hat), alpha))
+    return damped == 0.0
+
+
+def fits(v: Array, x: Array, x_d: Array, torque: Array, e: Array) -> bool:
+    """Whether what a user gave has the lengths of what it makes."""
+    return len(v) == len(torque) and len(x) == len(e) and len(x_d) == len(e)
+
+
+def taken_apart(constants: Array, m: int) -> tuple[Array, Array, Array, Array, float]:
+    """K_p, K_v, B_c, γ and the scale: one array takes less time to hand over than four."""
+    return (
+        constants[:m],
+        constants[m : 2 * m],
+        constants[2 * m : -m - 1],
+        constants[-m - 1 : -1],
+        constants[-1],
+    )
+
+
+def saturated(e: Array, gamma: Array, kind: int) -> Array:
+    """s(e) of one of `_SATURATIONS`."""
+    if kind == 1:
+        return sine(e, gamma)
+    if kind == 2:
+        return tanh(e, gamma)
+    return e
+
+
+def is_small(torque: Array, e: Array) -> bool:
+    """Whether torque and error are finite, and nowhere near to where numbers overflow."""
+    size = 0.0
+    for each in torque:
+        size += abs(each)
+    for each in e:
+        size += abs(each)
+    return size < _HUGE

@@ -1,0 +1,141 @@
+"""Functions over the equations of `law`, compiled to machine code by Numba, the extra `fast`.
+
+The equations stay where they are, in `law`: Numba compiles the very functions that NumPy runs.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from approxjac import law
+from approxjac.checks import Array
+from approxjac.errors import MissingPackageError
+from approxjac.law import products, pseudoinverse, saturation
+
+_EQUATIONS = (
+    law.damped_gram_solve,
+    law.estimated_velocity_torque,
+    law.gravity,
+    law.is_near_singular,
+    law.learnt_gravity_torque,
+    law.passive_output,
+    law.theta_hat_rate,
+    pseudoinverse._surely_regular,
+    saturation.angle,
+    saturation.sine,
+    saturation.tanh,
+)
+
+
+@functools.cache
+def compiled(
+    function: Callable[..., Any],
+    inputs: tuple[int | type, ...],
+    outputs: int,
+    parts: tuple[Callable[..., Any], ...],
+) -> Callable[..., Any]:
+    """Return `function` as machine code, which any arrays of float64 may be given to.
+
+    It is compiled once on a machine, in some seconds, and kept beside its source (or where Numba
+    keeps what it may not write there); later it is loaded in about half a second a process.
+
+    Args:
+        function: What calls nothing but equations of `law`, `parts`, and what Numba knows.
+        inputs: For each of its first arguments the number of dimensions of an array, or `int` or
+            `float`.
+        outputs: How many vectors follow, which it writes into.
+        parts: Functions beside it that it calls.
+
+    Raises:
+        MissingPackageError: Numba is not installed.
+    """
+    try:
+        import numba
+    except ImportError as error:
+        raise MissingPackageError(
+            f"compiled steps need Numba, which cannot be imported ({error}): "
+            "pip install 'approxjac[fast]'",
+            given="numba",
+        ) from error
+    _teach((*_EQUATIONS, *parts))
+    scalars = {int: numba.int64, float: numba.float64}
+    signature = [
+        numba.types.Array(numba.float64, kind, "A", readonly=True, aligned=False)
+        if isinstance(kind, int)
+        else scalars[kind]
+        for kind in inputs
+    ]
+    signature += [numba.types.Array(numba.float64, 1, "C")] * outputs
+    # Numba looks at the file of `function` alone to tell whether what it kept is still true.
+    name = function.__qualname__.partition("_of_")[0]
+    function.__qualname__ = f"{name}_of_{_digest()}"
+    options = {"error_model": "numpy"}  # no exceptions where NumPy has none
+    code: Callable[..., Any]
+    try:
+        code = numba.njit([tuple(signature)], cache=True, **options)(function)
+    except RuntimeError:  # there is no place where it may be kept
+        code = numba.njit([tuple(signature)], **options)(function)
+    return code
+
+
+@functools.cache
+def _teach(functions: tuple[Callable[..., Any], ...]) -> None:
+    """Tell Numba which functions of this library it may compile."""
+    from numba.extending import overload, register_jitable
+
+    for function in functions:
+        register_jitable(function)
+    overload(products.dot)(_dot)
+
+
+def _digest() -> str:
+    """Short name of the equations as they are now."""
+    sources = sorted(Path(products.__file__).parent.glob("*.py"))
+    text = b"".join(source.read_bytes() for source in [*sources, Path(__file__)])
+    return hashlib.sha256(text).hexdigest()[:12]
+
+
+def _dot(a: Array, b: Array) -> Callable[[Array, Array], Array] | None:
+    """What `products.dot` is in machine code, by the dimensions of its arguments.
+
+    BLAS, which Numba would call, takes longer than loops for arrays as small as a step's.
+    """
+    return {(2, 1): matrix_vector, (1, 2): vector_matrix, (2, 2): matrix_matrix}.get(
+        (a.ndim, b.ndim)
+    )
+
+
+def matrix_vector(a: Array, b: Array) -> Array:
+    """`a @ b`, shapes (k, l) and (l,)."""
+    product = np.empty(a.shape[0])
+    for i in range(a.shape[0]):
+        total = 0.0
+        for j in range(a.shape[1]):
+            total += a[i, j] * b[j]
+        product[i] = total
+    return product
+
+
+def vector_matrix(a: Array, b: Array) -> Array:
+    """`a @ b`, shapes (k,) and (k, l)."""
+    product = np.zeros(b.shape[1])
+    for i in range(b.shape[0]):
+        for j in range(b.shape[1]):
+            product[j] += a[i] * b[i, j]
+    return product
+
+
+def matrix_matrix(a: Array, b: Array) -> Array:
+    """`a @ b`, shapes (k, l) and (l, n)."""
+    product = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for j in range(b.shape[1]):
+            for k in range(a.shape[1]):
+                product[i, j] += a[i, k] * b[k, j]
+    return product
