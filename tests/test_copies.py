@@ -57,6 +57,9 @@ def controllers(robot):
             task, gains, posture=aj.Posture(robot.neutral() + 0.1, 5.0)
         ),
         "pose": aj.SetpointController(aj.PoseTask(robot)),
+        "compiled": aj.CompiledSetpointController(
+            task, gains, gravity=aj.AdaptiveGravity(regressor), saturation=aj.Sine(0.05)
+        ),
         "velocity servo": aj.VelocityServo(task, 3.0, saturation=aj.Sine(0.05)),
         "held": aj.HeldMeasurement(aj.TorqueLimited(aj.SetpointController(task, gains)), 0.1),
     }
@@ -84,7 +87,7 @@ def test_tasks(holding, copied, rng, kind):
 
 KINDS = [
     "defaults", "no gravity", "saturated", "regressor", "adaptive", "full L", "law (5)",
-    "posture", "pose", "velocity servo", "held",
+    "posture", "pose", "compiled", "velocity servo", "held",
 ]  # fmt: skip
 
 

@@ -95,6 +95,25 @@ def controllers():
         "prismatic, nonsingular": aj.SetpointController(
             aj.NonsingularTask(tool, {"slide": 0.3}), aj.Gains(100.0, 20.0, 1.0)
         ),
+        "compiled": aj.CompiledSetpointController(task, gains),
+        "compiled, tanh": aj.CompiledSetpointController(
+            task, gains, saturation=aj.Tanh((0.05, 0.1, 1e-6))
+        ),
+        "compiled, learnt": aj.CompiledSetpointController(task, gravity=bounded),
+        "compiled, posture": aj.CompiledSetpointController(
+            task, gains, posture=aj.Posture(START, 10.0)
+        ),
+        "compiled, stacked": aj.CompiledSetpointController(
+            two,
+            aj.Gains(100.0, 20.0, 1.0),
+            gravity=aj.AdaptiveGravity(regressor, 0.1, 1.0, torque_limits=np.inf),
+        ),
+        "compiled, continuous joints": aj.CompiledSetpointController(kinova_task),
+        "compiled, prismatic, nonsingular": aj.CompiledSetpointController(
+            aj.NonsingularTask(tool, {"slide": 0.3}),
+            aj.Gains(100.0, 20.0, 1.0),
+            gravity=aj.AdaptiveGravity(aj.GravityRegressor(slider)),
+        ),
     }
 
 
@@ -102,7 +121,9 @@ NAMES = (
     "(6)", "(6), default gains", "(6), sine", "(6), tanh", "(6), no gravity", "(6), theta", "(28)",
     "(28), bounds", "(28), unlimited", "(5)", "(5), learnt", "posture", "nonsingular", "pose",
     "pose, learnt", "stacked", "continuous joints", "continuous joints, pose", "prismatic",
-    "prismatic, learnt", "prismatic, nonsingular",
+    "prismatic, learnt", "prismatic, nonsingular", "compiled", "compiled, tanh",
+    "compiled, learnt", "compiled, posture", "compiled, stacked", "compiled, continuous joints",
+    "compiled, prismatic, nonsingular",
 )  # fmt: skip
 EXTREMES = (
     np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, -5e-324, 2.2e-308, 1e-200, 1e16, -1e49, 1e50,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -114,7 +115,7 @@ class CompiledSetpointController(SetpointController):
             L, limits = learning.L.copy(), learning.torque_limits.copy()
             alpha, bounds, nothing = learning.alpha, learning.bounds, np.zeros(n)
             compute_Z = learning.regressor.compute_Z
-        float64, huge, empty = _FLOAT, _HUGE, np.empty
+        float64, huge, empty, hypot = _FLOAT, _HUGE, np.empty, math.hypot
         made, ok, unlimited = tuple.__new__, Status.OK, LimitStatus.UNLIMITED
 
         def evaluate(state: Array, measurement: Measurement, target: Array) -> Evaluation:
@@ -124,7 +125,7 @@ class CompiledSetpointController(SetpointController):
                     q.shape == q_shape
                     and state.shape == state_shape
                     and q.dtype is float64 is state.dtype
-                    and not (guarded and not (q.dot(q) < huge and x.dot(x) < huge))
+                    and (not guarded or hypot(*q.tolist(), *x.tolist()) < huge)
                 ):
                     if continuous:
                         robot.configuration(q)

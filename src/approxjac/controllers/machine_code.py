@@ -91,7 +91,7 @@ def _teach(functions: tuple[Callable[..., Any], ...]) -> None:
 
     for function in functions:
         register_jitable(function)
-    overload(products.dot)(_dot)
+    overload(products.dot)(product_of)
 
 
 def _digest() -> str:
@@ -101,7 +101,7 @@ def _digest() -> str:
     return hashlib.sha256(text).hexdigest()[:12]
 
 
-def _dot(a: Array, b: Array) -> Callable[[Array, Array], Array] | None:
+def product_of(a: Array, b: Array) -> Callable[[Array, Array], Array] | None:
     """What `products.dot` is in machine code, by the dimensions of its arguments.
 
     BLAS, which Numba would call, takes longer than loops for arrays as small as a step's.
