@@ -57,5 +57,5 @@ def test_steps_leave_no_memory_behind(name, benchmark):
     _, _, inputs = control_step.arm(name)
     for law in control_step.laws(name):
         step = control_step.our_step(law.controller)
-        # below a byte a step; the least of a few, as other threads of a test run allocate, too
-        assert min(memory.left_behind(step, inputs, 500) for _ in range(3)) < 500
+        # below a byte a step, once in a few times, as other threads of a test run allocate, too
+        assert any(memory.left_behind(step, inputs, 500) < 500 for _ in range(3)), law.name

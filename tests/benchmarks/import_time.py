@@ -1,43 +1,55 @@
-"""What `import approxjac` costs beside `import pinocchio`: python tests/benchmarks/import_time.py.
+"""What it costs to begin: imports, and the first controller, in fresh interpreters.
 
-Each import runs in a fresh interpreter; the two alternate, so that a busy machine slows both.
+    python tests/benchmarks/import_time.py
+
+The programs take turns, so that a busy machine slows all of them.
 """
 
 import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 
 ROUNDS = 15
+BUILD = "import approxjac as aj; aj.{}(aj.PositionTask(aj.load_robot('panda')))"
+PROGRAMS = {
+    "`import pinocchio`": "import pinocchio",
+    "`import approxjac`": "import approxjac",
+    "with a first `SetpointController`": BUILD.format("SetpointController"),
+    "with a first `CompiledSetpointController`": BUILD.format("CompiledSetpointController"),
+}
+FIRST = "the same, the first time on a machine"
 
 
-def seconds(module: str) -> float:
-    """Wall time of a fresh interpreter that imports one module [s]."""
-    # Byte code is cached for both, as it is on a user's machine.
+def seconds(program: str, **variables: str) -> float:
+    """Wall time of a fresh interpreter that runs a program [s]."""
+    # Byte code is cached for all, as it is on a user's machine.
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     start = time.perf_counter()
-    subprocess.run([sys.executable, "-c", f"import {module}"], check=True, env=environment)
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment | variables)
     return time.perf_counter() - start
 
 
-def measured() -> tuple[float, float, float]:
-    """The median of the ratios, and those of both times [s]."""
-    for module in ("pinocchio", "approxjac"):
-        seconds(module)  # warm the disk cache and the byte code
-    pairs = [(seconds("pinocchio"), seconds("approxjac")) for _ in range(ROUNDS)]
-    ratio = statistics.median(ours / theirs for theirs, ours in pairs)
-    theirs, ours = (statistics.median(column) for column in zip(*pairs, strict=True))
-    return ratio, theirs, ours
+def rows() -> list[tuple[str, float, float]]:
+    """Each program: its name, the median of its time [s], and of its ratio to the first one."""
+    for program in PROGRAMS.values():
+        seconds(program)  # warm the disk cache, the byte code and what is compiled
+    times = [[seconds(program) for program in PROGRAMS.values()] for _ in range(ROUNDS)]
+    found = []
+    for i, name in enumerate(PROGRAMS):
+        ratios = [each[i] / each[0] for each in times]
+        found.append((name, statistics.median(e[i] for e in times), statistics.median(ratios)))
+    with tempfile.TemporaryDirectory() as empty:
+        first = seconds(list(PROGRAMS.values())[-1], NUMBA_CACHE_DIR=empty)
+    return [*found, (FIRST, first, first / found[0][1])]
 
 
 def main() -> None:
     """Print them."""
-    ratio, theirs, ours = measured()
-    print(
-        f"import approxjac / import pinocchio = {ratio:.2f} "
-        f"({1e3 * ours:.0f} ms / {1e3 * theirs:.0f} ms, medians of {ROUNDS})"
-    )
+    for name, time_taken, ratio in rows():
+        print(f"{name.replace('`', '')}: {time_taken:.2f} s, {ratio:.2f} of import pinocchio")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""All speed figures of the documentation, in one run of some three minutes, into docs/tables/.
+"""All speed figures of the documentation, in one run of some four minutes, into docs/tables/.
 
     OMP_NUM_THREADS=1 python tests/benchmarks/speed.py [--out docs/tables/speed.md]
 
@@ -22,7 +22,7 @@ import step_pieces
 import turns
 
 OUT = Path(__file__).parents[2] / "docs" / "tables" / "speed.md"
-PACKAGES = ("numpy", "pin", "mujoco", "pin-pink")
+PACKAGES = ("numpy", "pin", "numba", "mujoco", "pin-pink")
 
 
 def machine():
@@ -49,13 +49,12 @@ def _processor():
 
 
 def costs():
-    """What is not a step: an import, a report, a map; seconds and ratios to Pinocchio's own."""
-    ratio, theirs, ours = import_time.measured()
+    """What is not a step: to begin, a report, a map; seconds and ratios to Pinocchio's own."""
+    begin = [(name, f"{taken:.2f}", ratio) for name, taken, ratio in import_time.rows()]
     report, drawn_map, alone = stability_report.measured(rounds=1)
     postures = f"{stability_report.POSTURES} Panda postures"
     return [
-        ("`import pinocchio`", f"{theirs:.2f}", None),
-        ("`import approxjac`", f"{ours:.2f}", ratio),
+        *begin,
         (f"Pinocchio's own terms at {postures}", f"{alone:.2f}", None),
         (f"`stability_report`, {postures}", f"{report:.2f}", report / alone),
         ("`stability_map`, 40 × 40 points", f"{drawn_map:.2f}", drawn_map / alone),
