@@ -103,5 +103,5 @@ def test_a_step_leaves_nothing_behind(panda):
         tracemalloc.stop()
     assert len(sizes) == len(run.t) == 11
     # 500 steps from one to the next; a record takes 2.3 to 2.9 kB, and 8 bytes a step would be 4 kB
-    # more. Of the second half, and the median: caches of Python's and NumPy's grow at first.
-    assert np.median(np.diff(sizes)[5:]) < 3000
+    # more, every time. The least of the second half: caches of Python's grow now and then.
+    assert np.diff(sizes)[5:].min() < 3000
