@@ -45,6 +45,7 @@ def controllers():
     panda, kinova, slider = aj.load_robot("panda"), aj.load_robot("kinova"), prismatic_arm()
     task, gains = aj.PositionTask(panda), aj.Gains(400.0, (80.0, 70.0, 60.0), 1.0)
     regressor = aj.GravityRegressor(panda)
+    sliding, coupled = aj.GravityRegressor(slider), aj.load_robot("panda", free="all")
     kinova_task, tool = aj.PositionTask(kinova), aj.PositionTask(slider)
     two = aj.StackedTask(
         aj.PositionTask(panda, axes="xz"), aj.PositionTask(panda, "panda_link4", axes="yz")
@@ -109,6 +110,16 @@ def controllers():
             gravity=aj.AdaptiveGravity(regressor, 0.1, 1.0, torque_limits=np.inf),
         ),
         "compiled, continuous joints": aj.CompiledSetpointController(kinova_task),
+        "compiled, prismatic, theta": aj.CompiledSetpointController(
+            tool,
+            aj.Gains(100.0, 20.0, 1.0),
+            gravity=aj.RegressorGravity(sliding, sliding.theta),
+        ),
+        "compiled, mimic joints": aj.CompiledSetpointController(
+            aj.PositionTask(coupled),
+            aj.Gains(100.0, 20.0, 1.0),
+            gravity=aj.AdaptiveGravity(coupled),
+        ),
         "compiled, prismatic, nonsingular": aj.CompiledSetpointController(
             aj.NonsingularTask(tool, {"slide": 0.3}),
             aj.Gains(100.0, 20.0, 1.0),
@@ -123,7 +134,7 @@ NAMES = (
     "pose, learnt", "stacked", "continuous joints", "continuous joints, pose", "prismatic",
     "prismatic, learnt", "prismatic, nonsingular", "compiled", "compiled, tanh",
     "compiled, learnt", "compiled, posture", "compiled, stacked", "compiled, continuous joints",
-    "compiled, prismatic, nonsingular",
+    "compiled, prismatic, theta", "compiled, mimic joints", "compiled, prismatic, nonsingular",
 )  # fmt: skip
 EXTREMES = (
     np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, -5e-324, 2.2e-308, 1e-200, 1e16, -1e49, 1e50,

@@ -68,7 +68,7 @@ def laws(name):
     found = [
         Law("(5)", law(velocity=aj.DifferentiatedVelocity(naive.LAG)), *both(typed(lag=naive.LAG)))
     ]
-    for name, options, step, learning in (
+    for title, options, step, learning in (
         ("(6)", {}, typed(), False),
         ("(6), s = sine", {"saturation": sine}, typed(sine=True), False),
         ("(28), (29)", {"gravity": learnt}, typed(learning=True), True),
@@ -79,8 +79,8 @@ def laws(name):
             True,
         ),
     ):
-        found.append(Law(name, law(**options), *both(step, learning)))
-        found.append(Law(f"{name}, compiled", compiled(**options), *both(step, learning)))
+        found.append(Law(title, law(**options), *both(step, learning)))
+        found.append(Law(f"{title}, compiled", compiled(**options), *both(step, learning)))
     if n > m:
         posture = aj.Posture(middle, naive.STIFFNESS)
         found.append(Law("(6), posture", law(posture=posture), *both(typed(posture=middle))))

@@ -1,5 +1,7 @@
 """Compiled steps: the same answers as in NumPy, for every arm, law and argument."""
 
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -47,6 +49,20 @@ def assert_same(ours, expected):
 
 
 @pytest.fixture
+def asked(monkeypatch):
+    """Steps in which a compiled controller that is built from here on asked the ordinary way."""
+    steps, ordinary = [], aj.SetpointController.evaluate
+
+    def counted(controller, *arguments):
+        if isinstance(controller, aj.CompiledSetpointController):
+            steps.append(arguments)
+        return ordinary(controller, *arguments)
+
+    monkeypatch.setattr(aj.SetpointController, "evaluate", counted)
+    return steps
+
+
+@pytest.fixture
 def only_compiled(monkeypatch):
     """Controllers that are built from here on have nothing but their compiled steps."""
 
@@ -71,17 +87,18 @@ LAWS = {
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_on_every_arm_it_is_the_same_law(arm, name, rng):
+def test_on_every_arm_it_is_the_same_law(arm, name, rng, asked):
     task = aj.PositionTask(arm)
     plain, ours = pair(task, **LAWS[name](task))
-    alike = 0
+    usual = 0
     for _ in range(20):
         measurement, target = measured(task, rng)
         state = plain.initial_state(measurement) * rng.uniform(0.5, 1.5, plain.n_state)
         expected = plain.evaluate(state, measurement, target)
         assert_same(ours.evaluate(state, measurement, target), expected)
-        alike += expected.status is aj.Status.OK
-    assert alike >= 5
+        usual += expected.status is aj.Status.OK
+    assert usual >= 5
+    assert len(asked) == 20 - usual
 
 
 def kinds(panda, kinova):
@@ -138,7 +155,7 @@ KINDS = (
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_of_controller(panda, kind, rng):
+def test_every_kind_of_controller(panda, kind, rng, asked):
     every = kinds(panda, aj.load_robot("kinova"))
     assert tuple(every) == KINDS
     task, gains, options = every[kind]
@@ -151,6 +168,7 @@ def test_every_kind_of_controller(panda, kind, rng):
         assert_same(ours.evaluate(state, measurement, target), expected)
         statuses.append(expected.status)
     assert statuses.count(aj.Status.OK) > 10
+    assert len(asked) == 30 - statuses.count(aj.Status.OK)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -255,6 +273,85 @@ def test_what_is_wrong_is_refused_with_the_same_words(panda, rng):
             assert str(refused.value) == str(expected.value)
             cases += 1
     assert cases == 54
+
+
+def outcome(controller, *arguments):
+    """The torque and the status, or what was raised."""
+    try:
+        answer = controller.evaluate(*arguments)
+    except (IndexError, TypeError, ValueError) as error:
+        return type(error), str(error)
+    return np.round(np.asarray(answer.torque), 9).tolist(), answer.status
+
+
+class Wrong(aj.PositionTask):
+    """A task with a mistake in its Jacobian."""
+
+    mistake = staticmethod(lambda J: J)
+
+    def compute_jacobian(self, q, x=None):
+        return self.mistake(super().compute_jacobian(q, x))
+
+
+@pytest.mark.parametrize("learnt", [False, True])
+def test_a_jacobian_of_the_wrong_size_is_no_usual_step(panda, learnt, rng, asked):
+    """Machine code looks at no bounds: a size that is taken for another would be read beyond."""
+    good = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    for axes, mistake in (
+        ("xyz", lambda J: J[:1]),
+        ("xyz", lambda J: J[:, :1]),
+        ("xyz", lambda J: np.hstack([J, J])),
+        ("z", lambda J: J[:, :1]),
+        ("z", lambda J: np.vstack([J, J])),
+        ("z", lambda J: J[0]),
+    ):
+        task = Wrong(panda, axes=axes)
+        gravity = learning(panda) if learnt else None
+        plain, ours = pair(task, aj.Gains(400.0, 80.0, 1.0), gravity=gravity)
+        measurement = aj.Measurement(0.0, good, 0.1 * rng.normal(size=7), task.value(good))
+        arguments = (ours.initial_state(measurement), measurement, measurement.x + 0.1)
+        assert ours.evaluate(*arguments).status is aj.Status.OK
+        assert asked == []
+        task.mistake = mistake
+        assert outcome(ours, *arguments) == outcome(plain, *arguments)
+        assert len(asked) == 1
+        asked.clear()
+
+
+def test_arrays_of_other_classes_are_not_compiled(panda, asked, rng):
+    """What a mask hides is not measured, and Numba would not see the mask."""
+    task = aj.PositionTask(panda)
+
+    class Tagged(np.ndarray):
+        pass
+
+    for gravity in (None, learning(panda)):
+        plain, ours = pair(task, gravity=gravity)
+        measurement, target = measured(task, rng)
+        state = plain.initial_state(measurement)
+        for view in (lambda a: a.view(Tagged), np.ma.masked_array):
+            for name in ("v", "x", "q"):
+                there = measurement._replace(**{name: view(getattr(measurement, name))})
+                arguments = (state, there, target)
+                assert outcome(ours, *arguments) == outcome(plain, *arguments)
+                assert len(asked) == 1
+                asked.clear()
+
+
+def test_a_rate_that_overflows_is_a_named_error(panda):
+    task = aj.PositionTask(panda)
+    gravity = aj.AdaptiveGravity(panda, L=1e60, alpha=1.0, torque_limits=np.inf)
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    measurement = aj.Measurement(0.0, q, np.full(7, 1e300), task.value(q))
+    for controller in pair(task, aj.Gains(1.0, 1e-290, 1e-290), gravity=gravity):
+        with pytest.raises(aj.MeasurementError, match="the torque overflows or is no number"):
+            controller.evaluate(controller.initial_state(measurement), measurement, measurement.x)
+
+
+def test_nothing_is_derived_from_it():
+    text = "Mine cannot be derived from CompiledSetpointController, whose machine code would not "
+    with pytest.raises(TypeError, match=text):
+        type("Mine", (aj.CompiledSetpointController,), {})
 
 
 def test_a_whole_run_with_limits_ends_at_the_same_place(panda):
@@ -386,11 +483,28 @@ def test_where_nothing_can_be_kept_it_is_compiled_all_the_same():
     assert_array_equal(out, [2.0, -6.0])
 
 
+def test_a_damaged_file_is_no_obstacle(tmp_path):
+    """As after a power failure: what Numba kept is empty."""
+    code = (
+        "from approxjac.controllers import compiled, machine_code\n"
+        "import numpy as np\n"
+        "run = machine_code.compiled(compiled.is_small, (1, 1), 0, ())\n"
+        "print(run(np.ones(2), np.ones(3)), run(np.full(2, np.nan), np.ones(3)))"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    for _ in range(2):
+        run = [sys.executable, "-c", code]
+        done = subprocess.run(run, check=True, capture_output=True, text=True, env=environment)
+        assert done.stdout == "True False\n"
+        kept = [path for path in tmp_path.rglob("*") if path.is_file()]
+        assert {path.suffix for path in kept} == {".nbi", ".nbc"}
+        for path in kept:
+            path.write_bytes(b"")
+
+
 @pytest.mark.slow
 def test_an_equation_that_was_changed_is_compiled_anew(tmp_path):
     """What Numba keeps on disk is not used for other equations than those it was made from."""
-    import shutil
-
     package = Path(aj.__file__).parent
     shutil.copytree(package, tmp_path / "approxjac", ignore=shutil.ignore_patterns("__pycache__"))
     code = (

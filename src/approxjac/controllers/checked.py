@@ -13,10 +13,10 @@ from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement
 from approxjac.tasks import Task
 
-_FLOAT = np.dtype(np.float64)
+FLOAT64 = np.dtype(np.float64)
 _MAKES_ONE = "numpy.array({0}, dtype=float) makes one of numbers"
 _NUMBERS = (list, tuple, int, float)
-_HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
+HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 
 
 class CheckedController(SetOnce, ABC):
@@ -75,7 +75,7 @@ class CheckedController(SetOnce, ABC):
             _, q, v, x = measurement
             usual = (
                 (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
-                and q.dtype is v.dtype is x.dtype is target.dtype is state.dtype is _FLOAT
+                and q.dtype is v.dtype is x.dtype is target.dtype is state.dtype is FLOAT64
             )
         except (TypeError, ValueError, AttributeError):
             usual = False
@@ -84,14 +84,14 @@ class CheckedController(SetOnce, ABC):
         # One number that is not small if anything is not finite. Unlike sums of squares it
         # overflows without a warning, and it is faster.
         size = math.hypot(*q.tolist(), *v.tolist(), *x.tolist(), *target.tolist(), *state.tolist())
-        if size < _HUGE:
+        if size < HUGE:
             e = x - target if self._subtracts else self.task.error(x, target)
             if self._subtracts or math.isfinite(e.dot(e)):
                 if self._continuous:
                     self.task.robot.configuration(q)
                 answer = self._answer(q, v, x, e, state, lost=False)
                 torque = answer.torque
-                if torque.dot(torque) < _HUGE:  # a task or a saturation of one's own may fail
+                if torque.dot(torque) < HUGE:  # a task or a saturation of one's own may fail
                     return answer
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is a named error
             e = x - target if self._subtracts else self.task.error(x, target)
@@ -151,7 +151,7 @@ class CheckedController(SetOnce, ABC):
                     + (f"; {_MAKES_ONE.format(name)}" if isinstance(value, _NUMBERS) else ""),
                     given=value,
                 )
-            if value.dtype != _FLOAT:  # differences of unsigned pixels would wrap around
+            if value.dtype != FLOAT64:  # differences of unsigned pixels would wrap around
                 raise InvalidInputError(
                     f"{name} must be an array of float64, got {value.dtype}; "
                     f"{name}.astype(float) makes one of numbers",

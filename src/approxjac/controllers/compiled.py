@@ -9,8 +9,9 @@ import numpy as np
 
 from approxjac import law
 from approxjac.checks import Array
+from approxjac.controllers.checked import FLOAT64, HUGE
 from approxjac.controllers.gains import Gains
-from approxjac.controllers.gravity import Gravity
+from approxjac.controllers.gravity import Gravity, RegressorGravity
 from approxjac.controllers.machine_code import compiled
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
@@ -21,8 +22,6 @@ from approxjac.law.products import dot
 from approxjac.law.saturation import sine, tanh
 from approxjac.tasks import PositionTask, Task
 
-_FLOAT = np.dtype(np.float64)
-_HUGE = 1e30
 _SATURATIONS = (Linear, Sine, Tanh)
 
 
@@ -31,15 +30,17 @@ class CompiledSetpointController(SetpointController):
 
     A usual step is one whose status is OK. Whatever is not (x is lost, Ĵ near a singular pose,
     torques beyond the limits where gravity is learnt, wrong arguments) is left to
-    `SetpointController.evaluate`, from the beginning. Torques are the same to rounding, everything
-    else is the same.
+    `SetpointController.evaluate`, from the beginning. What is computed is the same to rounding.
 
-    It needs Numba (`pip install 'approxjac[fast]'`) and time when it is built: some seconds for the
-    first one on a machine, about a second for the first one of a process. So it is for loops in
-    which microseconds count.
+    It needs Numba (`pip install 'approxjac[fast]'`) and time when it is built: some ten seconds for
+    the first one of each law on a machine, about a second for the first one of a process. So it is
+    for loops in which microseconds count.
+
+    No class can be derived from it: what that changed would not be in the machine code.
 
     Args:
-        task: The task of the believed robot; its error must be x − x_d.
+        task: The task of the believed robot; its error must be x − x_d, and its Jacobian an array
+            of float64 (or no step is a usual one).
         gains: As for `SetpointController`.
         gravity: As for `SetpointController`.
         saturation: `Linear`, `Sine` or `Tanh`.
@@ -50,6 +51,12 @@ class CompiledSetpointController(SetpointController):
         InvalidInputError: As `SetpointController`, and for what is not compiled.
         MissingPackageError: Numba is not installed.
     """
+
+    def __init_subclass__(cls) -> None:
+        raise TypeError(
+            f"{cls.__name__} cannot be derived from CompiledSetpointController, whose machine code "
+            "would not have its changes; derive it from SetpointController"
+        )
 
     def __init__(
         self,
@@ -99,12 +106,18 @@ class CompiledSetpointController(SetpointController):
         robot, jacobian, n, m, p = task.robot, task.compute_jacobian, task.robot.nv, task.m, self._p
         q_shape, state_shape, continuous = (robot.nq,), (self.n_state,), self._continuous
         # Pinocchio takes any number; where NumPy computes, huge ones would make warnings
-        guarded = type(task) is not PositionTask or pull is not None
+        guarded = (
+            type(task) is not PositionTask
+            or robot.coupling.G is not None
+            or isinstance(self.gravity, RegressorGravity)
+            or pull is not None
+        )
         kind = _SATURATIONS.index(type(self.saturation))
         gamma = np.broadcast_to(getattr(self.saturation, "gamma", 1.0), m)
         constants = np.concatenate([*self.diagonals, gamma, [self._scale]])
         within_null_space, no_rate = self._pull_within_null_space, self._no_rate
         parts = (fits, is_small, saturated, taken_apart)
+        bounds = None if learning is None else learning.bounds
         if learning is None:
             step = compiled(known_gravity, (2, 1, 1, 1, 1, 1, int), 2, parts)
             gravity = self.gravity.torque  # type: ignore[union-attr]  # the others have one
@@ -113,27 +126,32 @@ class CompiledSetpointController(SetpointController):
             step = compiled(learnt_gravity, inputs, 3, parts)
             # copies, as Numba takes longer with arrays that are read-only
             L, limits = learning.L.copy(), learning.torque_limits.copy()
-            alpha, bounds, nothing = learning.alpha, learning.bounds, np.zeros(n)
+            alpha, nothing = learning.alpha, np.zeros(n)
             compute_Z = learning.regressor.compute_Z
-        float64, huge, empty, hypot = _FLOAT, _HUGE, np.empty, math.hypot
+        float64, huge, empty, ndarray, hypot = FLOAT64, HUGE, np.empty, np.ndarray, math.hypot
         made, ok, unlimited = tuple.__new__, Status.OK, LimitStatus.UNLIMITED
 
         def evaluate(state: Array, measurement: Measurement, target: Array) -> Evaluation:
             try:
                 _, q, v, x = measurement
-                if (
-                    q.shape == q_shape
+                usual = (
+                    type(q) is type(v) is type(x) is type(target) is type(state) is ndarray
+                    and q.shape == q_shape
                     and state.shape == state_shape
-                    and q.dtype is float64 is state.dtype
+                    and q.dtype is state.dtype is float64
                     and (not guarded or hypot(*q.tolist(), *x.tolist()) < huge)
-                ):
-                    if continuous:
-                        robot.configuration(q)
-                    J_hat = jacobian(q, x)
-                    g = gravity(q) if learning is None else nothing
-                    if pull is not None:
-                        g = g + within_null_space(q, J_hat, J_hat.dot(J_hat.T), *pull)
-                    torque, e, rate = empty(n), empty(m), no_rate
+                )
+                if continuous and usual:
+                    robot.configuration(q)
+            except (TypeError, ValueError):
+                usual = False
+            if usual:
+                J_hat = jacobian(q, x)
+                g = gravity(q) if learning is None else nothing
+                if pull is not None:
+                    g = g + within_null_space(q, J_hat, J_hat.dot(J_hat.T), *pull)
+                torque, e, rate = empty(n), empty(m), no_rate
+                try:
                     if learning is None:
                         usual = step(J_hat, v, x, target, g, constants, kind, torque, e)
                     else:
@@ -142,12 +160,13 @@ class CompiledSetpointController(SetpointController):
                             J_hat, v, x, target, g, constants, kind,
                             Z, state, L, alpha, limits, torque, e, rate,
                         )  # fmt: skip
-                        if bounds is not None:
-                            rate = law.within_bounds(rate, state, *bounds)
-                    if usual:  # made as Evaluation(...) makes it, in a third of the time
-                        return made(Evaluation, (torque, rate, ok, e, J_hat, unlimited, 0.0))
-            except (AttributeError, TypeError, ValueError):
-                pass  # if anything is wrong, what follows says what
+                except (TypeError, ValueError):  # not of float64, or beyond what has eigenvalues
+                    usual = False
+                if usual:
+                    if bounds is not None:
+                        rate = law.within_bounds(rate, state, *bounds)
+                    # made as Evaluation(...) makes it, in a third of the time
+                    return made(Evaluation, (torque, rate, ok, e, J_hat, unlimited, 0.0))
             return ordinary(state, measurement, target)
 
         return evaluate
@@ -177,7 +196,7 @@ def known_gravity(
         torque: Shape (n_v,).
         e: Shape (m,).
     """
-    if not fits(v, x, x_d, torque, e):
+    if not fits(J_hat, v, x, x_d, g, torque, e):
         return False
     kp, kv, damping, gamma, scale = taken_apart(constants, len(e))
     e[:] = x - x_d
@@ -224,7 +243,7 @@ def learnt_gravity(
         e: Shape (m,).
         rate: Shape (p,).
     """
-    if not fits(v, x, x_d, torque, e):
+    if not fits(J_hat, v, x, x_d, g, torque, e):
         return False
     kp, kv, damping, gamma, scale = taken_apart(constants, len(e))
     e[:] = x - x_d
@@ -234,12 +253,16 @@ def learnt_gravity(
         return False
     w, damped = law.damped_gram_solve(dot(J_hat, J_hat.T), s, scale=scale)
     rate[:] = law.theta_hat_rate(L, Z, law.passive_output(v, dot(w, J_hat), alpha))
-    return damped == 0.0
+    return damped == 0.0 and is_small(rate, e)
 
 
-def fits(v: Array, x: Array, x_d: Array, torque: Array, e: Array) -> bool:
-    """Whether what a user gave has the lengths of what it makes."""
-    return len(v) == len(torque) and len(x) == len(e) and len(x_d) == len(e)
+def fits(J_hat: Array, v: Array, x: Array, x_d: Array, g: Array, torque: Array, e: Array) -> bool:
+    """Whether all have the sizes of what they make: machine code looks at no bounds."""
+    return (
+        J_hat.shape == (len(e), len(torque))
+        and len(v) == len(g) == len(torque)
+        and len(x) == len(x_d) == len(e)
+    )
 
 
 def taken_apart(constants: Array, m: int) -> tuple[Array, Array, Array, Array, float]:
@@ -256,9 +279,9 @@ def taken_apart(constants: Array, m: int) -> tuple[Array, Array, Array, Array, f
 def saturated(e: Array, gamma: Array, kind: int) -> Array:
     """s(e) of one of `_SATURATIONS`."""
     if kind == 1:
-        return sine(e, gamma)
+        return sine(e / gamma, gamma)
     if kind == 2:
-        return tanh(e, gamma)
+        return tanh(e / gamma, gamma)
     return e
 
 
@@ -269,4 +292,4 @@ def is_small(torque: Array, e: Array) -> bool:
         size += abs(each)
     for each in e:
         size += abs(each)
-    return size < _HUGE
+    return size < HUGE

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,8 +43,8 @@ def compiled(
 ) -> Callable[..., Any]:
     """Return `function` as machine code, which any arrays of float64 may be given to.
 
-    It is compiled once on a machine, in some seconds, and kept beside its source (or where Numba
-    keeps what it may not write there); later it is loaded in about half a second a process.
+    It is compiled once on a machine, in some ten seconds, and kept beside its source (or where
+    Numba keeps what it may not write there); later it is loaded in about a second a process.
 
     Args:
         function: What calls nothing but equations of `law`, `parts`, and what Numba knows.
@@ -64,6 +65,9 @@ def compiled(
             given="numba",
         ) from error
     _teach((*_EQUATIONS, *parts))
+    # Numba looks at the file of a function alone to tell whether what it kept is still true.
+    named = types.FunctionType(function.__code__, function.__globals__, function.__name__)
+    named.__qualname__ = f"{function.__qualname__}_{_digest(inputs)}"
     scalars = {int: numba.int64, float: numba.float64}
     signature = [
         numba.types.Array(numba.float64, kind, "A", readonly=True, aligned=False)
@@ -72,15 +76,12 @@ def compiled(
         for kind in inputs
     ]
     signature += [numba.types.Array(numba.float64, 1, "C")] * outputs
-    # Numba looks at the file of `function` alone to tell whether what it kept is still true.
-    name = function.__qualname__.partition("_of_")[0]
-    function.__qualname__ = f"{name}_of_{_digest()}"
     options = {"error_model": "numpy"}  # no exceptions where NumPy has none
     code: Callable[..., Any]
     try:
-        code = numba.njit([tuple(signature)], cache=True, **options)(function)
-    except RuntimeError:  # there is no place where it may be kept
-        code = numba.njit([tuple(signature)], **options)(function)
+        code = numba.njit([tuple(signature)], cache=True, **options)(named)
+    except Exception:  # no place where it may be kept, no room there, or a file that is damaged
+        code = numba.njit([tuple(signature)], **options)(named)
     return code
 
 
@@ -94,11 +95,11 @@ def _teach(functions: tuple[Callable[..., Any], ...]) -> None:
     overload(products.dot)(product_of)
 
 
-def _digest() -> str:
-    """Short name of the equations as they are now."""
+def _digest(inputs: tuple[int | type, ...]) -> str:
+    """Short name of the equations as they are now, and of what is handed over."""
     sources = sorted(Path(products.__file__).parent.glob("*.py"))
     text = b"".join(source.read_bytes() for source in [*sources, Path(__file__)])
-    return hashlib.sha256(text).hexdigest()[:12]
+    return hashlib.sha256(text + repr(inputs).encode()).hexdigest()[:12]
 
 
 def product_of(a: Array, b: Array) -> Callable[[Array, Array], Array] | None:

@@ -48,14 +48,14 @@ def damped_gram_solve(
         w, shape (m,), zero where G is, and λ (0 where w is exact).
     """
     # In plain numbers, three times as fast as LAPACK through NumPy at these sizes.
-    if len(b) == 2:
+    if len(b) == len(G) == 2:
         g00, g01, g11 = float(G[0, 0]), float(G[0, 1]), float(G[1, 1])
         b0, b1 = float(b[0]), float(b[1])
         determinant, trace = g00 * g11 - g01 * g01, g00 + g11
         if _surely_regular(determinant * trace, trace, singular_ratio, scale):
             b0, b1 = b0 / determinant, b1 / determinant
             return np.array((g11 * b0 - g01 * b1, g00 * b1 - g01 * b0)), 0.0
-    elif len(b) == 3:
+    elif len(b) == len(G) == 3:
         g00, g01, g02 = float(G[0, 0]), float(G[0, 1]), float(G[0, 2])
         g11, g12, g22 = float(G[1, 1]), float(G[1, 2]), float(G[2, 2])
         b0, b1, b2 = float(b[0]), float(b[1]), float(b[2])
