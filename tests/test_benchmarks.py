@@ -27,7 +27,7 @@ def test_a_law_that_is_typed_in_gives_the_same_torque(name, benchmark):
     for law in control_step.laws(name):
         if law.bare is None:
             continue
-        step, m = control_step.our_step(law.controller), law.controller.task.n_x
+        step, m = law.ours, law.controller.task.n_x
         for q, v, x in inputs[:20]:
             ours, (torque, *rates) = step(q, v, x), law.bare(q, v, x[:m])
             if ours.status is aj.Status.NEAR_SINGULAR:
@@ -56,6 +56,6 @@ def test_steps_leave_no_memory_behind(name, benchmark):
     control_step, memory = benchmark("control_step"), benchmark("memory")
     _, _, inputs = control_step.arm(name)
     for law in control_step.laws(name):
-        step = control_step.our_step(law.controller)
+        step = law.ours
         # below a byte a step, once in a few times, as other threads of a test run allocate, too
         assert any(memory.left_behind(step, inputs, 500) < 500 for _ in range(3)), law.name

@@ -32,6 +32,12 @@ class Law(NamedTuple):
     checked: object = None
     image: bool = False
 
+    @property
+    def ours(self):
+        """Our step, of which an image is given the first entries of x."""
+        step = our_step(self.controller)
+        return _cut(2)(step) if self.image else step
+
 
 def arm(name):
     """A robot, a configuration, and inputs (q, v, x) around it within its limits, x near 0."""
@@ -113,12 +119,11 @@ def _image_law(robot, middle):
 
 def our_step(controller):
     """`evaluate` as a function of (q, v, x), with its target at zero."""
-    m = controller.task.n_x
-    x_d, measurement, evaluate = np.zeros(m), aj.Measurement, controller.evaluate
+    x_d, measurement, evaluate = np.zeros(controller.task.n_x), aj.Measurement, controller.evaluate
     first = measurement(0.0, controller.task.robot.neutral(), np.zeros(1), x_d)
     first = first._replace(v=np.zeros(controller.task.robot.nv))
     state = controller.initial_state(first)
-    return lambda q, v, x: evaluate(state, measurement(0.0, q, v, x[:m]), x_d)
+    return lambda q, v, x: evaluate(state, measurement(0.0, q, v, x), x_d)
 
 
 def rows():
@@ -134,7 +139,7 @@ def rows():
         }
         for law in here:
             cut = _cut(2) if law.image else lambda step: step
-            steps[law.name, "ours"] = our_step(law.controller)
+            steps[law.name, "ours"] = law.ours
             steps[law.name, "bare"] = law.bare and cut(law.bare)
             steps[law.name, "checked"] = law.checked and cut(law.checked)
         steps = {key: step for key, step in steps.items() if step is not None}

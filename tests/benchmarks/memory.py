@@ -87,7 +87,7 @@ def step_rows():
     _, _, inputs = control_step.arm("panda")
     found = []
     for law in control_step.laws("panda"):
-        step = control_step.our_step(law.controller)
+        step = law.ours
         found.append((law.name, allocated(step, inputs), float(grown(step, inputs))))
     return found
 

@@ -294,7 +294,7 @@ class Wrong(aj.PositionTask):
 
 
 @pytest.mark.parametrize("learnt", [False, True])
-def test_a_jacobian_of_the_wrong_size_is_no_usual_step(panda, learnt, rng, asked):
+def test_a_jacobian_of_another_size_or_kind_is_no_usual_step(panda, learnt, rng, asked):
     """Machine code looks at no bounds: a size that is taken for another would be read beyond."""
     good = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     for axes, mistake in (
@@ -304,6 +304,9 @@ def test_a_jacobian_of_the_wrong_size_is_no_usual_step(panda, learnt, rng, asked
         ("z", lambda J: J[:, :1]),
         ("z", lambda J: np.vstack([J, J])),
         ("z", lambda J: J[0]),
+        ("xyz", lambda J: J.astype(">f8")),  # the right numbers, in another order of bytes
+        ("xyz", lambda J: J.astype(np.float32)),
+        ("xyz", np.ma.masked_array),
     ):
         task = Wrong(panda, axes=axes)
         gravity = learning(panda) if learnt else None
@@ -378,6 +381,21 @@ def test_made_from_one_it_is_compiled_too(panda):
         ours.evaluate = None
 
 
+@pytest.mark.parametrize("dtype", [">f8", np.float32, np.int64, np.float16, object, complex])
+def test_numbers_of_other_types_are_refused(panda, dtype, asked):
+    task = aj.PositionTask(panda)
+    for gravity in (None, learning(panda)):
+        ours = aj.CompiledSetpointController(task, gravity=gravity)
+        good = {"q": np.zeros(7), "v": np.zeros(7), "x": np.zeros(3), "target": np.ones(3)}
+        good["state"] = np.zeros(ours.n_state)
+        for name in good:
+            given = good | {name: good[name].astype(dtype)}
+            measurement = aj.Measurement(0.0, given["q"], given["v"], given["x"])
+            with pytest.raises(aj.InvalidInputError, match=f"^{name} must be an array of float64"):
+                ours.evaluate(given["state"], measurement, given["target"])
+    assert len(asked) == 10
+
+
 def test_what_is_not_compiled_is_refused(panda):
     class Own(aj.Tanh):
         pass
@@ -432,30 +450,28 @@ def test_its_functions_are_what_they_are_compiled_from(panda, rng):
         _, q, v, x = measurement
         state = plain.initial_state(measurement)
         expected = plain.evaluate(state, measurement, target)
-        constants = np.concatenate([*plain.diagonals, np.full(3, 0.05), [1e-3]])
+        constants = np.concatenate([*plain.diagonals, np.full(3, 0.05), [1e-3, kind]])
         J_hat, Z = task.jacobian(q), plain.adaptation.regressor.Z(q)
         g, limits = Z @ state, np.full(7, np.inf)
         torque, e, rate = np.empty(7), np.empty(3), np.empty(len(state))
         begin = (J_hat, v, x, target)
-        assert compiled.known_gravity(*begin, g, constants, kind, torque, e)
+        assert compiled.known_gravity(*begin, g, constants, torque, e)
         assert_same(expected._replace(torque=torque, e=e), expected)
         more = (Z, state, plain.adaptation.L, 1.0)
         zero = np.zeros(7)
-        assert compiled.learnt_gravity(
-            *begin, zero, constants, kind, *more, limits, torque, e, rate
-        )
+        assert compiled.learnt_gravity(*begin, zero, constants, *more, limits, torque, e, rate)
         assert_same(expected._replace(torque=torque, e=e, state_rate=rate), expected)
         # and what is not usual
         for wrong in ((J_hat, v[1:], x, target), (J_hat, v, x + np.nan, target)):
-            assert not compiled.known_gravity(*wrong, g, constants, kind, torque, e)
+            assert not compiled.known_gravity(*wrong, g, constants, torque, e)
             assert not compiled.learnt_gravity(
-                *wrong, zero, constants, kind, *more, limits, torque, e, rate
+                *wrong, zero, constants, *more, limits, torque, e, rate
             )
         flat = (0.0 * J_hat, v, x, target)
-        assert not compiled.known_gravity(*flat, g, constants, kind, torque, e)
+        assert not compiled.known_gravity(*flat, g, constants, torque, e)
         for jacobian, most in ((flat[0], limits), (J_hat, 0.9 * np.abs(expected.torque))):
             assert not compiled.learnt_gravity(
-                jacobian, *begin[1:], zero, constants, kind, *more, most, torque, e, rate
+                jacobian, *begin[1:], zero, constants, *more, most, torque, e, rate
             )
 
 

@@ -114,15 +114,15 @@ class CompiledSetpointController(SetpointController):
         )
         kind = _SATURATIONS.index(type(self.saturation))
         gamma = np.broadcast_to(getattr(self.saturation, "gamma", 1.0), m)
-        constants = np.concatenate([*self.diagonals, gamma, [self._scale]])
+        constants = np.concatenate([*self.diagonals, gamma, [self._scale, kind]])
         within_null_space, no_rate = self._pull_within_null_space, self._no_rate
         parts = (fits, is_small, saturated, taken_apart)
         bounds = None if learning is None else learning.bounds
         if learning is None:
-            step = compiled(known_gravity, (2, 1, 1, 1, 1, 1, int), 2, parts)
+            step = compiled(known_gravity, (2, 1, 1, 1, 1, 1), 2, parts)
             gravity = self.gravity.torque  # type: ignore[union-attr]  # the others have one
         else:
-            inputs = (2, 1, 1, 1, 1, 1, int, 2, 1, learning.L.ndim, float, 1)
+            inputs = (2, 1, 1, 1, 1, 1, 2, 1, learning.L.ndim, 0, 1)
             step = compiled(learnt_gravity, inputs, 3, parts)
             # copies, as Numba takes longer with arrays that are read-only
             L, limits = learning.L.copy(), learning.torque_limits.copy()
@@ -135,15 +135,17 @@ class CompiledSetpointController(SetpointController):
             try:
                 _, q, v, x = measurement
                 usual = (
-                    type(q) is type(v) is type(x) is type(target) is type(state) is ndarray
+                    q.__class__ is v.__class__ is x.__class__ is ndarray
+                    and target.__class__ is state.__class__ is ndarray
                     and q.shape == q_shape
                     and state.shape == state_shape
-                    and q.dtype is state.dtype is float64
+                    and q.dtype is v.dtype is x.dtype is float64
+                    and target.dtype is state.dtype is float64  # Numba mistakes the order of bytes
                     and (not guarded or hypot(*q.tolist(), *x.tolist()) < huge)
                 )
                 if continuous and usual:
                     robot.configuration(q)
-            except (TypeError, ValueError):
+            except (AttributeError, TypeError, ValueError):
                 usual = False
             if usual:
                 J_hat = jacobian(q, x)
@@ -152,13 +154,15 @@ class CompiledSetpointController(SetpointController):
                     g = g + within_null_space(q, J_hat, J_hat.dot(J_hat.T), *pull)
                 torque, e, rate = empty(n), empty(m), no_rate
                 try:
-                    if learning is None:
-                        usual = step(J_hat, v, x, target, g, constants, kind, torque, e)
+                    if guarded and not (J_hat.__class__ is ndarray and J_hat.dtype is float64):
+                        usual = False  # of a task of the user's own
+                    elif learning is None:
+                        usual = step(J_hat, v, x, target, g, constants, torque, e)
                     else:
                         Z, rate = compute_Z(q), empty(p)
                         usual = step(
-                            J_hat, v, x, target, g, constants, kind,
-                            Z, state, L, alpha, limits, torque, e, rate,
+                            J_hat, v, x, target, g, constants, Z, state,
+                            L, alpha, limits, torque, e, rate,
                         )  # fmt: skip
                 except (TypeError, ValueError):  # not of float64, or beyond what has eigenvalues
                     usual = False
@@ -179,7 +183,6 @@ def known_gravity(
     x_d: Array,
     g: Array,
     constants: Array,
-    kind: int,
     torque: Array,
     e: Array,
 ) -> bool:
@@ -191,14 +194,14 @@ def known_gravity(
         x: Measured x.
         x_d: Target.
         g: Gravity torque, shape (n_v,).
-        constants: Diagonals of K_p, K_v and B_c, γ, and the scale of `law.is_near_singular`.
-        kind: Which of `_SATURATIONS`.
+        constants: Diagonals of K_p, K_v and B_c, γ, the scale of `law.is_near_singular`, and
+            which of `_SATURATIONS`.
         torque: Shape (n_v,).
         e: Shape (m,).
     """
     if not fits(J_hat, v, x, x_d, g, torque, e):
         return False
-    kp, kv, damping, gamma, scale = taken_apart(constants, len(e))
+    kp, kv, damping, gamma, scale, kind = taken_apart(constants, len(e))
     e[:] = x - x_d
     s = saturated(e, gamma, kind)
     torque[:] = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, g)
@@ -212,7 +215,6 @@ def learnt_gravity(
     x_d: Array,
     g: Array,
     constants: Array,
-    kind: int,
     Z: Array,
     theta_hat: Array,
     L: Array,
@@ -233,7 +235,6 @@ def learnt_gravity(
         x_d: Target.
         g: Torque that is added to the learnt gravity, shape (n_v,).
         constants: As above.
-        kind: As above.
         Z: Gravity regressor, shape (n_v, p).
         theta_hat: Estimated gravity parameters θ̂, shape (p,).
         L: Adaptation gain, shape (p,) or (p, p).
@@ -245,7 +246,7 @@ def learnt_gravity(
     """
     if not fits(J_hat, v, x, x_d, g, torque, e):
         return False
-    kp, kv, damping, gamma, scale = taken_apart(constants, len(e))
+    kp, kv, damping, gamma, scale, kind = taken_apart(constants, len(e))
     e[:] = x - x_d
     s = saturated(e, gamma, kind)
     torque[:] = g + law.learnt_gravity_torque(J_hat, kp, kv, s, v, damping, Z, theta_hat)
@@ -265,18 +266,19 @@ def fits(J_hat: Array, v: Array, x: Array, x_d: Array, g: Array, torque: Array, 
     )
 
 
-def taken_apart(constants: Array, m: int) -> tuple[Array, Array, Array, Array, float]:
-    """K_p, K_v, B_c, γ and the scale: one array takes less time to hand over than four."""
+def taken_apart(constants: Array, m: int) -> tuple[Array, Array, Array, Array, float, float]:
+    """K_p, K_v, B_c, γ, scale and kind: one array takes less time to hand over than each."""
     return (
         constants[:m],
         constants[m : 2 * m],
-        constants[2 * m : -m - 1],
-        constants[-m - 1 : -1],
+        constants[2 * m : -m - 2],
+        constants[-m - 2 : -2],
+        constants[-2],
         constants[-1],
     )
 
 
-def saturated(e: Array, gamma: Array, kind: int) -> Array:
+def saturated(e: Array, gamma: Array, kind: float) -> Array:
     """s(e) of one of `_SATURATIONS`."""
     if kind == 1:
         return sine(e / gamma, gamma)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
@@ -33,8 +34,8 @@ class ModelGravity(SetOnce):
     def __init__(self, robot: Robot) -> None:
         require("robot", robot, Robot, "the believed Robot")
         self.robot = robot
-        self._model = robot.model
-        self._data = self._model.createData()
+        model = robot.model
+        self._torque_at = partial(pin.computeGeneralizedGravity, model, model.createData())
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot,)  # a copy has scratch memory of its own
@@ -44,7 +45,7 @@ class ModelGravity(SetOnce):
 
     def torque(self, q: Array) -> Array:
         """g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
-        g: Array = pin.computeGeneralizedGravity(self._model, self._data, q)
+        g: Array = self._torque_at(q)
         return g
 
 

@@ -37,7 +37,7 @@ _EQUATIONS = (
 @functools.cache
 def compiled(
     function: Callable[..., Any],
-    inputs: tuple[int | type, ...],
+    inputs: tuple[int, ...],
     outputs: int,
     parts: tuple[Callable[..., Any], ...],
 ) -> Callable[..., Any]:
@@ -48,8 +48,8 @@ def compiled(
 
     Args:
         function: What calls nothing but equations of `law`, `parts`, and what Numba knows.
-        inputs: For each of its first arguments the number of dimensions of an array, or `int` or
-            `float`.
+        inputs: For each of its first arguments the number of dimensions: of an array, or 0 for a
+            number.
         outputs: How many vectors follow, which it writes into.
         parts: Functions beside it that it calls.
 
@@ -68,12 +68,11 @@ def compiled(
     # Numba looks at the file of a function alone to tell whether what it kept is still true.
     named = types.FunctionType(function.__code__, function.__globals__, function.__name__)
     named.__qualname__ = f"{function.__qualname__}_{_digest(inputs)}"
-    scalars = {int: numba.int64, float: numba.float64}
     signature = [
-        numba.types.Array(numba.float64, kind, "A", readonly=True, aligned=False)
-        if isinstance(kind, int)
-        else scalars[kind]
-        for kind in inputs
+        numba.types.Array(numba.float64, ndim, "A", readonly=True, aligned=False)
+        if ndim
+        else numba.float64
+        for ndim in inputs
     ]
     signature += [numba.types.Array(numba.float64, 1, "C")] * outputs
     options = {"error_model": "numpy"}  # no exceptions where NumPy has none
@@ -95,7 +94,7 @@ def _teach(functions: tuple[Callable[..., Any], ...]) -> None:
     overload(products.dot)(product_of)
 
 
-def _digest(inputs: tuple[int | type, ...]) -> str:
+def _digest(inputs: tuple[int, ...]) -> str:
     """Short name of the equations as they are now, and of what is handed over."""
     sources = sorted(Path(products.__file__).parent.glob("*.py"))
     text = b"".join(source.read_bytes() for source in [*sources, Path(__file__)])

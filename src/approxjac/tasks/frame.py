@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ class FrameKinematics:
         self._id = robot.frame_id(frame)
         self._model = robot.model
         self._data = self._model.createData()
+        self._jacobian_of = partial(pin.computeFrameJacobian, self._model, self._data)
         # live views: reading an attribute of Pinocchio's costs as much as computing
         self._rotation = self._data.oMf[self._id].rotation
         self._translation = self._data.oMf[self._id].translation
@@ -64,7 +66,7 @@ class FrameKinematics:
 
     def compute_jacobian(self, q: Array) -> Array:
         """`jacobian` at a q that has been checked already, for loops."""
-        J: Array = pin.computeFrameJacobian(self._model, self._data, q, self._id, _LWA)
+        J: Array = self._jacobian_of(q, self._id, _LWA)
         return J if self._many else J.reshape(6, 1)
 
     def compute_motion(self, q: Array) -> tuple[Array, Array, Array]:
