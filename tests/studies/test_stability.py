@@ -29,6 +29,7 @@ def certified(tmp_path_factory):
     return code, out
 
 
+@pytest.mark.slow
 def test_a_certified_set(certified):
     code, out = certified
     assert code == 0
@@ -46,6 +47,7 @@ def test_a_certified_set(certified):
     assert summary["advice"][1].startswith("the matrix form certifies it with margin 0.")
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn(certified):
     from matplotlib.image import imread
 
@@ -92,6 +94,7 @@ def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     assert again == 0
 
 
+@pytest.mark.slow
 def test_camera_of_the_two_link_arm(tmp_path):
     case = study.prepare(
         "two_link",
