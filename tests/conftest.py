@@ -7,7 +7,7 @@ import pytest
 from hypothesis import Phase, settings
 
 import approxjac as aj
-from approxjac.robots.named import NAMED
+from approxjac.robots.catalog import NAMED
 
 settings.register_profile("default", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("default")

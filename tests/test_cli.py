@@ -18,7 +18,7 @@ from tornado.websocket import websocket_connect
 
 import approxjac as aj
 from approxjac.cli import main
-from approxjac.robots.named import NAMED, urdf_path
+from approxjac.robots.catalog import NAMED, urdf_path
 
 
 def run(*arguments):

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.robots.named import NAMED, urdf_path
+from approxjac.robots.catalog import NAMED, urdf_path
 from approxjac.studies.arms import carried_object
 from approxjac.tasks import best_axes
 

@@ -46,7 +46,6 @@ def test_texts_of_what_one_builds(panda, belief):
         ),
         aj.Gains(400.0, (80.0, 80.0, 70.0)): "Gains(kp=400, kv=[80, 80, 70])",
         aj.Gains([1 / 3] * 3, 80.0, 1.0): "Gains(kp=0.3333, kv=80, damping=1)",
-        aj.BoundedGains(1.0, 0.1, 2.0, 3.0): "BoundedGains(kp=1, gamma=0.1, kd=2, v0=3)",
         aj.Posture(Q, 3.0): "Posture(q=[0, -0.5, 0, -2, 0, 1.6, 0.7], stiffness=3)",
         aj.Limits(): "Limits()",
         aj.Limits(effort=np.full(7, 87.0), rate=1e3): "Limits(effort=87, rate=1000)",

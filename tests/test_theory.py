@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law
-from approxjac.stability.linear_loop import LinearLoop, Timing, sampled_matrix
+from approxjac.stability.linearization import LinearLoop, Timing, sampled_matrix
 
 
 @pytest.fixture

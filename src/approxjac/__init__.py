@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 from approxjac import law
 from approxjac.controllers import (
     AdaptiveGravity,
-    BoundedController,
-    BoundedGains,
     CompiledSetpointController,
     DifferentiatedVelocity,
     Gains,
@@ -30,7 +28,6 @@ from approxjac.controllers import (
     TorqueClipped,
     TorqueLimited,
     VelocityServo,
-    bounded_gains,
     default_gains,
 )
 from approxjac.errors import (
@@ -77,7 +74,7 @@ if TYPE_CHECKING:
     from approxjac.stability.region import JointBox
     from approxjac.stability.report import stability_report
     from approxjac.stability.rollouts import rollouts
-    from approxjac.stability.suggest import suggest_gains
+    from approxjac.stability.suggestion import suggest_gains
     from approxjac.stability.tolerance import tolerance
     from approxjac.stability.uncertainty import Uncertainty
 
@@ -89,8 +86,6 @@ _MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of furt
 __all__ = [
     "AdaptiveGravity",
     "ApproxJacError",
-    "BoundedController",
-    "BoundedGains",
     "CombinedTask",
     "CompiledSetpointController",
     "Controller",
@@ -138,7 +133,6 @@ __all__ = [
     "UnknownNameError",
     "UrdfError",
     "VelocityServo",
-    "bounded_gains",
     "default_gains",
     "excitation",
     "law",

@@ -13,8 +13,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from approxjac.checks import Array
-from approxjac.text import listed
+from approxjac.formatting import listed
+from approxjac.validation import Array
 
 
 class Status(enum.IntEnum):

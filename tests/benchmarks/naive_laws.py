@@ -77,20 +77,6 @@ def setpoint(robot, J_of, m, x_d, kp, kv, *, sine=False, learning=False, lag=Non
     return step
 
 
-def bounded(robot, J_of, x_d, controller):
-    """The law of `BoundedController`, clipped as a last resort."""
-    model, data = robot.model, robot.model.createData()
-    kp, gamma, kd, v0 = controller.diagonals
-    Kp, Kd, limits = np.diag(kp), np.diag(kd), controller.torque_limits
-
-    def step(q, v, x):
-        s = gamma * np.tanh((x - x_d) / gamma)
-        tau = -J_of(q).T @ Kp @ s - Kd @ np.tanh(v / v0)
-        return (np.clip(tau + pin.computeGeneralizedGravity(model, data, q), -limits, limits),)
-
-    return step
-
-
 def velocity_servo(robot, J_of, x_d, rate, bandwidth):
     """The law of `VelocityServo`, with gravity inside of Pinocchio's inverse dynamics."""
     model, data, fastest = robot.model, robot.model.createData(), robot.velocity_limits

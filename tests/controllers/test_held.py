@@ -38,7 +38,6 @@ def controllers(task):
         "known gravity": law,
         "learnt gravity": aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)),
         "law (5)": aj.SetpointController(task, velocity=aj.DifferentiatedVelocity(0.1)),
-        "bounded": aj.BoundedController(task),
         "limited": aj.TorqueLimited(law, limits, dt=DT),
         "clipped": aj.TorqueClipped(law, dt=DT),
     }

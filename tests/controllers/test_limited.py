@@ -815,8 +815,8 @@ def test_where_gravity_is_too_much_scaling_leaves_it_clipped(panda, rng):
 
 
 def test_another_law_is_limited_without_a_proof(panda):
-    law = aj.BoundedController(aj.PositionTask(panda))
-    with pytest.raises(aj.InvalidInputError, match="proof must be False for BoundedController"):
+    law = aj.VelocityServo(aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match="proof must be False for VelocityServo"):
         aj.TorqueLimited(law)
     limited = aj.TorqueLimited(law, proof=False)
     measurement, target = infeasible_state(panda)

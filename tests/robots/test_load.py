@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.robots.named import NAMED, share_dir, urdf_path
-from approxjac.tasks.frame import FrameKinematics
+from approxjac.robots.catalog import NAMED, share_dir, urdf_path
+from approxjac.tasks.frame_kinematics import FrameKinematics
 
 
 def link(name):
@@ -300,7 +300,7 @@ def test_relative_names_resolve_from_the_folder_of_the_urdf(tmp_path, monkeypatc
 
 
 def test_without_the_package_of_the_named_robots_only_our_own_load(monkeypatch):
-    monkeypatch.setattr("approxjac.robots.named.share_dir", lambda: None)
+    monkeypatch.setattr("approxjac.robots.catalog.share_dir", lambda: None)
     with pytest.raises(aj.MissingPackageError, match=r"pip install example-robot-data$"):
         aj.load_robot("panda")
     assert aj.load_robot("two_link").velocity_limits.shape == (2,)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import approxjac as aj
-from approxjac.robots.named import NAMED, urdf_path
-from approxjac.robots.positions import reach_bound
+from approxjac.robots.catalog import NAMED, urdf_path
+from approxjac.robots.joint_limits import reach_bound
 from approxjac.tasks import FrameKinematics
 
 AXES = {"panda": "z", "ur5": "z", "two_link": "x", "z1": "x", "talos_arm": "-z", "so100": "-y"}

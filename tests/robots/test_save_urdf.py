@@ -13,7 +13,7 @@ from lxml import etree
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.robots.named import NAMED
+from approxjac.robots.catalog import NAMED
 
 OBJECTS = {
     "rod": {"length": 0.5, "mass": 0.5, "radius": 0.0, "axis": "x"},

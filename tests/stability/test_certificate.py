@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law
-from approxjac.stability.loop import setting_of
+from approxjac.stability.closed_loop import setting_of
 from approxjac.stability.matrix_form import FAMILIES, MatrixForm, Setting, Weights, best_weights
-from approxjac.stability.scenarios import Sampler
+from approxjac.stability.samples import Sampler
 from approxjac.stability.theorem1 import theorem1
 from approxjac.studies import paper
 
@@ -211,7 +211,7 @@ def test_no_unstable_target_is_certified(seed):
     J = J_hat + rng.normal(size=(1, m, n)) * 10.0 ** rng.uniform(-2.0, 0.7)
     kp, kv = rng.uniform(1.0, 20.0, (2, m))
     B = 10.0 ** rng.uniform(-1.0, 1.5, n)
-    from approxjac.stability.scenarios import Scenarios
+    from approxjac.stability.samples import Scenarios
 
     scenarios = Scenarios(
         np.zeros(1, dtype=int), np.zeros((1, n)), np.zeros((1, m)), M[None],

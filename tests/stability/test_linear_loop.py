@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.stability.linear_loop import (
+from approxjac.stability.linearization import (
     Timing,
     continuous_matrix,
     equilibria,

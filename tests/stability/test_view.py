@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import approxjac as aj
-from approxjac.stability.attain import attain
-from approxjac.stability.loop import true_plants
-from approxjac.stability.scenarios import Sampler
-from approxjac.stability.view import SeenPart, UnattainedError, between
+from approxjac.stability.closed_loop import true_plants
+from approxjac.stability.inverse_kinematics import attain
+from approxjac.stability.samples import Sampler
+from approxjac.stability.visibility import SeenPart, UnattainedError, between
 
 ARM = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
 CAMERA = aj.PinholeCamera.looking_at((1.0, 0.0, 0.8), (1.0, -2.0, 0.8), 400.0, (320, 240))

@@ -10,9 +10,9 @@ import pytest
 import approxjac as aj
 from approxjac import cli
 from approxjac.simulation import Trajectory
-from approxjac.stability.loop import setting_of
+from approxjac.stability.closed_loop import setting_of
 from approxjac.stability.matrix_form import MatrixForm, Weights
-from approxjac.stability.scenarios import Sampler
+from approxjac.stability.samples import Sampler
 from approxjac.studies import (
     certify,
     certify_cases,

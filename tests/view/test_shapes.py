@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.robots import urdf as urdf_xml
+from approxjac.robots.catalog import NAMED, share_dir
 from approxjac.robots.meshes import find_mesh
-from approxjac.robots.named import NAMED, share_dir
 from approxjac.view.shapes import robot_look
 from approxjac.view.triangles import Shape, load_mesh, shares, simplify, smooth
 

@@ -1,7 +1,5 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
-from approxjac.controllers.bounded import BoundedController
-from approxjac.controllers.bounded_gains import BoundedGains, bounded_gains
 from approxjac.controllers.clipped import TaskTorqueScaled, TorqueClipped
 from approxjac.controllers.compiled import CompiledSetpointController
 from approxjac.controllers.gains import Gains
@@ -13,20 +11,18 @@ from approxjac.controllers.gravity import (
     NoGravity,
     RegressorGravity,
 )
-from approxjac.controllers.held import HeldMeasurement
-from approxjac.controllers.limited import TorqueLimited
 from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import Limits
+from approxjac.controllers.measurement_hold import HeldMeasurement
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
+from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tuning import default_adaptation, default_gains
 from approxjac.controllers.velocity_servo import VelocityServo
 
 __all__ = [
     "Adaptation",
     "AdaptiveGravity",
-    "BoundedController",
-    "BoundedGains",
     "CompiledSetpointController",
     "DifferentiatedVelocity",
     "Gains",
@@ -43,7 +39,6 @@ __all__ = [
     "TorqueClipped",
     "TorqueLimited",
     "VelocityServo",
-    "bounded_gains",
     "default_adaptation",
     "default_gains",
 ]

@@ -7,11 +7,11 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from approxjac.checks import Array, SetOnce
 from approxjac.controllers.gravity import Gravity
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement
 from approxjac.tasks import Task
+from approxjac.validation import Array, SetOnce
 
 FLOAT64 = np.dtype(np.float64)
 _MAKES_ONE = "numpy.array({0}, dtype=float) makes one of numbers"

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers.limiter import Asked, Limiter
 from approxjac.interface import LimitStatus
+from approxjac.validation import Array
 
 
 class TorqueClipped(Limiter):

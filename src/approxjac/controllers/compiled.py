@@ -8,7 +8,6 @@ from collections.abc import Callable
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array
 from approxjac.controllers.checked import FLOAT64, HUGE
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import Gravity, RegressorGravity
@@ -21,6 +20,7 @@ from approxjac.law import Linear, Saturation, Sine, Tanh
 from approxjac.law.products import dot
 from approxjac.law.saturation import sine, tanh
 from approxjac.tasks import PositionTask, Task
+from approxjac.validation import Array
 
 _SATURATIONS = (Linear, Sine, Tanh)
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from approxjac.checks import Array, as_diagonal, is_scalar, shape_of
-from approxjac.text import short_fields
+from approxjac.formatting import short_fields
+from approxjac.validation import Array, as_diagonal, is_scalar, shape_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,7 +9,10 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import (
+from approxjac.errors import InvalidInputError
+from approxjac.formatting import listed, short
+from approxjac.robots import GravityRegressor, Robot
+from approxjac.validation import (
     Array,
     SetOnce,
     as_array,
@@ -19,9 +22,6 @@ from approxjac.checks import (
     is_scalar,
     require,
 )
-from approxjac.errors import InvalidInputError
-from approxjac.robots import GravityRegressor, Robot
-from approxjac.text import listed, short
 
 
 class ModelGravity(SetOnce):

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array, SetOnce, as_number, require
 from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.gravity import Adaptation, AdaptiveGravity
 from approxjac.controllers.limits import Limits, effort_bounds, rate_bounds
@@ -15,6 +14,7 @@ from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement
 from approxjac.tasks import Task
+from approxjac.validation import Array, SetOnce, as_number, require
 
 _FREE, _KEPT = LimitStatus.FREE, LimitStatus.PROOF_KEPT  # members of an enum are slow to look up
 
@@ -66,7 +66,7 @@ class Limiter(SetOnce, abc.ABC):
         self, controller: CheckedController, limits: Limits | None = None, *, dt: float = 1e-3
     ) -> None:
         wanted = (
-            "a SetpointController, a BoundedController or a VelocityServo (what holds measurements "
+            "a SetpointController or a VelocityServo (what holds measurements "
             "goes around it: HeldMeasurement(TorqueLimited(law), ...))"
         )
         require("controller", controller, CheckedController, wanted)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from approxjac.checks import Array, as_limits, as_number, require, shape_of
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import short_fields
 from approxjac.robots import Robot
-from approxjac.text import short_fields
+from approxjac.validation import Array, as_limits, as_number, require, shape_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)

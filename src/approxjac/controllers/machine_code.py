@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array
 from approxjac.errors import MissingPackageError
 from approxjac.law import products, pseudoinverse, saturation
+from approxjac.validation import Array
 
 _EQUATIONS = (
     law.damped_gram_solve,

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from approxjac.checks import Array, as_array, as_diagonal, is_scalar, shape_of
-from approxjac.text import short_fields
+from approxjac.formatting import short_fields
+from approxjac.validation import Array, as_array, as_diagonal, is_scalar, shape_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)

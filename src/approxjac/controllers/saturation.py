@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array, as_number
 from approxjac.errors import InvalidInputError
 from approxjac.law import Saturation
 from approxjac.tasks import Task
+from approxjac.validation import Array, as_number
 
 _NAMES = ("s", "S", "ds", "d", "c_bar", "d_bar")
 _SLACK = 1e-5  # relative: round-off costs less, a mistake more

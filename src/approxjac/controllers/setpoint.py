@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.checks import Array, as_diagonal, as_number, require
 from approxjac.controllers.checked import CheckedController, is_beyond
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
@@ -27,9 +26,10 @@ from approxjac.controllers.tuning import default_adaptation, default_gains, slow
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Status
 from approxjac.law import Linear, Saturation
-from approxjac.robots.positions import require_radians
+from approxjac.robots.joint_limits import require_radians
 from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
+from approxjac.validation import Array, as_diagonal, as_number, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_number, require
 from approxjac.controllers.gains import Diagonals, Gains
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import Task
 from approxjac.tasks.task import seen_postures
+from approxjac.validation import Array, as_number, require
 
 _POSTURES = 100
 _SETTLED = 4.0  # time constants until 2 % are left

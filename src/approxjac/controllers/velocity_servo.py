@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array, as_diagonal, as_number, require
 from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.gravity import (
     AdaptiveGravity,
@@ -22,6 +21,7 @@ from approxjac.law import Linear, Saturation
 from approxjac.robots import Dynamics
 from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
+from approxjac.validation import Array, as_diagonal, as_number, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _SINGULAR = Status.NEAR_SINGULAR

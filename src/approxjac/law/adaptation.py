@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.law.products import dot
+from approxjac.validation import Array
 
 
 def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:

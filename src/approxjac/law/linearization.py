@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array
+from approxjac.validation import Array
 
 
 def closed_loop_matrix(M: Array, J: Array, J_hat: Array, kp: Array, kv: Array, B: Array) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array
+from approxjac.validation import Array
 
 
 def V(

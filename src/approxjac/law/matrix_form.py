@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array
+from approxjac.validation import Array
 
 
 def dissipation(J_hat: Array, kv: Array, B: Array) -> Array:

@@ -5,7 +5,7 @@ What is compiled (`controllers.compiled`) has loops in its place: BLAS takes lon
 
 from __future__ import annotations
 
-from approxjac.checks import Array
+from approxjac.validation import Array
 
 
 def dot(a: Array, b: Array) -> Array:

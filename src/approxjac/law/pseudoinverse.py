@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.law.products import dot
+from approxjac.validation import Array
 
 SINGULAR_RATIO = 0.02
 """Damping sets in where σ_min(Ĵ) falls below this share of σ_max(Ĵ)."""

@@ -16,8 +16,8 @@ from typing import Protocol
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, shape_of
 from approxjac.errors import InvalidInputError
+from approxjac.validation import Array, as_array, shape_of
 
 _QUARTER = 0.5 * math.pi  # the angle at which the sine is at its top
 # as arrays, which a ufunc takes in two thirds of the time of numbers

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.law.products import dot
+from approxjac.validation import Array
 
 
 def measured_velocity_torque(

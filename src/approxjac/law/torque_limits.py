@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from approxjac.checks import Array
+from approxjac.validation import Array
 
 _ROUND_OFF = 1e-12
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.law.products import dot
 from approxjac.law.pseudoinverse import damped_gram_solve
+from approxjac.validation import Array
 
 
 def velocity_reference(

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_vector, require
 from approxjac.robots.model import WORLD, mass_matrix, symmetric
 from approxjac.robots.robot import Robot
+from approxjac.validation import Array, as_vector, require
 
 
 class Dynamics:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, as_number, require, shape_of
 from approxjac.errors import InvalidInputError
 from approxjac.robots.gravity_regressor import GravityRegressor
+from approxjac.validation import Array, as_array, as_number, require, shape_of
 
 _NO_EFFECT = 1e-12  # share of the largest effect that is round-off
 

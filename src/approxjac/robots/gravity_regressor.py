@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, axis_rows, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.robot import Robot
+from approxjac.validation import Array, axis_rows, require
 
 _POSTURES = 60  # random postures that rank and grouping are found from
 _RANK_TOLERANCE = 1e-9
@@ -100,15 +100,6 @@ class GravityRegressor:
     def compute_Z(self, q: Array) -> Array:
         """`Z` at a q that has been checked already, for loops."""
         return self._full(q).take(self._columns, 1)
-
-    def masses(self, theta: Array) -> tuple[Array, Array]:
-        """Masses of the moving links (n_all,) and their first moments (n_all, 3) that make g = Zθ.
-
-        In the links' frames, with mimic joints counted [kg, kg m]. Others would do as well.
-        """
-        parameters = np.zeros((self._model.nv, 10))
-        parameters.ravel()[self._columns] = theta
-        return parameters[:, 0], parameters[:, 1:4]
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
         """Return the θ with which this Z(q) reproduces the gravity of another robot.

@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from approxjac.checks import Array
 from approxjac.errors import (
     InvalidInputError,
     MissingPackageError,
@@ -14,9 +13,10 @@ from approxjac.errors import (
     UrdfError,
 )
 from approxjac.robots import urdf as urdf_xml
-from approxjac.robots.chain import lock_off_chain
-from approxjac.robots.named import NAMED, NamedRobot, urdf_path
+from approxjac.robots.catalog import NAMED, NamedRobot, urdf_path
+from approxjac.robots.locked_joints import lock_off_chain
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
+from approxjac.validation import Array
 
 
 def load_robot(

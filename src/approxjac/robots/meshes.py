@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.errors import UrdfError
-from approxjac.robots.named import share_dir
+from approxjac.robots.catalog import share_dir
 
 _MUJOCO_READS = (".stl", ".obj", ".msh")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")

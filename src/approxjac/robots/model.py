@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.errors import UrdfError
-from approxjac.robots.coupling import Coupling, build_coupled
+from approxjac.robots.mimic_joints import Coupling, build_coupled
+from approxjac.validation import Array
 
 WORLD = pin.Convention.WORLD  # members of Pinocchio's enums are slow to look up
 

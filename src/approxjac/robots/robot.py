@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_number, as_vector, require, shape_of
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import meshes, urdf_edit
 from approxjac.robots import urdf as urdf_xml
-from approxjac.robots.coupling import Coupling
+from approxjac.robots.mimic_joints import Coupling
 from approxjac.robots.model import build_model, outward_axis, own_joints
+from approxjac.validation import Array, as_array, as_number, as_vector, require, shape_of
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 _LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm

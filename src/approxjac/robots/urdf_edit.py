@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.validation import Array, as_array
 
 if TYPE_CHECKING:
     import yourdfpy

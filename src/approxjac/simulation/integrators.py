@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.simulation.plant import Plant
+from approxjac.validation import Array
 
 Integrator = Callable[[Plant, Array, Array, Array, float], tuple[Array, Array]]
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_number, as_vector, require
 from approxjac.errors import InvalidInputError, MissingPackageError, UrdfError
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.sensing import Sensing
 from approxjac.tasks import Task
+from approxjac.validation import Array, as_number, as_vector, require
 
 if TYPE_CHECKING:
     import mujoco

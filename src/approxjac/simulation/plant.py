@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from approxjac.checks import Array, as_diagonal, as_limits, as_number, as_vector, require
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import short
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
-from approxjac.simulation.ready import ready_posture
+from approxjac.simulation.ready_configuration import ready_posture
 from approxjac.simulation.sensing import Sensing, SensorReadings
 from approxjac.tasks import PositionTask, Task
-from approxjac.text import short
+from approxjac.validation import Array, as_diagonal, as_limits, as_number, as_vector, require
 
 
 class Plant:

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.interface import Controller, Evaluation, Measurement
 from approxjac.robots import Robot
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.scene import Scene
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.tasks import Task
+from approxjac.validation import Array
 
 
 class _Instant(NamedTuple):

@@ -6,13 +6,13 @@ from collections import deque
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, require
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError
 from approxjac.interface import Controller, Evaluation, Measurement
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.sensing import SensorReadings
 from approxjac.tasks import Task
+from approxjac.validation import Array, as_array, require
 
 
 class SampledLoop:

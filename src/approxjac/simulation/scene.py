@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.tasks import (
     Camera,
@@ -22,6 +21,7 @@ from approxjac.tasks import (
     Task,
 )
 from approxjac.tasks.wrapped import WrappedTask
+from approxjac.validation import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_diagonal, as_number, shape_of
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import short_fields
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
-from approxjac.text import short_fields
+from approxjac.validation import Array, as_diagonal, as_number, shape_of
 
 _FOREVER = 1e15  # samples
 _TINY = 1e-6  # of a frame or a sample: more than round-off in k dt, less than anyone means

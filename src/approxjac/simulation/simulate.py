@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_number, require
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
 from approxjac.interface import Controller
-from approxjac.robots.positions import require_radians
+from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.record import Record
 from approxjac.simulation.sampled_loop import SampledLoop, diverged, first_state, require_fit
 from approxjac.simulation.trajectory import Trajectory
+from approxjac.validation import Array, as_array, as_number, require
 
 Progress = Callable[[float], None]
 Observer = Callable[[SampledLoop], None]

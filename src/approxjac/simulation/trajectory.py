@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_number, require
 from approxjac.errors import ApproxJacError, InvalidInputError, TrajectoryFileError
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation.scene import Scene
+from approxjac.validation import Array, as_number, require
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,7 +6,7 @@ from approxjac.stability.map import StabilityMap, stability_map
 from approxjac.stability.region import JointBox, Region, RegularPart, SublevelSet, Tube
 from approxjac.stability.report import StabilityReport, stability_report
 from approxjac.stability.rollouts import Rollout, Rollouts, rollouts
-from approxjac.stability.suggest import Suggestion, suggest_gains
+from approxjac.stability.suggestion import Suggestion, suggest_gains
 from approxjac.stability.tolerance import Tolerance, tolerance
 from approxjac.stability.uncertainty import Uncertainty
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.stability.matrix_form import (
     Best,
     Family,
@@ -17,8 +16,9 @@ from approxjac.stability.matrix_form import (
     best_weights,
 )
 from approxjac.stability.rollouts import clopper_pearson
-from approxjac.stability.scenarios import Sampler, Scenarios
+from approxjac.stability.samples import Sampler, Scenarios
 from approxjac.stability.theorem1 import CONSTANTS, badness, constants
+from approxjac.validation import Array
 
 _REFINED = 6  # closer looks at the worst scenario, each from the worst of the last
 _NEAR = 40  # scenarios of a closer look

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from approxjac.checks import as_array, is_scalar
 from approxjac.errors import InvalidInputError
+from approxjac.validation import as_array, is_scalar
 
 
 class Coordinate(NamedTuple):

@@ -9,13 +9,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.checks import Array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.controllers.gravity import Adaptation
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.stability.linear_loop import (
+from approxjac.stability.linearization import (
     LinearLoop,
     Timing,
     continuous_matrix,
@@ -23,6 +22,7 @@ from approxjac.stability.linear_loop import (
     linear_loop,
     sampled_matrix,
 )
+from approxjac.validation import Array, as_number, require
 
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
 _ZERO = 1e-11  # size of an eigenvalue relative to the largest that counts as zero

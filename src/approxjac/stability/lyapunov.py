@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from approxjac import law
-from approxjac.checks import Array, as_array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 from approxjac.tasks.task import require_jacobian_of_q
+from approxjac.validation import Array, as_array, as_number, require
 
 
 class LyapunovValue(NamedTuple):

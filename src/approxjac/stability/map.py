@@ -9,11 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, require
 from approxjac.controllers import Gains, SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.stability.loop import (
+from approxjac.stability.closed_loop import (
     default_region,
     require_gravity,
     require_law,
@@ -23,12 +22,13 @@ from approxjac.stability.loop import (
 from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.scenarios import Sampler, Scenarios, Targets
-from approxjac.stability.singular import singular_posture
+from approxjac.stability.samples import Sampler, Scenarios, Targets
+from approxjac.stability.singularity import singular_posture
 from approxjac.stability.targets import local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.stability.view import UnattainedError
+from approxjac.stability.visibility import UnattainedError
+from approxjac.validation import Array, as_array, require
 
 PARAMETERS: Mapping[str, str] = MappingProxyType(
     {

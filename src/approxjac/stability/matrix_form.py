@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array
-from approxjac.stability.scenarios import Indices, Scenarios
+from approxjac.stability.samples import Indices, Scenarios
+from approxjac.validation import Array
 
 Family = Literal["paper", "free", "wide"]
 """Which Lyapunov functions are tried.

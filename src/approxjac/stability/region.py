@@ -9,15 +9,15 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.checks import Array, as_array, as_number, is_scalar, require
 from approxjac.controllers import SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
-from approxjac.robots.positions import require_radians
+from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
 from approxjac.tasks.task import require_jacobian_of_q
+from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
 _TRIES = 1000
 _THINNING = 25

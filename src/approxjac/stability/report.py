@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, require
 from approxjac.controllers import SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
-from approxjac.stability.loop import (
+from approxjac.stability.closed_loop import (
     EXACT_GRAVITY,
     default_region,
     gravity_error,
@@ -27,11 +26,12 @@ from approxjac.stability.loop import (
 from approxjac.stability.matrix_form import Family, MatrixForm, Weights
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
-from approxjac.stability.scenarios import Sampler, Scenarios
-from approxjac.stability.singular import singular_posture
+from approxjac.stability.samples import Sampler, Scenarios
+from approxjac.stability.singularity import singular_posture
 from approxjac.stability.targets import LocalTest, local_test
 from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.validation import Array, require
 
 
 @dataclass(frozen=True, eq=False, repr=False)

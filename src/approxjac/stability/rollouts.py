@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from approxjac.checks import Array, as_number, require
 from approxjac.errors import InvalidInputError, SimulationError
 from approxjac.interface import Controller
 from approxjac.simulation import Trajectory, simulate
 from approxjac.simulation.sampled_loop import require_fit
 from approxjac.stability.region import Region
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.stability.view import SeenPart, UnattainedError
+from approxjac.stability.visibility import SeenPart, UnattainedError
+from approxjac.validation import Array, as_number, require
 
 _RECORDS = 500  # of a run: 50 in its last tenth
 _CHUNKS = 64  # that runs are handed to an executor in, at most

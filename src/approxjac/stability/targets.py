@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers import SetpointController
 from approxjac.stability.local import linearised
-from approxjac.stability.scenarios import Indices, Sampler, Scenarios, Targets
+from approxjac.stability.samples import Indices, Sampler, Scenarios, Targets
+from approxjac.validation import Array
 
 _LOCAL = 1000  # postures at most
 

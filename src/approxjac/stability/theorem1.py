@@ -9,9 +9,9 @@ from types import MappingProxyType
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array
 from approxjac.stability.matrix_form import Setting
-from approxjac.stability.scenarios import Scenarios
+from approxjac.stability.samples import Scenarios
+from approxjac.validation import Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,12 +8,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from approxjac.checks import Array, as_number, require
 from approxjac.controllers import SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificate import refine_constants, refine_weights
-from approxjac.stability.loop import (
+from approxjac.stability.closed_loop import (
     default_region,
     require_gravity,
     require_law,
@@ -23,12 +22,13 @@ from approxjac.stability.loop import (
 from approxjac.stability.matrix_form import MatrixForm
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.scenarios import Sampler
-from approxjac.stability.singular import singular_posture
+from approxjac.stability.samples import Sampler
+from approxjac.stability.singularity import singular_posture
 from approxjac.stability.targets import local_test
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.stability.view import UnattainedError
+from approxjac.stability.visibility import UnattainedError
+from approxjac.validation import Array, as_number, require
 
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")

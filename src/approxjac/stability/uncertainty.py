@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_number, is_scalar, require
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability.coordinates import Coordinate, as_range, in_words
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
+from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
 _CORNER_SEED = 0
 _HALVINGS = 20

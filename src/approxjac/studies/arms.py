@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.checks import as_number
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.robots import load_robot, robot_names
 from approxjac.studies import reach
 from approxjac.studies.processes import run_in_processes
+from approxjac.validation import as_number
 
 LENGTH, MASS = 0.20, 0.5
 _LARGEST_SHARE = 0.15  # of the arm's moving mass that an object may have

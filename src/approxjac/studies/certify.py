@@ -11,14 +11,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from approxjac import law
-from approxjac.checks import Array
 from approxjac.errors import SimulationError
 from approxjac.simulation import Trajectory, simulate
 from approxjac.stability import StabilityReport, local_stability, stability_report
 from approxjac.stability.matrix_form import MatrixForm, Setting, Weights
-from approxjac.stability.scenarios import Sampler, Scenarios
+from approxjac.stability.samples import Sampler, Scenarios
 from approxjac.studies.certify_cases import Case, Loop, build
 from approxjac.studies.processes import run_in_processes
+from approxjac.validation import Array
 
 TESTS = ("theorem1", "paper", "free", "wide")
 """Test 1 and the families of test 2, all of which certify a region."""

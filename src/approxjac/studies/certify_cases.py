@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers import Gains, NoGravity, SetpointController, default_gains
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.law import Linear, Saturation, Sine
@@ -19,6 +18,7 @@ from approxjac.stability import JointBox
 from approxjac.studies import paper
 from approxjac.studies.arms import carried_object
 from approxjac.tasks import ImageTask, PlanarCamera, PositionTask, Task
+from approxjac.validation import Array
 
 KINDS = ("two-link, camera", "two-link, lengths", "ur5", "panda", "xarm7", "kinova", "so100")
 """The paper's arm and camera, the paper's arm with lengths wrong, and arms that hold an object."""

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array
 from approxjac.robots import load_robot
 from approxjac.tasks import PositionTask
+from approxjac.validation import Array
 
 TOOLS = ((0.2, 0.03), (0.2, 0.1), (0.3, 0.1), (0.3, 0.3))
 """Length of the tool [m] and β of each row."""

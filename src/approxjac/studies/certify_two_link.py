@@ -11,9 +11,9 @@ import numpy as np
 
 from approxjac import law
 from approxjac.stability import JointBox, stability_report
-from approxjac.stability.loop import setting_of
+from approxjac.stability.closed_loop import setting_of
 from approxjac.stability.matrix_form import FAMILIES, MatrixForm, Setting, best_weights
-from approxjac.stability.scenarios import Sampler, Scenarios
+from approxjac.stability.samples import Sampler, Scenarios
 from approxjac.stability.theorem1 import theorem1
 from approxjac.studies import paper
 

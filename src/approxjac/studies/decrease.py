@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.controllers import SetpointController
 from approxjac.interface import Status
 from approxjac.simulation import Plant, Trajectory
 from approxjac.stability import LyapunovValue, lyapunov
+from approxjac.validation import Array
 
 _TURN = 1e-4  # how far q and q̇ go at most in a difference, as a share of 1 rad and of q̇'s scale
 _LONGEST = 1e-4  # [s]

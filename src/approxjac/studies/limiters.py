@@ -11,9 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.checks import as_number
 from approxjac.controllers import (
-    BoundedController,
     Limits,
     RegressorGravity,
     SetpointController,
@@ -34,6 +32,7 @@ from approxjac.studies.reach_result import AT_LIMIT, Reach
 from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Tally
 from approxjac.tasks import PositionTask, Task
+from approxjac.validation import as_number
 
 ROBOTS = ("panda", "xarm7", "two_link")
 SCALES = (1.0, 0.7, 0.5, 0.35, 0.25)
@@ -215,9 +214,6 @@ def makers() -> dict[str, Callable[[Reach], Controller]]:
         "qp-torque": lambda ready: limited(ready.controller, Limits(_limits(ready).effort), "qp"),
         "clip": lambda ready: limited(ready.controller, _limits(ready), "clip"),
         "scale": lambda ready: limited(ready.controller, _limits(ready), "scale"),
-        "tanh": lambda ready: BoundedController(
-            ready.controller.task, ready.plant.torque_limits, gravity=ready.controller.gravity
-        ),
     }
 
 

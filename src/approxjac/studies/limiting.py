@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import as_number
 from approxjac.controllers import (
     Limiter,
     Limits,
@@ -17,6 +16,7 @@ from approxjac.controllers import (
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.studies.reach_settings import Settings
+from approxjac.validation import as_number
 
 LIMITERS = ("qp", "clip", "scale")
 # A simulated arm waits for the solver: what comes out must not depend on how busy a machine is.

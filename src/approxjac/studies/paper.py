@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array, as_array, as_number
 from approxjac.controllers import (
     AdaptiveGravity,
     Gains,
@@ -27,6 +26,7 @@ from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.simulation import Plant, Trajectory, simulate
 from approxjac.stability import LocalStability, local_stability
 from approxjac.tasks import ImageTask, PlanarCamera
+from approxjac.validation import Array, as_array, as_number
 
 Verdict = Literal["stable", "unstable"]
 Inertia = Literal["rod", "point-mass"]

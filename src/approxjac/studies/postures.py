@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
-from approxjac.simulation.ready import holdable
+from approxjac.simulation.ready_configuration import holdable
 from approxjac.tasks import Task
+from approxjac.validation import Array, as_array
 
 REGULAR = 0.1
 """Starts and targets have σ_min of J and of Ĵ above this share of σ_max."""

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, as_number
 from approxjac.controllers import (
     AdaptiveGravity,
     Gains,
@@ -41,6 +40,7 @@ from approxjac.studies.reach_settings import Settings
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.studies.watch import Watched
 from approxjac.tasks import PoseTask, PositionTask, Task
+from approxjac.validation import Array, as_array, as_number
 
 __all__ = [
     "Reach",

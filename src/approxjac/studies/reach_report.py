@@ -7,10 +7,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from approxjac.checks import Array
-from approxjac.robots.positions import farthest_beyond
+from approxjac.robots.joint_limits import farthest_beyond
 from approxjac.simulation import Trajectory
 from approxjac.studies.reach import Result
+from approxjac.validation import Array
 from approxjac.view import (
     legend_below,
     new_figure,

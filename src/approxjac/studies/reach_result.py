@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers import Limits, SetpointController
 from approxjac.interface import Controller, LimitStatus, Status
 from approxjac.robots import Robot
-from approxjac.robots.positions import beyond_positions, reach_bound
+from approxjac.robots.joint_limits import beyond_positions, reach_bound
 from approxjac.simulation import Plant, Trajectory
 from approxjac.studies.reach_settings import Settings
 from approxjac.studies.watch import Tally
 from approxjac.tasks import PoseTask, PositionTask
+from approxjac.validation import Array
 
 AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]

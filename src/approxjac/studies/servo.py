@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array
 from approxjac.controllers import (
     DifferentiatedVelocity,
     Gains,
@@ -22,7 +21,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.robots import Dynamics, Robot, load_robot
 from approxjac.simulation import Plant, SampledLoop, Sensing
-from approxjac.simulation.ready import holdable
+from approxjac.simulation.ready_configuration import holdable
 from approxjac.studies.limiting import limited, limits_named
 from approxjac.studies.postures import REGULAR, is_regular, posture_from
 from approxjac.studies.reach import given_or, gravity_from, sampled
@@ -32,6 +31,7 @@ from approxjac.studies.servo_scene import ServoScene, carried_scene, watched_sce
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import CombinedTask, ImageTask, Task
 from approxjac.tasks.task import seen_postures
+from approxjac.validation import Array, as_array
 
 __all__ = ["Servo", "ServoResult", "ServoSettings", "prepare", "run"]
 

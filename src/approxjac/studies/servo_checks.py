@@ -6,9 +6,9 @@ import math
 from dataclasses import fields
 from typing import Any
 
-from approxjac.checks import as_number
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.studies.servo_settings import ServoSettings
+from approxjac.validation import as_number
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "eye": ("to-hand", "in-hand"),

@@ -17,7 +17,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.controllers import Gains, HeldMeasurement, SetpointController
 from approxjac.errors import InvalidInputError, SimulationError
 from approxjac.interface import Controller, Evaluation, Measurement
@@ -28,6 +27,7 @@ from approxjac.studies.processes import run_in_processes
 from approxjac.studies.servo_result import Servo
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import Task
+from approxjac.validation import Array
 
 ROLLS = tuple(10.0 * i for i in range(13))  # [deg]
 RATIOS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # k_p / k_v [1/s]

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers import VelocityServo
 from approxjac.interface import Status
-from approxjac.robots.positions import farthest_beyond
+from approxjac.robots.joint_limits import farthest_beyond
 from approxjac.studies.reach_report import moved_target
 from approxjac.studies.servo_result import ServoResult
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import CombinedTask, ImageTask
+from approxjac.validation import Array
 from approxjac.view import (
     legend_below,
     new_figure,

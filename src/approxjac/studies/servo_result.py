@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers import HeldMeasurement, SetpointController, VelocityServo
 from approxjac.interface import Status
 from approxjac.robots import Robot
-from approxjac.robots.positions import beyond_positions
+from approxjac.robots.joint_limits import beyond_positions
 from approxjac.simulation import Plant, Trajectory
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import ImageTask
+from approxjac.validation import Array
 
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 

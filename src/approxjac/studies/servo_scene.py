@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_number
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import FrameKinematics, ImageTask, PinholeCamera
+from approxjac.validation import Array, as_array, as_number
 
 _FRONT = np.array([0.75, -0.6, 0.3])  # of the arm, to its right and above
 _AWAY = 1.0  # distance of the camera from what it looks at, in reaches of the arm

@@ -13,13 +13,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers import SetpointController
 from approxjac.controllers.tuning import position_gains
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.studies import servo
 from approxjac.studies.processes import run_in_processes
 from approxjac.studies.servo_settings import ServoSettings
+from approxjac.validation import Array
 
 ROLL, FOCAL, DEPTH = math.radians(30.0), 0.3, 0.5  # how wrong the believed camera is
 NOISES = (0.0, 0.5, 2.0)  # of the comparison [px]

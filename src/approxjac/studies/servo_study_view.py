@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.studies.servo_map import LOOPS, Cell, Loop
 from approxjac.studies.servo_study import LAWS, ONE_POINT, Outcome
 from approxjac.studies.servo_study_report import Row, rows
+from approxjac.validation import Array
 from approxjac.view import COLORS, new_figure, style
 from approxjac.view.style import NEUTRAL
 

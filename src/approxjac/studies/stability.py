@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 
-from approxjac.checks import Array, as_number
 from approxjac.controllers import (
     AdaptiveGravity,
     Gains,
@@ -36,10 +35,11 @@ from approxjac.stability import (
     stability_report,
     tolerance,
 )
-from approxjac.stability.loop import default_region
+from approxjac.stability.closed_loop import default_region
 from approxjac.stability.map import PARAMETERS
 from approxjac.stability.tolerance import Test
 from approxjac.tasks import PlanarCamera, PositionTask
+from approxjac.validation import Array, as_number
 
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of what `tolerance` finds, that is certified in full
 _RAISED = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)  # damping that is tried as advice

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.stability import StabilityReport
 from approxjac.stability.map import PARAMETERS
 from approxjac.studies.stability import Case, StabilityResult
 from approxjac.tasks import FrameKinematics
+from approxjac.validation import Array
 from approxjac.view import new_figure, plot_allowed_error, plot_map, plot_margins, save_figure
 
 if TYPE_CHECKING:

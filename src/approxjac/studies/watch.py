@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
 from approxjac.tasks import Task
+from approxjac.validation import Array
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 from approxjac.tasks.camera import Camera, PlanarCamera
 from approxjac.tasks.combined import CombinedTask
-from approxjac.tasks.frame import FrameKinematics
+from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.tasks.image import ImageTask
 from approxjac.tasks.nonsingular import NonsingularTask
 from approxjac.tasks.pinhole import PinholeCamera

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, as_number, axis_rows
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.text import short_fields
+from approxjac.formatting import short_fields
+from approxjac.validation import Array, as_array, as_number, axis_rows
 
 
 class Calibrated(NamedTuple):

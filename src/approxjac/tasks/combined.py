@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks.task import Task, seen_postures
 from approxjac.tasks.wrapped import WrappedTask
+from approxjac.validation import Array, as_array, require
 
 _POSTURES = 400
 _NEAREST = 30  # of these, by their value's distance to the target

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from approxjac.checks import Array
+from approxjac.validation import Array
 
 _HALVINGS = 55
 _TINY = 1e-15  # a coefficient below it folds nothing

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_array, as_number, is_scalar, require, shape_of
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
 from approxjac.tasks.pinhole import PinholeCamera
-from approxjac.tasks.points import PointKinematics
+from approxjac.tasks.point_kinematics import PointKinematics
 from approxjac.tasks.task import Task, require_rows
+from approxjac.validation import Array, as_array, as_number, is_scalar, require, shape_of
 
 _APART = 1e-9  # points nearer to one another, or to one line, count as there [m]
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_number, require
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.tasks.task import Task, vanishing
 from approxjac.tasks.wrapped import WrappedTask
+from approxjac.validation import Array, as_number, require
 
 _TINY = 1e-300
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array, as_number, is_scalar
 from approxjac.errors import InvalidInputError
 from approxjac.tasks.camera import Calibrated, Camera
 from approxjac.tasks.distortion import RadialDistortion
+from approxjac.validation import Array, as_array, as_number, is_scalar
 
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _ON_AN_EDGE = 17  # points of each edge of the image

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, require
 from approxjac.robots import Robot
-from approxjac.tasks.frame import FrameKinematics
+from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.tasks.task import Task, require_rows
+from approxjac.validation import Array, require
 
 _NO_ROTATION = 1e-6  # a quaternion shorter than this stands for no orientation
 

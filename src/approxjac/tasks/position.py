@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array, axis_rows, require
 from approxjac.robots import Robot
-from approxjac.tasks.frame import FrameKinematics
+from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.tasks.task import Task, require_rows
+from approxjac.validation import Array, axis_rows, require
 
 _STILL = 1e-4  # share of the fastest axis below which nothing moves along it (URDFs are rounded)
 

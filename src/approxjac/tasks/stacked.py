@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array, require
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.tasks.task import Task, require_rows
+from approxjac.validation import Array, require
 
 
 class StackedTask(Task):

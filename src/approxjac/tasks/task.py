@@ -7,9 +7,9 @@ from abc import ABC, abstractmethod
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
+from approxjac.validation import Array, as_array
 
 _TRIES = 20000  # random postures to look for ones that a camera sees
 

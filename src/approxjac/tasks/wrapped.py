@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.tasks.task import Task
+from approxjac.validation import Array
 
 
 class WrappedTask(Task):

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.checks import Array, require
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Trajectory
 from approxjac.tasks import Camera, ImageTask, PinholeCamera
+from approxjac.validation import Array, require
 from approxjac.view.plots import skeleton
 from approxjac.view.style import (
     BELIEVED,

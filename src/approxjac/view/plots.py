@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_vector, axis_rows, require
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
+from approxjac.validation import Array, as_vector, axis_rows, require
 from approxjac.view.style import (
     BELIEVED,
     COLORS,

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_number, require
 from approxjac.robots import Robot
 from approxjac.robots import urdf as urdf_xml
 from approxjac.robots.meshes import find_mesh
+from approxjac.validation import Array, as_number, require
 from approxjac.view import triangles as mesh
 from approxjac.view.triangles import Shape
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array, axis_rows
+from approxjac.validation import Array, axis_rows
 from approxjac.view.style import COLORS, NEUTRAL, axes_or_new, legend_below, style
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.checks import Array
+from approxjac.validation import Array
 from approxjac.view.packages import view_package
 
 if TYPE_CHECKING:

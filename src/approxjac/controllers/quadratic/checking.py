@@ -7,8 +7,8 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers.quadratic.problem import QuadraticProgram, Verdict
+from approxjac.validation import Array
 
 TOLERANCE = 1e-6  # of bounds and rows, relative to their size and at least absolute
 _EXACT = 1e-24  # square of a violation that brings nothing out of tolerance when taken away

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_number
 from approxjac.controllers.quadratic.daqp import Daqp
 from approxjac.controllers.quadratic.osqp import Osqp
 from approxjac.controllers.quadratic.problem import QuadraticProgram, Solver
 from approxjac.controllers.quadratic.threaded import InThread
 from approxjac.errors import InvalidInputError, MissingPackageError, UnknownNameError
+from approxjac.validation import Array, as_number
 
 # With these the solvers of qpsolvers reach residuals of 1e-6 on the degenerate problems of the
 # tests, which their own settings do not.

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers.quadratic.checking import TOLERANCE, Checking, absurd, coerced
 from approxjac.controllers.quadratic.problem import QuadraticProgram, Verdict
+from approxjac.validation import Array
 
 # DAQP's exit flags; -6 is "initial working set overdetermined": equalities that are in conflict
 _OPTIMAL, _INFEASIBLE, _OVERDETERMINED, _OUT_OF_TIME = 1, -1, -6, -7

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers.quadratic.checking import Checking, absurd, coerced
 from approxjac.controllers.quadratic.daqp import Daqp
 from approxjac.controllers.quadratic.problem import QuadraticProgram, Verdict
+from approxjac.validation import Array
 
 _RHO = 0.1
 _RHO_CHANGES = 10

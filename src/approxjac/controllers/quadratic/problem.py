@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from typing import NamedTuple, Protocol
 
-from approxjac.checks import Array
+from approxjac.validation import Array
 
 
 class QuadraticProgram(NamedTuple):

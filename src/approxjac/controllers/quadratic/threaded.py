@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.controllers.quadratic.checking import Checking, absurd, coerced
 from approxjac.controllers.quadratic.daqp import Daqp
 from approxjac.controllers.quadratic.problem import QuadraticProgram, Verdict
+from approxjac.validation import Array
 
 Function = Callable[[QuadraticProgram], Array | None]
 _HUGE = 1e100  # below it nothing overflows in a check

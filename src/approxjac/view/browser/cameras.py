@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, axis_rows
 from approxjac.simulation.scene import Feature
 from approxjac.tasks import Camera, PinholeCamera, PlanarCamera
+from approxjac.validation import Array, axis_rows
 
 _NEAR = 0.18  # where the image is drawn, of the way to what the camera looks at
 _IN_HAND = 0.12  # the same of a camera on the arm, of the arm's size

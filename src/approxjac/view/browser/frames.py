@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.robots.model import own_joints
 from approxjac.simulation.scene import Feature, Scene, features
 from approxjac.tasks import FrameKinematics
-from approxjac.tasks.points import PointKinematics
+from approxjac.tasks.point_kinematics import PointKinematics
+from approxjac.validation import Array
 from approxjac.view.browser.tree import joint_positions
 
 AT_LIMIT = 0.01

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, require
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene, features
+from approxjac.validation import Array, require
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import image_axes
 from approxjac.view.browser.frames import Frames, display_unit

@@ -8,8 +8,8 @@ from html import escape, unescape
 from pathlib import Path
 from urllib.parse import quote
 
-from approxjac.checks import require
 from approxjac.errors import InvalidInputError
+from approxjac.validation import require
 from approxjac.view.style import NEUTRAL, TRUE
 
 _HEAD = 4000  # characters of a page in which its name stands

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_number
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
+from approxjac.validation import Array, as_number
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.html import live_page, recorded
 from approxjac.view.browser.opening import open_browser

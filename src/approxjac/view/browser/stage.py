@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.simulation.scene import Scene, features
 from approxjac.tasks import Task
+from approxjac.validation import Array
 from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import camera_view
 from approxjac.view.browser.tree import Tree, robot_tree

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.robots import urdf as urdf_xml
+from approxjac.validation import Array
 
 _KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.robots import Robot
 from approxjac.robots.model import own_joints
+from approxjac.validation import Array
 
 _INSTANTS = 40  # of a run, whose postures must all be in view
 _SIDE = np.deg2rad(28.0)  # past cameras, which would be looked at from behind otherwise

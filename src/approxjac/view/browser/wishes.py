@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, as_array
 from approxjac.errors import InvalidInputError
 from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.simulation.scene import features
+from approxjac.validation import Array, as_array
 
 _LONG = 80  # characters of what was given, in errors
 

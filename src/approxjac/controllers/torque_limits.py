@@ -10,7 +10,6 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.checks import Array, as_diagonal, as_number, require
 from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.limiter import Asked, Limiter
 from approxjac.controllers.limits import (
@@ -27,6 +26,7 @@ from approxjac.controllers.tuning import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Status
 from approxjac.robots import Dynamics
+from approxjac.validation import Array, as_diagonal, as_number, require
 
 Weight = Literal["joint inertia", "inertia", "identity", "task force"]
 Rows = tuple[Array, Array, Array]

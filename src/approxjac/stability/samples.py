@@ -9,14 +9,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.checks import Array
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.stability.attain import attain
+from approxjac.stability.inverse_kinematics import attain
 from approxjac.stability.region import Region
-from approxjac.stability.view import SeenPart, UnattainedError, between
+from approxjac.stability.visibility import SeenPart, UnattainedError, between
 from approxjac.tasks.task import require_jacobian_of_q
+from approxjac.validation import Array
 
 Indices = NDArray[np.intp]
 _STARTS = 20  # of the search for postures that attain a target

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
-from approxjac.stability.scenarios import Scenarios
-from approxjac.stability.view import SeenPart
+from approxjac.stability.samples import Scenarios
+from approxjac.stability.visibility import SeenPart
 from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
+from approxjac.validation import Array
 
 _STARTS = 5
 _STEPS = 20

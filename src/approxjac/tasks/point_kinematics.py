@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.checks import Array, as_vector
 from approxjac.robots import Robot
-from approxjac.tasks.frame import FrameKinematics
+from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.validation import Array, as_vector
 
 # a @ _CROSS is [a]ₓ, row by row
 _CROSS = np.array([

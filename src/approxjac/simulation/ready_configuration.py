@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics
 from approxjac.tasks import Task
+from approxjac.validation import Array
 
 _DRAWN = 300
 _INNER = 0.8  # share of each joint's range that is drawn from

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.tasks import Task
+from approxjac.validation import Array
 
 _STEPS = 200
 _EXACT = 1e-10  # error that counts as none, relative to the size of the Jacobian

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array, as_vector
 from approxjac.robots import Robot
+from approxjac.validation import Array, as_vector
 
 _LWA = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.errors import InvalidInputError
 from approxjac.stability.region import Region
 from approxjac.tasks import Task
+from approxjac.validation import Array
 
 _TRIES = 1000  # for each posture that is seen
 _NEARBY = 20  # tries

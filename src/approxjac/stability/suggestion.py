@@ -8,22 +8,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from approxjac.checks import Array, as_limits, as_number, require
 from approxjac.controllers import Gains, NoGravity, SetpointController, default_gains
 from approxjac.controllers.tuning import position_gains
 from approxjac.errors import UnknownNameError
 from approxjac.law import Saturation
 from approxjac.simulation import Plant
-from approxjac.stability.linear_loop import Timing
+from approxjac.stability.closed_loop import default_region, setting_of, true_plants
+from approxjac.stability.linearization import Timing
 from approxjac.stability.local import linearised
-from approxjac.stability.loop import default_region, setting_of, true_plants
 from approxjac.stability.matrix_form import MatrixForm, first_that_passes
 from approxjac.stability.region import Region
-from approxjac.stability.scenarios import Sampler, Scenarios
-from approxjac.stability.singular import singular_posture
+from approxjac.stability.samples import Sampler, Scenarios
+from approxjac.stability.singularity import singular_posture
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.tolerance import TESTS, Test, tolerance
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.validation import Array, as_limits, as_number, require
 
 _RATES = (1.0, 1.5, 2.5, 4.0)  # of the position gain, times what settles the believed arm
 _STIFFNESS = (1.0, 0.5, 2.0, 4.0)  # of K_v, times the default

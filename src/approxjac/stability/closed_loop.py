@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from approxjac.checks import Array, require
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
@@ -15,6 +14,7 @@ from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import JointBox, Region, RegularPart
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.tasks.task import vanishing
+from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5
 """Gravity torque that counts as none [N m or N]."""

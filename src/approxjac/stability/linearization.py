@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from approxjac import law
-from approxjac.checks import Array
 from approxjac.controllers import SetpointController
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
 from approxjac.tasks.task import vanishing
+from approxjac.validation import Array
 
 
 class LinearLoop(NamedTuple):

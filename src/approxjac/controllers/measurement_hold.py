@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.checks import Array, SetOnce, as_limits, as_number
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Controller, Evaluation, Measurement, Status
 from approxjac.tasks import Task
+from approxjac.validation import Array, SetOnce, as_limits, as_number
 
 _OK, _HELD = Status.OK, Status.MEASUREMENT_HELD  # members of an enum are slow to look up
 _FLOAT = np.dtype(np.float64)
@@ -56,8 +56,8 @@ class HeldMeasurement(SetOnce):
     Immutable; one instance a thread, as the controller.
 
     Args:
-        controller: What answers with Ĵ and has a task: a `SetpointController`, a
-            `BoundedController`, or `TorqueLimited` and the like around one of them.
+        controller: What answers with Ĵ and has a task: a `SetpointController`,
+            or `TorqueLimited` and the like around one.
         unseen: How far the image may move without being seen, a number or shape (m,) > 0, infinite
             for no limit [unit of the task]. Less than the arm moves from image to image (its
             fastest speed times the time between them, and a few more where some are lost) makes it

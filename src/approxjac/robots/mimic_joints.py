@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.errors import UrdfError
 from approxjac.robots.urdf import bare_text
 from approxjac.robots.urdf_edit import followers, leader_of
+from approxjac.validation import Array
 
 
 class Coupling:

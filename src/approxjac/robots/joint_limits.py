@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from approxjac.checks import Array
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import Robot
+from approxjac.validation import Array
 
 
 def beyond_positions(robot: Robot, q: Array) -> Array:
