@@ -46,5 +46,5 @@ view.plot_torque(run, right)
 print(*view.save_figure(figure, out / "panda_unknown_tool"), sep="\n")
 
 # A page to keep: both robots, moving. One file, to be opened in any browser.
-print(run.to_html(out / "panda_unknown_tool.html", title=title))
+print(view.save_page(run, out / "panda_unknown_tool.html", title))
 print(view.write_index(out))

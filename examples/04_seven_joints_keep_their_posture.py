@@ -55,7 +55,7 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
         )
         if posture is not None:
             title = f"{name}: the tool is unknown, the posture is kept"
-            print(run.to_html(out / f"seven_joints_{name}.html", title=title))
+            print(view.save_page(run, out / f"seven_joints_{name}.html", title))
         error.semilogy(run.t, 1e3 * run.error_norm, color=COLORS[label], label=label)
         away.plot(run.t, distance, color=COLORS[label], label=label)
     with view.style():

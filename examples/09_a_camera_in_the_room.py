@@ -65,5 +65,5 @@ for ax, q, when in ((axes[2], start, "start"), (axes[3], run.q[-1], "end")):
     view.plot_camera_view(sensor, q, ax, believed=task.task, target=target, title=title)
 print(*view.save_figure(figure, out / "camera_in_the_room"), sep="\n")
 title = "Two points of an unknown tool, seen by a camera that nobody calibrated"
-print(run.to_html(out / "camera_in_the_room.html", title=title))
+print(view.save_page(run, out / "camera_in_the_room.html", title))
 print(view.write_index(out))

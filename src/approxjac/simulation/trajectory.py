@@ -155,57 +155,6 @@ class Trajectory:
             ) from error
         return path
 
-    def to_html(self, path: str | Path | None = None, *, title: str | None = None) -> str | Path:
-        """Write the run as a page for a web browser: the arm in motion and its plots.
-
-        The page is one file that needs nothing else, no network either. It shows at most 60
-        instants a second, and 1000 in all.
-
-        Args:
-            path: File to write; by default none is written.
-            title: Of the page; says whose arm it is by default.
-
-        Returns:
-            The path written, or the page's text where no path was given.
-
-        Raises:
-            InvalidInputError: A run without `scene`, or a file that cannot be written.
-            MissingPackageError: The package meshcat is not installed.
-        """
-        from approxjac.view.browser import page  # a run shows itself; nothing else here may
-
-        text = page(self, title=title)
-        if path is None:
-            return text
-        require("path", path, (str, Path), "the name of a file")
-        path = Path(path)
-        try:
-            path.write_text(text, encoding="utf-8")
-        except (OSError, ValueError) as error:
-            raise InvalidInputError(
-                f"path must be a file that can be written, got {path}: {error}", given=path
-            ) from error
-        return path
-
-    def view(self, *, title: str | None = None) -> Path:
-        """Open the run's page (`to_html`) in a web browser.
-
-        Where there is none, a line is printed that says where the page is.
-
-        Args:
-            title: Of the page.
-
-        Returns:
-            The temporary file that holds the page.
-
-        Raises:
-            InvalidInputError: A run without `scene`.
-            MissingPackageError: The package meshcat is not installed.
-        """
-        from approxjac.view.browser import show
-
-        return show(self, title=title)
-
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
         """Read a run that `save` wrote.

@@ -29,6 +29,7 @@ from approxjac.view import (
     plot_path,
     plot_torque,
     save_figure,
+    save_page,
     write_index,
 )
 
@@ -168,9 +169,10 @@ def write_pages(results: Sequence[Result], out: Path) -> str:
     for result in results:
         experiment = result.experiment
         try:
-            result.run.to_html(
+            save_page(
+                result.run,
                 out / f"fig{experiment.figure}.html",
-                title=f"Figure {experiment.figure}: {experiment.title} — {result.verdict}; "
+                f"Figure {experiment.figure}: {experiment.title} — {result.verdict}; "
                 f"the paper: “{experiment.paper_words}”",
             )
         except MissingPackageError as error:

@@ -1,5 +1,6 @@
 """Plots of runs, of what cameras see and of stability; runs in the browser."""
 
+from approxjac.view.browser.html import save_page, show
 from approxjac.view.browser.index import write_index
 from approxjac.view.browser.live import LiveView
 from approxjac.view.images import plot_camera_view, plot_image, plot_lanes
@@ -52,6 +53,8 @@ __all__ = [
     "plot_slack",
     "plot_torque",
     "save_figure",
+    "save_page",
+    "show",
     "style",
     "write_index",
 ]

@@ -14,6 +14,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac import view
+from approxjac.view.browser import page
 from approxjac.view.browser.html import _peaks, _thinned
 
 
@@ -36,9 +38,9 @@ def column(data, name):
 
 
 def test_a_run_writes_its_page(run, tmp_path):
-    path = run.to_html(tmp_path / "run.html", title="Two links & <more>")
+    path = view.save_page(run, tmp_path / "run.html", "Two links & <more>")
     text = path.read_text(encoding="utf-8")
-    assert text == run.to_html(title="Two links & <more>")
+    assert text == page(run, title="Two links & <more>")
     assert "<title>Two links &amp; &lt;more&gt;</title>" in text
     assert '<meta name="generator" content="approxjac">' in text[:4000]
     assert data_of(text)["title"] == "Two links & <more>"
@@ -46,28 +48,28 @@ def test_a_run_writes_its_page(run, tmp_path):
 
 
 def test_the_page_hands_on_the_licences_of_what_is_inside(run):
-    text = run.to_html()
+    text = page(run)
     for name in ("Leon Sorokin", "Robin Deits", "three.js authors"):
         assert name in text, name
 
 
 def test_the_page_is_the_same_for_the_same_run(run):
-    assert run.to_html() == run.to_html()
+    assert page(run) == page(run)
 
 
 def test_a_title_cannot_end_the_script(run):
-    text = run.to_html(title="</script><script>alert(1)</script>")
+    text = page(run, title="</script><script>alert(1)</script>")
     assert data_of(text)["title"] == "</script><script>alert(1)</script>"
     assert text.count("alert(1)") == 3  # title, heading, data
     assert "<script>alert" not in text
 
 
 def test_a_title_may_be_anything(run):
-    assert data_of(run.to_html(title="{{scripts}} \\1"))["title"] == "{{scripts}} \\1"
+    assert data_of(page(run, title="{{scripts}} \\1"))["title"] == "{{scripts}} \\1"
 
 
 def test_columns_are_those_of_the_run(run):
-    data = data_of(run.to_html())
+    data = data_of(page(run))
     t = column(data, "t")
     assert len(t) == 61  # 60 a second
     kept = _thinned(run.t)
@@ -101,12 +103,12 @@ def test_no_peak_is_lost_between_instants(rng):
 def test_what_the_page_says_of_the_run(run):
     lost = run.x_measured.copy()
     lost[:100] = np.nan
-    facts = dict(data_of(dataclasses.replace(run, x_measured=lost).to_html())["facts"])
+    facts = dict(data_of(page(dataclasses.replace(run, x_measured=lost)))["facts"])
     norm = 1e3 * run.error_norm
     left = 100.0 * norm[-1] / norm[0]
     assert facts["error"] == f"{norm[0]:.0f} → {norm[-1]:.3g} mm ({left:.3g} % is left)"
     none = dataclasses.replace(run, error=run.error * np.linspace(1.0, 1e-6, len(run.t))[:, None])
-    assert dict(data_of(none.to_html())["facts"])["error"].endswith(
+    assert dict(data_of(page(none))["facts"])["error"].endswith(
         "→ below 0.001 mm (below 0.001 % is left)"
     )
     assert facts["not measured"] == "10 % of the time"
@@ -123,7 +125,7 @@ def test_a_page_of_a_panda_is_small(panda, capsys):
     target = plant.sensor.value(start) + [0.1, -0.15, 0.16]
     run = aj.simulate(plant, controller, target, start, 10.0, dt=2e-3)
     before = time.perf_counter()
-    text = run.to_html()
+    text = page(run)
     seconds = time.perf_counter() - before
     data = data_of(text)
     with capsys.disabled():
@@ -141,23 +143,23 @@ def test_missing_meshes_are_told(panda, tmp_path):
     controller = aj.SetpointController(task, aj.Gains(60.0, 20.0, 1.0))
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     run = aj.simulate(aj.Plant(lost, task), controller, task.value(q0), q0, 0.1, dt=0.01)
-    data = data_of(run.to_html())
+    data = data_of(page(run))
     assert any("link0" in text and "no such file" in text for text in data["missing"])
     assert len(data["links"]) > 5  # capsules
 
 
 def test_a_run_without_a_scene_is_refused(run):
     with pytest.raises(aj.InvalidInputError, match="run must have a scene"):
-        dataclasses.replace(run, scene=None).to_html()
+        page(dataclasses.replace(run, scene=None))
 
 
 def test_a_file_that_cannot_be_written_is_told(run, tmp_path):
     with pytest.raises(aj.InvalidInputError, match="path must be a file that can be written"):
-        run.to_html(tmp_path / "no" / "such" / "folder.html")
+        view.save_page(run, tmp_path / "no" / "such" / "folder.html")
 
 
 def test_a_run_of_a_file_has_the_same_page(run, tmp_path):
-    assert aj.Trajectory.load(run.save(tmp_path / "run")).to_html() == run.to_html()
+    assert page(aj.Trajectory.load(run.save(tmp_path / "run"))) == page(run)
 
 
 def test_without_meshcat_it_says_what_to_install(run, monkeypatch):
@@ -165,7 +167,7 @@ def test_without_meshcat_it_says_what_to_install(run, monkeypatch):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "meshcat", None)
     with pytest.raises(aj.ApproxJacError, match=r"pip install 'approxjac\[view\]'"):
-        run.to_html()
+        page(run)
 
 
 @pytest.mark.parametrize("there", [True, False])
@@ -173,10 +175,10 @@ def test_a_run_is_viewed(run, monkeypatch, capsys, there):
     opened = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or there)
-    path = run.view(title="seen")
+    path = view.show(run, "seen")
     try:
         assert opened == [path.as_uri()]
-        assert path.read_text(encoding="utf-8") == run.to_html(title="seen")
+        assert path.read_text(encoding="utf-8") == page(run, title="seen")
         told = capsys.readouterr().out
         assert told == ("" if there else f"No browser could be opened here: the page is {path}\n")
     finally:
@@ -188,7 +190,7 @@ def test_without_a_screen_no_browser_is_tried(run, monkeypatch, capsys):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(webbrowser, "open", None)  # one for terminals would take this one over
-    path = run.view()
+    path = view.show(run)
     path.unlink()
     assert capsys.readouterr().out == f"No browser could be opened here: the page is {path}\n"
 

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from pictures import near, pixels
 
 import approxjac as aj
+from approxjac import view
 from approxjac.simulation.scene import Scene
 from approxjac.studies import paper, servo
 from approxjac.tasks import FrameKinematics
@@ -58,7 +59,7 @@ def page_of(tmp_path_factory):
 
     def page_of_(run):
         if run not in written:
-            written[run] = run.to_html(folder / f"{len(written)}.html")
+            written[run] = view.save_page(run, folder / f"{len(written)}.html")
         return written[run]
 
     return page_of_
@@ -328,7 +329,7 @@ def test_without_webgl_there_are_the_plots(drawn, browser, tmp_path):
             return kind.includes("webgl") ? null : real.call(this, kind, ...rest);
         };
     """)
-    page.goto(drawn.to_html(tmp_path / "run.html").as_uri())
+    page.goto(view.save_page(drawn, tmp_path / "run.html").as_uri())
     assert "This browser cannot draw the arm" in page.locator("#canvas").inner_text()
     page.evaluate("approxjac.pause(); approxjac.seek(1.0)")
     assert state(page)["t"] == 1.0

@@ -219,10 +219,50 @@ def document(data: Mapping[str, Any], scripts: Sequence[str] = ()) -> str:
     return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _asset("page.html"))
 
 
-def show(run: Trajectory, *, title: str | None = None) -> Path:
-    """Write a run's page into a temporary file and open it; returns the file.
+def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Path:
+    """Write a run as a page for a web browser: the arm in motion and its plots.
 
-    Where no browser can be opened, it prints where the page is.
+    The page is one file that needs nothing else, no network either. It shows at most 60 instants a
+    second, and 1000 in all.
+
+    Args:
+        run: The run.
+        path: File to write.
+        title: Of the page; says whose arm it is by default.
+
+    Returns:
+        The path written.
+
+    Raises:
+        InvalidInputError: A run without `scene`, or a file that cannot be written.
+        MissingPackageError: The package meshcat is not installed.
+    """
+    require("path", path, (str, Path), "the name of a file")
+    path, text = Path(path), page(run, title=title)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise InvalidInputError(
+            f"path must be a file that can be written, got {path}: {error}", given=path
+        ) from error
+    return path
+
+
+def show(run: Trajectory, title: str | None = None) -> Path:
+    """Open a run's page (`save_page`) in a web browser.
+
+    Where there is none, a line is printed that says where the page is.
+
+    Args:
+        run: The run.
+        title: Of the page.
+
+    Returns:
+        The temporary file that holds the page.
+
+    Raises:
+        InvalidInputError: A run without `scene`.
+        MissingPackageError: The package meshcat is not installed.
     """
     text = page(run, title=title)
     with tempfile.NamedTemporaryFile(

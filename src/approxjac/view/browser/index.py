@@ -52,7 +52,7 @@ def write_index(
     A picture of the same name beside a page (run.png beside run.html) is shown with its link.
 
     Args:
-        folder: With pages that `Trajectory.to_html` wrote.
+        folder: With pages that `save_page` wrote.
         title: Of the index.
         pictures: Titles of pictures in the folder that have no page, by the names of their files;
             none by default. They are shown among the pages.
@@ -78,7 +78,7 @@ def write_index(
                 entries[path.name] = _entry(path, head)
         if not pages:
             raise InvalidInputError(
-                f"folder must hold pages that run.to_html(path) wrote, got {folder} without any",
+                f"folder must hold pages that save_page(run, path) wrote, got {folder} without any",
                 given=folder,
             )
         text = _PAGE.format(
