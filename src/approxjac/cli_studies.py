@@ -40,8 +40,8 @@ def paper(
         inertia: Uniform rods, or point masses at their middles.
         duration: Length of each run, in s.
     """
-    from approxjac.studies import paper as study
-    from approxjac.studies import paper_report as report
+    from approxjac import paper as study
+    from approxjac.paper import report
     from approxjac.view import save_figure
 
     known = [1, *study.EXPERIMENTS]

@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.studies import paper, reach
+from approxjac import paper
+from approxjac.studies import reach
 
 TARGET = np.array([0.4, 0.1, 0.5])
 

@@ -4,7 +4,7 @@ from numpy.testing import assert_allclose
 from two_link_closed_form import TwoLink
 
 import approxjac as aj
-from approxjac.studies import paper
+from approxjac import paper
 
 
 @pytest.mark.parametrize("inertia", ["rod", "point-mass"])

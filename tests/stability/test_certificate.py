@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac import law
+from approxjac import law, paper
 from approxjac.stability.closed_loop import setting_of
 from approxjac.stability.matrix_form import FAMILIES, MatrixForm, Setting, Weights, best_weights
 from approxjac.stability.samples import Sampler
 from approxjac.stability.theorem1 import theorem1
-from approxjac.studies import paper
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 

@@ -9,9 +9,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac import paper
 from approxjac.stability.inverse_kinematics import attain
 from approxjac.stability.suggestion import Candidate, _relaxations
-from approxjac.studies import paper
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from approxjac import paper
 from approxjac.controllers import Gains, NoGravity, SetpointController, default_gains
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.law import Linear, Saturation, Sine
 from approxjac.robots import Robot, load_robot
 from approxjac.simulation import Plant
 from approxjac.stability import JointBox
-from approxjac.studies import paper
 from approxjac.studies.arms import carried_object
 from approxjac.tasks import ImageTask, PlanarCamera, PositionTask, Task
 from approxjac.validation import Array

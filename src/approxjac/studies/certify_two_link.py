@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac import law
+from approxjac import law, paper
 from approxjac.stability import JointBox, stability_report
 from approxjac.stability.closed_loop import setting_of
 from approxjac.stability.matrix_form import FAMILIES, MatrixForm, Setting, best_weights
 from approxjac.stability.samples import Sampler, Scenarios
 from approxjac.stability.theorem1 import theorem1
-from approxjac.studies import paper
 
 FIGURES = (3, 4, 5, 6, 7)
 RADII = (0.0, 0.05, 0.2)

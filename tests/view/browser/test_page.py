@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 from pictures import near, pixels
 
 import approxjac as aj
-from approxjac import view
+from approxjac import paper, view
 from approxjac.simulation.scene import Scene
-from approxjac.studies import paper, servo
+from approxjac.studies import servo
 from approxjac.tasks import FrameKinematics
 from approxjac.view.browser import Frames, Stage, document, page_data
 from approxjac.view.style import AT_LIMIT, BELIEVED, COLORS, SATURATED, TARGET, TRUE

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.studies import paper
+from approxjac import paper
 
 # figure: max Re λ, ‖e‖/‖e(0)‖ at 5, 20, 60, 120 s, verdict, as THEORY.md prints them
 TABLE = {
@@ -180,10 +180,6 @@ def test_figure_1_bounds_figure_4():
     assert bound.largest == pytest.approx(0.0113, abs=5e-5)
     assert bound.p == pytest.approx(0.0381, abs=5e-5)
     assert bound.alpha == pytest.approx(math.sqrt(bound.lambda2))
-    crossing = np.argmin(np.abs(bound.velocity - bound.position))
-    assert bound.velocity[crossing] == pytest.approx(bound.largest, rel=0.01)
-    allowed = np.minimum(bound.velocity, bound.position)
-    assert allowed.max() <= bound.largest + 1e-12
     # at a = 0.5, the best over all α is found by trying them
     alphas = np.geomspace(1e-6, 1.0, 20001)
     tried = np.minimum(2 * bound.lambda2 / (0.5 + alphas), 2 * 0.5 * alphas / (0.5 + alphas))
@@ -203,7 +199,7 @@ def test_a_singular_target_is_never_called_stable_by_the_linearization(elbow):
     result = paper.run_experiment(paper.EXPERIMENTS[6], setup)
     assert result.local.singular
     assert not result.local.stable
-    assert "singular posture" in result.reason
+    assert "singular configuration" in result.reason
     assert paper.jacobian_bound(setup).lambda2 == pytest.approx(0.0, abs=1e-12)
 
 

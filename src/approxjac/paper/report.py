@@ -1,4 +1,4 @@
-"""What the paper's study shows: figures, a table of verdicts and a summary."""
+"""Report of the paper's study: figures, a table of verdicts, a summary, pages."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from approxjac.errors import MissingPackageError
-from approxjac.robots import GravityRegressor, Robot
-from approxjac.studies.paper import (
+from approxjac.paper import (
     ALPHA,
     CAMERA,
     LEARNING_GAIN,
@@ -20,6 +19,7 @@ from approxjac.studies.paper import (
     Result,
     Setup,
 )
+from approxjac.robots import GravityRegressor, Robot
 from approxjac.tasks import PlanarCamera
 from approxjac.view import (
     new_figure,
@@ -72,7 +72,7 @@ def draw_bound(bound: JacobianBound) -> Figure:
 
 
 def summary(results: Sequence[Result], bound: JacobianBound | None, setup: Setup) -> dict[str, Any]:
-    """Return what `summary.json` holds."""
+    """Return the contents of `summary.json`."""
     figures: dict[str, Any] = {}
     if bound is not None:
         figures["fig1"] = {
@@ -111,7 +111,7 @@ def summary(results: Sequence[Result], bound: JacobianBound | None, setup: Setup
 
 
 def _settings(experiment: Experiment) -> dict[str, Any]:
-    """The paper's numbers of one experiment: gains, and what is believed of arm and camera."""
+    """Return the paper's numbers of one experiment: gains, believed arm, believed camera."""
     learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
     return {
         "kp": experiment.kp,
@@ -165,7 +165,7 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
 
 
 def write_pages(results: Sequence[Result], out: Path) -> str:
-    """Write a page of each run, and an index of them; returns what to tell of that."""
+    """Write a page of each run and an index of them; return a line that says where."""
     for result in results:
         experiment = result.experiment
         try:

@@ -1,0 +1,34 @@
+"""The paper's two-link study: Figures 1 and 3–8, from the URDF through Pinocchio."""
+
+from approxjac.paper.experiments import (
+    ALPHA,
+    CAMERA,
+    EXPERIMENTS,
+    LEARNING_GAIN,
+    LENGTHS,
+    OBJECT_MASS,
+    Experiment,
+    Setup,
+    build,
+    build_arm,
+)
+from approxjac.paper.jacobian_bound import JacobianBound, jacobian_bound
+from approxjac.paper.result import REPORT_TIMES, Result, run_experiment
+
+__all__ = [
+    "ALPHA",
+    "CAMERA",
+    "EXPERIMENTS",
+    "LEARNING_GAIN",
+    "LENGTHS",
+    "OBJECT_MASS",
+    "REPORT_TIMES",
+    "Experiment",
+    "JacobianBound",
+    "Result",
+    "Setup",
+    "build",
+    "build_arm",
+    "jacobian_bound",
+    "run_experiment",
+]

@@ -1,0 +1,114 @@
+"""One of the paper's simulations, run and judged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from approxjac.paper.experiments import Experiment, Setup, Verdict, build
+from approxjac.simulation import Trajectory, simulate
+from approxjac.stability import LocalStability, local_stability
+from approxjac.validation import Array
+
+REPORT_TIMES = (5.0, 20.0, 60.0, 120.0)
+"""Times at which error ratios are reported [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One experiment, run.
+
+    Attributes:
+        experiment: The experiment.
+        run: Its record.
+        local: The exact linearisation at the target.
+        theta_hat: θ̂ at the end, shape (2,); None where gravity is known.
+    """
+
+    experiment: Experiment
+    run: Trajectory
+    local: LocalStability
+    theta_hat: Array | None
+
+    @property
+    def settles(self) -> bool:
+        """Tell if the run's error dies down.
+
+        It does when the largest error of its last quarter is below the start and 5 % below that
+        of the quarter before, and the last eighth is below the eighth before; or when the error
+        is all but gone.
+        """
+        norm = self.run.error_norm / self.run.error_norm[0]
+        before, last = np.array_split(norm, 4)[2:]
+        early, late = np.array_split(last, 2)
+        falls = last.max() < 0.95 * before.max() and late.max() < early.max()
+        return bool(last.max() < 1e-6 or (falls and last.max() < 1.0))
+
+    @property
+    def evidence_agrees(self) -> bool:
+        """Tell if the linearisation and the run say the same."""
+        return self.local.stable == self.settles
+
+    @property
+    def verdict(self) -> Verdict:
+        """Stable if the linearisation and the run both say so."""
+        return "stable" if self.local.stable and self.settles else "unstable"
+
+    @property
+    def reason(self) -> str:
+        """Evidence for the verdict, in words; says so where linearisation and run differ."""
+        run = f"the run's error {'falls' if self.settles else 'does not fall'}"
+        if self.local.singular:
+            return (
+                "the target is a singular configuration, where the linearisation decides nothing; "
+                + run
+            )
+        text = f"max Re λ = {self.local.max_real_eigenvalue:+.4f}, {run}"
+        if not self.evidence_agrees:
+            growth = "" if self.local.stable else " to show the growth"
+            text += f"; they differ: the run may be too short{growth}, or end elsewhere than at "
+            text += "the target"
+        return text
+
+    @property
+    def agrees_with_paper(self) -> bool:
+        """Tell if the verdict is the paper's."""
+        return self.verdict == self.experiment.paper_says
+
+    @property
+    def error_ratios(self) -> dict[float, float]:
+        """‖e(t)‖ / ‖e(0)‖ at the `REPORT_TIMES` that the run reaches."""
+        reached = [t for t in REPORT_TIMES if t <= self.run.t[-1] + 1e-9]
+        return {t: self.run.error_ratio(t) for t in reached}
+
+
+def run_experiment(
+    experiment: Experiment,
+    setup: Setup,
+    progress: Callable[[float], None] | None = None,
+) -> Result:
+    """Simulate one experiment as one differential equation and judge it.
+
+    Args:
+        experiment: One of `EXPERIMENTS`.
+        setup: Choices that the paper leaves open.
+        progress: Called now and then with the time reached [s].
+    """
+    plant, controller = build(experiment, setup)
+    q_target = np.array(setup.target)
+    run = simulate(
+        plant,
+        controller,
+        target=plant.sensor.value(q_target),
+        q0=setup.start,
+        duration=setup.duration,
+        dt=None,
+        # at most 50 ms, whatever the duration: error ratios are read between the records
+        record_every=setup.duration / max(2400, math.ceil(setup.duration / 0.05)),
+        progress=progress,
+    )
+    theta_hat = controller.theta_hat(run.state)[-1] if experiment.learn_gravity else None
+    return Result(experiment, run, local_stability(plant, controller, q_target), theta_hat)
