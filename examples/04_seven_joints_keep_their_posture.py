@@ -33,7 +33,7 @@ ARMS = {
     ),
 }
 PUSHED = np.array([0.3, 0.2, -0.5, -0.2, 0.4, 0.2, 0.0])  # how far from home an arm starts
-POSTURE, COLORS = 10.0, {"damped only": view.COLORS[1], "posture kept": view.COLORS[0]}
+POSTURE, COLORS = 10.0, {"damped only": view.SERIES[1], "posture kept": view.SERIES[0]}
 
 figure, axes = view.new_figure(3, 2, title="Seven joints, three coordinates, an unknown tool")
 for column, (name, (home, tool)) in enumerate(ARMS.items()):

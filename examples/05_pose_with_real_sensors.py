@@ -62,13 +62,13 @@ print(aj.excitation(controller.adaptation.regressor, run.q[::100]))
 
 figure, (left, middle, right) = view.new_figure(3, title="A Panda turns an unknown 15 cm tool")
 for i, label in enumerate("xyz"):
-    left.plot(run.t, 1e3 * position[:, i], color=view.COLORS[i], label=label)
-    middle.plot(run.t, np.degrees(turn[:, i]), color=view.COLORS[i], label=f"r{label}")
+    left.plot(run.t, 1e3 * position[:, i], color=view.SERIES[i], label=label)
+    middle.plot(run.t, np.degrees(turn[:, i]), color=view.SERIES[i], label=f"r{label}")
 with view.style():
     left.set(xlabel="time [s]", ylabel="p − p_d [mm]", title="True error of the position")
     middle.set(xlabel="time [s]", ylabel="log(R R_dᵀ) [deg]", title="True error of the orientation")
 for ax in (left, middle):
-    ax.axhline(0.0, color=view.NEUTRAL, linewidth=0.8)
+    ax.axhline(0.0, color=view.COLORS["neutral"], linewidth=0.8)
     view.legend_below(ax)
 view.plot_torque(run, right, limits=truth.effort_limits)
 print(*view.save_figure(figure, out / "panda_pose"), sep="\n")

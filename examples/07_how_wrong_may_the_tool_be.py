@@ -56,10 +56,12 @@ for damping in DAMPING:
 figure, (ax,) = view.new_figure(size=(6.5, 4.5))
 NAMES = {"theorem1": "Theorem 1", "matrix": "matrix form", "local": "local test"}
 with view.style():
-    for (test, lengths), color, marker in zip(tolerated.items(), view.COLORS, "os^", strict=False):
+    for (test, lengths), color, marker in zip(tolerated.items(), view.SERIES, "os^", strict=False):
         ax.loglog(DAMPING, lengths, color=color, marker=marker, label=NAMES[test])
-    ax.axhline(0.30, color=view.NEUTRAL, linestyle="--", label="the tools of up to 30 cm")
-    ax.axhline(LONGEST, color=view.NEUTRAL, linestyle=":", label="the longest that was tried")
+    ax.axhline(0.30, color=view.COLORS["neutral"], linestyle="--", label="the tools of up to 30 cm")
+    ax.axhline(
+        LONGEST, color=view.COLORS["neutral"], linestyle=":", label="the longest that was tried"
+    )
     ax.set_xticks(DAMPING, [f"{damping:g}" for damping in DAMPING])
     ax.set_xticks([], minor=True)
     ax.set(

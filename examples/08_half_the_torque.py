@@ -57,7 +57,7 @@ for row, (name, limiter) in enumerate(
     with view.style():
         speeds = axes[3 * row + 2]
         speeds.plot(run.t, np.abs(run.v) / arm.velocity_limits, label=arm.joint_names)
-        speeds.axhline(1.0, color=view.NEUTRAL, linewidth=1.0, linestyle="--", label="limit")
+        speeds.axhline(1.0, color=view.COLORS["neutral"], linestyle="--", label="limit")
         speeds.set_ylim(0.0, 11.0)  # the same for both
         speeds.set(xlabel="time [s]", ylabel="|q̇| / limit [–]", title=f"Speed: {name}")
         view.legend_below(speeds)

@@ -97,19 +97,19 @@ print(
 
 figure, (left, middle, right) = view.new_figure(3, title="A Panda in a loop of one's own")
 with view.style():
-    left.semilogy(log_known["t"], error, color=view.COLORS[0])
+    left.semilogy(log_known["t"], error, color=view.SERIES[0])
     left.set(xlabel="time [s]", ylabel="|x − x_d| [mm]", title="True error to the goal")
-    middle.plot(log_known["t"], speed, color=view.COLORS[0])
+    middle.plot(log_known["t"], speed, color=view.SERIES[0])
     middle.set(xlabel="time [s]", ylabel="max |q̇| [rad/s]", title="Speed of the fastest joint")
-    for name, color in (("gap", view.COLORS[4]), ("work", view.COLORS[0])):
+    for name, color in (("gap", view.SERIES[4]), ("work", view.SERIES[0])):
         right.semilogy(
             log["t"], 1e3 * log[name], ".", ms=2, color=color, label=name, rasterized=True
         )
     right.set(xlabel="time [s]", ylabel="[ms]", title="From torque to torque, and work in it")
     for ax in (left, middle):
-        ax.axvspan(1.0, 2.0, color=view.COLORS[4], alpha=0.2, label="camera blind")
-        ax.axvline(3.0, color=view.COLORS[3], linestyle=":", label="bad encoders")
-        ax.axvline(6.0, color=view.NEUTRAL, linestyle="--", label="asked to stop")
+        ax.axvspan(1.0, 2.0, color=view.SERIES[4], alpha=0.2, label="camera blind")
+        ax.axvline(3.0, color=view.SERIES[3], linestyle=":", label="bad encoders")
+        ax.axvline(6.0, color=view.COLORS["neutral"], linestyle="--", label="asked to stop")
     for ax in (left, middle, right):
         view.legend_below(ax)
 for path in view.save_figure(figure, out / "your_own_loop"):

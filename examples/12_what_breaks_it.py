@@ -101,7 +101,7 @@ PANELS = [  # what is made worse, by how much, a curve for each of, what is show
 ]  # fmt: skip
 figure, axes = view.new_figure(3, 2, title="Left after 6 s. Dashed: what the local test says")
 for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=True):
-    for color, (label, setting) in zip(view.COLORS, curves.items(), strict=False):
+    for color, (label, setting) in zip(view.SERIES, curves.items(), strict=False):
         y = [left(*make(value, setting), NEAR if limit else FAR, shown) for value in values]
         low, high = 0.0, limit
         while high - low > 1e-3 * limit:  # by bisection: up to where it is stable

@@ -7,7 +7,7 @@ import pytest
 
 from approxjac import view
 
-ROLES = ("TRUE", "BELIEVED", "TARGET", "NEUTRAL", "SATURATED", "AT_LIMIT", "FORCE")
+ROLES = ("true", "believed", "target", "neutral", "saturated", "at_limit", "force")
 # Full dichromacy, on linear RGB: Machado, Oliveira, Fernandes (2009), "A physiologically-based
 # model for simulation of color vision deficiency", IEEE TVCG 15 (6), severity 1.0.
 EYES = {
@@ -50,8 +50,8 @@ def closest(colors, eyes):
 
 @pytest.mark.parametrize("eyes", EYES)
 def test_any_two_colors_are_told_apart(eyes):
-    meant = {getattr(view, role) for role in ROLES}
-    assert closest(sorted(meant | set(view.COLORS)), eyes) > APART
+    meant = {view.COLORS[role] for role in ROLES}
+    assert closest(sorted(meant | set(view.SERIES)), eyes) > APART
 
 
 def test_the_computation_is_right_and_finds_bad_colors():
@@ -65,7 +65,7 @@ def test_the_computation_is_right_and_finds_bad_colors():
 
 
 def test_each_colour_has_one_meaning_and_is_seen_on_white():
-    colors = [getattr(view, role) for role in ROLES]
+    colors = [view.COLORS[role] for role in ROLES]
     assert len(set(colors)) == len(ROLES)
-    for color in (*colors, *view.COLORS):
+    for color in (*colors, *view.SERIES):
         assert closest((color, "#ffffff"), "usual") > 3 * APART

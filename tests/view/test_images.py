@@ -130,9 +130,10 @@ def test_lanes_are_where_things_were_so():
     assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b", "never"]
     assert boxes[0][0].y1 < boxes[1][0].y0
     assert ax.yaxis_inverted()
-    coloured = view.plot_lanes(t, {"a": t < 1.5, "b": t > 1.5}, colors={"b": view.SATURATED})
+    red = {"b": view.COLORS["saturated"]}
+    coloured = view.plot_lanes(t, {"a": t < 1.5, "b": t > 1.5}, colors=red)
     faces = [matplotlib.colors.to_hex(lane.get_facecolor()[0]) for lane in coloured.collections]
-    assert faces == [view.NEUTRAL.lower(), view.SATURATED.lower()]
+    assert faces == [view.COLORS["neutral"].lower(), red["b"].lower()]
     with pytest.raises(aj.InvalidInputError, match=r"lane 'c' must have shape \(4,\), got \(2,\)"):
         view.plot_lanes(t, {"c": t[:2] > 0.0})
 

@@ -114,7 +114,11 @@ def test_what_is_believed_and_the_target_are_drawn_if_asked_for(run):
     assert np.array(lines["target"].get_data()).T.tolist() == [[1.2, 0.5]]
     assert ax.get_title() == "Path of object_tip, z-x plane"
     colors = {name: lines[name].get_color() for name in ("end", "believed path", "target")}
-    assert tuple(colors.values()) == (view.TRUE, view.BELIEVED, view.TARGET)
+    assert tuple(colors.values()) == (
+        view.COLORS["true"],
+        view.COLORS["believed"],
+        view.COLORS["target"],
+    )
     assert "believed path" not in [
         line.get_label() for line in view.plot_path(run, arm).get_lines()
     ]

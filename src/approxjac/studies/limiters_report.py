@@ -12,7 +12,7 @@ import numpy as np
 from approxjac.interface import LimitStatus
 from approxjac.studies.limiters import TORQUE_TOLERANCE, Outcome
 from approxjac.studies.reach_result import AT_LIMIT
-from approxjac.view import COLORS, NEUTRAL, new_figure, style
+from approxjac.view import COLORS, SERIES, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -180,7 +180,7 @@ def draw(outcomes: Sequence[Outcome]) -> Figure:
             if i == 1:
                 ax.set_yscale("log", base=2)
                 ax.yaxis.set_major_formatter("{x:g}")
-                ax.axhline(1.0, color=NEUTRAL, linewidth=1.0)
+                ax.axhline(1.0, color=COLORS["neutral"], linewidth=1.0)
             else:
                 ax.set_ylim(-4.0, 104.0)
     with style():
@@ -350,7 +350,7 @@ def _line(
     if label is not None:
         options |= {"marker": _MARKERS[k % len(_MARKERS)], "ms": 5}
     with style():
-        ax.plot(*zip(*points, strict=True), color=COLORS[k % len(COLORS)], **options)
+        ax.plot(*zip(*points, strict=True), color=SERIES[k % len(SERIES)], **options)
 
 
 def _finish(ax: Axes, label: str, title: str, mine: Sequence[Row]) -> None:

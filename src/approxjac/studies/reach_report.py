@@ -21,7 +21,7 @@ from approxjac.view import (
     save_figure,
     style,
 )
-from approxjac.view.style import COLORS, NEUTRAL
+from approxjac.view.style import COLORS, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -99,8 +99,8 @@ def draw(result: Result) -> Figure:
         _plot_speed(result, axes[7])
     plot_error(run, error)
     with style():
-        size.semilogy(run.t, run.error_norm, color=COLORS[0])
-        size.axhline(settings.tolerance, color=NEUTRAL, linewidth=1.0, linestyle="--")
+        size.semilogy(run.t, run.error_norm, color=SERIES[0])
+        size.axhline(settings.tolerance, color=COLORS["neutral"], linewidth=1.0, linestyle="--")
         label = f"‖x − x_d‖ [{run.task_unit}]"
         size.set(
             xlabel="time [s]", ylabel=label, title="Size of the task error (dashed: tolerance)"
@@ -119,10 +119,10 @@ def _plot_speed(result: Result, ax: Axes) -> None:
     with style():
         for i, joint in enumerate(run.joint_names):
             if math.isfinite(limits[i]):
-                color = COLORS[i % len(COLORS)]
+                color = SERIES[i % len(SERIES)]
                 ax.plot(run.t, run.v[:, i] / limits[i], color=color, label=joint)
         for side, name in ((1.0, "limit"), (-1.0, None)):
-            ax.axhline(side, color=NEUTRAL, linewidth=1.0, linestyle="--", label=name)
+            ax.axhline(side, color=COLORS["neutral"], linewidth=1.0, linestyle="--", label=name)
         ax.set(xlabel="time [s]", ylabel="q̇ / limit [–]", title="Speed of each joint")
     legend_below(ax)
 

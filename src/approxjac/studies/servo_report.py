@@ -29,7 +29,7 @@ from approxjac.view import (
     style,
 )
 from approxjac.view.images import POINTS
-from approxjac.view.style import NEUTRAL, SATURATED
+from approxjac.view.style import COLORS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -120,7 +120,7 @@ def draw_run(result: ServoResult) -> Figure:
     }
     words = {Status.NEAR_SINGULAR: "near singular", Status.TORQUE_SATURATED: "torque saturated"}
     lanes |= {words[s]: run.status == s for s in run.status_counts() if s in words}
-    colors = {words[Status.TORQUE_SATURATED]: SATURATED}
+    colors = {words[Status.TORQUE_SATURATED]: COLORS["saturated"]}
     plot_lanes(run.t, lanes, images, colors=colors, title="What the controller goes by, and when")
     return figure
 
@@ -169,7 +169,7 @@ def _plot_errors(result: ServoResult, ax: Axes) -> None:
     with style():
         for i, error in enumerate(result.errors.T):
             ax.semilogy(result.run.t, error, color=POINTS[i], label=f"point {i + 1}")
-        ax.axhline(tolerance, color=NEUTRAL, linewidth=1.0, linestyle="--", label="tolerance")
+        ax.axhline(tolerance, color=COLORS["neutral"], linestyle="--", label="tolerance")
         ax.set_ylim(bottom=0.05 * tolerance)  # what is smaller is noise
         ax.set(
             xlabel="time [s]",

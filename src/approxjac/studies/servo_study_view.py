@@ -12,8 +12,8 @@ from approxjac.studies.servo_map import LOOPS, Cell, Loop
 from approxjac.studies.servo_study import LAWS, ONE_POINT, Outcome
 from approxjac.studies.servo_study_report import Row, rows
 from approxjac.validation import Array
-from approxjac.view import COLORS, new_figure, style
-from approxjac.view.style import NEUTRAL
+from approxjac.view import SERIES, new_figure, style
+from approxjac.view.style import COLORS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,7 @@ _MARKERS = "osv^D<>P"
 _LEAST = 0.01  # error below which no picture need tell more [px]
 _SMOOTH = 1e-3  # the same of the torque's roughness [N m]
 _WORTH = {"converges": 1.0, "undecided": 0.5, "diverges": 0.0}
-_HUES = (*COLORS, NEUTRAL)  # one for each law
+_HUES = (*SERIES, COLORS["neutral"])  # one for each law
 _TITLES: dict[Loop, str] = {
     "ideal": "ideal camera, continuous control",
     "late": "camera of 30 Hz, late and noisy",
@@ -54,7 +54,7 @@ def draw_noise(outcomes: Sequence[Outcome]) -> Figure:
                 ax.set_yscale("log")
         axes[3].set_yscale("log", base=2)
         axes[3].yaxis.set_major_formatter("{x:g}")
-        axes[3].axhline(1.0, color=NEUTRAL, linewidth=1.0)
+        axes[3].axhline(1.0, color=COLORS["neutral"], linewidth=1.0)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return figure
@@ -95,7 +95,7 @@ def draw_map(cells: Sequence[Cell]) -> Figure:
             differing = [c for c in mine if c.predicted != c.verdict]
             ax.plot(
                 [c.roll for c in differing], [math.log2(c.ratio) for c in differing], "x",
-                color=COLORS[6], ms=7, mew=1.6, label="test and simulation differ",
+                color=SERIES[6], ms=7, mew=1.6, label="test and simulation differ",
             )  # fmt: skip
             ax.set_yticks(heights, [f"{ratio:g}" for ratio in ratios])
             ax.set(xlabel="error of the believed roll [°]", ylabel="a = k_p / k_v [1/s]",
@@ -115,13 +115,13 @@ def _boundaries(
 ) -> None:
     """Where the local test's decay rate is zero, a line for each goal."""
     label = "boundary that the local test predicts, goal by goal"
-    ax.plot([], [], color=COLORS[6], linewidth=1.4, label=label)
+    ax.plot([], [], color=SERIES[6], linewidth=1.4, label=label)
     if len(rolls) < 2 or len(ratios) < 2:
         return  # no contour runs there
     for goal in goals:
         rate = _grid([c for c in cells if c.goal == goal], rolls, ratios, lambda c: c.decay_rate)
         if rate.min() < 0.0 < rate.max():
-            ax.contour(rolls, np.log2(ratios), rate, levels=[0.0], colors=[COLORS[6]],
+            ax.contour(rolls, np.log2(ratios), rate, levels=[0.0], colors=[SERIES[6]],
                        linewidths=1.4)  # fmt: skip
 
 

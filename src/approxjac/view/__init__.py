@@ -13,30 +13,11 @@ from approxjac.view.plots import (
     plot_torque,
 )
 from approxjac.view.stability import plot_allowed_error, plot_map, plot_margins
-from approxjac.view.style import (
-    AT_LIMIT,
-    BELIEVED,
-    COLORS,
-    FORCE,
-    NEUTRAL,
-    SATURATED,
-    TARGET,
-    TRUE,
-    legend_below,
-    new_figure,
-    save_figure,
-    style,
-)
+from approxjac.view.style import COLORS, SERIES, legend_below, new_figure, save_figure, style
 
 __all__ = [
-    "AT_LIMIT",
-    "BELIEVED",
     "COLORS",
-    "FORCE",
-    "NEUTRAL",
-    "SATURATED",
-    "TARGET",
-    "TRUE",
+    "SERIES",
     "LiveView",
     "legend_below",
     "new_figure",

@@ -4,32 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Trajectory
 from approxjac.tasks import Camera, ImageTask, PinholeCamera
 from approxjac.validation import Array, require
 from approxjac.view.plots import skeleton
-from approxjac.view.style import (
-    BELIEVED,
-    COLORS,
-    NEUTRAL,
-    TARGET,
-    TRUE,
-    axes_or_new,
-    legend_below,
-    style,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from approxjac.view.style import COLORS, SERIES, styled
 
 _PIECES = 20  # of each link: a lens bends what is straight
 _AROUND = 0.06  # of the image, shown around its border
-POINTS = (TRUE, COLORS[4], COLORS[5], COLORS[6], COLORS[1])
+POINTS = (COLORS["true"], SERIES[4], SERIES[5], SERIES[6], SERIES[1])
 """Of the paths of points: none of them is that of targets or of what is believed."""
 
 
@@ -63,9 +52,8 @@ def plot_image(
         )
     k = run.error.shape[1] // 2
     true, measured = (x.reshape(len(run.t), k, -1)[:, :, :2] for x in (run.x, run.x_measured))
-    target = run.target.reshape(k, -1)[:, :2]
-    with style():
-        ax = axes_or_new(ax)
+    target, grey = run.target.reshape(k, -1)[:, :2], COLORS["neutral"]
+    with styled(ax, columns=3) as ax:
         for i in range(k):
             color = POINTS[i % len(POINTS)]
             label = "path" if k == 1 else f"path {i + 1}"
@@ -74,12 +62,11 @@ def plot_image(
             ax.plot(*measured[new, i].T, ".", color=color, ms=4, mew=0, alpha=0.5, zorder=1,
                     rasterized=True)  # fmt: skip
             ax.plot(*true[:, i].T, color=color, label=label)
-        ax.plot(*true[0].T, "o", color=NEUTRAL, mfc="white", ms=7, label="start", zorder=4)
-        ax.plot(*target.T, "x", color=TARGET, ms=9, mew=2, label="target", zorder=5)
-        ax.plot(*true[-1].T, "o", color=NEUTRAL, ms=4, label="end", zorder=6)
-        ax.plot([], [], ".", color=NEUTRAL, alpha=0.5, label="measured")
+        ax.plot(*true[0].T, "o", color=grey, mfc="white", ms=7, label="start", zorder=4)
+        ax.plot(*target.T, "x", color=COLORS["target"], ms=9, mew=2, label="target", zorder=5)
+        ax.plot(*true[-1].T, "o", color=grey, ms=4, label="end", zorder=6)
+        ax.plot([], [], ".", color=grey, alpha=0.5, label="measured")
         _frame(ax, camera, title)
-        legend_below(ax, 3)
     return ax
 
 
@@ -92,38 +79,36 @@ def plot_camera_view(
     target: Sequence[float] | Array | None = None,
     title: str = "What the camera sees",
 ) -> Axes:
-    """Draw what a camera sees of an arm at a posture, and what a controller believes it to see.
+    """Draw what a camera sees of an arm, and what a controller believes it to see.
 
     A camera in the world sees the arm, drawn as its skeleton, with the points that it watches. One
     that the arm carries sees the points.
 
     Args:
         sensor: Task of the true robot with the true camera.
-        q: Posture, shape (nq,).
+        q: Configuration, shape (nq,).
         ax: Axes to draw into; new ones by default.
         believed: Task of the believed robot with the believed camera; drawn dashed if given.
         target: Images of the points at the target, shape (n_x,), drawn as crosses if given.
         title: Of the axes.
 
     Raises:
-        InvalidInputError: No image tasks, or a posture or a target of another shape.
+        InvalidInputError: No image tasks, or a configuration or a target of another shape.
     """
     require("sensor", sensor, ImageTask, "an ImageTask of the true robot")
     q = sensor.robot.configuration(q)
-    with style():
-        ax = axes_or_new(ax)
-        points = _draw(ax, sensor, q, "true", color=TRUE, zorder=4)
-        _number(ax, points, TRUE, (6, 5))
+    with styled(ax, columns=3) as ax:
+        points = _draw(ax, sensor, q, "true", color=COLORS["true"], zorder=4)
+        _number(ax, points, COLORS["true"], (6, 5))
         if believed is not None:
             require("believed", believed, ImageTask, "an ImageTask of the believed robot")
             look = {"linestyle": "--", "zorder": 3}
-            _draw(ax, believed, q, "believed", color=BELIEVED, **look)
+            _draw(ax, believed, q, "believed", color=COLORS["believed"], **look)
         if target is not None:
             images = sensor.target(target).reshape(len(sensor.points), -1)[:, :2]
-            ax.plot(*images.T, "x", color=TARGET, ms=9, mew=2, label="target", zorder=6)
-            _number(ax, images, TARGET, (-12, -10))
+            ax.plot(*images.T, "x", color=COLORS["target"], ms=9, mew=2, label="target", zorder=6)
+            _number(ax, images, COLORS["target"], (-12, -10))
         _frame(ax, sensor.camera, title)
-        legend_below(ax, 3)
     return ax
 
 
@@ -142,11 +127,10 @@ def plot_lanes(
         lanes: Name of each thing, from the uppermost, and whether it was so at each instant,
             shape (N,); it holds until the next one.
         ax: Axes to draw into; new ones by default.
-        colors: Of lanes whose colour has a meaning, such as `SATURATED`; the others are grey.
+        colors: Of lanes whose colour has a meaning; the others are grey.
         title: Of the axes.
     """
-    with style():
-        ax = axes_or_new(ax)
+    with styled(ax) as ax:
         ends = np.append(t[1:], t[-1])
         for row, (name, mask) in enumerate(lanes.items()):
             if np.shape(mask) != np.shape(t):
@@ -156,7 +140,9 @@ def plot_lanes(
             edges = np.diff(np.concatenate([[False], np.asarray(mask, dtype=bool), [False]]) * 1)
             first, last = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0] - 1
             spans = list(zip(t[first], ends[last] - t[first], strict=True))
-            ax.broken_barh(spans, (row - 0.35, 0.7), facecolors=(colors or {}).get(name, NEUTRAL))
+            ax.broken_barh(
+                spans, (row - 0.35, 0.7), facecolors=(colors or {}).get(name, COLORS["neutral"])
+            )
         ax.set_yticks(range(len(lanes)), list(lanes))
         ax.set_ylim(len(lanes) - 0.4, -0.6)
         ax.set_xlim(t[0], t[-1])
@@ -203,7 +189,7 @@ def _frame(ax: Axes, camera: Camera, title: str) -> None:
         width, height = camera.size
         corners = [(-0.5, -0.5), (width - 0.5, -0.5), (width - 0.5, height - 0.5)]
         corners += [(-0.5, height - 0.5), corners[0]]
-        ax.plot(*np.array(corners).T, color=NEUTRAL, linewidth=1.2, zorder=2)
+        ax.plot(*np.array(corners).T, color=COLORS["neutral"], linewidth=1.2, zorder=2)
         around = _AROUND * max(width, height)
         ax.set_xlim(-around, width + around)
         ax.set_ylim(height + around, -around)  # v points down

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus
@@ -15,24 +16,10 @@ from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array, as_vector, axis_rows, require
-from approxjac.view.style import (
-    BELIEVED,
-    COLORS,
-    NEUTRAL,
-    TARGET,
-    TRUE,
-    axes_or_new,
-    legend_below,
-    new_figure,
-    style,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from approxjac.view.style import COLORS, SERIES, new_figure, styled
 
 _STATUS_COLORS = dict(
-    zip(LimitStatus, ("#BBBBBB", *(COLORS[i] for i in (2, 3, 5, 1, 6, 4))), strict=True)
+    zip(LimitStatus, ("#BBBBBB", *(SERIES[i] for i in (2, 3, 5, 1, 6, 4))), strict=True)
 )
 
 
@@ -51,16 +38,14 @@ def plot_error(
         title: Of the axes.
     """
     _require_run(run)
-    with style():
-        ax = axes_or_new(ax)
+    with styled(ax) as ax:
         scales = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}
         units = [scales.get(unit, (unit, 1.0)) for unit in run.task_units]
-        ax.axhline(0.0, color=NEUTRAL, linewidth=0.8)
+        ax.axhline(0.0, color=COLORS["neutral"], linewidth=0.8)
         for i, (label, (_, factor)) in enumerate(zip(run.task_labels, units, strict=True)):
-            ax.plot(run.t, factor * run.error[:, i], color=COLORS[i % len(COLORS)], label=label)
+            ax.plot(run.t, factor * run.error[:, i], color=SERIES[i % len(SERIES)], label=label)
         shown = " or ".join(dict.fromkeys(unit for unit, _ in units))
         ax.set(xlabel="time [s]", ylabel=f"x − x_d [{shown}]", title=title)
-        legend_below(ax)
     return ax
 
 
@@ -81,27 +66,23 @@ def plot_torque(
         title: Of the axes.
     """
     _require_run(run)
-    with style():
-        ax = axes_or_new(ax)
+    with styled(ax) as ax:
         scale = np.ones(run.tau.shape[1])
         known = limits is not None and bool(np.isfinite(limits).any())
         if limits is not None and known:
             scale = np.where(np.isfinite(limits), limits, np.nan)  # no line where none is known
         for i, joint in enumerate(run.joint_names):
-            color = COLORS[i % len(COLORS)]
+            color = SERIES[i % len(SERIES)]
             ax.plot(run.t, run.tau[:, i] / scale[i], color=color, label=joint)
         if known:
             for side, name in ((1.0, "limit"), (-1.0, None)):
-                ax.axhline(side, color=NEUTRAL, linewidth=1.0, linestyle="--", label=name)
+                ax.axhline(side, color=COLORS["neutral"], linewidth=1.0, linestyle="--", label=name)
         label = "τ / limit [–]" if known else f"τ [{run.units['tau']}]"
         ax.set(xlabel="time [s]", ylabel=label, title=title)
-        legend_below(ax)
     return ax
 
 
-def plot_slack(
-    run: Trajectory, ax: Axes | None = None, *, title: str = "Slack σ of V̇ ≤ −W + σ, and status"
-) -> Axes:
+def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
     """Draw the slack that limits took from the proof against time, and what limits did.
 
     The status is a band of colours above the slack, which has no line where it is not known.
@@ -109,12 +90,10 @@ def plot_slack(
     Args:
         run: The run.
         ax: Axes to draw into; new ones by default.
-        title: Of the axes.
     """
     _require_run(run)
-    with style():
-        ax = axes_or_new(ax)
-        ax.plot(run.t, run.slack, color=COLORS[0])
+    with styled(ax) as ax:
+        ax.plot(run.t, run.slack, color=SERIES[0])
         largest = np.nanmax(run.slack) if np.isfinite(run.slack).any() else 0.0
         ax.set_ylim(0.0, 1.2 * float(largest) or 1.0)
         # a status holds from its instant to the next one
@@ -129,8 +108,8 @@ def plot_slack(
                 facecolors=_STATUS_COLORS[status],
                 label=status.name,
             )
-        ax.set(xlabel="time [s]", ylabel=f"σ [{run.units['slack']}]", title=title)
-        legend_below(ax)
+        ax.set(xlabel="time [s]", ylabel=f"σ [{run.units['slack']}]")
+        ax.set_title("Slack σ of V̇ ≤ −W + σ, and status")
     return ax
 
 
@@ -153,14 +132,14 @@ def plot_path(
         robot: Robot whose kinematics to draw: the true one.
         frame: Frame to follow; the robot's `tip` by default.
         plane: Two world axes, such as "xz".
-        q_target: Posture that attains the target, shape (nq,), drawn dashed if given.
+        q_target: Configuration that attains the target, shape (nq,), drawn dashed if given.
         ax: Axes to draw into; new ones by default.
         believed: Robot that the controller believes; the path of its frame is drawn if given.
         target: Where in the world the frame shall go, shape (3,) [m], a cross if given.
         title: Of the axes; says frame and plane by default.
 
     Raises:
-        InvalidInputError: A plane, a posture or a target of another shape, or another arm.
+        InvalidInputError: A plane, a configuration or a target of another shape, or another arm.
     """
     _require_run(run)
     rows = axis_rows("plane", plane)
@@ -178,25 +157,23 @@ def plot_path(
     tips = _tips(run, robot, frame)[:, rows]
     if target is not None:
         target = as_vector("target", target, 3)[rows]
-    with style():
-        ax = axes_or_new(ax)
-        ax.plot(*tips.T, color=TRUE, linewidth=1.0, label=f"path of {frame}")
+    with styled(ax) as ax:
+        ax.plot(*tips.T, color=COLORS["true"], linewidth=1.0, label=f"path of {frame}")
         for q, alpha, label in ((run.q[0], 0.35, "start"), (run.q[-1], 1.0, "end")):
             corners = skeleton(robot, frame, q)[:, rows]
-            ax.plot(*corners.T, "o-", color=TRUE, alpha=alpha, ms=4, label=label)
+            ax.plot(*corners.T, "o-", color=COLORS["true"], alpha=alpha, ms=4, label=label)
         if seen is not None:
-            ax.plot(*seen.T, color=BELIEVED, label="believed path", zorder=5)
-            ax.plot(*seen[-1], "o", color=BELIEVED, ms=4, zorder=5)
+            ax.plot(*seen.T, color=COLORS["believed"], label="believed path", zorder=5)
+            ax.plot(*seen[-1], "o", color=COLORS["believed"], ms=4, zorder=5)
         if q_target is not None:
             points = skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
-            ax.plot(*points.T, "--", color=TARGET, linewidth=1.0, label="arm at the target")
+            ax.plot(*points.T, "--", color=COLORS["target"], lw=1.0, label="arm at the target")
             target = points[-1] if target is None else target
         if target is not None:
-            ax.plot(*target, "x", color=TARGET, ms=8, mew=2, label="target", zorder=6)
+            ax.plot(*target, "x", color=COLORS["target"], ms=8, mew=2, label="target", zorder=6)
         ax.set_aspect("equal", adjustable="datalim")
         ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]")
         ax.set_title(f"Path of {frame}, {plane[0]}-{plane[1]} plane" if title is None else title)
-        legend_below(ax)
     return ax
 
 
@@ -206,7 +183,6 @@ def plot_parameters(
     ax: Axes | None = None,
     *,
     theta: Sequence[float] | Array | None = None,
-    title: str = "Learnt gravity parameters",
 ) -> Axes:
     """Draw the gravity parameters θ̂ that were learnt against time.
 
@@ -215,7 +191,6 @@ def plot_parameters(
         names: Names of the parameters, as `GravityRegressor.names` has them.
         ax: Axes to draw into; new ones by default.
         theta: Their true values, drawn dashed if given, shape (p,).
-        title: Of the axes.
     """
     _require_run(run)
     if len(names) > run.state.shape[1]:
@@ -224,19 +199,18 @@ def plot_parameters(
             f"{run.state.shape[1]}",
             given=names,
         )
-    with style():
-        ax = axes_or_new(ax)
+    with styled(ax) as ax:
         for i, name in enumerate(names):
-            color = COLORS[i % len(COLORS)]
+            color = SERIES[i % len(SERIES)]
             ax.plot(run.t, run.state[:, i], color=color, label=name)
             if theta is not None:
                 ax.axhline(theta[i], color=color, linestyle="--", linewidth=0.8)
         if theta is not None:
-            ax.plot([], [], "--", color=NEUTRAL, linewidth=0.8, label="true values")
+            ax.plot([], [], "--", color=COLORS["neutral"], linewidth=0.8, label="true values")
         # a mass is named "joint1.m", a first moment "joint1.mx"
         units = dict.fromkeys("kg" if name.endswith(".m") else "kg m" for name in names)
-        ax.set(xlabel="time [s]", ylabel=f"θ̂ [{' or '.join(units)}]", title=title)
-        legend_below(ax)
+        ax.set(xlabel="time [s]", ylabel=f"θ̂ [{' or '.join(units)}]")
+        ax.set_title("Learnt gravity parameters")
     return ax
 
 
@@ -250,7 +224,7 @@ def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
 
 
 def _tips(run: Trajectory, robot: Robot, frame: str) -> Array:
-    """World positions of a frame in all postures of a run, shape (N, 3)."""
+    """World positions of a frame in all configurations of a run, shape (N, 3)."""
     kinematics = FrameKinematics(robot, frame)
     return np.array([kinematics.position(q) for q in run.q])
 

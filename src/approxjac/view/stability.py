@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patheffects import Normal, TickedStroke
 
 from approxjac import law
 from approxjac.validation import Array, axis_rows
-from approxjac.view.style import COLORS, NEUTRAL, axes_or_new, legend_below, style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from approxjac.view.style import COLORS, SERIES, styled
 
 
 def plot_allowed_error(
@@ -23,7 +21,6 @@ def plot_allowed_error(
     p_label: str,
     own_a: float | None = None,
     ax: Axes | None = None,
-    title: str = "Figure 1: allowed Jacobian error",
 ) -> Axes:
     """Draw Figure 1: the p that (23) allows against a, its two curves and their crossing.
 
@@ -37,7 +34,6 @@ def plot_allowed_error(
         own_a: The controller's own a = k_p/k_v, marked if given [1/s]; the axis is logarithmic
             where it is far from the crossing.
         ax: Axes to draw into; new ones by default.
-        title: Of the axes.
     """
     alpha = float(np.sqrt(lambda2))
     wide = own_a is not None and alpha > 0.0 and not 0.05 < own_a / alpha < 20.0
@@ -46,31 +42,29 @@ def plot_allowed_error(
     a = np.geomspace(left, right, 600) if wide else np.linspace(left, right, 600)[1:]
     velocity = law.allowed_p_velocity(a, alpha, lambda2)
     position = law.allowed_p_position(a, alpha)
-    with style():
-        ax = axes_or_new(ax, (6.5, 4.8))
+    with styled(ax, (6.5, 4.8)) as ax:
         allowed = np.minimum(velocity, position)
-        ax.fill_between(a, allowed, color=COLORS[2], alpha=0.15, label="p allowed by (23)")
-        ax.plot(a, velocity, color=COLORS[0], label="2λ₂/(a + α)")
-        ax.plot(a, position, color=COLORS[1], label="2aα/(a + α)")
+        ax.fill_between(a, allowed, color=SERIES[2], alpha=0.15, label="p allowed by (23)")
+        ax.plot(a, velocity, color=SERIES[0], label="2λ₂/(a + α)")
+        ax.plot(a, position, color=SERIES[1], label="2aα/(a + α)")
         if alpha > 0.0:
             label = f"crossing: a = λ₂/α = {alpha:.4f}, p = √λ₂ = {alpha:.4f}"
-            ax.plot([alpha], [alpha], "o", color=COLORS[6], ms=5, label=label)
-        ax.axhline(p, color=NEUTRAL, linestyle="--", label=f"{p_label}: {p:.4f}")
+            ax.plot([alpha], [alpha], "o", color=SERIES[6], ms=5, label=label)
+        ax.axhline(p, color=COLORS["neutral"], linestyle="--", label=f"{p_label}: {p:.4f}")
         if own_a is not None:
             at = np.array(own_a)
             bounds = law.allowed_p_velocity(at, alpha, lambda2), law.allowed_p_position(at, alpha)
             label = f"the controller's own a = {own_a:.3g} allows p = {min(bounds):.3g}"
-            ax.axvline(own_a, color=COLORS[3], label=label)
+            ax.axvline(own_a, color=SERIES[3], label=label)
         ax.set(
             xlabel="a = k_p / k_v [1/s]",
             ylabel=f"allowed p [{unit}]",
-            title=f"{title} (α = √λ₂ = {alpha:.4f} 1/s)",
+            title=f"Figure 1: allowed Jacobian error (α = √λ₂ = {alpha:.4f} 1/s)",
             ylim=(0.0, 1.25 * max(p, float(velocity.max()))),
             xlim=(left, right),
         )
         if wide:
             ax.set_xscale("log")
-        legend_below(ax)
     return ax
 
 
@@ -82,10 +76,10 @@ def plot_margins(
     *,
     title: str = "Margin over the workspace",
 ) -> Axes:
-    """Draw the margin of each posture where its tip is, the smallest on top, crosses below zero.
+    """Draw the margin of each configuration at its tip, the smallest on top, crosses below zero.
 
     Args:
-        positions: Where the tip is in each posture, shape (N, 3) [m].
+        positions: Where the tip is in each configuration, shape (N, 3) [m].
         margins: Shape (N,).
         plane: Two world axes, such as "xz".
         ax: Axes to draw into; new ones by default.
@@ -93,8 +87,7 @@ def plot_margins(
     """
     rows = axis_rows("plane", plane)
     top = np.argsort(-margins)
-    with style():
-        ax = axes_or_new(ax)
+    with styled(ax) as ax:
         # one that is far below zero would leave all others without colour
         reach = min(1.0, max(0.05, float(np.abs(margins[np.isfinite(margins)]).max(initial=0.0))))
         for passes, marker, name in ((True, "o", "holds in"), (False, "x", "fails in")):
@@ -106,15 +99,14 @@ def plot_margins(
                 s=9 if passes else 14, linewidths=0.0 if passes else 1.2,
                 c=np.clip(margins[chosen], -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
             )  # fmt: skip
-            label = f"{name} {len(chosen)} of {len(margins)} postures"
+            label = f"{name} {len(chosen)} of {len(margins)} configurations"
             ax.plot([], [], marker, ms=4, color="0.4", label=label)
         worst = positions[margins.argmin(), rows]
-        ax.plot(*worst, "s", mfc="none", mec=COLORS[6], ms=9, mew=1.5,
+        ax.plot(*worst, "s", mfc="none", mec=SERIES[6], ms=9, mew=1.5,
                 label=f"worst: {margins.min():.3g}")  # fmt: skip
         ax.set_aspect("equal", adjustable="datalim")
         ax.set(xlabel=f"{plane[0]} [m]", ylabel=f"{plane[1]} [m]", title=title)
         ax.figure.colorbar(dots, ax=ax, label="margin [–]", shrink=0.8)
-        legend_below(ax)
     return ax
 
 
@@ -146,10 +138,7 @@ def plot_map(
         ax: Axes to draw into; new ones by default.
         title: Of the axes.
     """
-    from matplotlib.patheffects import Normal, TickedStroke
-
-    with style():
-        ax = axes_or_new(ax, (7.0, 5.6))
+    with styled(ax, (7.0, 5.6)) as ax:
         reach = float(np.nanquantile(np.abs(decay_rate), 0.95)) or 1.0
         shown = ax.pcolormesh(
             x, y, np.clip(decay_rate, -reach, reach), cmap="RdYlBu", vmin=-reach, vmax=reach,
@@ -158,7 +147,7 @@ def plot_map(
         ax.figure.colorbar(shown, ax=ax, label="slowest decay [1/s] (negative: grows)")
         tests = [(local, x, y, decay_rate), *boundaries]
         for k, (name, at_x, at_y, value) in enumerate(tests):
-            color, line = COLORS[6] if k == 0 else COLORS[k], ("-", "-", "--", ":")[k % 4]
+            color, line = SERIES[6] if k == 0 else SERIES[k], ("-", "-", "--", ":")[k % 4]
             passes = np.nan_to_num(value, nan=-1.0) > 0.0
             where = ""
             if passes.all():
@@ -172,12 +161,11 @@ def plot_map(
                 where = " (ticks: fails)"
             ax.plot([], [], line, color=color, linewidth=2.0, label=name + where)
         if own is not None:
-            ax.plot(*own, "*", color=COLORS[6], mec="white", ms=14, label="as given")
+            ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label="as given")
         if y[0] > 0.0 and y[-1] / y[0] > 20.0:
             ax.set_yscale("log")
         if x[0] > 0.0 and x[-1] / x[0] > 20.0:
             ax.set_xscale("log")
         ax.set(xlabel=labels[0], ylabel=labels[1], title=title)
         ax.grid(visible=False)
-        legend_below(ax)
     return ax

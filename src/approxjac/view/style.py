@@ -2,43 +2,43 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import matplotlib
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import offset_copy
 
 from approxjac.errors import InvalidInputError
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Of lines in turn: Okabe and Ito's colours, which people with colour-blindness can tell apart."""
+COLORS: Mapping[str, str] = {
+    "true": "#0072B2",  # the true arm, its path, what a camera truly sees
+    "believed": "#CC79A7",  # what the controller believes of the same
+    "target": "#009E73",  # where the arm shall go
+    "neutral": "#555555",  # lines to compare with: zero, limits, tolerances
+    "saturated": "#D55E00",  # torque at its limit
+    "at_limit": "#E69F00",  # joint at its position limit
+    "force": "#000000",  # the colour that differs most from all others, whatever one's eyes
+    "measured": "#56B4E9",  # what was measured, where it differs from what is true
+    "arm": "#C9CED4",  # in the browser: a grey that leaves the other colours their meaning
+    "object": "#8C97A3",  # that the arm holds
+}
+"""What a colour means, in every figure and page. Lines that mean none of this take `SERIES`."""
 
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's colours, which people with colour-blindness can tell apart."""
-# What a colour means, in every figure. Series that mean none of this take COLORS in turn.
-TRUE = "#0072B2"
-"""The true arm, its path, what a camera truly sees."""
-BELIEVED = "#CC79A7"
-"""What the controller believes of the same."""
-TARGET = "#009E73"
-"""Where the arm shall go."""
-NEUTRAL = "#555555"
-"""Lines to compare with: zero, limits, tolerances."""
-SATURATED = "#D55E00"
-"""Torque at its limit."""
-AT_LIMIT = "#E69F00"
-"""Joint at its position limit."""
-FORCE = "#000000"
-"""Forces: the colour that differs most from all others, whatever one's eyes."""
-DPI = 130
-"""Of every picture made of pixels."""
+_DPI = 130
 _LEGEND = 36.0  # below the axes, under their ticks and their label [pt]
-
 _LEGEND_WIDTH = 270.0  # of a plot of usual size [pt]; a letter takes 4.4 of them, a line 34
-
 _RC: Mapping[str, Any] = {
     "axes.axisbelow": True,
     "axes.grid": True,
+    "axes.prop_cycle": cycler(color=SERIES),
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlesize": 10,
@@ -57,11 +57,31 @@ _RC: Mapping[str, Any] = {
 @contextmanager
 def style() -> Iterator[None]:
     """Apply the look inside a `with` block, and leave the user's settings alone after it."""
-    import matplotlib
-    from cycler import cycler
-
-    with matplotlib.rc_context({**_RC, "axes.prop_cycle": cycler(color=COLORS)}):
+    with matplotlib.rc_context(dict(_RC)):
         yield
+
+
+class StyledFigure(Figure):
+    """A figure that keeps the look wherever it is drawn; pyplot does not know it."""
+
+    def draw(self, renderer: Any) -> None:
+        """Draw it in the look: ticks are made only now, from the settings of this moment."""
+        layout = self.get_layout_engine()
+        with style():
+            # one pass takes the room beside an image of fixed shape for room under its legend
+            if layout is not None and any(ax.get_aspect() != "auto" for ax in self.axes):
+                layout.execute(self)
+            super().draw(renderer)
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that a notebook shows where the figure is the last line of a cell.
+
+        There is none as SVG beside it: that would be shown instead, and a notebook would keep all
+        points of a run in its file.
+        """
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=_DPI)
+        return buffer.getvalue()
 
 
 def new_figure(
@@ -77,8 +97,6 @@ def new_figure(
         size: Width and height [inch]; 4.3 × 3.8 for each plot by default.
         title: Of the whole figure.
     """
-    from approxjac.view.figure import StyledFigure  # loads Matplotlib
-
     with style():
         figure = StyledFigure(size or (4.3 * columns, 3.8 * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False)
@@ -87,9 +105,16 @@ def new_figure(
     return figure, list(axes.flat)
 
 
-def axes_or_new(ax: Axes | None, size: tuple[float, float] | None = None) -> Axes:
-    """Return the axes that a user gave, or those of a new figure."""
-    return new_figure(size=size)[1][0] if ax is None else ax
+@contextmanager
+def styled(
+    ax: Axes | None, size: tuple[float, float] | None = None, columns: int | None = None
+) -> Iterator[Axes]:
+    """Give the axes of a user, or new ones, to draw on in the look; their legend is put below."""
+    with style():
+        ax = new_figure(size=size)[1][0] if ax is None else ax
+        yield ax
+        if ax.get_legend_handles_labels()[1]:
+            legend_below(ax, columns)
 
 
 def legend_below(ax: Axes, columns: int | None = None) -> None:
@@ -99,8 +124,6 @@ def legend_below(ax: Axes, columns: int | None = None) -> None:
         ax: The axes.
         columns: Entries side by side; as many as fit under a plot of usual width by default.
     """
-    from matplotlib.transforms import offset_copy
-
     labels = ax.get_legend_handles_labels()[1]
     longest = max((len(label) for label in labels), default=1)
     if columns is None:
@@ -128,8 +151,8 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
     try:
         with style():
-            figure.savefig(paths[0], dpi=DPI)
-            figure.savefig(paths[1], dpi=DPI, metadata={"Date": None})  # dpi: of what is pixels
+            figure.savefig(paths[0], dpi=_DPI)
+            figure.savefig(paths[1], dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels
     except OSError as error:
         raise InvalidInputError(
             f"stem must name files that can be written, got {stem}: {error}", given=stem

@@ -15,10 +15,10 @@ from approxjac.simulation.scene import Scene
 from approxjac.studies import servo
 from approxjac.tasks import FrameKinematics
 from approxjac.view.browser import Frames, Stage, document, page_data
-from approxjac.view.style import AT_LIMIT, BELIEVED, COLORS, SATURATED, TARGET, TRUE
+from approxjac.view.style import COLORS, SERIES
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-BLUE = COLORS[0]
+BLUE = SERIES[0]
 
 
 @pytest.fixture(scope="module")
@@ -113,10 +113,12 @@ def test_the_tip_reaches_the_target_and_the_ghosts_does_not(reach, show):
     assert np.linalg.norm(tip - target) < 4.0
     assert np.linalg.norm(ghost - target) > 40.0
     image = pixels(page)
-    assert near(image, tip, TRUE) > 60
-    assert near(image, target, TARGET, radius=20.0, tolerance=0.4) > 60  # it lets light through
-    assert near(image, ghost, BELIEVED) > 60
-    assert near(image, ghost, TRUE) == near(image, tip, BELIEVED) == 0
+    assert near(image, tip, COLORS["true"]) > 60
+    assert (
+        near(image, target, COLORS["target"], radius=20.0, tolerance=0.4) > 60
+    )  # it lets light through
+    assert near(image, ghost, COLORS["believed"]) > 60
+    assert near(image, ghost, COLORS["true"]) == near(image, tip, COLORS["believed"]) == 0
 
 
 def test_the_paper_arm_reaches_the_line_of_sight(drawn, show):
@@ -130,23 +132,23 @@ def test_the_paper_arm_reaches_the_line_of_sight(drawn, show):
     assert np.linalg.norm(project(page, tip) - project(page, goal)) < 6.0
     assert np.linalg.norm(project(page, ghost) - project(page, goal)) > 40.0
     image = pixels(page)
-    assert near(image, project(page, tip), TRUE) > 40
-    assert near(image, project(page, ghost), BELIEVED) > 40
+    assert near(image, project(page, tip), COLORS["true"]) > 40
+    assert near(image, project(page, ghost), COLORS["believed"]) > 40
     # the line of sight of the target pixel goes through the goal, seen on its way there too
     eye = page.evaluate("approxjac.data.cameras[0].apex")
-    assert near(image, project(page, 0.5 * (np.array(eye) + goal)), TARGET, 4.0, 0.4) > 3
+    assert near(image, project(page, 0.5 * (np.array(eye) + goal)), COLORS["target"], 4.0, 0.4) > 3
 
 
 def test_what_a_camera_in_the_room_sees(watched, show):
     page = show(watched)
     seek(page, watched.t[-1])
     tip = position(watched.scene.truth, watched.q[-1])
-    assert near(pixels(page), project(page, tip), TRUE) > 30
+    assert near(pixels(page), project(page, tip), COLORS["true"]) > 30
     panel = page.get_by_label("Image plane")
     box = panel.bounding_box()
     part = pixels(page)[int(box["y"]) :, int(box["x"]) :]
     middle = np.array([box["width"], box["height"]]) / 2.0
-    for colour in (TRUE, BELIEVED, TARGET):
+    for colour in (COLORS["true"], COLORS["believed"], COLORS["target"]):
         assert near(part[: int(box["height"])], middle, colour, 400.0) > 20, colour
 
 
@@ -171,7 +173,7 @@ def test_the_slider_moves_the_arm(reach, show):
     assert t == pytest.approx(0.1 * reach.t[-1], abs=0.05)
     q = [np.interp(t, reach.t, column) for column in reach.q.T]
     image = pixels(page)
-    assert near(image, project(page, reach.scene.sensor.value(q)), TRUE) > 60
+    assert near(image, project(page, reach.scene.sensor.value(q)), COLORS["true"]) > 60
     assert page.locator("#time").inner_text() == f"{t:.2f} / {reach.t[-1]:.2f} s"
 
 
@@ -225,7 +227,7 @@ def test_plots_have_lines_titles_and_units(reach, show):
     titles = page.locator(".plot h2").all_inner_texts()
     assert titles == ["Task error of each coordinate", "Torque of each joint", "Lyapunov function"]
     image = pixels(page)
-    for i, colours in enumerate((COLORS[:3], (COLORS[1], COLORS[5]), COLORS[:1])):
+    for i, colours in enumerate((SERIES[:3], (SERIES[1], SERIES[5]), SERIES[:1])):
         box = page.locator(".plot .area").nth(i).bounding_box()
         part = image[int(box["y"]) : int(box["y"] + box["height"]), int(box["x"]) :]
         for colour in colours:
@@ -273,7 +275,7 @@ def test_a_link_with_its_torque_at_the_limit_is_coloured(reach, show):
     drawn_anew(page)
     assert "torque at its limit: panda_joint2" in page.locator("#state").inner_text()
     box = page.locator("#canvas").bounding_box()
-    assert near(pixels(page), (0.5 * box["width"], 350.0), SATURATED, 300.0) > 500
+    assert near(pixels(page), (0.5 * box["width"], 350.0), COLORS["saturated"], 300.0) > 500
 
 
 def test_a_link_at_a_position_limit_is_coloured(reach, show):
@@ -283,7 +285,7 @@ def test_a_link_at_a_position_limit_is_coloured(reach, show):
     drawn_anew(page)
     assert "at a position limit: panda_joint4" in page.locator("#state").inner_text()
     box = page.locator("#canvas").bounding_box()
-    assert near(pixels(page), (0.5 * box["width"], 350.0), AT_LIMIT, 300.0) > 500
+    assert near(pixels(page), (0.5 * box["width"], 350.0), COLORS["at_limit"], 300.0) > 500
 
 
 def test_lost_measurements_are_gaps(reach, show):
@@ -318,7 +320,7 @@ def test_a_controller_that_tells_no_belief(reach, show):
     titles = page.locator(".plot h2").all_inner_texts()
     assert titles == ["Task error of each coordinate", "Torque of each joint"]
     box = page.locator("#canvas").bounding_box()
-    assert near(pixels(page), (0.5 * box["width"], 350.0), BELIEVED, 300.0) == 0
+    assert near(pixels(page), (0.5 * box["width"], 350.0), COLORS["believed"], 300.0) == 0
 
 
 def test_without_webgl_there_are_the_plots(drawn, browser, tmp_path):
@@ -365,7 +367,7 @@ def test_instants_come_in_and_the_target_is_dragged(reach, open_page, tmp_path):
     page.wait_for_timeout(200)
     assert state(page)["length"] == len(rows)
     assert state(page)["t"] == pytest.approx(reach.t[-1])  # it follows
-    assert near(pixels(page), project(page, scene.sensor.value(reach.q[-1])), TRUE) > 60
+    assert near(pixels(page), project(page, scene.sensor.value(reach.q[-1])), COLORS["true"]) > 60
     # drag the target 30 px to the right: the view does not turn
     page.evaluate("approxjac.ontarget = (point) => { window.dragged = point; }")
     x, y = project(page, reach.target)
@@ -386,7 +388,7 @@ def test_instants_come_in_and_the_target_is_dragged(reach, open_page, tmp_path):
     page.evaluate("changed => approxjac.redraw(changed)", Stage(other).data("believed"))
     drawn_anew(page)
     box = page.locator("#canvas").bounding_box()
-    ghost = near(pixels(page), (0.5 * box["width"], 350.0), BELIEVED, 300.0)
+    ghost = near(pixels(page), (0.5 * box["width"], 350.0), COLORS["believed"], 300.0)
     assert ghost > 500
 
 

@@ -20,7 +20,6 @@ from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene, features
 from approxjac.validation import Array, require
-from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import image_axes
 from approxjac.view.browser.frames import Frames, display_unit
 from approxjac.view.browser.opening import open_browser
@@ -28,7 +27,7 @@ from approxjac.view.browser.stage import Stage
 from approxjac.view.browser.tree import robot_tree
 from approxjac.view.browser.viewpoint import link_points, reach_points, viewpoint
 from approxjac.view.packages import view_package
-from approxjac.view.style import AT_LIMIT, BELIEVED, FORCE, SATURATED, TARGET, TRUE
+from approxjac.view.style import COLORS, SERIES
 
 _USUAL = (Status.OK, Status.MEASUREMENT_HELD, LimitStatus.UNLIMITED, LimitStatus.FREE)
 _RATE = 60.0  # frames of a second, at most
@@ -180,8 +179,8 @@ def page_data(
         "facts": [list(fact) for fact in facts],
         "legend": _legend(scene, frames.image is not None),
         "live": live,
-        "colours": colours.by_role(),
-        "background": [colours.as_rgb(colours.SKY), colours.as_rgb(colours.FLOOR)],
+        "colours": COLORS,
+        "background": [[0.992, 0.992, 0.996], [0.945, 0.953, 0.961]],
         "size": stage.size,
         "view": {
             "direction": view["direction"].tolist(),
@@ -322,24 +321,24 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
 
 def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
     """What the colours mean: colour, kind of mark ("" is a dot) and words."""
-    entries = [(colours.ARM, "bar", "the arm as it is")]
+    entries = [(COLORS["arm"], "bar", "the arm as it is")]
     if any(name.endswith("_tip_joint") for name in scene.truth.frame_names):
-        entries.append((colours.OBJECT, "bar", "object that it holds"))
+        entries.append((COLORS["object"], "bar", "object that it holds"))
     if scene.belief is not None:
         words = "arm and camera as the controller believes them"
         words = words if image else "the arm as the controller believes it"
-        entries.append((BELIEVED, "bar", words))
-        entries.append((BELIEVED, "", "believed tip"))
-    entries.append((TRUE, "", "true tip and its path"))
+        entries.append((COLORS["believed"], "bar", words))
+        entries.append((COLORS["believed"], "", "believed tip"))
+    entries.append((COLORS["true"], "", "true tip and its path"))
     if any(feature.axes for feature in features(scene.sensor)):
-        entries.append((colours.MEASURED, "", "measured tip, where it differs"))
-    entries.append((TARGET, "", "target, line of sight" if image else "target"))
+        entries.append((COLORS["measured"], "", "measured tip, where it differs"))
+    entries.append((COLORS["target"], "", "target, line of sight" if image else "target"))
     if scene.task is not None:
-        entries.append((FORCE, "dash", "force that the control means to exert"))
+        entries.append((COLORS["force"], "dash", "force that the control means to exert"))
     if np.isfinite(scene.torque_limits).any():
-        entries.append((SATURATED, "bar", "link whose torque is at its limit"))
+        entries.append((COLORS["saturated"], "bar", "link whose torque is at its limit"))
     if np.isfinite(np.array(scene.truth.position_limits)).any():
-        entries.append((AT_LIMIT, "bar", "link whose joint is at a position limit"))
+        entries.append((COLORS["at_limit"], "bar", "link whose joint is at a position limit"))
     return entries
 
 
@@ -365,16 +364,16 @@ def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, 
         {
             "column": "error", "title": "Task error of each coordinate",
             "unit": f"x − x_d [{shown}]", "labels": labels,
-            "colours": colours.series(len(labels)), "lines": [0.0],
+            "colours": SERIES, "lines": [0.0],
         },
         {
             "column": "torque", "title": "Torque of each joint",
             "unit": "τ / limit" if known else f"τ [{torque}]", "labels": joints,
-            "colours": colours.series(len(joints)), "lines": [-1.0, 1.0] if known else [],
+            "colours": SERIES, "lines": [-1.0, 1.0] if known else [],
         },
         {
             "column": "V", "title": "Lyapunov function", "unit": "V [J]", "labels": ["V"],
-            "colours": colours.series(1), "lines": [],
+            "colours": SERIES, "lines": [],
         },
     ]  # fmt: skip
 

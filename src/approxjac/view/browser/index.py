@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from approxjac.errors import InvalidInputError
 from approxjac.validation import require
-from approxjac.view.style import NEUTRAL, TRUE
+from approxjac.view.style import COLORS
 
 _HEAD = 4000  # characters of a page in which its name stands
 _MARK = '<meta name="generator" content="approxjac">'
@@ -84,8 +84,8 @@ def write_index(
         text = _PAGE.format(
             title=escape(title),
             entries="\n".join(entries[name] for name in sorted(entries, key=_natural)),
-            link=TRUE,
-            text=NEUTRAL,
+            link=COLORS["true"],
+            text=COLORS["neutral"],
         )
         index = folder / "index.html"
         index.write_text(text, encoding="utf-8")

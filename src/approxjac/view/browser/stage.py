@@ -13,16 +13,15 @@ from approxjac.robots import Robot
 from approxjac.simulation.scene import Scene, features
 from approxjac.tasks import Task
 from approxjac.validation import Array
-from approxjac.view.browser import colours
 from approxjac.view.browser.cameras import camera_view
 from approxjac.view.browser.tree import Tree, robot_tree
 from approxjac.view.browser.viewpoint import reach_points
 from approxjac.view.packages import view_package
 from approxjac.view.shapes import Look, robot_look
-from approxjac.view.style import BELIEVED, FORCE, TARGET, TRUE
+from approxjac.view.style import COLORS
 
 _GHOST = 0.38  # opacity of the believed arm
-_GRID_LINES = 24
+_GRID, _GRID_LINES = "#DDE1E6", 24
 # what is seen through the arm, in which tips and joints often are
 _THROUGH = {"side": 0, "transparent": True, "depthTest": False, "depthWrite": False}
 
@@ -112,7 +111,7 @@ class Stage:
         tree, links = self._trees["true"], []
         objects = _objects(self.scene.truth)
         for link, shapes in look.shapes.items():
-            colour = colours.OBJECT if link in objects else colours.ARM
+            colour = COLORS["object"] if link in objects else COLORS["arm"]
             for i, shape in enumerate(shapes):
                 path = (*tree.paths[link], f"shape{i}")
                 commands.append(self._mesh(path, shape, colour))
@@ -130,7 +129,7 @@ class Stage:
                 if i < len(twins) and twins[i] is shape:
                     clones.append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
-                    commands.append(self._mesh(path, shape, BELIEVED, _GHOST))
+                    commands.append(self._mesh(path, shape, COLORS["believed"], _GHOST))
         self._bones(commands)
         return clones
 
@@ -150,7 +149,7 @@ class Stage:
             if joint.parent in _objects(self.scene.belief or self.scene.truth):
                 continue  # an object is as long as it is believed to be
             material = g.MeshLambertMaterial(
-                color=colours.as_number(BELIEVED), opacity=0.8, **_THROUGH
+                color=_number(COLORS["believed"]), opacity=0.8, **_THROUGH
             )
             rod = g.Mesh(g.Cylinder(length, 0.006 * self.size), material)
             path = (*tree.paths[joint.parent], f"bone_{len(commands)}")
@@ -160,16 +159,14 @@ class Stage:
         """Draw the target, the tips and the arrow of the force, at the origin and of unit size."""
         g, r = self._geometry, 0.013 * self.size
         for name, radius, colour, opacity in (
-            ("target", 2.0 * r, TARGET, 0.65),
-            ("believed_tip", r, BELIEVED, 1.0),
-            ("measured", r, colours.MEASURED, 1.0),
-            ("tip", r, TRUE, 1.0),
+            ("target", 2.0 * r, COLORS["target"], 0.65),
+            ("believed_tip", r, COLORS["believed"], 1.0),
+            ("measured", r, COLORS["measured"], 1.0),
+            ("tip", r, COLORS["true"], 1.0),
         ):
-            material = g.MeshLambertMaterial(
-                color=colours.as_number(colour), opacity=opacity, **_THROUGH
-            )
+            material = g.MeshLambertMaterial(color=_number(colour), opacity=opacity, **_THROUGH)
             commands.append(self._object((name,), g.Mesh(g.Sphere(radius), material)))
-        black = g.MeshBasicMaterial(color=colours.as_number(FORCE), **_THROUGH)
+        black = g.MeshBasicMaterial(color=_number(COLORS["force"]), **_THROUGH)
         # three.js' cylinders lie along y; page.js turns and stretches them
         shaft = g.Cylinder(1.0, 0.35 * r)
         head = g.Cylinder(3.2 * r, radiusTop=0.0, radiusBottom=1.1 * r)
@@ -184,13 +181,11 @@ class Stage:
             return  # the tip, which has a marker
         if feature.frame is None and role == "believed":
             return  # points of the world are where they are
-        colour = TRUE if role == "true" else BELIEVED
+        colour = COLORS["true"] if role == "true" else COLORS["believed"]
         for k, point in enumerate(feature.points):
             placed = np.eye(4)
             placed[:3, 3] = point
-            ball = g.Mesh(
-                g.Sphere(0.01 * self.size), g.MeshLambertMaterial(color=colours.as_number(colour))
-            )
+            ball = g.Mesh(g.Sphere(0.01 * self.size), g.MeshLambertMaterial(color=_number(colour)))
             path = (*self._node(role, feature.frame), f"points_{role}", str(k))
             commands.append(self._object(path, ball, placed))
 
@@ -214,7 +209,7 @@ class Stage:
         end = ticks[-1]
         ends = [(a * u + s * end * v, a * v + s * end * u) for a in ticks for s in (-1.0, 1.0)]
         across = [e[0] for e in ends] + [e[1] for e in ends]
-        material = g.LineBasicMaterial(color=colours.as_number(colours.GRID))
+        material = g.LineBasicMaterial(color=_number(_GRID))
         lines = g.LineSegments(g.PointsGeometry(np.array(across, dtype=np.float32).T), material)
         command = self._object(("grid",), lines)
         return [base64.b64encode(command).decode()]
@@ -222,7 +217,7 @@ class Stage:
     def _camera(self, camera: dict[str, Any], commands: list[bytes]) -> None:
         """Draw a camera's pyramid and its image plane under the node that carries it."""
         g, role = self._geometry, camera["role"]
-        colour = colours.as_number(TRUE if role == "true" else BELIEVED)
+        colour = _number(COLORS["true"] if role == "true" else COLORS["believed"])
         corner, right, down = camera["corner"], camera["right"], camera["down"]
         corners = [corner, corner + right, corner + right + down, corner + down]
         edges = []
@@ -239,7 +234,7 @@ class Stage:
     def _mesh(self, path: tuple[str, ...], shape: Any, colour: str, opacity: float = 1.0) -> bytes:
         g = self._geometry
         material = g.MeshLambertMaterial(
-            color=colours.as_number(colour), opacity=opacity, depthWrite=opacity == 1.0
+            color=_number(colour), opacity=opacity, depthWrite=opacity == 1.0
         )
         mesh = g.TriangularMeshGeometry(shape.vertices, shape.faces)
         return self._object(path, g.Mesh(mesh, material))
@@ -256,6 +251,10 @@ class Stage:
 
     def _node(self, role: str, mount: str | None) -> tuple[str, ...]:
         return () if mount is None else self._trees[role].path_of(mount)
+
+
+def _number(colour: str) -> int:
+    return int(colour[1:], 16)
 
 
 def _joints(tree: Tree) -> list[dict[str, Any]]:

@@ -4,7 +4,7 @@
 approxjac.Plot = class {
   constructor(spec, parent, seek) {
     this.spec = spec;
-    const box = approxjac.panel(parent, spec.title, spec.labels.map((label, i) => [spec.colours[i], label]));
+    const box = approxjac.panel(parent, spec.title, spec.labels.map((label, i) => [spec.colours[i % spec.colours.length], label]));
     this.values = box.values;
     this.area = box.area;
     this.arrays = [[], ...spec.labels.map(() => [])];
@@ -20,7 +20,7 @@ approxjac.Plot = class {
         { ...axis, size: 46, label: spec.unit, labelSize: 16, space: 26 },
       ],
       series: [{}, ...spec.labels.map((label, i) => ({
-        label, stroke: spec.colours[i], width: 1.5, points: { show: false }, pxAlign: 0,
+        label, stroke: spec.colours[i % spec.colours.length], width: 1.5, points: { show: false }, pxAlign: 0,
       }))],
       hooks: { drawAxes: [(u) => this._lines(u)], setSize: [() => this.mark()], setScale: [() => this.mark()] },
     }, this.arrays, this.area);

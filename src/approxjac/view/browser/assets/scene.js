@@ -200,7 +200,7 @@ approxjac.Scene = class {
     for (const link of this.links) {
       const share = load[link.driver], color = link.material.color.copy(link.rest);
       if (share >= 0.999) color.set(colours.saturated);
-      else if (atLimit[link.driver] >= 1) color.set(colours.atLimit);
+      else if (atLimit[link.driver] >= 1) color.set(colours.at_limit);
       else if (share > 0.8) color.lerp(new THREE.Color(colours.saturated), 2.5 * (share - 0.8));
     }
   }
