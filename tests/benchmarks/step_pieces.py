@@ -42,7 +42,7 @@ def pieces(controller, bare, inputs):
     if learning is None:
         g = controller.gravity.torque(q).copy()
     else:
-        Z, limits = learning.regressor.compute_Z(q), learning.torque_limits
+        Z, limits = learning.regressor.Z(q), learning.torque_limits
         g = law.gravity(Z, state)
 
     def pinocchio(q, v, x):
@@ -80,7 +80,7 @@ def pieces(controller, bare, inputs):
     }
     if learning is not None:
         steps["limits"] = lambda q, v, x: is_beyond(g, limits)
-        steps["Z"] = lambda q, v, x: learning.regressor.compute_Z(q)
+        steps["Z"] = lambda q, v, x: learning.regressor.Z(q)
         steps["Z in Pinocchio"] = regressor_in_pinocchio
     taken = turns.medians(steps, inputs, ROUNDS)
     taken = {name: each - taken["nothing"] for name, each in taken.items()}

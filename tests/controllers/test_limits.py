@@ -106,14 +106,13 @@ def test_the_proofs_row_is_the_power_of_the_change(rng):
     assert row @ tau - bound == pytest.approx(y @ (tau - torque))
 
 
-def test_unchecked_dynamics_are_the_checked_ones(arm, rng):
+def test_forward_dynamics_invert_the_inverse_ones(arm, rng):
     dynamics = aj.Dynamics(arm)
     q, v = arm.random_configuration(rng), rng.normal(size=arm.nv)
     tau = rng.normal(size=arm.nv)
-    assert_array_equal(dynamics.compute_forward(q, v, tau).copy(), dynamics.forward(q, v, tau))
     M = dynamics.M(q)
     assert_array_equal(M, M.T)
-    assert_allclose(dynamics.compute_M_inv(q) @ M, np.eye(arm.nv), atol=1e-8 * np.linalg.cond(M))
+    assert_allclose(dynamics.M_inv(q) @ M, np.eye(arm.nv), atol=1e-8 * np.linalg.cond(M))
     assert_allclose(
         pin.rnea(arm.model, arm.model.createData(), q, v, dynamics.forward(q, v, tau)),
         tau,

@@ -153,9 +153,9 @@ def test_followers_of_followers():
         )
     )
     assert robot.joint_names == ("j1", "j4")
-    q_all = robot.coupling.q(np.array([0.2, -0.4]))
+    q_all = robot.mimic_joints.q(np.array([0.2, -0.4]))
     assert_allclose(q_all, [0.2, 2 * 0.2 + 0.3, 0.5 * 0.7 + 0.1, -0.4])
-    assert_allclose(robot.coupling.v(np.array([1.0, 3.0])), [1.0, 2.0, 1.0, 3.0])
+    assert_allclose(robot.mimic_joints.v(np.array([1.0, 3.0])), [1.0, 2.0, 1.0, 3.0])
 
 
 def test_a_follower_can_be_locked_and_its_leader_left_free():
@@ -163,7 +163,7 @@ def test_a_follower_can_be_locked_and_its_leader_left_free():
     assert robot.with_locked_joints({"j1": 0.2}).joint_names == ("j2", "j4")
     alone = robot.with_locked_joints({"j3": 0.2})
     assert alone.joint_names == ("j1", "j2", "j4")
-    assert alone.coupling.G is None
+    assert alone.mimic_joints.G is None
 
 
 def test_both_fingers_of_the_panda_move_as_one(rng):

@@ -108,7 +108,7 @@ class CompiledSetpointController(SetpointController):
         # Pinocchio takes any number; where NumPy computes, huge ones would make warnings
         guarded = (
             type(task) is not PositionTask
-            or robot.coupling.G is not None
+            or robot.mimic_joints.G is not None
             or isinstance(self.gravity, RegressorGravity)
             or pull is not None
         )
@@ -127,7 +127,7 @@ class CompiledSetpointController(SetpointController):
             # copies, as Numba takes longer with arrays that are read-only
             L, limits = learning.L.copy(), learning.torque_limits.copy()
             alpha, nothing = learning.alpha, np.zeros(n)
-            compute_Z = learning.regressor.compute_Z
+            Z_of = learning.regressor.Z
         float64, huge, empty, ndarray, hypot = FLOAT64, HUGE, np.empty, np.ndarray, math.hypot
         made, ok, unlimited = tuple.__new__, Status.OK, LimitStatus.UNLIMITED
 
@@ -159,7 +159,7 @@ class CompiledSetpointController(SetpointController):
                     elif learning is None:
                         usual = step(J_hat, v, x, target, g, constants, torque, e)
                     else:
-                        Z, rate = compute_Z(q), empty(p)
+                        Z, rate = Z_of(q), empty(p)
                         usual = step(
                             J_hat, v, x, target, g, constants, Z, state,
                             L, alpha, limits, torque, e, rate,

@@ -99,7 +99,7 @@ class RegressorGravity(SetOnce):
 
     def torque(self, q: Array) -> Array:
         """Z(q) θ, shape (n_v,) [N m or N]."""
-        g: Array = self.regressor.compute_Z(q).dot(self.theta)
+        g: Array = self.regressor.Z(q).dot(self.theta)
         return g
 
 

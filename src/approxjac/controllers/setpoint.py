@@ -241,7 +241,7 @@ class SetpointController(CheckedController):
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
         if self.adaptation is not None:
-            return law.gravity(self.adaptation.regressor.compute_Z(q), state[: self._p])
+            return law.gravity(self.adaptation.regressor.Z(q), state[: self._p])
         return super().gravity_torque(state, q)
 
     def with_gravity(self, gravity: Gravity) -> SetpointController:
@@ -290,7 +290,7 @@ class SetpointController(CheckedController):
         else:
             w, damped = law.damped_gram_solve(G, s, scale=self._scale)
             singular = damped > 0.0
-            Z = learning.regressor.compute_Z(q)
+            Z = learning.regressor.Z(q)
             g = law.gravity(Z, state[: self._p])  # with it, (6) below is (28)
         if self._pull is not None:
             g = g + self._pull_within_null_space(q, J_hat, G, *self._pull)

@@ -195,7 +195,7 @@ class TorqueLimited(Limiter):
 
         if y is None:
             y, rho = self._passive_output(answer, v)
-        M_inv, rows = self._dynamics.compute_M_inv(q), self._no_rows
+        M_inv, rows = self._dynamics.M_inv(q), self._no_rows
         if q_dd is not None:
             rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), accelerations)
         R = self._R
@@ -270,7 +270,7 @@ class TorqueLimited(Limiter):
         # a joint far beyond its limit comes back no faster than it may move
         speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
         moving = torque - self._law.gravity_torque(state, q)
-        q_dd = self._dynamics.compute_forward(q, v, moving)
+        q_dd = self._dynamics.forward(q, v, moving)
         return speeds, q_dd, acceleration_bounds(v, speeds, self._braking, self._jerk)
 
     def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, float]:

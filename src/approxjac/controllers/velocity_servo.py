@@ -120,7 +120,7 @@ class VelocityServo(CheckedController):
         J_hat = self.task.compute_jacobian(q, x)
         s = np.zeros_like(e) if lost else self.saturation.s(e)
         reference, damping = self._reference(J_hat, s)
-        moving = self._dynamics.compute_inverse(q, v, self.inner_bandwidth * (reference - v))
+        moving = self._dynamics.inverse(q, v, self.inner_bandwidth * (reference - v))
         g = self.gravity.torque(q)  # type: ignore[union-attr]
         status = _LOST if lost else _SINGULAR if damping > 0.0 else _OK
         return Evaluation(moving + g, self._no_rate, status, e, J_hat)

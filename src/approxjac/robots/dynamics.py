@@ -33,8 +33,8 @@ class Dynamics:
         self._zero = np.zeros(robot.nv)
         # the same where there are no mimic joints; Pinocchio's algorithms that cannot couple them
         # run on this model
-        self._coupling = robot.coupling
-        self._all = robot.coupling.model
+        self._mimic_joints = robot.mimic_joints
+        self._all = robot.mimic_joints.model
         self._all_data = self._data if self._all is self._model else self._all.createData()
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -49,9 +49,9 @@ class Dynamics:
 
     def C(self, q: Array, v: Array) -> Array:
         """Coriolis matrix C(q, q̇) with Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""
-        q_all, v_all = self._coupling.q(self._q(q)), self._coupling.v(self._v(v))
+        q_all, v_all = self._mimic_joints.q(self._q(q)), self._mimic_joints.v(self._v(v))
         C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, v_all)
-        return np.array(self._coupling.rows(self._coupling.columns(C)))
+        return np.array(self._mimic_joints.rows(self._mimic_joints.columns(C)))
 
     def M_dot(self, q: Array, v: Array) -> Array:
         """dM/dt = C + Cᵀ along q̇, shape (n_v, n_v)."""
@@ -60,11 +60,13 @@ class Dynamics:
 
     def M_gradient(self, q: Array) -> Array:
         """∂M/∂q_k, shape (n_v, n_v, n_v), k first: `M_dot` along each joint."""
-        q_all, n = self._coupling.q(self._q(q)), len(self._zero)
+        q_all, n = self._mimic_joints.q(self._q(q)), len(self._zero)
         dM = np.empty((n, n, n))
         for k, unit in enumerate(np.eye(n)):
-            C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, self._coupling.v(unit))
-            dM[k] = self._coupling.rows(self._coupling.columns(C))
+            C = pin.computeCoriolisMatrix(
+                self._all, self._all_data, q_all, self._mimic_joints.v(unit)
+            )
+            dM[k] = self._mimic_joints.rows(self._mimic_joints.columns(C))
         return dM + np.swapaxes(dM, 1, 2)
 
     def coriolis(self, q: Array, v: Array) -> Array:
@@ -77,43 +79,35 @@ class Dynamics:
 
     def g_gradient(self, q: Array) -> Array:
         """∂g/∂q, shape (n_v, n_v) [N m/rad, and alike with m and N]."""
-        q_all = self._coupling.q(self._q(q))
+        q_all = self._mimic_joints.q(self._q(q))
         G = pin.computeGeneralizedGravityDerivatives(self._all, self._all_data, q_all)
-        return np.array(self._coupling.rows(self._coupling.columns(G)))
+        return np.array(self._mimic_joints.rows(self._mimic_joints.columns(G)))
 
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
         """M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
-        return self.compute_inverse(self._q(q), self._v(v), self._v(a, "a")).copy()
-
-    def compute_inverse(self, q: Array, v: Array, a: Array) -> Array:
-        """`inverse` of arrays that have been checked; an alias of scratch memory."""
-        tau: Array = pin.rnea(self._model, self._data, q, v, a)
-        return tau
+        q, v, a = self._q(q), self._v(v), self._v(a, "a")
+        return np.array(pin.rnea(self._model, self._data, q, v, a))
 
     def forward(self, q: Array, v: Array, tau: Array) -> Array:
         """q̈ from τ, shape (n_v,) [rad/s² or m/s²].
 
         By the articulated-body algorithm, or with mimic joints by solving with M(q).
         """
-        return self.compute_forward(self._q(q), self._v(v), self._v(tau, "tau")).copy()
-
-    def compute_forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """`forward` of arrays that have been checked; an alias of scratch memory."""
-        if self._coupling.G is not None:
+        q, v, tau = self._q(q), self._v(v), self._v(tau, "tau")
+        if self._mimic_joints.G is not None:
             bias = pin.rnea(self._model, self._data, q, v, self._zero)
             return np.asarray(np.linalg.solve(self.M(q), tau - bias))
-        acceleration: Array = pin.aba(self._model, self._data, q, v, tau, WORLD)
-        return acceleration
+        return np.array(pin.aba(self._model, self._data, q, v, tau, WORLD))
 
-    def compute_M_inv(self, q: Array) -> Array:
-        """M(q)⁻¹ for a q that has been checked, shape (n_v, n_v)."""
-        if self._coupling.G is not None:
+    def M_inv(self, q: Array) -> Array:
+        """M(q)⁻¹, shape (n_v, n_v)."""
+        if self._mimic_joints.G is not None:
             return np.asarray(np.linalg.inv(self.M(q)))
-        return symmetric(pin.computeMinverse(self._model, self._data, q))
+        return symmetric(pin.computeMinverse(self._model, self._data, self._q(q)))
 
     def energy(self, q: Array, v: Array) -> float:
         """Kinetic plus potential energy [J]."""
-        q, v = self._coupling.q(self._q(q)), self._coupling.v(self._v(v))
+        q, v = self._mimic_joints.q(self._q(q)), self._mimic_joints.v(self._v(v))
         return float(
             pin.computeKineticEnergy(self._all, self._all_data, q, v)
             + pin.computePotentialEnergy(self._all, self._all_data, q)

@@ -15,7 +15,7 @@ _NO_EFFECT = 1e-12  # share of the largest effect that is round-off
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation:
-    """How well the postures of a motion tell the parameters θ of g = Z(q)θ apart.
+    """How well the configurations of a motion tell the parameters θ of g = Z(q)θ apart.
 
     Attributes:
         names: Names of the parameters, length p.
@@ -73,7 +73,7 @@ def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -
     threshold = as_number("threshold", threshold, above=0.0)
     if threshold > 1.0:
         raise InvalidInputError(f"threshold must be at most 1, got {threshold:g}", given=threshold)
-    Z = np.vstack([regressor.Z(posture) for posture in q]) / np.sqrt(len(q))
+    Z = np.vstack([regressor.Z(each) for each in q]) / np.sqrt(len(q))
     effect = np.linalg.norm(Z, axis=0)
     effect[effect < _NO_EFFECT * effect.max()] = 0.0
     scaled = np.where(effect > 0.0, Z / np.where(effect > 0.0, effect, 1.0), 0.0)

@@ -12,7 +12,7 @@ from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.robot import Robot
 from approxjac.validation import Array, axis_rows, require
 
-_POSTURES = 60  # random postures that rank and grouping are found from
+_CONFIGURATIONS = 60  # random configurations that rank and grouping are found from
 _RANK_TOLERANCE = 1e-9
 _EXACT = 1e-9  # relative error of Z θ that counts as none
 
@@ -51,7 +51,7 @@ class GravityRegressor:
         self._moments = moments
         axes = axis_rows("moments", moments)
         self.robot = robot
-        self._model = robot.coupling.model  # Pinocchio has no regressor with mimic joints
+        self._model = robot.mimic_joints.model  # Pinocchio has no regressor with mimic joints
         self._data = self._model.createData()
         self._zero = np.zeros(self._model.nv)
         # of each link's ten dynamic parameters, the first four are m, m c_x, m c_y, m c_z
@@ -59,7 +59,7 @@ class GravityRegressor:
         candidates = np.array([10 * i + k for i in range(self._model.nv) for k in offsets])
         rng = np.random.default_rng(0)
         stacked = np.vstack(
-            [self._full(q)[:, candidates] for q in _anywhere(robot, rng, _POSTURES)]
+            [self._full(q)[:, candidates] for q in _anywhere(robot, rng, _CONFIGURATIONS)]
         )
         kept, grouping = _independent_columns(stacked)
         if not kept:
@@ -95,11 +95,7 @@ class GravityRegressor:
 
     def Z(self, q: Array) -> Array:
         """Gravity regressor Z(q), shape (n_v, p) [m²/s² for first moments, with g inside]."""
-        return self.compute_Z(self.robot.configuration(q))
-
-    def compute_Z(self, q: Array) -> Array:
-        """`Z` at a q that has been checked already, for loops."""
-        return self._full(q).take(self._columns, 1)
+        return self._full(self.robot.configuration(q)).take(self._columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
         """Return the θ with which this Z(q) reproduces the gravity of another robot.
@@ -108,11 +104,11 @@ class GravityRegressor:
 
         Args:
             robot: Robot with the same joints, such as the true one.
-            seed: Of the random postures.
+            seed: Of the random configurations.
 
         Returns:
             θ, shape (p,), and the residual: the largest error of Z θ relative to the largest
-            gravity torque, over random postures that the fit did not use.
+            gravity torque, over random configurations that the fit did not use.
 
         Raises:
             InvalidInputError: Other joints, or another gravity.
@@ -137,34 +133,33 @@ class GravityRegressor:
         return theta, self._error(robot, theta, rng)
 
     def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Z of this robot and g of another, stacked over random postures."""
+        """Z of this robot and g of another, stacked over random configurations."""
         dynamics = Dynamics(robot)
-        postures = _anywhere(robot, rng, _POSTURES)
-        return np.vstack([self.Z(q) for q in postures]), np.concatenate(
-            [dynamics.g(q) for q in postures]
-        )
+        configurations = _anywhere(robot, rng, _CONFIGURATIONS)
+        Z = np.vstack([self.Z(q) for q in configurations])
+        return Z, np.concatenate([dynamics.g(q) for q in configurations])
 
     def _error(self, robot: Robot, theta: Array, rng: np.random.Generator) -> float:
-        """Largest error of Z θ over new postures, relative to the largest gravity torque."""
+        """Largest error of Z θ over new configurations, relative to the largest gravity torque."""
         Z, g = self._samples(robot, rng)
         return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
 
     def _full(self, q: Array) -> Array:
         """All columns at rest, ten for each moving link; an alias of scratch memory."""
-        coupling = self.robot.coupling
+        mimic_joints = self.robot.mimic_joints
         regressor: Array = pin.computeJointTorqueRegressor(
-            self._model, self._data, coupling.q(q), self._zero, self._zero
+            self._model, self._data, mimic_joints.q(q), self._zero, self._zero
         )
         if regressor.ndim == 1:  # of one joint Pinocchio's regressor has lost an axis
             regressor = regressor[np.newaxis]
-        return coupling.rows(regressor)
+        return mimic_joints.rows(regressor)
 
     def __repr__(self) -> str:
         return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
 
 
 def _anywhere(robot: Robot, rng: np.random.Generator, count: int) -> list[Array]:
-    """Postures over full turns (and ±1 m), whatever the limits: they must not hide a column."""
+    """Return configurations over full turns (and ±1 m): limits must not hide a column."""
     reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
     motions = rng.uniform(-reach, reach, (count, robot.nv))
     return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]

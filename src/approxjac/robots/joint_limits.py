@@ -41,7 +41,7 @@ def farthest_beyond(robot: Robot, q: Array) -> str:
 
 
 def require_radians(name: str, robot: Robot, q: Array) -> None:
-    """Refuse a posture that is a turn or more beyond the limits of a joint: it is in degrees.
+    """Refuse a configuration that is a turn or more beyond the limits of a joint: it is in degrees.
 
     One that is a little beyond them may be where a run ended.
 
@@ -74,7 +74,7 @@ def reach_bound(robot: Robot, frame: str) -> tuple[Array, float]:
         )
         if unit == "m"
     }
-    all_joints = robot.coupling.model  # those that mimic others as joints of their own
+    all_joints = robot.mimic_joints.model  # those that mimic others as joints of their own
     for name in (model.names[j] for j in joints):
         kind = all_joints.joints[all_joints.getJointId(name)].shortname()
         if kind.startswith("JointModelP"):

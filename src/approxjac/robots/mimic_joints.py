@@ -13,7 +13,7 @@ from approxjac.robots.urdf_edit import followers, leader_of
 from approxjac.validation import Array
 
 
-class Coupling:
+class MimicJoints:
     """How all moving joints follow from the n_v that move on their own: q_all = A q + b.
 
     Pinocchio can leave mimic joints out of q and v, but not every algorithm of it can. Those that
@@ -50,8 +50,8 @@ class Coupling:
         return tau if self.G is None else self.G.T @ tau
 
 
-def build_coupled(root: Any, source: str) -> tuple[pin.Model, Coupling]:
-    """Return the Pinocchio model of a URDF, without mimic joints in q and v, and its coupling.
+def build_coupled(root: Any, source: str) -> tuple[pin.Model, MimicJoints]:
+    """Return the Pinocchio model of a URDF, without mimic joints in q and v, and how these move.
 
     Args:
         root: XML root of the URDF.
@@ -67,7 +67,7 @@ def build_coupled(root: Any, source: str) -> tuple[pin.Model, Coupling]:
     names = list(model.names)
     coupled = {joint: follows for joint, follows in followers(root).items() if joint in names}
     if not coupled:
-        return model, Coupling(model, None, None, None)
+        return model, MimicJoints(model, None, None, None)
     found = {joint: leader_of(joint, coupled) for joint in coupled}
     for joint, (leader, _, _) in found.items():
         fault = _fault(model, joint, leader, coupled)
@@ -88,7 +88,7 @@ def build_coupled(root: Any, source: str) -> tuple[pin.Model, Coupling]:
         for k in range(own.nv):
             G[own.idx_v + k, kept.idx_v + k] = multiplier
         b[own.idx_q] = offset
-    return reduced, Coupling(model, G, A, b)
+    return reduced, MimicJoints(model, G, A, b)
 
 
 def _fault(

@@ -9,13 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import UrdfError
-from approxjac.robots.mimic_joints import Coupling, build_coupled
+from approxjac.robots.mimic_joints import MimicJoints, build_coupled
 from approxjac.validation import Array
 
 WORLD = pin.Convention.WORLD  # members of Pinocchio's enums are slow to look up
 
 
-def build_model(root: Any, source: str) -> tuple[pin.Model, Coupling]:
+def build_model(root: Any, source: str) -> tuple[pin.Model, MimicJoints]:
     """Return the Pinocchio model of a URDF, and how mimic joints follow from its joints.
 
     Args:
@@ -27,14 +27,14 @@ def build_model(root: Any, source: str) -> tuple[pin.Model, Coupling]:
             moving links without inertia, or mimic joints that nothing leads.
     """
     try:
-        model, coupling = build_coupled(root, source)
+        model, mimic_joints = build_coupled(root, source)
     except UrdfError:  # ours, which says more
         raise
     except (ValueError, RuntimeError) as error:
         raise UrdfError(f"{source} is not a valid URDF: {error}", given=source) from error
     if model.nv == 0:
         raise UrdfError(f"{source} has no moving joint", given=source)
-    independent = coupling.model
+    independent = mimic_joints.model
     for name, joint in zip(independent.names[1:], list(independent.joints)[1:], strict=True):
         if joint.nv != 1:
             raise UrdfError(
@@ -43,7 +43,7 @@ def build_model(root: Any, source: str) -> tuple[pin.Model, Coupling]:
                 given=source,
             )
     _require_inertia(model, source)
-    return model, coupling
+    return model, mimic_joints
 
 
 def own_joints(model: pin.Model) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import meshes, urdf_edit
 from approxjac.robots import urdf as urdf_xml
-from approxjac.robots.mimic_joints import Coupling
+from approxjac.robots.mimic_joints import MimicJoints
 from approxjac.robots.model import build_model, outward_axis, own_joints
 from approxjac.validation import Array, as_array, as_number, as_vector, require, shape_of
 
@@ -64,9 +64,9 @@ class Robot:
         root = urdf_xml.parse(urdf, source)
         links = urdf_xml.read(root, source)
         self._name = str(root.get("name")) if name is None else name
-        self._model, self._coupling = build_model(root, source)
+        self._model, self._mimic_joints = build_model(root, source)
         self._joints = own_joints(self._model)
-        for model in (self._model, self._coupling.model):
+        for model in (self._model, self._mimic_joints.model):
             model.gravity.linear = self._gravity
         # A body and a joint may share a name; the body's frame is the one people mean.
         frames = sorted(
@@ -115,9 +115,9 @@ class Robot:
         return self._model
 
     @property
-    def coupling(self) -> Coupling:
+    def mimic_joints(self) -> MimicJoints:
         """How mimic joints move with the others."""
-        return self._coupling
+        return self._mimic_joints
 
     @property
     def nq(self) -> int:
@@ -361,7 +361,7 @@ class Robot:
         require("positions", positions, Mapping, "a mapping from joint names to positions")
         root = urdf_xml.parse(self._urdf, self._source)
         links = urdf_xml.read(root, self._source)
-        moving = list(self._coupling.model.names)[1:]
+        moving = list(self._mimic_joints.model.names)[1:]
         locked: dict[str, float] = {}
         for joint, position in positions.items():
             if joint not in moving:

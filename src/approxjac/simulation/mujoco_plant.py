@@ -80,7 +80,7 @@ class MujocoPlant(Plant):
             actuator_delay=actuator_delay,
             torque_limits=torque_limits,
         )
-        if robot.coupling.G is not None:
+        if robot.mimic_joints.G is not None:
             raise InvalidInputError(
                 f"robot must have no mimic joints that move, which MuJoCo couples by a soft "
                 f"constraint only; lock those of {robot.name} (with_locked_joints)",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -83,7 +84,11 @@ class Plant:
             if torque_limits is None
             else as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         )
-        self.dynamics = Dynamics(robot)
+
+    @functools.cached_property
+    def dynamics(self) -> Dynamics:
+        """M, C and g of the true robot, made when they are first asked for."""
+        return Dynamics(self.robot)
 
     def ready_posture(self) -> Array:
         """A posture to start from, the same each time; `simulate` starts from it by default.

@@ -268,7 +268,7 @@ def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
             given=learning.torque_limits,
         )
     regressor = learning.regressor
-    Z = np.array([regressor.compute_Z(posture) for posture in nearby])
+    Z = np.array([regressor.Z(posture) for posture in nearby])
     rows, believed = Z.reshape(-1, regressor.p), regressor.theta
     change = np.linalg.lstsq(rows, wanted.ravel() - rows @ believed, rcond=1e-12)[0]
     theta = believed + change

@@ -73,7 +73,9 @@ def details(
         "",
         _aligned(rows),
     ]
-    together = [name for name in robot.coupling.model.names[1:] if name not in robot.joint_names]
+    together = [
+        name for name in robot.mimic_joints.model.names[1:] if name not in robot.joint_names
+    ]
     for title, joints in (
         ("locked", locked_joints(source, robot)),
         ("moving with another joint", together),

@@ -40,7 +40,7 @@ class FrameKinematics:
         self._translation = self._data.oMf[self._id].translation
         self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
-        self._all = robot.coupling.model
+        self._all = robot.mimic_joints.model
         self._all_data = self._data if self._all is self._model else self._all.createData()
         self._id_in_all = self._all.getFrameId(frame, self._model.frames[self._id].type)
 
@@ -80,13 +80,13 @@ class FrameKinematics:
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Time derivative of `jacobian` along q̇, shape (6, n_v)."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        coupling, frame = self.robot.coupling, self._id_in_all
+        mimic_joints, frame = self.robot.mimic_joints, self._id_in_all
         pin.computeJointJacobiansTimeVariation(
-            self._all, self._all_data, coupling.q(q), coupling.v(v)
+            self._all, self._all_data, mimic_joints.q(q), mimic_joints.v(v)
         )
         pin.updateFramePlacement(self._all, self._all_data, frame)
         J_dot: Array = pin.getFrameJacobianTimeVariation(self._all, self._all_data, frame, _LWA)
-        return coupling.columns(J_dot.reshape(6, -1))
+        return mimic_joints.columns(J_dot.reshape(6, -1))
 
     def _placement(self, q: Array) -> pin.SE3:
         pin.forwardKinematics(self._model, self._data, self.robot.configuration(q))

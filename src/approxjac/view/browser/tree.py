@@ -66,7 +66,7 @@ def robot_tree(robot: Robot, root: str) -> Tree:
     """
     xml = urdf_xml.parse(robot.urdf, robot.name)
     urdf = urdf_xml.read(xml, robot.name)
-    columns = {name: i for i, name in enumerate(list(robot.coupling.model.names)[1:])}
+    columns = {name: i for i, name in enumerate(list(robot.mimic_joints.model.names)[1:])}
     carried: dict[str, list[Any]] = {}
     for joint in urdf.robot.joints:
         carried.setdefault(joint.parent, []).append(joint)
@@ -74,7 +74,7 @@ def robot_tree(robot: Robot, root: str) -> Tree:
     base = next(link.name for link in urdf.robot.links if link.name not in children)
     paths: dict[str, tuple[str, ...]] = {base: (root, _node(base))}
     drivers = {base: -1}
-    joints, G = [], robot.coupling.G
+    joints, G = [], robot.mimic_joints.G
     waiting = [base]
     while waiting:
         parent = waiting.pop()
@@ -112,10 +112,10 @@ def joint_positions(robot: Robot, q: Array) -> Array:
         In the order of `Joint.column`, shape (N, n_all) [rad or m]; those of continuous joints
         without jumps.
     """
-    coupling = robot.coupling
-    q_all = np.array([coupling.q(row) for row in q]).reshape(len(q), coupling.model.nq)
+    mimic_joints = robot.mimic_joints
+    q_all = np.array([mimic_joints.q(row) for row in q]).reshape(len(q), mimic_joints.model.nq)
     columns = []
-    for joint in list(coupling.model.joints)[1:]:
+    for joint in list(mimic_joints.model.joints)[1:]:
         own = q_all[:, joint.idx_q : joint.idx_q + joint.nq]
         columns.append(np.unwrap(np.arctan2(own[:, 1], own[:, 0])) if joint.nq == 2 else own[:, 0])
     return np.column_stack(columns)
