@@ -18,7 +18,7 @@ import tyro
 from tqdm import tqdm
 
 import approxjac
-from approxjac.cli_studies import arms, certify, limiters, make_folder, paper, servo_study
+from approxjac.cli_studies import arms, limiters, make_folder, paper, servo_study
 from approxjac.errors import ApproxJacError, InvalidInputError, UnknownNameError
 from approxjac.studies.reach import Settings
 from approxjac.studies.servo_settings import ServoSettings
@@ -285,7 +285,6 @@ _COMMANDS: dict[str, Callable[..., int]] = {
     "arms": arms,
     "limiters": limiters,
     "servo-study": servo_study,
-    "certify": certify,
 }
 
 

@@ -217,44 +217,6 @@ def servo_study(
     return 0 if summary["verdict"] == "ok" else 1
 
 
-def certify(
-    cases: int = 500,
-    seed: int = 0,
-    jobs: int | None = None,
-    out: Path = Path("results/certify"),
-) -> int:
-    """Hold the stability tests against simulations of random closed loops; measure what they miss.
-
-    Exit code 1 means that a counterexample to a test was found.
-
-    Args:
-        cases: Random closed loops to test and to run.
-        seed: Of all that is random.
-        jobs: Processes that share the work; as many as there are processors by default.
-        out: Folder for table.md, two_link.md, panda.md and summary.json.
-    """
-    from approxjac.studies import certify as study
-    from approxjac.studies import certify_cases, certify_report, certify_shares, certify_two_link
-
-    chosen = certify_cases.cases(cases, seed)
-    make_folder(out)
-    with tqdm(total=len(chosen), unit="case", disable=None) as bar:
-        outcomes = study.run(chosen, jobs, progress=lambda: bar.update() and None)
-    two_link, shares = certify_two_link.run(), certify_shares.run()
-    tables = {
-        "table.md": certify_report.table(outcomes),
-        "two_link.md": certify_report.two_link_table(two_link),
-        "panda.md": certify_shares.table(shares),
-    }
-    for name, text in tables.items():
-        (out / name).write_text(text, encoding="utf-8")
-        print(text)
-    summary = certify_report.summary(outcomes, two_link, shares)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(f"{', '.join(tables)} and summary.json are in {out}")
-    return 0 if summary["verdict"] == "ok" else 1
-
-
 def make_folder(out: Path) -> None:
     """Make the folder that a command writes to.
 
