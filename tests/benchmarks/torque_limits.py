@@ -14,7 +14,7 @@ import numpy as np
 import qpsolvers
 
 import approxjac as aj
-from approxjac.controllers.quadratic import as_solver
+from approxjac.controllers.qp_solvers import as_solver
 
 STATES, ROUNDS = 1500, 4
 PROBLEMS = 300
@@ -25,7 +25,7 @@ class Watched:
     """A solver that says whether it was called, and keeps the problems."""
 
     def __init__(self, name):
-        self.solver, self.name, self.problems = as_solver(name, 1.0), name, []
+        self.solver, self.name, self.problems = as_solver(name), name, []
 
     def solve(self, problem):
         self.problems.append(problem)
@@ -97,7 +97,7 @@ def problems_of(law, limits, inputs):
 def solver_table(problems):
     """Print time, violations of what comes out, and distance from DAQP's answer."""
     names = [name for name in CANDIDATES if name in qpsolvers.available_solvers]
-    solvers = [as_solver(name, 1.0) for name in names]
+    solvers = [as_solver(name) for name in names]
     times, worst, apart, lost = (np.zeros((len(problems), len(names))) for _ in range(4))
     references = [solvers[0].solve(problem)[0] for problem in problems]
     for j, solver in enumerate(solvers):

@@ -20,7 +20,8 @@ from approxjac.controllers.limits import (
     proof_row,
     velocity_bounds,
 )
-from approxjac.controllers.quadratic import QuadraticProgram, Verdict, as_solver
+from approxjac.controllers.qp_solvers import as_solver
+from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.tuning import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
@@ -75,7 +76,6 @@ class TorqueLimited(Limiter):
         approach: κ of `position_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
             `QuadraticProgram` and returns its minimum.
-        time_budget: For the solver in one step [s]; half of dt by default.
 
     Raises:
         InvalidInputError: Numbers out of range, limits of another number of joints, or another α
@@ -96,7 +96,6 @@ class TorqueLimited(Limiter):
         braking: float | None = None,
         approach: float | None = None,
         solver: str | Callable[[QuadraticProgram], Array | None] = "daqp",
-        time_budget: float | None = None,
     ) -> None:
         super().__init__(controller, limits, dt=dt)
         require("proof", proof, bool, "True or False")
@@ -111,10 +110,7 @@ class TorqueLimited(Limiter):
         self.alpha = self._resolved_alpha(alpha)
         self.braking = self._share_of("braking", braking, 1.0 / self._step, 0.1)
         self.approach = self._share_of("approach", approach, self.braking, 0.1)
-        budget = 0.5 * dt if time_budget is None else time_budget
-        self.time_budget = as_number("time_budget", budget, unit="s", above=0.0)
-        # with a proof to keep there are up to two problems in a step
-        self._solver = as_solver(solver, self.time_budget / (2.0 if proof else 1.0))
+        self._solver = as_solver(solver)
         inertias = usual_inertias(robot)
         self._diagonal = self._resolved_weight(weight, inertias)
         self.weight = weight if isinstance(weight, str) else self._diagonal
@@ -125,7 +121,6 @@ class TorqueLimited(Limiter):
             "braking": braking,
             "approach": approach,
             "solver": solver,
-            "time_budget": time_budget,
         }
         self._R = None if self._diagonal is None else np.diag(self._diagonal)
         self._is_inertia = isinstance(weight, str) and weight == "inertia"

@@ -20,7 +20,6 @@ from approxjac.validation import as_number
 
 LIMITERS = ("qp", "clip", "scale")
 # A simulated arm waits for the solver: what comes out must not depend on how busy a machine is.
-_PATIENCE = 10.0  # [s]
 
 
 def limited(
@@ -44,9 +43,7 @@ def limited(
     """
     if limiter == "qp":
         proof = isinstance(controller, SetpointController)  # the others have none
-        return TorqueLimited(
-            controller, limits, dt=dt, solver=solver, time_budget=_PATIENCE, proof=proof
-        )
+        return TorqueLimited(controller, limits, dt=dt, solver=solver, proof=proof)
     if limiter == "clip":
         return TorqueClipped(controller, limits, dt=dt)
     if limiter == "scale":

@@ -250,9 +250,7 @@ def test_a_target_is_moved_in_the_image(open_page):
 
 
 def held(task):
-    limited = aj.TorqueLimited(
-        aj.SetpointController(task), aj.Limits(effort=60.0, rate=2000.0), time_budget=10.0
-    )
+    limited = aj.TorqueLimited(aj.SetpointController(task), aj.Limits(effort=60.0, rate=2000.0))
     return aj.HeldMeasurement(limited, 0.2)
 
 

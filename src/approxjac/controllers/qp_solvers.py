@@ -1,24 +1,29 @@
-"""Which solver: by name, or a function of the user's own."""
+"""Solvers of quadratic programs by name, through qpsolvers."""
 
 from __future__ import annotations
 
-import threading
+import warnings
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from approxjac.controllers.quadratic.daqp import Daqp
-from approxjac.controllers.quadratic.osqp import Osqp
-from approxjac.controllers.quadratic.problem import QuadraticProgram, Solver
-from approxjac.controllers.quadratic.threaded import InThread
+from approxjac.controllers.quadratic_program import QuadraticProgram, Solver
 from approxjac.errors import InvalidInputError, MissingPackageError, UnknownNameError
-from approxjac.validation import Array, as_number
+from approxjac.validation import Array
 
 # With these the solvers of qpsolvers reach residuals of 1e-6 on the degenerate problems of the
 # tests, which their own settings do not.
 _SETTINGS: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_gap_abs": 1e-12, "tol_gap_rel": 1e-12, "tol_feas": 1e-12},
+    "osqp": {
+        "eps_abs": 1e-9,
+        "eps_rel": 1e-9,
+        "eps_prim_inf": 1e-6,
+        "max_iter": 100_000,
+        "check_dualgap": 0,  # an absolute gap of 1e-9 is below round-off where f is large
+        "raise_error": False,
+    },
     "piqp": {
         "eps_abs": 1e-11,
         "eps_rel": 1e-12,
@@ -37,36 +42,23 @@ _REFUSED = {
 }
 
 
-def as_solver(
-    solver: str | Callable[[QuadraticProgram], Array | None], time_budget: float
-) -> Solver:
-    """Return the solver of a name, or one that calls a function of your own.
+def as_solver(solver: str | Callable[[QuadraticProgram], Any]) -> Solver:
+    """Return the solver of a name, or one that calls a function of the user's own.
 
-    "daqp" is an exact active-set method, and the quickest here by a factor of eight. "osqp" is
-    first order, with tolerances that are absolute: H should have entries above 1e-3. Both keep
-    the time budget by themselves, osqp but for the first problem of a shape, which it sets up.
-    Every other solver that qpsolvers offers, and your own function, runs in a thread that is
-    waited for: one that does not answer in time is FAILED, and so is every call until it comes
-    back. A solver that holds Python's global lock (quadprog does) cannot be interrupted.
-
-    Measured to reach residuals of 1e-6 on degenerate problems are daqp, osqp, clarabel, piqp,
-    quadprog and scs; highs and proxqp were not able to, and are refused. Others that qpsolvers
-    knows run with their own settings; the bounds of their answers are checked, as all are, their
-    optimality is not.
+    "daqp" is an exact active-set method, and the quickest here by a factor of eight. Other names
+    are those of qpsolvers. Measured to reach residuals of 1e-6 on degenerate problems are clarabel,
+    osqp, piqp, quadprog and scs (osqp and scs with absolute tolerances: H should have entries above
+    1e-3); highs and proxqp were not able to, and are refused. Others that qpsolvers knows run with
+    their own settings; the bounds of their answers are checked, their optimality is not.
 
     Args:
-        solver: A name, or a function that takes a problem (its arrays are copies) and returns z
-            of shape (n,), or None where it finds none. Whether a problem without an answer is
-            infeasible is decided by DAQP. Its first call has no more time than the others.
-        time_budget: Time for one problem > 0 [s].
+        solver: A name, or a function as `Solver` takes it.
 
     Raises:
-        InvalidInputError: No name and no function, a solver that is refused, or a budget that is
-            not > 0.
+        InvalidInputError: No name and no function, or a solver that is refused or does not run.
         MissingPackageError: A solver of qpsolvers that is not installed.
         UnknownNameError: No solver of that name.
     """
-    budget = min(as_number("time_budget", time_budget, unit="s", above=0.0), threading.TIMEOUT_MAX)
     if not isinstance(solver, str):
         if not callable(solver):
             raise InvalidInputError(
@@ -74,19 +66,19 @@ def as_solver(
                 f"QuadraticProgram, got {solver!r}",
                 given=solver,
             )
-        return InThread(getattr(solver, "__name__", type(solver).__name__), solver, budget)
+        return Solver(getattr(solver, "__name__", type(solver).__name__), solver)
     if solver == "daqp":
-        return Daqp(budget)
-    if solver == "osqp":
-        return Osqp(budget)
+        return Solver(solver)
     _require_offered(solver)
-    try:
-        function = _Qpsolvers(solver)
+    function = _Qpsolvers(solver)
+    one = np.ones(1)
+    try:  # solved once, so that nothing is loaded in a control step
+        function(QuadraticProgram(np.eye(1), one, -one, one, np.eye(1), -one, one))
     except Exception as error:  # as of one that wants a licence
         raise InvalidInputError(
             f"QP solver {solver!r} is installed but does not run: {error}", given=solver
         ) from error
-    return InThread(solver, function, budget)
+    return Solver(solver, function)
 
 
 def _require_offered(name: str) -> None:
@@ -119,17 +111,13 @@ class _Qpsolvers:
         from scipy.sparse import csc_matrix
 
         self._name = name
-        self._qpsolvers = qpsolvers
         self._settings = _SETTINGS.get(name, {})
         self._wider = _WIDER.get(name, 0.0)
         self._matrix = np.asarray if name in qpsolvers.dense_solvers else csc_matrix
-        one = np.ones(1)  # solved once, so that nothing is loaded in a control step
-        self(QuadraticProgram(np.eye(1), one, -one, one, np.eye(1), -one, one))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._name,)
 
     def __call__(self, problem: QuadraticProgram) -> Array | None:
+        import qpsolvers
+
         H, f, lower, upper, A, row_lower, row_upper = problem
         below, above = np.isfinite(row_lower), np.isfinite(row_upper)
         G = h = None
@@ -137,14 +125,12 @@ class _Qpsolvers:
             G = self._matrix(np.concatenate([A[above], -A[below]]))
             h = self._widened(np.concatenate([row_upper[above], -row_lower[below]]))
         lb, ub = -self._widened(-lower), self._widened(upper)
-        try:
-            solution = self._qpsolvers.solve_problem(
-                self._qpsolvers.Problem(self._matrix(H), f, G, h, lb=lb, ub=ub),
-                solver=self._name,
-                **self._settings,
-            )
-        except Warning:  # where warnings are errors: they tell that there is no solution
-            return None
+        stated = qpsolvers.Problem(self._matrix(H), f, G, h, lb=lb, ub=ub)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they tell that there is no solution
+            solution = qpsolvers.solve_problem(stated, solver=self._name, **self._settings)
+        if self._name == "osqp" and solution.extras["info"].status == "interrupted":
+            raise KeyboardInterrupt  # while it solves, OSQP keeps Python from seeing it
         answer: Array | None = solution.x if solution.found else None
         return answer
 

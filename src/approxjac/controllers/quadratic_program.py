@@ -1,0 +1,149 @@
+"""Small dense quadratic programs, their minimum, and the check of what a solver answers."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac.validation import Array
+
+_HUGE = 1e100  # below it nothing overflows in a check
+_TOLERANCE = 1e-6  # of bounds and rows, relative to their size and at least absolute
+_FIRST_TOLERANCE = 1e-9  # what DAQP is asked for first
+_EXACT = 1e-12  # violations that bring nothing out of tolerance when taken away
+_DAQP_SETTINGS = {
+    "iter_limit": 1000,
+    "zero_tol": 1e-24,  # of |a|² of a row in the metric of H; 1e-11 loses rows if H is 1e6
+}
+_OPTIMAL = 1  # exit flags of DAQP
+_CONTRADICTORY = -1, -6  # -6: equalities
+
+
+class QuadraticProgram(NamedTuple):
+    """min ½ zᵀHz + fᵀz subject to lower ≤ z ≤ upper and row_lower ≤ A z ≤ row_upper.
+
+    Its arrays are of float64 and contiguous.
+
+    Attributes:
+        H: Symmetric positive definite, shape (n, n).
+        f: Shape (n,).
+        lower: Lower bounds, shape (n,), −inf where there is none.
+        upper: Upper bounds, shape (n,), inf where there is none.
+        A: Rows, shape (k, n); k may be 0.
+        row_lower: Lower bounds of the rows, shape (k,), −inf where there is none.
+        row_upper: Upper bounds of the rows, shape (k,), inf where there is none.
+    """
+
+    H: Array
+    f: Array
+    lower: Array
+    upper: Array
+    A: Array
+    row_lower: Array
+    row_upper: Array
+
+
+class Verdict(enum.Enum):
+    """What came of a problem."""
+
+    SOLVED = "solved"
+    INFEASIBLE = "no z holds all bounds and rows"
+    FAILED = "the problem has no finite numbers, or the solver found no valid answer"
+
+
+class Solver:
+    """DAQP, an exact active-set method, or a function that solves quadratic programs.
+
+    Problems are checked before and answers after, so what comes out holds the bounds or is none.
+
+    Args:
+        name: Name of the solver.
+        function: Takes a problem (its arrays are copies) and returns z of shape (n,), or None
+            where it finds none; whether that problem is infeasible is decided by DAQP. None is
+            DAQP itself.
+    """
+
+    def __init__(
+        self, name: str, function: Callable[[QuadraticProgram], Any] | None = None
+    ) -> None:
+        import daqp
+
+        self.name = name
+        self._function = function
+        self._daqp = daqp.solve
+        self._has_raised = False
+
+    def solve(self, problem: QuadraticProgram) -> tuple[Array | None, Verdict]:
+        """Return z, shape (n,), and SOLVED, or None and why not; never raise for its numbers.
+
+        z holds the bounds exactly, and each row to 1e-6 of the size of its terms |A||z|, at
+        least 1e-6.
+        """
+        H, f, lower, upper, A, row_lower, row_upper = problem
+        low, high = np.concatenate([lower, row_lower]), np.concatenate([upper, row_upper])
+        h, a = H.ravel(), A.ravel()
+        if not math.isfinite(h.dot(h) + f.dot(f) + a.dot(a)):  # the quickest way to see that
+            return None, Verdict.FAILED
+        if not (low <= high).all():  # False of NaN, too
+            crossed = (low > high).any()
+            return None, Verdict.INFEASIBLE if crossed else Verdict.FAILED
+        if self._function is None:
+            found = self._minimum(problem, low, high)
+        else:
+            found = self._answer(problem, low, high)
+        if not isinstance(found, Verdict):
+            found = _admitted(found, problem, low, high)
+        return (None, found) if isinstance(found, Verdict) else (found, Verdict.SOLVED)
+
+    def _minimum(self, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
+        """z of DAQP; low and high are the bounds of z, then of A z."""
+        H, f, A = problem.H, problem.f, problem.A
+        # what the first tolerance refuses may be the round-off of large bounds
+        for tolerance in (_FIRST_TOLERANCE, _TOLERANCE):
+            z, _, flag, _ = self._daqp(H, f, A, high, low, primal_tol=tolerance, **_DAQP_SETTINGS)
+            if flag == _OPTIMAL:
+                solution: Array = z
+                return solution
+        return Verdict.INFEASIBLE if flag in _CONTRADICTORY else Verdict.FAILED
+
+    def _answer(self, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
+        """z of the function, if it is an array of numbers of that shape."""
+        try:
+            answer = self._function(QuadraticProgram(*map(np.copy, problem)))  # type: ignore[misc]
+            if answer is None:
+                exact = self._minimum(problem, low, high)
+                return exact if isinstance(exact, Verdict) else Verdict.FAILED
+            z: Array = np.asarray(answer)
+        except Exception:  # a control loop gets a verdict instead
+            if not self._has_raised:
+                self._has_raised = True
+                import logging
+
+                logging.getLogger(__name__).warning(
+                    "QP solver %s raised, which is told once", self.name, exc_info=True
+                )
+            return Verdict.FAILED
+        is_numbers = z.dtype.kind in "iuf" and z.shape == problem.f.shape
+        return z if is_numbers and (np.abs(z) < _HUGE).all() else Verdict.FAILED
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Solver, (self.name, self._function)
+
+
+def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
+    """z brought inside its bounds; FAILED if it is too far out or a row does not hold."""
+    n, A = len(z), problem.A
+    y = np.concatenate([z, A.dot(z)])
+    held = np.minimum(np.maximum(y, low), high)
+    inside, farthest = held[:n], np.abs(held - y).max()
+    if farthest <= _EXACT:
+        return inside
+    rows, size = A.dot(inside), np.abs(inside)
+    moved = np.concatenate([inside - z, np.clip(rows, low[n:], high[n:]) - rows])
+    sizes = np.concatenate([size, np.abs(A).dot(size)])
+    within = (np.abs(moved) <= _TOLERANCE * np.maximum(1.0, sizes)).all()
+    return inside if within and farthest < math.inf else Verdict.FAILED
