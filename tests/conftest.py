@@ -7,7 +7,7 @@ import pytest
 from hypothesis import Phase, settings
 
 import approxjac as aj
-from approxjac.robots.catalog import NAMED
+from arms import ARMS
 
 settings.register_profile("default", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("default")
@@ -21,9 +21,17 @@ settings.register_profile(
 )
 
 
-@pytest.fixture(scope="session", params=sorted(NAMED))
+@pytest.hookimpl(tryfirst=True)  # before tests are deselected by their markers
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that open a browser."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.browser)
+
+
+@pytest.fixture(scope="session", params=ARMS)
 def arm(request: pytest.FixtureRequest) -> aj.Robot:
-    """Every robot that loads by name."""
+    """Five robots that load by name, and with the marker `every_arm` the others."""
     return aj.load_robot(request.param)
 
 

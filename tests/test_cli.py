@@ -640,7 +640,7 @@ def test_the_study_writes_pages_with_an_index(paper):
     assert "wrong by 60°, a = 1 — unstable; the paper: “an unstable response”" in index
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_pages_of_the_study_load(paper, open_page):
     """And show how each run ends: its error, and the believed tip elsewhere if the arm is wrong."""
     out, _ = paper

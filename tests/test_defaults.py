@@ -32,7 +32,7 @@ def test_the_ten_lines_on_a_panda():
     assert_allclose(np.diff(run.t), 1e-3, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", [name for name in aj.robot_names() if name != "panda"])
 def test_the_ten_lines_on_every_other_arm(name):
     assert ten_lines(name).error_norm[-1] < 1e-3

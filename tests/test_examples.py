@@ -24,7 +24,7 @@ SLOW = ("07", "12")
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(path, marks=[pytest.mark.slow] if path.stem[:2] in SLOW else [], id=path.stem)
+        pytest.param(path, marks=[pytest.mark.study] if path.stem[:2] in SLOW else [], id=path.stem)
         for path in EXAMPLES
     ],
 )

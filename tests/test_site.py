@@ -13,6 +13,7 @@ import pytest
 from lxml import html
 from pictures import pixels
 
+pytestmark = pytest.mark.site
 SITE = (Path(__file__).parents[1] / "docs" / "_build").resolve()
 TARGETS = {"a": "href", "img": "src", "link": "href", "script": "src", "source": "src"}
 PLAIN = ("genindex", "search", "py-modindex")  # pages that Sphinx adds

@@ -518,7 +518,7 @@ def test_a_damaged_file_is_no_obstacle(tmp_path):
             path.write_bytes(b"")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_equation_that_was_changed_is_compiled_anew(tmp_path):
     """What Numba keeps on disk is not used for other equations than those it was made from."""
     package = Path(aj.__file__).parent

@@ -51,7 +51,7 @@ def run_of(panda, duration, record_every, progress):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_ten_minutes_do_not_drift(panda):
     memory = {}
 

@@ -205,7 +205,7 @@ def test_bad_input_is_named(tools, box, weightless):
 # -- tolerance ------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
     found = aj.tolerance(controller_of(tools), tools, box, postures=200)
     scales = [found[test].scale for test in ("theorem1", "matrix", "local")]

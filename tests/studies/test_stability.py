@@ -29,7 +29,7 @@ def certified(tmp_path_factory):
     return code, out
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_certified_set(certified):
     code, out = certified
     assert code == 0
@@ -47,7 +47,7 @@ def test_a_certified_set(certified):
     assert summary["advice"][1].startswith("the matrix form certifies it with margin 0.")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_pictures_are_drawn(certified):
     from matplotlib.image import imread
 
@@ -58,7 +58,7 @@ def test_pictures_are_drawn(certified):
         assert picture.std() > 0.05  # something is on it
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_it_repeats_bit_by_bit(certified, tmp_path):
     _, out = certified
     stability(
@@ -69,7 +69,7 @@ def test_it_repeats_bit_by_bit(certified, tmp_path):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     code = stability(
         tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
@@ -94,7 +94,7 @@ def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     assert again == 0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_camera_of_the_two_link_arm(tmp_path):
     case = study.prepare(
         "two_link",

@@ -139,7 +139,8 @@ def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> A
     n, A = len(z), problem.A
     y = np.concatenate([z, A.dot(z)])
     held = np.minimum(np.maximum(y, low), high)
-    inside, farthest = held[:n], np.abs(held - y).max()
+    inside: Array = held[:n]
+    farthest = np.abs(held - y).max()
     if farthest <= _EXACT:
         return inside
     rows, size = A.dot(inside), np.abs(inside)

@@ -1,0 +1,12 @@
+"""The arms that tests run over: five that stand for the others, which have a marker."""
+
+import pytest
+
+from approxjac.robots.catalog import NAMED
+
+# planar; seven joints; six, outwards in another frame; continuous joints; joints that mimic others
+REPRESENTATIVE = ("two_link", "panda", "ur5", "kinova", "tiago_arm")
+ARMS = [
+    pytest.param(name, marks=[] if name in REPRESENTATIVE else pytest.mark.every_arm, id=name)
+    for name in sorted(NAMED)
+]
