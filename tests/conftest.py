@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import ARMS
 from hypothesis import Phase, settings
 
 import approxjac as aj
-from arms import ARMS
 
 settings.register_profile("default", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("default")

@@ -48,6 +48,7 @@ INSIDE = controllers(aj.PositionTask(PANDA))
 PLANE_LAW = aj.SetpointController(
     aj.PositionTask(aj.load_robot("two_link"), axes="xz"), aj.Gains(60.0, 20.0)
 )
+LAW = INSIDE["known gravity"]
 KINDS = ["known gravity", "learnt gravity", "law (5)", "limited", "clipped"]
 
 
@@ -472,13 +473,19 @@ class Alone:
         ((aj.SetpointController, 0.1), r"controller must be a controller .* got <class"),
         ((aj.PositionTask(PANDA), 0.1), r"controller must be a controller .* got PositionTask\("),
         ((Alone(None), 0.1), r"controller must be a controller with a task"),
-        ((INSIDE["known gravity"], 0.0), r"unseen must be numbers > 0 \[m\], one or 3, infin.*, got 0.0"),
-        ((INSIDE["known gravity"], (1.0, -1.0, 1.0)), r"unseen must be numbers > 0 \[m\], one or 3"),
-        ((INSIDE["known gravity"], (1.0, 1.0)), r"unseen must be numbers > 0 \[m\], one or 3"),
-        ((INSIDE["known gravity"], np.nan), r"unseen must be numbers > 0 \[m\], one or 3"),
-        ((INSIDE["known gravity"], None), r"unseen must be numbers > 0 \[m\], one or 3"),
-        ((INSIDE["known gravity"], 0.1, 0.0), r"dt must be a finite number > 0 \[s\], got 0.0"),
-        ((INSIDE["known gravity"], 0.1, None), r"dt must be a finite number > 0 \[s\], got None"),
+        (
+            (LAW, 0.0),
+            r"unseen must be numbers > 0 \[m\], one or 3, infin.*, got 0.0",
+        ),
+        (
+            (LAW, (1.0, -1.0, 1.0)),
+            r"unseen must be numbers > 0 \[m\], one or 3",
+        ),
+        ((LAW, (1.0, 1.0)), r"unseen must be numbers > 0 \[m\], one or 3"),
+        ((LAW, np.nan), r"unseen must be numbers > 0 \[m\], one or 3"),
+        ((LAW, None), r"unseen must be numbers > 0 \[m\], one or 3"),
+        ((LAW, 0.1, 0.0), r"dt must be a finite number > 0 \[s\], got 0.0"),
+        ((LAW, 0.1, None), r"dt must be a finite number > 0 \[s\], got None"),
         (
             (INSIDE["limited"], 0.1, 2e-3),
             r"dt must be that of the controller, 0.001 \[s\], got 0.0",
