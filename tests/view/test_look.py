@@ -1,181 +1,403 @@
-"""The same look everywhere: words, units, legends, files and notebooks, over all plots."""
+"""What a robot looks like: its meshes as Pinocchio reads them, capsules where there are none."""
 
-import dataclasses
-import io
-import re
+import sys
 
-import matplotlib
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.image import imread
+import trimesh
+from lxml import etree
+from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac import view
+from approxjac.robots import urdf as urdf_xml
+from approxjac.robots.catalog import NAMED, share_dir
+from approxjac.robots.meshes import find_mesh
+from approxjac.view.look import robot_look
+from approxjac.view.meshes import load_mesh, shares, simplify, smooth
 
-UNIT = re.compile(r"\S.* \[\S.*\]")
-HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-N = 40
-rng = np.random.default_rng(0)
+ROBOTS = share_dir() / "example-robot-data/robots"
+WITHOUT_MESHES = {"two_link", "two_link_point_mass", "double_pendulum"}  # cylinders and boxes
+IDENTITY = np.eye(4)
+
+
+def bounds(vertices):
+    return np.array([np.min(vertices, axis=0), np.max(vertices, axis=0)])
+
+
+def numbers(element, name, default):
+    text = default if element is None else element.get(name, default)
+    return np.array([float(word) for word in text.split()])
+
+
+def by_coal(path, scale=(1.0, 1.0, 1.0)):
+    """Vertices as Pinocchio would show them."""
+    return np.array(coal.MeshLoader().load(str(path), np.array(scale)).vertices())
+
+
+def visuals(robot):
+    """Link, mesh file or None, scale and origin of each <visual>."""
+    for link in urdf_xml.parse(robot.urdf, "").iterfind("link"):
+        for visual in link.iterfind("visual"):
+            origin = visual.find("origin")
+            placed = pin.SE3(
+                pin.utils.rpyToMatrix(*numbers(origin, "rpy", "0 0 0")),
+                numbers(origin, "xyz", "0 0 0"),
+            ).homogeneous
+            mesh = visual.find("geometry/mesh")
+            path = None if mesh is None else find_mesh(mesh.get("filename"), robot.urdf_dir)
+            yield link.get("name"), path, numbers(mesh, "scale", "1 1 1"), placed
+
+
+def check(shape):
+    assert np.isfinite(shape.vertices).all()
+    assert shape.vertices.shape[1:] == shape.faces.shape[1:] == (3,)
+    assert shape.faces.min() >= 0
+    assert set(np.unique(shape.faces)) == set(range(len(shape.vertices)))
+
+
+def urdf(link="", joints="", links=""):
+    """An arm of 1 m, whose link looks as the text says."""
+    return f"""<robot name="arm">
+      <link name="base"/>
+      <link name="arm">
+        <inertial><mass value="1"/>
+          <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>{link}
+      </link>
+      <link name="end"/>{links}
+      <joint name="turn" type="continuous"><parent link="base"/><child link="arm"/></joint>
+      <joint name="tip" type="fixed"><origin xyz="0 0.6 0.8"/>
+        <parent link="arm"/><child link="end"/></joint>{joints}
+    </robot>"""
+
+
+def visual(geometry, origin=""):
+    return f"<visual>{origin}<geometry>{geometry}</geometry></visual>"
+
+
+def look_of(*texts, **kwargs):
+    return robot_look(aj.Robot(urdf("".join(texts)), **kwargs))
+
+
+# -- the arms ---------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def arm():
-    return aj.load_robot("panda").with_object(0.2)
+def look(arm):
+    return robot_look(arm)
 
 
-@pytest.fixture(scope="module")
-def run(arm):
-    task = aj.PositionTask(arm)
-    controller = aj.SetpointController(task, aj.Gains(400.0, 80.0, 1.0))
-    target = task.value(HOME) + 0.1
-    return aj.simulate(aj.Plant(arm, task), controller, target, HOME, 0.4, dt=2e-3)
+def test_arms_look_as_pinocchio_shows_them(arm, look):
+    assert look.missing == ()
+    assert set(look.shapes) <= set(arm.frame_names)
+    places, checked = {}, {}
+    for link, path, scale, origin in visuals(arm):
+        place = places[link] = places.get(link, -1) + 1
+        if path is None:
+            continue
+        key = (path, *scale)
+        if key not in checked:
+            vertices = by_coal(path, scale)
+            size = np.linalg.norm(np.ptp(vertices, axis=0))
+            read = load_mesh(path).apply_scale(scale)
+            assert_allclose(bounds(read.vertices), bounds(vertices), atol=1e-6 * size)
+            checked[key] = vertices, size
+        vertices, size = checked[key]
+        shown = look.shapes[link][place]
+        expected = bounds(vertices @ origin[:3, :3].T + origin[:3, 3])
+        assert_allclose(bounds(shown.vertices), expected, atol=max(0.005, 0.02 * size))
 
 
-@pytest.fixture(scope="module")
-def seen(arm):
-    camera = aj.PinholeCamera.looking_at((0.5, 0.0, 0.4), (1.5, -0.8, 0.9), 600.0, (640, 480))
-    return aj.ImageTask(arm, camera, points=[(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)])
+def test_arms_are_light(arm, look):
+    shapes = [shape for shapes in look.shapes.values() for shape in shapes]
+    for shape in shapes:
+        check(shape)
+    many_parts = 1.3 if arm.name == "talos_arm" else 1.0
+    assert sum(len(shape.faces) for shape in shapes) <= many_parts * 25_000
 
 
-@pytest.fixture(scope="module")
-def image_run(arm, seen):
-    controller = aj.SetpointController(seen, aj.default_gains(seen))
-    plant = aj.Plant(arm, seen, sensing=aj.Sensing(x_noise=2.0))
-    return aj.simulate(plant, controller, seen.value(HOME + 0.1), HOME, 0.2, dt=2e-3)
+def test_the_panda_keeps_its_form(panda):
+    """Both ways between what is in the files and what is shown, where 2 mm is little."""
+    from scipy.spatial import cKDTree
+
+    look = robot_look(panda)
+    for link, path, _, origin in visuals(panda):
+        full, light = load_mesh(path).apply_transform(origin), look.shapes[link][0]
+        points = [trimesh.sample.sample_surface(mesh, 30_000, seed=1)[0] for mesh in (full, light)]
+        for a, b in (points, points[::-1]):
+            gap = cKDTree(a).query(b[:3000])[0]
+            assert np.quantile(gap, 0.95) < 0.004, link  # 1 to 3 mm is between samples
 
 
-@pytest.fixture(scope="module")
-def plots(run, image_run, arm, seen):
-    """All plots that take axes, as functions of them."""
-    learnt = dataclasses.replace(run, state=np.outer(run.t, [1.0, 2.0]))
-    belief = aj.load_robot("panda")
-    places, margins = rng.normal(size=(N, 3)), rng.uniform(-1.0, 1.0, N)
-    x, y = np.linspace(0.1, 1.0, 5), np.linspace(1.0, 2.0, 4)
-    decay = x[None, :] - 0.2 * y[:, None]
-    lanes = {"new images": run.t > 0.1, "too old: brakes": run.t < 0.1}
-    return {
-        "plot_error": lambda ax: view.plot_error(run, ax),
-        "plot_torque": lambda ax: view.plot_torque(run, ax),
-        "plot_torque, limits": lambda ax: view.plot_torque(run, ax, limits=arm.effort_limits),
-        "plot_slack": lambda ax: view.plot_slack(run, ax),
-        "plot_path": lambda ax: view.plot_path(
-            run, arm, q_target=HOME, ax=ax, believed=belief, target=run.target
+def test_an_arm_whose_meshes_are_gone_is_drawn_as_capsules(arm):
+    text = arm.urdf.replace(".dae", ".gone").replace(".DAE", ".gone")
+    text = text.replace(".stl", ".gone").replace(".STL", ".gone")
+    moved = aj.Robot(text, tip=arm.tip, urdf_dir=arm.urdf_dir)
+    look = robot_look(moved)
+    assert look.missing == tuple(
+        f"{name}: no such file" for name in dict.fromkeys(look_names(text))
+    )
+    seen = {
+        link.get("name")
+        for link in urdf_xml.parse(text, "").iterfind("link")
+        if any(g.tag != "mesh" for g in link.iterfind("visual/geometry/*"))
+    }
+    wanted = {link for link, *_ in visuals(moved)}
+    assert wanted <= set(look.shapes)
+    for link, joint in moving_joints(moved):
+        length = np.linalg.norm(joint)
+        if link in seen or length < 0.01:
+            continue
+        ends = [(shape.vertices - joint) @ joint / length for shape in look.shapes.get(link, ())]
+        # past the joint by a radius, as one of the capsules from the link's origin
+        assert any(0.0 < end.max() < 0.1 and end.min() < -length for end in ends), link
+    for shapes in look.shapes.values():
+        for shape in shapes:
+            check(shape)
+
+
+def look_names(text):
+    root = urdf_xml.parse(text, "")
+    return [mesh.get("filename") for mesh in root.iterfind("link/visual/geometry/mesh")]
+
+
+def moving_joints(robot):
+    """Parent link of each moving joint, and where the joint is in it."""
+    for joint in urdf_xml.parse(robot.urdf, "").iterfind("joint"):
+        if joint.get("type") != "fixed":
+            yield joint.find("parent").get("link"), numbers(joint.find("origin"), "xyz", "0 0 0")
+
+
+# -- mesh files -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "panda_description/meshes/visual/finger.dae",
+        "tiago_description/meshes/arm/arm_6.stl",
+        "laikago_description/meshes/hip.obj",
+    ],
+)
+def test_every_format_is_read_as_pinocchio_does(name):
+    path = ROBOTS / name
+    look = look_of(visual(f'<mesh filename="package://{name}" scale="2 -1 1"/>'), urdf_dir=ROBOTS)
+    assert look.missing == ()
+    expected = bounds(by_coal(path, (2.0, -1.0, 1.0)))
+    assert_allclose(bounds(look.shapes["arm"][0].vertices), expected, atol=2e-3)
+
+
+def test_a_mirrored_mesh_is_not_inside_out(tmp_path):
+    trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "box.stl")
+    look = look_of(visual('<mesh filename="box.stl" scale="1 -1 1"/>'), urdf_dir=tmp_path)
+    shape = look.shapes["arm"][0]
+    assert shape.volume == pytest.approx(6.0)
+
+
+def test_unit_and_up_axis_of_a_file_are_ignored(tmp_path):
+    text = (ROBOTS / "panda_description/meshes/visual/finger.dae").read_text()
+    text = text.replace('meter="1"', 'meter="0.01"').replace("Z_UP", "Y_UP")
+    assert 'meter="0.01"' in text
+    path = tmp_path / "finger.dae"
+    path.write_text(text)
+    assert_allclose(bounds(load_mesh(path).vertices), bounds(by_coal(path)), atol=1e-7)
+    assert load_mesh(path).scale == pytest.approx(0.06, abs=0.01)
+
+
+@pytest.mark.parametrize("ending", ["dae", "stl", "obj", "ply", "unknown"])
+@pytest.mark.parametrize("content", [b"", b"solid nothing", b"\x00\xff" * 200])
+def test_a_broken_mesh_is_named(ending, content, tmp_path):
+    (tmp_path / f"a.{ending}").write_bytes(content)
+    look = look_of(visual(f'<mesh filename="a.{ending}"/>'), urdf_dir=tmp_path)
+    (text,) = look.missing
+    assert text.startswith(f"a.{ending}: ")
+    assert "cannot be read: " in text or "holds no triangles" in text
+    assert_tip_is_reached(look)
+
+
+def assert_tip_is_reached(look):
+    (capsule,) = look.shapes["arm"]
+    along = capsule.vertices @ [0.0, 0.6, 0.8]
+    assert_allclose([along.min(), along.max()], [-0.05, 1.05], atol=1e-9)  # 5 % of 1 m
+    assert_allclose(np.ptp(capsule.vertices[:, 0]), 0.1, atol=0.002)
+
+
+@pytest.mark.parametrize(
+    ("element", "text"),
+    [
+        (visual('<mesh filename="no.stl"/>'), "no.stl: no such file"),
+        (visual("<mesh/>"), "<mesh> of link 'arm': no such file"),
+        (visual('<cone radius="1"/>'), "<cone> of link 'arm': this geometry is not known"),
+        (visual(""), "<visual> of link 'arm': there is no <geometry>"),
+        ("<visual/>", "<visual> of link 'arm': there is no <geometry>"),
+        (
+            visual('<box size="1 1"/>'),
+            "<box> of link 'arm': size must be 3 numbers > 0, got '1 1'",
         ),
-        "plot_parameters": lambda ax: view.plot_parameters(learnt, "ab", ax, theta=(1.0, 2.0)),
-        "plot_image": lambda ax: view.plot_image(image_run, seen.camera, ax),
-        "plot_camera_view": lambda ax: view.plot_camera_view(
-            seen, HOME, ax, believed=seen, target=image_run.target
+        (
+            visual('<sphere radius="-1"/>'),
+            "<sphere> of link 'arm': radius must be a number > 0, got '-1'",
         ),
-        "plot_lanes": lambda ax: view.plot_lanes(run.t, lanes, ax),
-        "plot_allowed_error": lambda ax: view.plot_allowed_error(
-            0.04, 0.3, unit="m/rad", p_label="p of the errors", own_a=0.3, ax=ax
+        (
+            visual('<sphere radius="1"/>', '<origin xyz="0 0 nan"/>'),
+            "<sphere> of link 'arm': xyz must be 3 numbers, got '0 0 nan'",
         ),
-        "plot_margins": lambda ax: view.plot_margins(places, margins, ax=ax),
-        "plot_map": lambda ax: view.plot_map(
-            x, y, decay, [("test 1, Theorem 1", x, y, decay - 0.2)],
-            labels=("scale of the errors [–]", "damping [N m s/rad]"), own=(0.5, 1.5), ax=ax,
-        ),
-    }  # fmt: skip
+        (visual('<mesh filename="a.stl" scale="0 1 1"/>'), "a.stl: its scale is 0"),
+    ],
+)
+def test_what_cannot_be_shown_is_named(element, text):
+    look = look_of(element)
+    assert look.missing == (text,)
+    assert_tip_is_reached(look)
 
 
-NAMES = (
-    "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
-    "plot_parameters", "plot_image", "plot_camera_view", "plot_lanes", "plot_allowed_error",
-    "plot_margins", "plot_map",
-)  # fmt: skip
+def test_a_link_of_which_something_is_found_keeps_that():
+    look = look_of(visual('<mesh filename="no.stl"/>'), visual('<sphere radius="0.1"/>'))
+    assert look.missing == ("no.stl: no such file",)
+    (sphere,) = look.shapes["arm"]
+    assert_allclose(bounds(sphere.vertices), [[-0.1] * 3, [0.1] * 3])
 
 
-def test_no_plot_is_forgotten(plots):
-    public = {name for name in view.__all__ if name.startswith("plot_")}
-    assert {name.split(",")[0] for name in NAMES} | {"plot_run"} == public
-    assert set(plots) == set(NAMES)
+# -- what is not from files -------------------------------------------------------------
 
 
-def drawn(plot, ax=None):
-    """Axes as they are once drawn, in a figure of the library or in that of `ax`."""
-    ax = plot(ax)
-    ax.figure.savefig(io.BytesIO(), format="png")  # the layout is made when drawing
-    return ax
+def test_a_robot_that_says_nothing_is_drawn_as_capsules():
+    look = look_of()
+    assert look.missing == ()
+    assert set(look.shapes) == {"arm"}
+    assert_tip_is_reached(look)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_plot_says_what_is_seen_in_which_unit(plots, name):
-    ax = plots[name](None)
-    assert len(ax.get_title()) > 10
-    assert UNIT.fullmatch(ax.get_xlabel())
-    if name != "plot_lanes":  # its y axis has names
-        assert UNIT.fullmatch(ax.get_ylabel())
-    for bar in ax.figure.axes:
-        assert bar is ax or "[" in bar.get_ylabel()  # of colours
+def test_frames_are_not_drawn():
+    camera = '<link name="camera"/>'
+    joint = """<joint name="camera" type="fixed"><origin xyz="1 0 0"/>
+      <parent link="arm"/><child link="camera"/></joint>"""
+    robot = aj.Robot(urdf(links=camera, joints=joint), tip="end")
+    assert_tip_is_reached(robot_look(robot))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_nothing_is_cut_or_covered(plots, name):
-    ax = drawn(plots[name])
-    everything, plot = ax.figure.get_tightbbox(), ax.get_window_extent()
-    size = ax.figure.get_size_inches()
-    assert everything.x0 > -0.01
-    assert everything.y0 > -0.01
-    assert everything.x1 < size[0] + 0.01
-    assert everything.y1 < size[1] + 0.01
-    if name != "plot_lanes":
-        legend = ax.get_legend().get_window_extent()
-        labels = ax.xaxis.get_tightbbox()
-        assert legend.y1 < labels.y0 < plot.y0
+def test_the_last_link_is_a_ball_where_its_mesh_is_gone(two_link):
+    root = etree.fromstring(two_link.urdf.encode())
+    (tip,) = (link for link in root.iterfind("link") if link.get("name") == "object_tip")
+    tip.append(etree.fromstring(visual('<mesh filename="no.stl"/>')))
+    look = robot_look(aj.Robot(etree.tostring(root, encoding="unicode")))
+    (ball,) = look.shapes["object_tip"]
+    assert_allclose(np.linalg.norm(ball.vertices, axis=1), 0.05)  # 5 % from joint1 to joint2
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_axes_of_the_user_go_in_and_come_out(plots, name):
-    figure = Figure()
-    ax = figure.subplots()
-    assert plots[name](ax) is ax
-    assert type(figure) is Figure
-    figure.savefig(io.BytesIO())
+@pytest.mark.parametrize(
+    ("geometry", "size"),
+    [
+        ('<box size="0.2 0.4 0.6"/>', (0.2, 0.4, 0.6)),
+        ('<cylinder radius="0.1" length="0.5"/>', (0.2, 0.2, 0.5)),
+        ('<sphere radius="0.3"/>', (0.6, 0.6, 0.6)),
+    ],
+)
+def test_primitives_have_their_size_where_their_origin_is(geometry, size):
+    origin = '<origin xyz="1 2 3" rpy="0.3 -0.5 1.1"/>'
+    look = look_of(visual(geometry), visual(geometry, origin))
+    plain, placed = look.shapes["arm"]
+    for shape in (plain, placed):
+        check(shape)
+    assert_allclose(bounds(plain.vertices), [-0.5 * np.array(size), 0.5 * np.array(size)])
+    pose = pin.SE3(pin.utils.rpyToMatrix(0.3, -0.5, 1.1), np.array([1.0, 2.0, 3.0]))
+    back = (placed.vertices - pose.translation) @ pose.rotation
+    assert_allclose(back, plain.vertices, atol=1e-12)
+    volume = plain.volume
+    full = {"b": 0.048, "c": np.pi * 0.005, "s": 4 / 3 * np.pi * 0.027}[geometry[1]]
+    assert 0.94 * full < volume < 1.0001 * full
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_users_own_settings_are_left_alone(plots, name):
-    before = dict(matplotlib.rcParams)
-    drawn(plots[name])
-    assert dict(matplotlib.rcParams) == before
+def test_an_object_reaches_from_its_parent_to_its_tip(panda):
+    look = robot_look(panda.with_object(0.2, 0.5, radius=0.03))
+    (cylinder,) = look.shapes["object"]
+    assert_allclose(bounds(cylinder.vertices), [[-0.03, -0.03, 0.0], [0.03, 0.03, 0.2]], atol=1e-12)
+    assert "object" not in robot_look(panda.with_object(0.0)).shapes
 
 
-def test_the_look_does_not_depend_on_the_users_settings_or_on_who_saves(run, tmp_path):
-    view.save_figure(view.plot_run(run)[0], tmp_path / "ours")
-    view.plot_run(run)[0].savefig(tmp_path / "theirs.png", dpi=130)
-    with matplotlib.rc_context({"font.size": 20.0, "axes.grid": False, "grid.alpha": 1.0}):
-        view.plot_run(run)[0].savefig(tmp_path / "other.png", dpi=130)
-    ours = imread(tmp_path / "ours.png")
-    assert np.array_equal(imread(tmp_path / "theirs.png"), ours)
-    assert np.array_equal(imread(tmp_path / "other.png"), ours)
+def test_the_two_link_arm_is_its_cylinders(two_link):
+    look = robot_look(two_link)
+    assert set(look.shapes) == {"link1", "link2", "object"}
+    for link in ("link1", "link2"):
+        (rod,) = look.shapes[link]
+        expected = [[0.0, -0.02, -0.02], [1.0, 0.02, 0.02]]
+        assert_allclose(bounds(rod.vertices), expected, atol=1e-12)
 
 
-def test_a_notebook_shows_a_figure_of_the_library_and_leaves_those_of_users_alone(run, tmp_path):
-    shell = pytest.importorskip("IPython.core.interactiveshell").InteractiveShell
-    display = shell.instance().display_formatter
-    figure, _ = view.plot_run(run)
-    shown, _ = display.format(figure)
-    (tmp_path / "shown.png").write_bytes(shown["image/png"])
-    assert set(shown) == {"image/png", "text/plain"}
-    view.save_figure(view.plot_run(run)[0], tmp_path / "saved")
-    assert np.array_equal(imread(tmp_path / "shown.png"), imread(tmp_path / "saved.png"))
-    assert "image/png" in display.format(view.plot_error(run).figure)[0]
-    own = Figure()
-    view.plot_error(run, own.subplots())
-    assert set(display.format(own)[0]) == {"text/plain"}
+# -- triangles --------------------------------------------------------------------------
 
 
-def test_pictures_of_long_rough_runs_are_small(run, image_run, seen, tmp_path):
-    t = np.linspace(0.0, 10.0, 10_001)
-    rough = rng.normal(size=(len(t), 7))
-    errors = np.exp(-np.outer(t, [1.0, 2.0, 3.0]))  # of a true arm: smooth
-    long = dataclasses.replace(run, t=t, error=errors, tau=rough)
-    paths = view.save_figure(view.plot_run(long)[0], tmp_path / "run")
-    images = np.cumsum(rough[:, :4], axis=0) + 200.0
-    noisy = images + rng.normal(size=images.shape)
-    long = dataclasses.replace(image_run, t=t, x=images, x_measured=noisy, error=rough[:, :4])
-    paths += view.save_figure(view.plot_image(long, seen.camera).figure, tmp_path / "image")
-    for path in paths:
-        assert path.stat().st_size < 500_000, path.name
-    assert "<text" not in paths[1].read_text(encoding="utf-8")  # letters are paths: any machine
+def test_sharp_edges_are_kept_and_others_shared():
+    look = look_of(visual('<box size="1 1 1"/>'), visual('<cylinder radius="1" length="1"/>'))
+    box, cylinder = look.shapes["arm"]
+    assert len(box.vertices) == 24  # each corner three times
+    assert len(cylinder.vertices) == 2 * 32 * 2 + 2  # a ring for the wall and one for each end
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    assert len(smooth(ball).vertices) == len(ball.vertices)
+
+
+def test_shares_are_by_size_and_leave_small_meshes_alone():
+    assert shares([10_000, 10_000, 100], [2.0, 1.0, 1.0], 3100) == [2000, 1000, 100]
+    assert shares([10_000, 500, 100], [1.0, 1.0, 1.0], 3100) == [2500, 500, 100]
+    assert shares([300, 300], [1.0, 2.0], 1000) == [300, 300]
+    assert shares([300, 300], [1.0, 2.0], 10) == [200, 200]
+    assert shares([], [], 10) == shares([], [], -10) == []
+    assert shares([300], [1.0], -10) == [200]
+
+
+def test_what_is_small_is_not_touched():
+    box = look_of(visual('<box size="1 1 1"/>')).shapes["arm"][0]
+    assert simplify(box, 200) is box
+
+
+def test_a_budget_is_kept(panda):
+    shapes = robot_look(panda, triangles=10_000).shapes
+    assert 9000 < sum(len(shape.faces) for link in shapes.values() for shape in link) <= 10_000
+    with pytest.raises(aj.InvalidInputError, match="triangles must be a finite number > 0"):
+        robot_look(panda, triangles=0)
+    with pytest.raises(aj.InvalidInputError, match="robot must be a Robot, got 'panda'"):
+        robot_look("panda")
+
+
+def test_without_the_package_the_error_says_what_to_install(panda, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fast_simplification", None)
+    with pytest.raises(aj.MissingPackageError, match=r"pip install 'approxjac\[view\]'$"):
+        robot_look(panda)
+
+
+def test_which_arms_have_no_meshes():
+    without = {
+        name for name in NAMED if all(path is None for _, path, *_ in visuals(aj.load_robot(name)))
+    }
+    assert without == WITHOUT_MESHES
+
+
+def test_links_that_are_the_same_share_their_shapes(panda):
+    truth, belief = panda.with_object(0.2, axis="x"), panda.with_object(0.05, axis="x")
+    shorter = belief.with_kinematic_error({"panda_joint4": (0.0, 0.02, 0.0)})
+    look = robot_look(truth)
+    other = robot_look(shorter, like=(truth, look))
+    assert other.shapes.keys() == look.shapes.keys()
+    for link in look.shapes.keys() - {"object"}:
+        assert other.shapes[link] is look.shapes[link]
+    assert np.ptp(other.shapes["object"][0].vertices[:, 0]) == pytest.approx(0.05)
+
+
+def test_capsules_of_a_link_follow_its_joints_whatever_the_other_looks_like():
+    text = (
+        '<robot name="r"><link name="base"/>'
+        '<joint name="j1" type="revolute"><parent link="base"/><child link="a"/>'
+        '<limit effort="1" velocity="1" lower="-1" upper="1"/></joint>'
+        '<link name="a"><inertial><mass value="1"/>'
+        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'
+        '<joint name="j2" type="fixed"><parent link="a"/><child link="tip"/>'
+        '<origin xyz="0 0 1"/></joint><link name="tip"/></robot>'
+    )
+    arm = aj.load_robot(text)
+    longer = arm.with_kinematic_error({"j2": (0.0, 0.0, 0.5)})
+    alone, compared = robot_look(longer), robot_look(longer, like=(arm, robot_look(arm)))
+    assert compared.shapes.keys() == alone.shapes.keys()
+    for link, shapes in alone.shapes.items():
+        for a, b in zip(shapes, compared.shapes[link], strict=True):
+            assert_allclose(a.vertices, b.vertices)

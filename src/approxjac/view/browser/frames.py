@@ -10,7 +10,7 @@ from approxjac.simulation.scene import Feature, Scene, features
 from approxjac.tasks import FrameKinematics
 from approxjac.tasks.point_kinematics import PointKinematics
 from approxjac.validation import Array
-from approxjac.view.browser.tree import joint_positions
+from approxjac.view.tree import joint_positions
 
 AT_LIMIT = 0.01
 """A joint that is within so much of its position limit is at it [rad or m]."""

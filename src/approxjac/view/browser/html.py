@@ -24,14 +24,15 @@ from approxjac.view.browser.cameras import image_axes
 from approxjac.view.browser.frames import Frames, display_unit
 from approxjac.view.browser.opening import open_browser
 from approxjac.view.browser.stage import Stage
-from approxjac.view.browser.tree import robot_tree
 from approxjac.view.browser.viewpoint import link_points, reach_points, viewpoint
 from approxjac.view.packages import view_package
 from approxjac.view.style import COLORS, SERIES
+from approxjac.view.tree import robot_joints
 
 _USUAL = (Status.OK, Status.MEASUREMENT_HELD, LimitStatus.UNLIMITED, LimitStatus.FREE)
 _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
+_BACKGROUND = (np.array([[253, 253, 254], [241, 243, 245]]) / 255.0).tolist()  # top, bottom
 _BELIEVED = ", and what its controller believes of it"
 _SCRIPTS = ("scene.js", "plots.js", "image.js", "page.js")
 
@@ -81,10 +82,7 @@ def _belief(scene: Scene) -> list[tuple[str, str]]:
     if scene.belief is None:
         return []
     lengths = [
-        {
-            joint.name: float(np.linalg.norm(joint.origin[:3, 3]))
-            for joint in robot_tree(r, "").joints
-        }
+        {joint.name: float(np.linalg.norm(joint.origin[:3, 3])) for joint in robot_joints(r)}
         for r in (scene.truth, scene.belief)
     ]
     said = []
@@ -180,7 +178,7 @@ def page_data(
         "legend": _legend(scene, frames.image is not None),
         "live": live,
         "colours": COLORS,
-        "background": [[0.992, 0.992, 0.996], [0.945, 0.953, 0.961]],
+        "background": _BACKGROUND,
         "size": stage.size,
         "view": {
             "direction": view["direction"].tolist(),

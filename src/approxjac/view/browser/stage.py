@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,11 +14,13 @@ from approxjac.simulation.scene import Scene, features
 from approxjac.tasks import Task
 from approxjac.validation import Array
 from approxjac.view.browser.cameras import camera_view
-from approxjac.view.browser.tree import Tree, robot_tree
 from approxjac.view.browser.viewpoint import reach_points
 from approxjac.view.packages import view_package
-from approxjac.view.shapes import Look, robot_look
 from approxjac.view.style import COLORS
+from approxjac.view.tree import Tree
+
+if TYPE_CHECKING:
+    from approxjac.view.look import Look
 
 _GHOST = 0.38  # opacity of the believed arm
 _GRID, _GRID_LINES = "#DDE1E6", 24
@@ -47,6 +49,8 @@ class Stage:
     """
 
     def __init__(self, scene: Scene, like: Stage | None = None) -> None:
+        from approxjac.view.look import robot_look  # loads trimesh
+
         self._geometry = view_package("meshcat.geometry")
         self._commands = view_package("meshcat.commands")
         self._pack = view_package("umsgpack").packb
@@ -61,9 +65,9 @@ class Stage:
         around = reach_points(scene.truth)
         self.middle: Array = 0.5 * (around.min(axis=0) + around.max(axis=0))
         self.size = float(np.linalg.norm(around, axis=1).max())
-        self._trees = {"true": robot_tree(scene.truth, "true")}
+        self._trees = {"true": Tree(scene.truth, "true")}
         if scene.belief is not None:
-            self._trees["believed"] = robot_tree(scene.belief, "believed")
+            self._trees["believed"] = Tree(scene.belief, "believed")
         self.cameras = [
             camera | {"role": role, "node": self._node(role, camera["mount"])}
             for role, task in (("true", scene.sensor), ("believed", scene.task))
@@ -236,7 +240,7 @@ class Stage:
         material = g.MeshLambertMaterial(
             color=_number(colour), opacity=opacity, depthWrite=opacity == 1.0
         )
-        mesh = g.TriangularMeshGeometry(shape.vertices, shape.faces)
+        mesh = g.TriangularMeshGeometry(shape.vertices, shape.faces.astype(np.int32))
         return self._object(path, g.Mesh(mesh, material))
 
     def _object(self, path: tuple[str, ...], thing: Any, placed: Array | None = None) -> bytes:
@@ -250,7 +254,7 @@ class Stage:
         return packed
 
     def _node(self, role: str, mount: str | None) -> tuple[str, ...]:
-        return () if mount is None else self._trees[role].path_of(mount)
+        return () if mount is None else self._trees[role].paths[mount]
 
 
 def _number(colour: str) -> int:

@@ -1,0 +1,227 @@
+"""`robot_look`: what each link of a robot looks like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence, Set
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from trimesh import Trimesh, creation
+
+from approxjac.robots import Robot
+from approxjac.robots import urdf as urdf_xml
+from approxjac.robots.meshes import find_mesh
+from approxjac.validation import Array, as_number, require
+from approxjac.view.meshes import capsule, load_mesh, shares, simplify, smooth
+from approxjac.view.tree import Joint, robot_joints
+
+_THICK = 0.05  # radius of a capsule, of the way from the first moving joint to the last
+_NEAR = 0.1  # of the radius: joints nearer to their link's origin get no capsule
+_AROUND = 32  # sides of what is round; a multiple of 4, so that it reaches its radius along x, y
+
+
+class Look(NamedTuple):
+    """What a robot looks like.
+
+    Attributes:
+        shapes: Link → its meshes, in the frame of the link [m], not to be changed; none of links
+            that nothing is to be seen of. Triangles are counterclockwise seen from outside where
+            the mesh file has it so, but not all files have, and simplified thin walls may lose it:
+            both sides are to be drawn.
+        missing: What the URDF wants shown and cannot be, each as a text that starts with its
+            name and says why: meshes that are not found or cannot be read, unknown geometry.
+        found: Links that look as the URDF says, at least in part.
+    """
+
+    shapes: Mapping[str, tuple[Trimesh, ...]]
+    missing: tuple[str, ...]
+    found: frozenset[str]
+
+
+class _Visual(NamedTuple):
+    """A <visual>: a mesh at an origin; `file` and its scale if it is one of a file."""
+
+    origin: Array
+    mesh: Trimesh
+    file: tuple[Path, tuple[float, ...]] | None
+
+
+def robot_look(
+    robot: Robot, *, triangles: int = 25_000, like: tuple[Robot, Look] | None = None
+) -> Look:
+    """Return what each link of a robot looks like, and what of it is missing.
+
+    A link looks like the <visual>s of the URDF that are found. Meshes are simplified until the
+    whole robot keeps to `triangles`, shared by size, and are ready for smooth shading: sharp edges
+    have vertices of their own on either side.
+
+    A link of which nothing is found is drawn as capsules from its origin to the origins of the
+    joints that it carries and that are away from it (by a tenth of the radius), but for those to
+    mere frames; without such joints it is a ball. One that has no <visual> is drawn so as well, in
+    a robot where others have towards moving joints and the tip only, and never as a ball. The
+    radius is 5 % of the length of the arm, along its links from the first moving joint to the last
+    (of an arm with one moving joint: to its farthest link).
+
+    Args:
+        robot: The robot.
+        triangles: Of the whole robot. Exceeded where what is never simplified has more (boxes,
+            cylinders, spheres, capsules, meshes of up to 200 triangles) and where fewer would
+            tear a mesh of many small parts apart: of the arms of `robot_names()`, only talos_arm
+            has more than it should, 32 000.
+        like: Another robot and its look, such as the arm as it is: of links that are the same in
+            both, the very same shapes are taken, which takes no time.
+
+    Raises:
+        InvalidInputError: `triangles` is not a number > 0. Never because of a mesh.
+        MissingPackageError: fast-simplification is not installed.
+    """
+    require("robot", robot, Robot, "a Robot")
+    budget = as_number("triangles", triangles, above=0.0)
+    root = urdf_xml.parse(robot.urdf, robot.name)
+    taken = {} if like is None else _taken(root, *like)
+    seen, missing = _visuals(root, robot.urdf_dir, taken.keys())
+    shapes = taken | _in_place(robot, root, seen.keys() | taken.keys())
+    budget -= sum(len(mesh.faces) for drawn in shapes.values() for mesh in drawn)
+    light = _lightened([visual for found in seen.values() for visual in found], budget)
+    for name, visuals in seen.items():
+        shapes[name] = tuple(_placed(light.get(v.file, v.mesh), v.origin) for v in visuals)
+    return Look(shapes, missing, frozenset(seen.keys() | taken.keys()))
+
+
+def _taken(root: Any, other: Robot, look: Look) -> dict[str, tuple[Trimesh, ...]]:
+    """Return the shapes of the links of another robot that are the same in this one."""
+    theirs = {_text(link) for link in urdf_xml.parse(other.urdf, other.name).iterfind("link")}
+    same = [link.get("name") for link in root.iterfind("link") if _text(link) in theirs]
+    return {name: look.shapes[name] for name in same if name in look.found}
+
+
+def _text(element: Any) -> bytes:
+    return bytes(etree.tostring(element, method="c14n", strip_text=True))
+
+
+def _visuals(
+    root: Any, folder: Path | None, known: Set[str]
+) -> tuple[dict[str, list[_Visual]], tuple[str, ...]]:
+    """Read the <visual>s of all links that are not known yet, and say which cannot be shown."""
+    load = cache(load_mesh)
+    seen: dict[str, list[_Visual]] = {}
+    missing: dict[str, None] = {}  # in order, each once
+    for link in root.iterfind("link"):
+        name = link.get("name")
+        for element in [] if name in known else link.iterfind("visual"):
+            shape = next(element.iterfind("geometry/*"), None)
+            try:
+                seen.setdefault(name, []).append(_visual(element, shape, folder, load))
+            except ValueError as error:
+                kind = "visual" if shape is None else shape.tag
+                file = None if shape is None else shape.get("filename")
+                missing[f"{file or f'<{kind}> of link {name!r}'}: {error}"] = None
+    return {name: found for name, found in seen.items() if found}, tuple(missing)
+
+
+def _visual(
+    element: Any, shape: Any, folder: Path | None, load: Callable[[Path], Trimesh]
+) -> _Visual:
+    """Read a <visual>, or raise a ValueError that says why it cannot be shown."""
+    origin, placed = element.find("origin"), np.eye(4)
+    if origin is not None:
+        placed[:3, :3] = pin.rpy.rpyToMatrix(_numbers(origin, "rpy", 3, "0 0 0"))
+        placed[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
+    if shape is None:
+        raise ValueError("there is no <geometry>")
+    if shape.tag == "box":
+        mesh = smooth(creation.box(_numbers(shape, "size", 3, above=0.0)))
+    elif shape.tag == "sphere":
+        mesh = creation.icosphere(2, _numbers(shape, "radius", 1, above=0.0)[0])
+    elif shape.tag == "cylinder":
+        radius, length = (_numbers(shape, name, 1, above=0.0)[0] for name in ("radius", "length"))
+        mesh = smooth(creation.cylinder(radius, length, sections=_AROUND))
+    elif shape.tag == "mesh":
+        scale = _numbers(shape, "scale", 3, "1 1 1")
+        if not scale.all():
+            raise ValueError("its scale is 0")
+        path = find_mesh(shape.get("filename", ""), folder)
+        if path is None:
+            raise ValueError("no such file")
+        mesh = load(path).copy()
+        mesh.apply_transform(np.diag([*scale, 1.0]))  # turns mirror images right side out
+        return _Visual(placed, mesh, (path, tuple(scale.tolist())))
+    else:
+        raise ValueError("this geometry is not known")
+    return _Visual(placed, mesh, None)
+
+
+def _lightened(visuals: Sequence[_Visual], budget: float) -> dict[Any, Trimesh]:
+    """Simplify the meshes of all files, each once a scale, to a number of triangles in all."""
+    files = [visual for visual in visuals if visual.file is not None]
+    budget -= sum(len(visual.mesh.faces) for visual in visuals if visual.file is None)
+    counts = [len(visual.mesh.faces) for visual in files]
+    given = shares(counts, [visual.mesh.scale for visual in files], budget)
+    wanted = {v.file: (v.mesh, count) for v, count in zip(files, given, strict=True)}
+    return {file: smooth(simplify(mesh, count)) for file, (mesh, count) in wanted.items()}
+
+
+def _placed(mesh: Trimesh, origin: Array) -> Trimesh:
+    placed = mesh.copy()
+    placed.apply_transform(origin)
+    return placed
+
+
+def _numbers(
+    element: Any, name: str, count: int, default: str = "", above: float = -np.inf
+) -> Array:
+    text = element.get(name, default)
+    try:
+        numbers = np.array(text.split(), dtype=np.float64)
+    except ValueError:
+        numbers = np.empty(0)
+    if len(numbers) != count or not (np.isfinite(numbers) & (numbers > above)).all():
+        wanted = f"{count} numbers" if count > 1 else "a number"
+        raise ValueError(f"{name} must be {wanted}{' > 0' if above == 0.0 else ''}, got {text!r}")
+    return numbers
+
+
+def _in_place(robot: Robot, root: Any, seen: Set[str]) -> dict[str, tuple[Trimesh, ...]]:
+    """Return capsules and balls for the links that nothing is seen of."""
+    joints = robot_joints(robot)
+    radius = _THICK * _arm_length(joints)
+    links = {link.get("name"): link for link in root.iterfind("link")}
+    wanted = {name for name, link in links.items() if link.find("visual") is not None}
+    solid = {name for name, link in links.items() if link.find("inertial") is not None}
+    moved = {joint.child for joint in joints if joint.kind != "fixed"}
+    arm = _carriers(joints, {robot.tip, *moved})
+    bodies = _carriers(joints, {robot.tip, *moved, *wanted, *solid})
+    shapes: dict[str, tuple[Trimesh, ...]] = {}
+    for joint in joints:
+        link, end = joint.parent, joint.origin[:3, 3]
+        # where other links are to be seen, one that is not may be a frame: of a camera, of a floor
+        beyond = bodies if link in wanted or not wanted else arm
+        far = np.linalg.norm(end) > _NEAR * radius
+        if link not in seen and joint.child in beyond and far:
+            shapes[link] = (*shapes.get(link, ()), capsule(end, radius))
+    for link in sorted(wanted - seen - set(shapes)):
+        shapes[link] = (creation.icosphere(2, radius),)
+    return shapes
+
+
+def _carriers(joints: Sequence[Joint], links: Set[str | None]) -> set[str | None]:
+    """Return links, and those that carry them."""
+    found = set(links)
+    for joint in reversed(joints):
+        if joint.child in found:
+            found.add(joint.parent)
+    return found
+
+
+def _arm_length(joints: Sequence[Joint]) -> float:
+    """Return the way along the links from first to last moving joint, or farthest link [m]."""
+    way = {joints[0].parent: 0.0}
+    for joint in joints:
+        way[joint.child] = way[joint.parent] + float(np.linalg.norm(joint.origin[:3, 3]))
+    moving = [way[joint.child] for joint in joints if joint.kind != "fixed"]
+    # 1 m where all joints are at one place: any size is as good as another
+    return (max(moving) - min(moving)) or (max(way.values()) - min(moving)) or 1.0

@@ -1,0 +1,111 @@
+"""A robot as a tree of nodes, each link under its parent, as MeshCat nests them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.robots import Robot
+from approxjac.validation import Array
+
+
+class Joint(NamedTuple):
+    """A joint of a tree: the child sits at `origin`, turned about or moved along `axis`.
+
+    Attributes:
+        name: In the URDF.
+        parent: Link that carries it.
+        child: Link that it carries.
+        kind: "revolute", "prismatic" or "fixed".
+        origin: In the parent's node, shape (4, 4) [m].
+        axis: Unit vector in the child's node, shape (3,); zero for a fixed one.
+        column: Which of the `joint_positions` moves it; −1 for a fixed one.
+    """
+
+    name: str
+    parent: str
+    child: str
+    kind: str
+    origin: Array
+    axis: Array
+    column: int
+
+
+def robot_joints(robot: Robot) -> tuple[Joint, ...]:
+    """Return all joints of a robot, fixed ones too, from the base outwards."""
+    model = robot.mimic_joints.model  # in which mimic joints move
+    data, frames = model.createData(), list(model.frames)
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    found = []
+    for link in frames:
+        joint = frames[link.parentFrame]
+        parent = frames[joint.parentFrame]
+        if link.type != pin.FrameType.BODY or parent.type != pin.FrameType.BODY:
+            continue
+        kind, origin, axis, column = "fixed", link.placement, np.zeros(3), -1
+        if joint.type == pin.FrameType.JOINT:
+            index, column = link.parentJoint, link.parentJoint - 1
+            J = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.LOCAL).reshape(6, -1)
+            move, turn = np.split(J[:, model.joints[index].idx_v], 2)
+            kind, axis = ("revolute", turn) if np.linalg.norm(turn) > 0.5 else ("prismatic", move)
+            origin = model.jointPlacements[index]
+        placed = (parent.placement.inverse() * origin).homogeneous
+        found.append(Joint(joint.name, parent.name, link.name, kind, placed, axis, column))
+    return tuple(found)
+
+
+class Tree:
+    """The nodes of a robot.
+
+    Args:
+        robot: The robot.
+        root: Name of the node that the whole robot is under, such as "true".
+
+    Attributes:
+        joints: All of them, from the base outwards.
+        paths: Link → names of the nodes down to it, the root first; also of joints, whose node is
+            that of their child.
+        drivers: Link → index (into v and τ) of the joint that moves it last; −1 if none does.
+    """
+
+    def __init__(self, robot: Robot, root: str) -> None:
+        self.joints = robot_joints(robot)
+        base = self.joints[0].parent
+        self.paths: dict[str, tuple[str, ...]] = {base: (root, _node(base))}
+        self.drivers = {base: -1}
+        G = robot.mimic_joints.G
+        for joint in self.joints:
+            self.paths[joint.child] = (*self.paths[joint.parent], _node(joint.child))
+            driver = joint.column if joint.column >= 0 else self.drivers[joint.parent]
+            if joint.column >= 0 and G is not None:  # a mimic joint is moved by its leader
+                driver = int(np.abs(G[joint.column]).argmax())
+            self.drivers[joint.child] = driver
+        for joint in self.joints:
+            self.paths.setdefault(joint.name, self.paths[joint.child])
+
+
+def joint_positions(robot: Robot, q: Array) -> Array:
+    """Return positions of all moving joints, mimic ones and continuous ones too.
+
+    Args:
+        robot: The robot.
+        q: Configurations, shape (N, nq).
+
+    Returns:
+        In the order of `Joint.column`, shape (N, n_all) [rad or m]; those of continuous joints
+        without jumps.
+    """
+    mimic = robot.mimic_joints
+    q_all = np.array([mimic.q(row) for row in q]).reshape(len(q), mimic.model.nq)
+    columns = []
+    for joint in list(mimic.model.joints)[1:]:
+        own = q_all[:, joint.idx_q : joint.idx_q + joint.nq]
+        columns.append(np.unwrap(np.arctan2(own[:, 1], own[:, 0])) if joint.nq == 2 else own[:, 0])
+    return np.column_stack(columns)
+
+
+def _node(name: str) -> str:
+    # MeshCat takes a slash for the next level; and no link is to have the name of a shape
+    return "link " + name.replace("/", "∕")

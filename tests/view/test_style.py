@@ -1,0 +1,181 @@
+"""The same look everywhere: words, units, legends, files and notebooks, over all plots."""
+
+import dataclasses
+import io
+import re
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+import approxjac as aj
+from approxjac import view
+
+UNIT = re.compile(r"\S.* \[\S.*\]")
+HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+N = 40
+rng = np.random.default_rng(0)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return aj.load_robot("panda").with_object(0.2)
+
+
+@pytest.fixture(scope="module")
+def run(arm):
+    task = aj.PositionTask(arm)
+    controller = aj.SetpointController(task, aj.Gains(400.0, 80.0, 1.0))
+    target = task.value(HOME) + 0.1
+    return aj.simulate(aj.Plant(arm, task), controller, target, HOME, 0.4, dt=2e-3)
+
+
+@pytest.fixture(scope="module")
+def seen(arm):
+    camera = aj.PinholeCamera.looking_at((0.5, 0.0, 0.4), (1.5, -0.8, 0.9), 600.0, (640, 480))
+    return aj.ImageTask(arm, camera, points=[(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)])
+
+
+@pytest.fixture(scope="module")
+def image_run(arm, seen):
+    controller = aj.SetpointController(seen, aj.default_gains(seen))
+    plant = aj.Plant(arm, seen, sensing=aj.Sensing(x_noise=2.0))
+    return aj.simulate(plant, controller, seen.value(HOME + 0.1), HOME, 0.2, dt=2e-3)
+
+
+@pytest.fixture(scope="module")
+def plots(run, image_run, arm, seen):
+    """All plots that take axes, as functions of them."""
+    learnt = dataclasses.replace(run, state=np.outer(run.t, [1.0, 2.0]))
+    belief = aj.load_robot("panda")
+    places, margins = rng.normal(size=(N, 3)), rng.uniform(-1.0, 1.0, N)
+    x, y = np.linspace(0.1, 1.0, 5), np.linspace(1.0, 2.0, 4)
+    decay = x[None, :] - 0.2 * y[:, None]
+    lanes = {"new images": run.t > 0.1, "too old: brakes": run.t < 0.1}
+    return {
+        "plot_error": lambda ax: view.plot_error(run, ax),
+        "plot_torque": lambda ax: view.plot_torque(run, ax),
+        "plot_torque, limits": lambda ax: view.plot_torque(run, ax, limits=arm.effort_limits),
+        "plot_slack": lambda ax: view.plot_slack(run, ax),
+        "plot_path": lambda ax: view.plot_path(
+            run, arm, q_target=HOME, ax=ax, believed=belief, target=run.target
+        ),
+        "plot_parameters": lambda ax: view.plot_parameters(learnt, "ab", ax, theta=(1.0, 2.0)),
+        "plot_image": lambda ax: view.plot_image(image_run, seen.camera, ax),
+        "plot_camera_view": lambda ax: view.plot_camera_view(
+            seen, HOME, ax, believed=seen, target=image_run.target
+        ),
+        "plot_lanes": lambda ax: view.plot_lanes(run.t, lanes, ax),
+        "plot_allowed_error": lambda ax: view.plot_allowed_error(
+            0.04, 0.3, unit="m/rad", p_label="p of the errors", own_a=0.3, ax=ax
+        ),
+        "plot_margins": lambda ax: view.plot_margins(places, margins, ax=ax),
+        "plot_map": lambda ax: view.plot_map(
+            x, y, decay, [("test 1, Theorem 1", x, y, decay - 0.2)],
+            labels=("scale of the errors [–]", "damping [N m s/rad]"), own=(0.5, 1.5), ax=ax,
+        ),
+    }  # fmt: skip
+
+
+NAMES = (
+    "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
+    "plot_parameters", "plot_image", "plot_camera_view", "plot_lanes", "plot_allowed_error",
+    "plot_margins", "plot_map",
+)  # fmt: skip
+
+
+def test_no_plot_is_forgotten(plots):
+    public = {name for name in view.__all__ if name.startswith("plot_")}
+    assert {name.split(",")[0] for name in NAMES} | {"plot_run"} == public
+    assert set(plots) == set(NAMES)
+
+
+def drawn(plot, ax=None):
+    """Axes as they are once drawn, in a figure of the library or in that of `ax`."""
+    ax = plot(ax)
+    ax.figure.savefig(io.BytesIO(), format="png")  # the layout is made when drawing
+    return ax
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_plot_says_what_is_seen_in_which_unit(plots, name):
+    ax = plots[name](None)
+    assert len(ax.get_title()) > 10
+    assert UNIT.fullmatch(ax.get_xlabel())
+    if name != "plot_lanes":  # its y axis has names
+        assert UNIT.fullmatch(ax.get_ylabel())
+    for bar in ax.figure.axes:
+        assert bar is ax or "[" in bar.get_ylabel()  # of colours
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_is_cut_or_covered(plots, name):
+    ax = drawn(plots[name])
+    everything, plot = ax.figure.get_tightbbox(), ax.get_window_extent()
+    size = ax.figure.get_size_inches()
+    assert everything.x0 > -0.01
+    assert everything.y0 > -0.01
+    assert everything.x1 < size[0] + 0.01
+    assert everything.y1 < size[1] + 0.01
+    if name != "plot_lanes":
+        legend = ax.get_legend().get_window_extent()
+        labels = ax.xaxis.get_tightbbox()
+        assert legend.y1 < labels.y0 < plot.y0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_axes_of_the_user_go_in_and_come_out(plots, name):
+    figure = Figure()
+    ax = figure.subplots()
+    assert plots[name](ax) is ax
+    assert type(figure) is Figure
+    figure.savefig(io.BytesIO())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_users_own_settings_are_left_alone(plots, name):
+    before = dict(matplotlib.rcParams)
+    drawn(plots[name])
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_the_look_does_not_depend_on_the_users_settings_or_on_who_saves(run, tmp_path):
+    view.save_figure(view.plot_run(run)[0], tmp_path / "ours")
+    view.plot_run(run)[0].savefig(tmp_path / "theirs.png", dpi=130)
+    with matplotlib.rc_context({"font.size": 20.0, "axes.grid": False, "grid.alpha": 1.0}):
+        view.plot_run(run)[0].savefig(tmp_path / "other.png", dpi=130)
+    ours = imread(tmp_path / "ours.png")
+    assert np.array_equal(imread(tmp_path / "theirs.png"), ours)
+    assert np.array_equal(imread(tmp_path / "other.png"), ours)
+
+
+def test_a_notebook_shows_a_figure_of_the_library_and_leaves_those_of_users_alone(run, tmp_path):
+    shell = pytest.importorskip("IPython.core.interactiveshell").InteractiveShell
+    display = shell.instance().display_formatter
+    figure, _ = view.plot_run(run)
+    shown, _ = display.format(figure)
+    (tmp_path / "shown.png").write_bytes(shown["image/png"])
+    assert set(shown) == {"image/png", "text/plain"}
+    view.save_figure(view.plot_run(run)[0], tmp_path / "saved")
+    assert np.array_equal(imread(tmp_path / "shown.png"), imread(tmp_path / "saved.png"))
+    assert "image/png" in display.format(view.plot_error(run).figure)[0]
+    own = Figure()
+    view.plot_error(run, own.subplots())
+    assert set(display.format(own)[0]) == {"text/plain"}
+
+
+def test_pictures_of_long_rough_runs_are_small(run, image_run, seen, tmp_path):
+    t = np.linspace(0.0, 10.0, 10_001)
+    rough = rng.normal(size=(len(t), 7))
+    errors = np.exp(-np.outer(t, [1.0, 2.0, 3.0]))  # of a true arm: smooth
+    long = dataclasses.replace(run, t=t, error=errors, tau=rough)
+    paths = view.save_figure(view.plot_run(long)[0], tmp_path / "run")
+    images = np.cumsum(rough[:, :4], axis=0) + 200.0
+    noisy = images + rng.normal(size=images.shape)
+    long = dataclasses.replace(image_run, t=t, x=images, x_measured=noisy, error=rough[:, :4])
+    paths += view.save_figure(view.plot_image(long, seen.camera).figure, tmp_path / "image")
+    for path in paths:
+        assert path.stat().st_size < 500_000, path.name
+    assert "<text" not in paths[1].read_text(encoding="utf-8")  # letters are paths: any machine
