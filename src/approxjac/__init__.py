@@ -29,6 +29,7 @@ from approxjac.controllers import (
     TorqueLimited,
     VelocityServo,
     default_gains,
+    law_of,
 )
 from approxjac.errors import (
     ApproxJacError,
@@ -40,8 +41,17 @@ from approxjac.errors import (
     UnknownNameError,
     UrdfError,
 )
-from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement, Status
+from approxjac.interface import (
+    ContinuousController,
+    Controller,
+    Evaluation,
+    LimitStatus,
+    Measurement,
+    Status,
+    Target,
+)
 from approxjac.law import Linear, Sine, Tanh
+from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import (
     Dynamics,
     GravityRegressor,
@@ -86,8 +96,10 @@ _MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of furt
 __all__ = [
     "AdaptiveGravity",
     "ApproxJacError",
+    "Circle",
     "CombinedTask",
     "CompiledSetpointController",
+    "ContinuousController",
     "Controller",
     "DifferentiatedVelocity",
     "Dynamics",
@@ -100,6 +112,7 @@ __all__ = [
     "JointBox",
     "LimitStatus",
     "Limits",
+    "Line",
     "Linear",
     "Measurement",
     "MeasurementError",
@@ -123,6 +136,7 @@ __all__ = [
     "StackedTask",
     "Status",
     "Tanh",
+    "Target",
     "Task",
     "TaskTorqueScaled",
     "TorqueClipped",
@@ -133,9 +147,11 @@ __all__ = [
     "UnknownNameError",
     "UrdfError",
     "VelocityServo",
+    "Waypoints",
     "default_gains",
     "excitation",
     "law",
+    "law_of",
     "load_robot",
     "local_stability",
     "lyapunov",

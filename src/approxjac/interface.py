@@ -1,4 +1,4 @@
-"""What passes between a plant and a controller, and nothing else.
+"""The interface of plant and controller: measurement, target, evaluation, status.
 
 The plant owns the true robot, the controller the believed one. Only a `Measurement` goes
 one way and a torque goes the other; neither side ever sees the other's model.
@@ -9,11 +9,12 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from approxjac.formatting import listed
+from approxjac.tasks import Task
 from approxjac.validation import Array
 
 
@@ -112,36 +113,66 @@ class Measurement(NamedTuple):
         q: Joint configuration, shape (nq,) [rad or m].
         v: Joint velocity q̇, shape (nv,) [rad/s or m/s].
         x: Task value measured by a sensor, shape (n_x,) [unit of the task]; NaN when lost.
+        t_x: Time at which x was taken [s]; None if it is not known.
     """
 
     t: float
     q: Array
     v: Array
     x: Array
+    t_x: float | None = None
 
     def __repr__(self) -> str:
         q, v, x = listed(self.q), listed(self.v), listed(self.x)
-        return f"Measurement(t={self.t:g} s, q={q}, v={v}, x={x})"
+        taken = "" if self.t_x is None else f", t_x={self.t_x:g} s"
+        return f"Measurement(t={self.t:g} s, q={q}, v={v}, x={x}{taken})"
+
+
+class Target(NamedTuple):
+    """Wanted task value and its motion. Wherever a target is taken, an array is one at rest.
+
+    Attributes:
+        x: x_d, shape (n_x,) [unit of the task].
+        v: ẋ_d in the coordinates of the error, shape (m,) [unit of the task/s]; None is at rest.
+        a: ẍ_d in the same coordinates, shape (m,) [unit of the task/s²]; None is none.
+    """
+
+    x: Array
+    v: Array | None = None
+    a: Array | None = None
+
+
+@runtime_checkable
+class TargetPath(Protocol):
+    """Any object that says where the target is at a time."""
+
+    def at(self, t: float) -> Target:
+        """Return the target at t [s]."""
+        ...
 
 
 class Evaluation(NamedTuple):
-    """What a controller answers to one measurement.
+    """Answer of a controller to one measurement.
 
     Attributes:
         torque: Joint torque τ, shape (nv,) [N m or N].
-        state_rate: Time derivative of the controller's state, shape (n_state,).
+        state_rate: Time derivative of the state of the law, shape (n_state,). A controller that
+            only steps has that of the law inside it, or None.
         status: What happened.
         e: Task error, shape (m,) [unit of the task].
         J_hat: Estimated Jacobian Ĵ, shape (m, n_v); None from controllers that have none.
+        gravity: Gravity torque that the law compensates, part of its torque, shape (n_v,) [N m or
+            N]; None from controllers that have none.
         limit_status: What limits did to the torque.
         slack: σ ≥ 0, what limits add to V̇ [W]; NaN where it is not known.
     """
 
     torque: Array
-    state_rate: Array
+    state_rate: Array | None
     status: Status
     e: Array
     J_hat: Array | None = None
+    gravity: Array | None = None
     limit_status: LimitStatus = LimitStatus.UNLIMITED
     slack: float = 0.0
 
@@ -162,29 +193,66 @@ class Evaluation(NamedTuple):
         return float(np.linalg.svd(self.J_hat, compute_uv=False)[-1])
 
 
+@runtime_checkable
 class Controller(Protocol):
-    """Anything that turns measurements into torques.
+    """Anything that turns measurements into torques, step by step.
 
-    A controller holds no memory of its own: what evolves is a flat state array that goes
-    in and whose rate comes out, so that the same object can be integrated continuously
-    or sampled at a fixed rate.
+    A controller holds no memory of its own: what evolves is a flat state array that goes in and
+    comes out, so that a loop can be stopped, saved and gone on with. Derive from it to get its
+    defaults: no state, any sampling time, nothing learnt.
     """
 
     @property
-    def n_state(self) -> int:
-        """Length of the controller's state."""
+    def task(self) -> Task:
+        """The task of the believed robot."""
         ...
+
+    @property
+    def dt(self) -> float | None:
+        """Sampling time that control has to have [s], or None where any will do."""
+        return None
 
     def initial_state(self, measurement: Measurement) -> Array:
-        """State before the first evaluation, shape (n_state,)."""
+        """Return the state before the first step, shape (n_state,)."""
+        return np.zeros(0)
+
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after a step, and torque and status for it.
+
+        Args:
+            state: State before the step, shape (n_state,).
+            measurement: What was measured.
+            target: Wanted task value: x_d, shape (n_x,), or a `Target` that moves.
+            dt: Time for which the torque is held [s].
+        """
         ...
 
-    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
-        """Torque, state rate and status for one measurement.
+    def learnt(self, state: Array) -> Array:
+        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+        return state[..., :0]
+
+
+@runtime_checkable
+class ContinuousController(Controller, Protocol):
+    """A law in continuous time, whose state has a rate. Derive from it to write `evaluate` only."""
+
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after one Euler step of its rate, and the answer of `evaluate`."""
+        answer = self.evaluate(state, measurement, target)
+        return state + dt * np.asarray(answer.state_rate), answer
+
+    def evaluate(
+        self, state: Array, measurement: Measurement, target: Target | Array
+    ) -> Evaluation:
+        """Return torque, rate of the state and status for one measurement.
 
         Args:
             state: Controller state, shape (n_state,).
             measurement: What was measured.
-            target: Wanted task value x_d, shape (n_x,).
+            target: Wanted task value: x_d, shape (n_x,), or a `Target` that moves.
         """
         ...

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,12 +184,24 @@ def axis_rows(name: str, axes: str) -> list[int]:
     return ["xyz".index(letter) for letter in axes]
 
 
-class SetOnce:
-    """Its public attributes are what it was built with: to assign to one again is an error.
+class Immutable:
+    """An object whose public attributes stay as they were built, and that copies by being built.
 
-    Controllers work out what a step needs when they are built. Gains that were exchanged afterwards
-    would be printed, and not used.
+    Controllers work out what a step needs when they are built; gains that were exchanged afterwards
+    would be printed, and not used. A copy is built anew from the same arguments, and so has scratch
+    memory of its own.
     """
+
+    _arguments: dict[str, Any]
+
+    def _remember(self, arguments: dict[str, Any]) -> None:
+        """Keep the arguments of the constructor, its `locals()` at the beginning."""
+        own = ("self", "__class__")
+        self._arguments = {name: value for name, value in arguments.items() if name not in own}
+
+    def _rebuilt(self, **changes: Any) -> Self:
+        """Return an object built from the same arguments but for some."""
+        return type(self)(**{**self._arguments, **changes})
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not name.startswith("_") and name in self.__dict__:
@@ -199,3 +211,10 @@ class SetOnce:
                 given=value,
             )
         super().__setattr__(name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _built, (type(self), self._arguments)
+
+
+def _built(kind: type[Immutable], arguments: dict[str, Any]) -> Immutable:
+    return kind(**arguments)

@@ -19,11 +19,13 @@ from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointContr
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tuning import default_adaptation, default_gains
 from approxjac.controllers.velocity_servo import VelocityServo
+from approxjac.controllers.wrapper import ControllerWrapper, law_of
 
 __all__ = [
     "Adaptation",
     "AdaptiveGravity",
     "CompiledSetpointController",
+    "ControllerWrapper",
     "DifferentiatedVelocity",
     "Gains",
     "Gravity",
@@ -41,4 +43,5 @@ __all__ = [
     "VelocityServo",
     "default_adaptation",
     "default_gains",
+    "law_of",
 ]

@@ -1,4 +1,4 @@
-"""What is usually done with a torque beyond its limits; to compare `TorqueLimited` with."""
+"""Clipped and scaled torques: the usual ways to keep limits, to compare `TorqueLimited` with."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ class TorqueClipped(Limiter):
 
     Args:
         controller: The controller whose torque to limit.
-        limits: What to keep; those of the believed robot's URDF by default.
-        dt: Sampling time [s].
+        limits: Limits to keep; those of the believed robot's URDF by default.
     """
 
     def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
@@ -37,13 +36,12 @@ class TaskTorqueScaled(Limiter):
 
     Args:
         controller: The controller whose torque to limit.
-        limits: What to keep; those of the believed robot's URDF by default.
-        dt: Sampling time [s].
+        limits: Limits to keep; those of the believed robot's URDF by default.
     """
 
     def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
-        answer, state, measurement, lower, upper, _, _ = asked
-        g = self._law.gravity_torque(state, measurement[1])
+        answer, _, lower, upper, _, _ = asked
+        g = answer.gravity
         hold = np.minimum(np.maximum(g, lower), upper)
         change = answer.torque - hold
         room = np.where(change > 0.0, upper - hold, lower - hold)

@@ -8,14 +8,14 @@ from collections.abc import Callable
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.checked import FLOAT64, HUGE
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import Gravity, RegressorGravity
 from approxjac.controllers.machine_code import compiled
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
+from approxjac.controllers.task_controller import FLOAT64, HUGE
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Evaluation, LimitStatus, Measurement, Status
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.law import Linear, Saturation, Sine, Tanh
 from approxjac.law.products import dot
 from approxjac.law.saturation import sine, tanh
@@ -95,7 +95,7 @@ class CompiledSetpointController(SetpointController):
         # It hides the method: one that called it would take a tenth of the step.
         vars(self)["evaluate"] = self._compiled_evaluate()
 
-    def _compiled_evaluate(self) -> Callable[[Array, Measurement, Array], Evaluation]:
+    def _compiled_evaluate(self) -> Callable[[Array, Measurement, Target | Array], Evaluation]:
         """`SetpointController.evaluate`, with its usual steps in machine code.
 
         What it needs are variables of this function: to look up attributes would take longer than
@@ -131,9 +131,9 @@ class CompiledSetpointController(SetpointController):
         float64, huge, empty, ndarray, hypot = FLOAT64, HUGE, np.empty, np.ndarray, math.hypot
         made, ok, unlimited = tuple.__new__, Status.OK, LimitStatus.UNLIMITED
 
-        def evaluate(state: Array, measurement: Measurement, target: Array) -> Evaluation:
+        def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Evaluation:
             try:
-                _, q, v, x = measurement
+                _, q, v, x, _ = measurement
                 usual = (
                     q.__class__ is v.__class__ is x.__class__ is ndarray
                     and target.__class__ is state.__class__ is ndarray
@@ -149,28 +149,30 @@ class CompiledSetpointController(SetpointController):
                 usual = False
             if usual:
                 J_hat = jacobian(q, x)
-                g = gravity(q) if learning is None else nothing
+                g = gravity(q).copy() if learning is None else nothing
+                bias = g
                 if pull is not None:
-                    g = g + within_null_space(q, J_hat, J_hat.dot(J_hat.T), *pull)
+                    bias = g + within_null_space(q, J_hat, J_hat.dot(J_hat.T), *pull)
                 torque, e, rate = empty(n), empty(m), no_rate
                 try:
                     if guarded and not (J_hat.__class__ is ndarray and J_hat.dtype is float64):
                         usual = False  # of a task of the user's own
                     elif learning is None:
-                        usual = step(J_hat, v, x, target, g, constants, torque, e)
+                        usual = step(J_hat, v, x, target, bias, constants, torque, e)
                     else:
                         Z, rate = Z_of(q), empty(p)
                         usual = step(
-                            J_hat, v, x, target, g, constants, Z, state,
+                            J_hat, v, x, target, bias, constants, Z, state,
                             L, alpha, limits, torque, e, rate,
                         )  # fmt: skip
+                        g = Z.dot(state)
                 except (TypeError, ValueError):  # not of float64, or beyond what has eigenvalues
                     usual = False
                 if usual:
                     if bounds is not None:
                         rate = law.within_bounds(rate, state, *bounds)
                     # made as Evaluation(...) makes it, in a third of the time
-                    return made(Evaluation, (torque, rate, ok, e, J_hat, unlimited, 0.0))
+                    return made(Evaluation, (torque, rate, ok, e, J_hat, g, unlimited, 0.0))
             return ordinary(state, measurement, target)
 
         return evaluate

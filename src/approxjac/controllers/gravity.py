@@ -14,7 +14,7 @@ from approxjac.formatting import listed, short
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.validation import (
     Array,
-    SetOnce,
+    Immutable,
     as_array,
     as_diagonal,
     as_limits,
@@ -24,7 +24,7 @@ from approxjac.validation import (
 )
 
 
-class ModelGravity(SetOnce):
+class ModelGravity(Immutable):
     """g(q) of a robot's model, by RNEA: exact as far as its masses and lengths are.
 
     Args:
@@ -32,13 +32,11 @@ class ModelGravity(SetOnce):
     """
 
     def __init__(self, robot: Robot) -> None:
+        self._remember(locals())
         require("robot", robot, Robot, "the believed Robot")
         self.robot = robot
         model = robot.model
         self._torque_at = partial(pin.computeGeneralizedGravity, model, model.createData())
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.robot,)  # a copy has scratch memory of its own
 
     def __repr__(self) -> str:
         return f"ModelGravity({self.robot.name!r})"
@@ -49,7 +47,7 @@ class ModelGravity(SetOnce):
         return g
 
 
-class NoGravity:
+class NoGravity(Immutable):
     """No gravity torque: the robot compensates it by itself, or there is none.
 
     Args:
@@ -57,6 +55,7 @@ class NoGravity:
     """
 
     def __init__(self, robot: Robot) -> None:
+        self._remember(locals())
         require("robot", robot, Robot, "the believed Robot")
         self.robot = robot
         self._zero = np.zeros(robot.nv)
@@ -69,7 +68,7 @@ class NoGravity:
         return self._zero.copy()
 
 
-class RegressorGravity(SetOnce):
+class RegressorGravity(Immutable):
     """g(q) = Z(q) θ, eq. (27), with θ known from elsewhere (identification, a data sheet).
 
     It is exact even where the regressor's robot has wrong lengths: see `GravityRegressor`.
@@ -83,6 +82,7 @@ class RegressorGravity(SetOnce):
     """
 
     def __init__(self, regressor: GravityRegressor, theta: Sequence[float] | Array) -> None:
+        self._remember(locals())
         require(
             "regressor", regressor, GravityRegressor, "a GravityRegressor of the believed robot"
         )
@@ -103,7 +103,7 @@ class RegressorGravity(SetOnce):
         return g
 
 
-class AdaptiveGravity(SetOnce):
+class AdaptiveGravity(Immutable):
     """Z(q) θ̂ with θ̂ learnt by eq. (29).
 
     θ̂ stands still while x is lost, and while the torque of the law is beyond `torque_limits`:
@@ -141,6 +141,7 @@ class AdaptiveGravity(SetOnce):
         | None = None,
         torque_limits: float | Sequence[float] | Array | None = None,
     ) -> None:
+        self._remember(locals())
         wanted = "the believed Robot, or a GravityRegressor of it"
         require("model", model, (Robot, GravityRegressor), wanted)
         regressor = GravityRegressor(model) if isinstance(model, Robot) else model

@@ -5,13 +5,12 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.checked import CheckedController, is_beyond
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -22,6 +21,7 @@ from approxjac.controllers.gravity import (
 )
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.saturation import require_saturation
+from approxjac.controllers.task_controller import TaskController, is_beyond
 from approxjac.controllers.tuning import default_adaptation, default_gains, slow_rate
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Status
@@ -50,11 +50,14 @@ class DifferentiatedVelocity:
         as_number("time_constant", self.time_constant, unit="s", above=0.0)
 
 
-class SetpointController(CheckedController):
-    """Brings a measured task value to a fixed target with an approximate Jacobian.
+class SetpointController(TaskController):
+    """Bring a measured task value to a target with an approximate Jacobian.
 
-    τ = −Ĵᵀ(K_p s(e) + K_v Ĵq̇) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
+    τ = −Ĵᵀ(K_p s(e) + K_v (Ĵq̇ − ẋ_d)) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
     believed robot only, through the Jacobian of `task` and through `gravity`.
+
+    The theorems are for a target at rest. With ẋ_d as a feed-forward a moving target is followed
+    more closely, but nothing is proven then; gravity that is learnt is disturbed by the motion.
 
     Its state is θ̂ where gravity is learnt, followed by the differentiator's state for law (5).
 
@@ -90,6 +93,7 @@ class SetpointController(CheckedController):
         velocity: DifferentiatedVelocity | None = None,
         posture: Posture | None = None,
     ) -> None:
+        self._remember(locals())
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         for name, value, kind, wanted in (
             ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),
@@ -146,12 +150,12 @@ class SetpointController(CheckedController):
         followed = np.zeros(0) if self.velocity is None else x
         return np.concatenate([theta0, followed])
 
-    def theta_hat(self, state: Array) -> Array:
-        """θ̂ from one state (n_state,) or a series of them (…, n_state); shape (…, p)."""
+    def learnt(self, state: Array) -> Array:
+        """Return θ̂ of a state (n_state,), or of a series of them (…, n_state); shape (…, p)."""
         return state[..., : self._p]
 
     def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
-        """y = q̇ + αĴ⁺s(e), eq. (10), where this controller gave an answer.
+        """Return y = q̇ + αĴ⁺s(e), eq. (10), where this controller gave an answer.
 
         Args:
             answer: The answer.
@@ -167,29 +171,23 @@ class SetpointController(CheckedController):
         w, _ = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=self._scale)
         return law.passive_output(v, w.dot(J_hat), alpha)
 
-    def task_torque(self, answer: Evaluation, v: Array) -> Array:
-        """−Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of a torque of this law that acts on the task.
+    def task_torque(self, e: Array, v: Array, J_hat: Array, rate: Array) -> Array:
+        """Return −Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of a torque that acts on a task at rest.
 
         Args:
-            answer: What this controller answered, with Ĵ.
-            v: The joint velocity that it was given for, shape (n_v,).
+            e: Task error, NaN where x was lost, shape (…, m).
+            v: Joint velocity q̇, shape (…, n_v).
+            J_hat: Estimated Jacobian Ĵ, shape (…, m, n_v).
+            rate: Rate of the state, from which law (5) has Ẋ, shape (…, n_state).
 
         Returns:
-            Shape (n_v,) [N m or N]; with K_v Ẋ for law (5), without K_p s(e) where x was lost.
+            Shape (…, n_v) [N m or N]; without K_p s(e) where x was lost.
         """
-        J_hat, kp, kv = answer.J_hat, self.diagonals.kp, self.diagonals.kv
-        assert J_hat is not None  # this controller has one
-        s = np.nan_to_num(self.saturation.s(answer.e))
-        # what limits it or holds measurements for it adds its own state at the end
-        rate = answer.state_rate[self._p : self._n_state]
-        x_dot = J_hat @ v if self.velocity is None else rate
-        torque: Array = -(kp * s + kv * x_dot) @ J_hat
+        kp, kv, _ = self.diagonals
+        s = np.nan_to_num(self.saturation.s(e))
+        x_dot = rate[..., self._p :] if self.velocity else (J_hat @ v[..., None])[..., 0]
+        torque: Array = -((kp * s + kv * x_dot)[..., None, :] @ J_hat)[..., 0, :]
         return torque
-
-    @property
-    def law(self) -> SetpointController:
-        """This controller: what limits it, or holds measurements for it, has it under this name."""
-        return self
 
     @functools.cached_property
     def alpha(self) -> float:
@@ -204,28 +202,27 @@ class SetpointController(CheckedController):
 
     def lyapunov_value(
         self,
-        answer: Evaluation,
+        e: Array,
         v: Array,
+        J_hat: Array,
         M: Array,
         alpha: float,
-        state: Array,
-        theta: Array | None,
+        theta_error: Array | None = None,
     ) -> float:
-        """V of (12), or (31) where gravity is learnt [J]; with Ĵ⁺ damped near singular poses.
+        """Return V of (12), or (31) where gravity is learnt, with Ĵ⁺ as in the law.
 
         Args:
-            answer: What this controller answered, with Ĵ, and with the true error for the true V.
-            v: The joint velocity that it was given for, shape (n_v,).
+            e: True task error, shape (m,).
+            v: Joint velocity q̇, shape (n_v,).
+            J_hat: Estimated Jacobian Ĵ, shape (m, n_v).
             M: True inertia matrix, shape (n_v, n_v).
             alpha: α [1/s].
-            state: State of this controller, shape (n_state,).
-            theta: True gravity parameters in its regressor, shape (p,), where gravity is learnt.
+            theta_error: θ − θ̂, shape (p,), where gravity is learnt.
 
         Returns:
-            V; NaN where the error is not known.
+            V [J]; NaN where the error is not known.
         """
-        e, J_hat = answer.e, answer.J_hat
-        if J_hat is None or not np.isfinite(e).all():
+        if not np.isfinite(e).all():
             return math.nan
         kp, kv, _ = self.diagonals
         G, units = J_hat @ J_hat.T, np.eye(len(e))
@@ -233,50 +230,41 @@ class SetpointController(CheckedController):
         J_hat_pinv = (np.array(solved) @ J_hat).T
         s, potential = self.saturation.s(e), self.saturation.S(e)
         V = law.V(v, s, potential, J_hat_pinv, M, kp, kv, alpha)
-        if self.adaptation is None or theta is None:
+        if self.adaptation is None or theta_error is None:
             return V
-        theta_error = theta - self.theta_hat(state)
         return V + law.parameter_potential(theta_error, self.adaptation.L)
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
-        """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
+        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
         if self.adaptation is not None:
             return law.gravity(self.adaptation.regressor.Z(q), state[: self._p])
-        return super().gravity_torque(state, q)
+        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
 
-    def with_gravity(self, gravity: Gravity) -> SetpointController:
+    def with_gravity(self, gravity: Gravity) -> Self:
         """Return this controller with another source of gravity."""
-        return type(self)(
-            self.task,
-            self.gains,
-            gravity=gravity,
-            saturation=self.saturation,
-            velocity=self.velocity,
-            posture=self.posture,
-        )
+        return self._rebuilt(gravity=gravity)
 
-    def with_task(self, task: Task) -> SetpointController:
+    def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.
 
-        Gravity, and what is learnt of it, stays that of the robot that it was made for.
+        Gains, gravity, and what is learnt of it, stay as they are.
 
         Args:
             task: A task with the same coordinates, of a robot with the same joints.
         """
-        gravity = self.gravity
-        if self.adaptation is not None:
-            gravity = AdaptiveGravity(*self.adaptation)
-        return type(self)(
-            task,
-            self.gains,
-            gravity=gravity,
-            saturation=self.saturation,
-            velocity=self.velocity,
-            posture=self.posture,
-        )
+        learning = self.adaptation
+        gravity = self.gravity if learning is None else AdaptiveGravity(*learning)
+        return self._rebuilt(task=task, gains=self.gains, gravity=gravity)
 
     def _answer(
-        self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
+        self,
+        q: Array,
+        v: Array,
+        x: Array,
+        e: Array,
+        state: Array,
+        x_d_dot: Array | None,
+        lost: bool,
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked."""
         J_hat = self.task.compute_jacobian(q, x)
@@ -286,23 +274,26 @@ class SetpointController(CheckedController):
         learning = self.adaptation
         if learning is None:
             singular = law.is_near_singular(G, scale=self._scale)
-            g = self.gravity.torque(q)  # type: ignore[union-attr]  # the others have one
+            g = self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
         else:
             w, damped = law.damped_gram_solve(G, s, scale=self._scale)
             singular = damped > 0.0
             Z = learning.regressor.Z(q)
             g = law.gravity(Z, state[: self._p])  # with it, (6) below is (28)
+        bias = g
         if self._pull is not None:
-            g = g + self._pull_within_null_space(q, J_hat, G, *self._pull)
+            bias = bias + self._pull_within_null_space(q, J_hat, G, *self._pull)
+        if x_d_dot is not None:
+            bias = bias + law.feed_forward_torque(J_hat, kv, x_d_dot)
 
         rate = self._no_rate
         if self.velocity is None:
-            torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, g)
+            torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
         else:
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
             # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
             x_dot = J_hat.dot(v) if lost else (x - state[self._p :]) / self._lag
-            torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, g)
+            torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, bias)
             rate = x_dot if learning is None else np.append(self._no_rate[: self._p], x_dot)
 
         status = _OK
@@ -319,7 +310,7 @@ class SetpointController(CheckedController):
                 theta_hat = state[: self._p]
                 theta_rate = law.within_bounds(theta_rate, theta_hat, *learning.bounds)
             rate = theta_rate if self.velocity is None else np.append(theta_rate, x_dot)
-        return Evaluation(torque, rate, status, e, J_hat)
+        return Evaluation(torque, rate, status, e, J_hat, g)
 
     def _pull_within_null_space(
         self, q: Array, J_hat: Array, G: Array, posture: Array, stiffness: Array
@@ -354,31 +345,19 @@ class SetpointController(CheckedController):
             gravity.regressor, L, alpha, gravity.theta0, gravity.bounds, gravity.torque_limits
         )
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # a copy has scratch memory of its own, down to that of its task and its gravity
-        names = ("gains", "gravity", "saturation", "velocity", "posture")
-        options = {name: getattr(self, name) for name in names}
-        return _with_options, (type(self), self.task, options)
-
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         parts = [f"law {law}", repr(self.task), repr(self.gains), repr(self.gravity)]
         return f"{type(self).__name__}({', '.join(parts)})"
 
 
-def _with_options(
-    kind: type[SetpointController], task: Task, options: dict[str, Any]
-) -> SetpointController:
-    return kind(task, **options)
-
-
 def require_setpoint(controller: Any) -> None:
-    """Refuse what is not a `SetpointController` itself.
+    """Refuse anything but a `SetpointController` itself.
 
     Raises:
-        InvalidInputError: It is another one, or one that limits it or holds measurements for it.
+        InvalidInputError: Another controller, or one that limits it or holds measurements for it.
     """
-    wanted = "a SetpointController (of what limits it, or holds measurements for it, its .law)"
+    wanted = "a SetpointController (law_of(controller) is the one inside of its wrappers)"
     require("controller", controller, SetpointController, wanted)
 
 

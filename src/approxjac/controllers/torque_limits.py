@@ -10,7 +10,6 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.limiter import Asked, Limiter
 from approxjac.controllers.limits import (
     Limits,
@@ -23,9 +22,10 @@ from approxjac.controllers.limits import (
 from approxjac.controllers.qp_solvers import as_solver
 from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
 from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.task_controller import TaskController
 from approxjac.controllers.tuning import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.interface import Evaluation, LimitStatus, Status
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.robots import Dynamics
 from approxjac.validation import Array, as_diagonal, as_number, require
 
@@ -86,7 +86,7 @@ class TorqueLimited(Limiter):
 
     def __init__(
         self,
-        controller: CheckedController,
+        controller: TaskController,
         limits: Limits | None = None,
         *,
         weight: Weight | Sequence[float] | Array = "joint inertia",
@@ -97,7 +97,9 @@ class TorqueLimited(Limiter):
         approach: float | None = None,
         solver: str | Callable[[QuadraticProgram], Array | None] = "daqp",
     ) -> None:
-        super().__init__(controller, limits, dt=dt)
+        super().__init__(controller, limits)
+        self._remember(locals())
+        self._dt = as_number("dt", dt, unit="s", above=0.0)
         require("proof", proof, bool, "True or False")
         robot = controller.task.robot
         if proof and not isinstance(controller, SetpointController):
@@ -108,20 +110,12 @@ class TorqueLimited(Limiter):
             )
         self.proof = proof
         self.alpha = self._resolved_alpha(alpha)
-        self.braking = self._share_of("braking", braking, 1.0 / self._step, 0.1)
+        self.braking = self._share_of("braking", braking, 1.0 / self._dt, 0.1)
         self.approach = self._share_of("approach", approach, self.braking, 0.1)
         self._solver = as_solver(solver)
         inertias = usual_inertias(robot)
         self._diagonal = self._resolved_weight(weight, inertias)
         self.weight = weight if isinstance(weight, str) else self._diagonal
-        self._options_given = {
-            "weight": self.weight,
-            "proof": proof,
-            "alpha": alpha,
-            "braking": braking,
-            "approach": approach,
-            "solver": solver,
-        }
         self._R = None if self._diagonal is None else np.diag(self._diagonal)
         self._is_inertia = isinstance(weight, str) and weight == "inertia"
         self._rho = self.braking
@@ -153,12 +147,26 @@ class TorqueLimited(Limiter):
     @property
     def dt(self) -> float | None:
         """Sampling time that control has to have [s], or None where any will do."""
-        return self._step if self._has_rate or self._looks_ahead else None
+        return self._dt if self._looks_ahead else None
+
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after a step, and a torque within the limits: see `Limiter.step`.
+
+        Raises:
+            InvalidInputError: Another dt than the one that speeds and positions are limited for.
+        """
+        if self._looks_ahead and dt != self._dt and not math.isclose(dt, self._dt):
+            raise InvalidInputError(
+                f"dt must be that of the controller, {self._dt:g} [s], got {dt!r}", given=dt
+            )
+        return super().step(state, measurement, target, dt)
 
     def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
         if self._only_clips:
             return asked.clipped, _LIMITED, math.nan
-        _, q, v, _ = asked.measurement
+        q, v = asked.measurement.q, asked.measurement.v
         answer = asked.answer
         size = math.hypot(
             *answer.torque.tolist(), *answer.e.tolist(), *q.tolist(), *v.tolist()
@@ -170,8 +178,8 @@ class TorqueLimited(Limiter):
 
     def _nearest(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
         """`_limit` itself."""
-        answer, state, measurement, lower, upper, torque, free = asked
-        wanted, (_, q, v, _) = answer.torque, measurement
+        answer, measurement, lower, upper, torque, free = asked
+        wanted, q, v = answer.torque, measurement.q, measurement.v
         y, rho, slack = None, 0.0, math.nan
         if not free and self.proof:
             y, rho = self._passive_output(answer, v)
@@ -180,7 +188,7 @@ class TorqueLimited(Limiter):
         speeds = q_dd = None
         keeps = True
         if self._looks_ahead:
-            speeds, q_dd, accelerations = self._predicted(state, q, v, torque)
+            speeds, q_dd, accelerations = self._predicted(answer, q, v, torque)
             keeps = _is_within(q_dd, accelerations)
         # the minimum without rows that it keeps is the minimum with them
         if keeps and free:
@@ -195,14 +203,13 @@ class TorqueLimited(Limiter):
             rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), accelerations)
         R = self._R
         if R is None:
-            g = self._law.gravity_torque(state, q)
-            R = M_inv if self._is_inertia else _task_force_weight(answer, g)
+            R = M_inv if self._is_inertia else _task_force_weight(answer)
         found, verdict = self._solve(R, wanted, y, rho, lower, upper, rows)
         if found is not None:
             return (found, *self._said(answer, _slack(found, wanted, y)))
         infeasible = verdict is Verdict.INFEASIBLE
         status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
-        torque = self._fallback(state, q, v, speeds, lower, upper)
+        torque = self._fallback(answer, v, speeds, lower, upper)
         _, slack = self._said(answer, _slack(torque, wanted, y))
         return torque, status, slack
 
@@ -245,7 +252,7 @@ class TorqueLimited(Limiter):
         return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
 
     def _fallback(
-        self, state: Array, q: Array, v: Array, speeds: Array | None, lower: Array, upper: Array
+        self, answer: Evaluation, v: Array, speeds: Array | None, lower: Array, upper: Array
     ) -> Array:
         """Gravity compensation, and brakes towards speeds that joints may have; shape (n_v,)."""
         slowest, fastest = (0.0, 0.0) if speeds is None else speeds
@@ -253,18 +260,18 @@ class TorqueLimited(Limiter):
         brakes = self._brakes * np.abs(excess)
         if self._ramp is not None:
             brakes = np.minimum(brakes, np.sqrt(self._ramp * np.abs(excess)))
-        torque: Array = self._law.gravity_torque(state, q) - np.sign(excess) * brakes
+        torque: Array = answer.gravity - np.sign(excess) * brakes
         return np.minimum(np.maximum(torque, lower), upper)
 
     def _predicted(
-        self, state: Array, q: Array, v: Array, torque: Array
+        self, answer: Evaluation, q: Array, v: Array, torque: Array
     ) -> tuple[Array, Array, Array]:
         """Bounds of speeds (2, n_v), the q̈ that the believed dynamics predict, and its bounds."""
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
         speeds = position_bounds(motion, self._position, self._approach)
         # a joint far beyond its limit comes back no faster than it may move
         speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
-        moving = torque - self._law.gravity_torque(state, q)
+        moving = torque - answer.gravity
         q_dd = self._dynamics.forward(q, v, moving)
         return speeds, q_dd, acceleration_bounds(v, speeds, self._braking, self._jerk)
 
@@ -321,14 +328,11 @@ class TorqueLimited(Limiter):
             return 1.0 / _light(inertias)
         return np.ones(nv) if weight == "identity" else None
 
-    def _options(self) -> dict[str, Any]:
-        return {**super()._options(), **self._options_given}
-
     def __repr__(self) -> str:
         weight = self.weight if isinstance(self.weight, str) else "a diagonal"
         return (
             f"TorqueLimited({self.controller!r}, weight={weight}, proof={self.proof}, "
-            f"dt={self._step:g}, braking={self.braking:g}, solver={self._solver.name})"
+            f"dt={self._dt:g}, braking={self.braking:g}, solver={self._solver.name})"
         )
 
 
@@ -349,13 +353,13 @@ def _quickest(inertias: Array, damping: Array) -> float:
     return float(np.linalg.eigvalsh(scaled)[:, -1].max())
 
 
-def _task_force_weight(answer: Evaluation, g: Array) -> Array:
+def _task_force_weight(answer: Evaluation) -> Array:
     """R that makes it dear to turn the force on the task, shape (n_v, n_v).
 
     R = I + w N P N with P = Ĵᵀ(ĴĴᵀ)⁻¹Ĵ, onto the joint torques that act on the task, and
     N = I − uuᵀ, u the direction of the law's own τ* − g.
     """
-    force = answer.torque - g
+    force = answer.torque - answer.gravity
     size, J_hat = math.hypot(*force.tolist()), answer.J_hat
     if size == 0.0 or J_hat is None:
         return np.eye(len(force))

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.checked import CheckedController
 from approxjac.controllers.gravity import (
     AdaptiveGravity,
     Gravity,
@@ -15,6 +12,7 @@ from approxjac.controllers.gravity import (
     require_gravity,
 )
 from approxjac.controllers.saturation import require_saturation
+from approxjac.controllers.task_controller import TaskController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Status
 from approxjac.law import Linear, Saturation
@@ -27,7 +25,7 @@ _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow t
 _SINGULAR = Status.NEAR_SINGULAR
 
 
-class VelocityServo(CheckedController):
+class VelocityServo(TaskController):
     """Image-based visual servoing at velocity level, with an inner velocity loop.
 
     q̇_ref = −λ Ĵ⁺s(e),   τ = M̂(q) ω (q̇_ref − q̇) + Ĉ(q, q̇)q̇ + gravity
@@ -76,6 +74,7 @@ class VelocityServo(CheckedController):
         gravity: Gravity | None = None,
         saturation: Saturation | None = None,
     ) -> None:
+        self._remember(locals())
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         self.rate = _as_rate("rate", rate)
         self.inner_bandwidth = _as_rate("inner_bandwidth", inner_bandwidth)
@@ -114,26 +113,27 @@ class VelocityServo(CheckedController):
         return law.within_speeds(reference, self.velocity_limits), damping
 
     def _answer(
-        self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
+        self,
+        q: Array,
+        v: Array,
+        x: Array,
+        e: Array,
+        state: Array,
+        x_d_dot: Array | None,
+        lost: bool,
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked."""
         J_hat = self.task.compute_jacobian(q, x)
         s = np.zeros_like(e) if lost else self.saturation.s(e)
         reference, damping = self._reference(J_hat, s)
         moving = self._dynamics.inverse(q, v, self.inner_bandwidth * (reference - v))
-        g = self.gravity.torque(q)  # type: ignore[union-attr]
+        g = self.gravity_torque(state, q)
         status = _LOST if lost else _SINGULAR if damping > 0.0 else _OK
-        return Evaluation(moving + g, self._no_rate, status, e, J_hat)
+        return Evaluation(moving + g, self._no_rate, status, e, J_hat, g)
 
-    def with_task(self, task: Task) -> VelocityServo:
-        """Return this controller with another task; gravity stays that of its robot."""
-        own = (self.rate, self.inner_bandwidth, self.gravity, self.saturation)
-        return _copied(type(self), task, *own)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # a copy has scratch memory of its own, down to that of its task and its gravity
-        names = ("task", "rate", "inner_bandwidth", "gravity", "saturation")
-        return _copied, (type(self), *(getattr(self, name) for name in names))
+    def gravity_torque(self, state: Array, q: Array) -> Array:
+        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
+        return self.gravity.torque(q).copy()  # type: ignore[union-attr]
 
     def __repr__(self) -> str:
         return (
@@ -146,14 +146,3 @@ def _as_rate(name: str, value: float) -> float:
     number = as_number(name, value, unit="1/s", above=0.0)
     as_diagonal(name, number, 1, unit="1/s")  # not beyond what gains may be
     return number
-
-
-def _copied(
-    kind: type[VelocityServo],
-    task: Task,
-    rate: float,
-    inner_bandwidth: float,
-    gravity: Gravity,
-    saturation: Saturation,
-) -> VelocityServo:
-    return kind(task, rate, inner_bandwidth=inner_bandwidth, gravity=gravity, saturation=saturation)

@@ -110,5 +110,5 @@ def run_experiment(
         record_every=setup.duration / max(2400, math.ceil(setup.duration / 0.05)),
         progress=progress,
     )
-    theta_hat = controller.theta_hat(run.state)[-1] if experiment.learn_gravity else None
+    theta_hat = controller.learnt(run.state)[-1] if experiment.learn_gravity else None
     return Result(experiment, run, local_stability(plant, controller, q_target), theta_hat)

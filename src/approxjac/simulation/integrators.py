@@ -4,37 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-import pinocchio as pin
-
-from approxjac.simulation.plant import Plant
 from approxjac.validation import Array
 
-Integrator = Callable[[Plant, Array, Array, Array, float], tuple[Array, Array]]
+Acceleration = Callable[[Array, Array, Array], Array]
+Motion = Callable[[Array, Array], Array]
+Integrator = Callable[[Acceleration, Motion, Array, Array, Array, float], tuple[Array, Array]]
 
 
-def rk4(plant: Plant, q: Array, v: Array, tau: Array, dt: float) -> tuple[Array, Array]:
-    """Classical Runge–Kutta, order 4: returns (q, v) after dt [s]."""
-    model = plant.robot.model
-    a1 = plant.acceleration(q, v, tau)
-    v2 = v + 0.5 * dt * a1
-    a2 = plant.acceleration(pin.integrate(model, q, 0.5 * dt * v), v2, tau)
-    v3 = v + 0.5 * dt * a2
-    a3 = plant.acceleration(pin.integrate(model, q, 0.5 * dt * v2), v3, tau)
+def rk4(
+    acceleration: Acceleration, moved: Motion, q: Array, v: Array, tau: Array, dt: float
+) -> tuple[Array, Array]:
+    """Return (q, v) after dt by the classical Runge–Kutta method, order 4.
+
+    Args:
+        acceleration: q̈ of (q, q̇, τ), which may alias scratch memory.
+        moved: Configuration after a motion (n_v,) from a configuration (nq,).
+        q: Configuration, shape (nq,).
+        v: Velocity, shape (n_v,).
+        tau: Torque, shape (n_v,).
+        dt: Time [s].
+    """
+    half = 0.5 * dt
+    a1 = acceleration(q, v, tau).copy()
+    v2 = v + half * a1
+    a2 = acceleration(moved(q, half * v), v2, tau).copy()
+    v3 = v + half * a2
+    a3 = acceleration(moved(q, half * v2), v3, tau).copy()
     v4 = v + dt * a3
-    a4 = plant.acceleration(pin.integrate(model, q, dt * v3), v4, tau)
-    q_new = pin.integrate(model, q, dt / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4))
+    a4 = acceleration(moved(q, dt * v3), v4, tau)
+    q_new = moved(q, dt / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4))
     return q_new, v + dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
 
 
 def semi_implicit_euler(
-    plant: Plant, q: Array, v: Array, tau: Array, dt: float
+    acceleration: Acceleration, moved: Motion, q: Array, v: Array, tau: Array, dt: float
 ) -> tuple[Array, Array]:
-    """Velocity first, then position with the new velocity, order 1: returns (q, v) after dt.
+    """Return (q, v) after dt: velocity first, then position with the new velocity, order 1.
 
-    The scheme of most physics engines; one evaluation of the dynamics a step.
+    The scheme of most physics engines; one evaluation of the dynamics a step. Arguments as for
+    `rk4`.
     """
-    v_new = v + dt * plant.acceleration(q, v, tau)
-    return pin.integrate(plant.robot.model, q, dt * v_new), v_new
+    v_new = v + dt * acceleration(q, v, tau)
+    return moved(q, dt * v_new), v_new
 
 
 INTEGRATORS: Mapping[str, Integrator] = {

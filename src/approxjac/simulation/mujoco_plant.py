@@ -11,11 +11,11 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, MissingPackageError, UrdfError
-from approxjac.robots import Dynamics, Robot
+from approxjac.robots import Robot
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.sensing import Sensing
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number, as_vector, require
+from approxjac.validation import Array, as_number, require
 
 if TYPE_CHECKING:
     import mujoco
@@ -50,6 +50,9 @@ class MujocoPlant(Plant):
             fixed to the base may be below it.
         joint_limits: Whether the joints stop at `Robot.position_limits`.
 
+    Attributes:
+        mujoco_model: MuJoCo's model of the robot and the floor, such as for its viewer. Read-only.
+
     Raises:
         InvalidInputError: As for `Plant`, a floor that is no height, or mimic joints that move.
         MissingPackageError: MuJoCo is not installed.
@@ -70,6 +73,7 @@ class MujocoPlant(Plant):
         floor: float | None = None,
         joint_limits: bool = True,
     ) -> None:
+        self._remember(locals())
         super().__init__(
             robot,
             sensor,
@@ -89,62 +93,38 @@ class MujocoPlant(Plant):
         self.floor = None if floor is None else as_number("floor", floor, unit="m")
         require("joint_limits", joint_limits, bool, "True or False")
         self.joint_limits = joint_limits
-        self.dynamics: MujocoDynamics = MujocoDynamics(
-            _mujoco_model(robot, self.floor, joint_limits), robot
-        )
+        self.mujoco_model = _mujoco_model(robot, self.floor, joint_limits)
+        import mujoco
 
-    @property
-    def mujoco_model(self) -> mujoco.MjModel:
-        """MuJoCo's model of the robot and the floor, such as for its viewer. Read-only."""
-        return self.dynamics.mujoco_model
+        self._mujoco, self._mujoco_data = mujoco, mujoco.MjData(self.mujoco_model)
+        self._neutral = robot.neutral()
+        # MuJoCo has one number a joint, continuous joints included, but another order of joints
+        joints = [self.mujoco_model.joint(name) for name in robot.joint_names]
+        self._places = np.array([joint.dofadr[0] for joint in joints])
+
+    def _forward(self, q: Array, v: Array, tau: Array) -> Array:
+        """Return q̈ by MuJoCo, with the forces of limits and floor, shape (n_v,).
+
+        The same inputs give the same bits, whatever was asked before.
+        """
+        data, places = self._mujoco_data, self._places
+        data.qpos[places] = pin.difference(self.robot.model, self._neutral, q)
+        data.qvel[places] = v
+        data.qfrc_applied[places] = tau
+        self._mujoco.mj_forward(self.mujoco_model, data)
+        return np.array(data.qacc[places])
 
     def _is_free(self, q: Array) -> bool:
-        return not self.dynamics.touches(q)
+        data = self._mujoco_data
+        data.qpos[self._places] = pin.difference(self.robot.model, self._neutral, q)
+        self._mujoco.mj_kinematics(self.mujoco_model, data)
+        self._mujoco.mj_collision(self.mujoco_model, data)
+        return not data.ncon
 
     def _shown(self) -> list[str]:
         return [
             *super()._shown(), f"floor={self.floor}", f"joint_limits={self.joint_limits}"
         ]  # fmt: skip
-
-
-class MujocoDynamics(Dynamics):
-    """Forward dynamics by MuJoCo; M, C and g of the free arm by Pinocchio.
-
-    Args:
-        model: MuJoCo's model of the robot, and of what it may touch.
-        robot: The robot.
-    """
-
-    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
-        import mujoco
-
-        super().__init__(robot)
-        self.mujoco_model = model
-        self._mujoco = mujoco
-        self._mujoco_data = mujoco.MjData(model)
-        self._neutral = robot.neutral()
-        # MuJoCo has one number a joint, continuous joints included, but another order of joints
-        self._places = np.array([model.joint(name).dofadr[0] for name in robot.joint_names])
-
-    def forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """q̈ from τ, with the forces of limits and floor; shape (n_v,) [rad/s² or m/s²].
-
-        The same inputs give the same bits, whatever was asked before.
-        """
-        data, places = self._mujoco_data, self._places
-        data.qpos[places] = pin.difference(self.robot.model, self._neutral, self._q(q))
-        data.qvel[places] = self._v(v)
-        data.qfrc_applied[places] = as_vector("tau", tau, self.robot.nv)
-        self._mujoco.mj_forward(self.mujoco_model, data)
-        return np.array(data.qacc[places])
-
-    def touches(self, q: Array) -> bool:
-        """Whether the arm touches the floor, or is in it, in a posture of shape (nq,)."""
-        data = self._mujoco_data
-        data.qpos[self._places] = pin.difference(self.robot.model, self._neutral, self._q(q))
-        self._mujoco.mj_kinematics(self.mujoco_model, data)
-        self._mujoco.mj_collision(self.mujoco_model, data)
-        return bool(data.ncon)
 
 
 def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:

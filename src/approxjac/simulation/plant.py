@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
-from approxjac.simulation.ready_configuration import ready_posture
+from approxjac.robots.model import WORLD
+from approxjac.simulation.integrators import Integrator
+from approxjac.simulation.ready_configuration import ready_configuration
 from approxjac.simulation.sensing import Sensing, SensorReadings
 from approxjac.tasks import PositionTask, Task
-from approxjac.validation import Array, as_diagonal, as_limits, as_number, as_vector, require
+from approxjac.validation import (
+    Array,
+    Immutable,
+    as_diagonal,
+    as_limits,
+    as_number,
+    as_vector,
+    require,
+)
 
 
-class Plant:
+class Plant(Immutable):
     """M(q) q̈ + C(q, q̇)q̇ + B q̇ + τ_c tanh(q̇/v_c) + g(q) = τ of the true robot, eq. (1).
 
     It yields measurements and takes torques; nothing else of it reaches a controller. The
@@ -58,6 +69,7 @@ class Plant:
         actuator_delay: float = 0.0,
         torque_limits: float | Sequence[float] | Array | None = None,
     ) -> None:
+        self._remember(locals())
         require("robot", robot, Robot, "the true Robot")
         sensor = PositionTask(robot) if sensor is None else sensor
         require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
@@ -84,19 +96,25 @@ class Plant:
             if torque_limits is None
             else as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         )
+        self._has_coulomb = bool(self.coulomb.any())
+        self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
 
-    @functools.cached_property
+    @cached_property
     def dynamics(self) -> Dynamics:
-        """M, C and g of the true robot, made when they are first asked for."""
+        """M, C and g of the true robot."""
         return Dynamics(self.robot)
 
-    def ready_posture(self) -> Array:
-        """A posture to start from, the same each time; `simulate` starts from it by default.
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self.robot.model.createData()
 
-        Of 300 seeded postures in the middle 80 % of each joint's range (`Robot.usual_range`), the
-        one farthest from singular, with the largest σ_min of the sensor's Jacobian; among those
-        that the sensor sees, that the motors hold with at most 70 % of their limits, and in which
-        the arm touches nothing.
+    def ready_configuration(self) -> Array:
+        """Return a configuration to start from, the same each time, as `simulate` does by default.
+
+        Of 300 seeded configurations in the middle 80 % of each joint's range
+        (`Robot.usual_range`), the one farthest from singular, with the largest σ_min of the
+        sensor's Jacobian; among those that the sensor sees, that the motors hold with at most 70 %
+        of their limits, and in which the arm touches nothing.
 
         Returns:
             Shape (nq,).
@@ -106,15 +124,15 @@ class Plant:
         """
         motors = np.inf if self.torque_limits is None else self.torque_limits
         effort = np.minimum(self.robot.effort_limits, motors)
-        return ready_posture(self.sensor, effort, self._is_free)
+        return ready_configuration(self.sensor, effort, self._is_free)
 
     def _is_free(self, q: Array) -> bool:
-        """Whether the arm touches nothing in a posture."""
+        """Return whether the arm touches nothing in a configuration."""
         return True
 
     @property
     def needs_sampling(self) -> bool:
-        """Whether only sampled control makes sense of it, with measurements or torques late."""
+        """Return whether it needs sampled control, as measurements or torques are late."""
         return self.sensing is not None or self.actuator_delay > 0.0
 
     def require_ideal(self, what: str) -> None:
@@ -189,24 +207,52 @@ class Plant:
             )
 
     def acceleration(self, q: Array, v: Array, tau: Array) -> Array:
-        """q̈ under a torque, shape (n_v,) [rad/s² or m/s²]."""
-        v = as_vector("v", v, self.robot.nv)
-        tau = as_vector("tau", tau, self.robot.nv)
-        return self.dynamics.forward(q, v, self.joint_torque(v, tau))
+        """Return q̈ under a torque, shape (n_v,) [rad/s² or m/s²]."""
+        nv = self.robot.nv
+        q, v = self.robot.configuration(q), as_vector("v", v, nv)
+        return self._acceleration(q, v, self._delivered(as_vector("tau", tau, nv))).copy()
 
-    def joint_torque(self, v: Array, tau: Array) -> Array:
-        """What of a torque arrives at the joints: within the motors' limits, less friction."""
-        if self.torque_limits is not None:
-            tau = np.clip(tau, -self.torque_limits, self.torque_limits)
+    def advance(
+        self, q: Array, v: Array, tau: Array, dt: float, integrate: Integrator
+    ) -> tuple[Array, Array]:
+        """Return (q, v) after dt [s] under a torque that is held.
+
+        Its arguments are not checked: a loop that calls it checks what comes out, once a step.
+        """
+        return integrate(self._acceleration, self._moved, q, v, self._delivered(tau), dt)
+
+    def _moved(self, q: Array, motion: Array) -> Array:
+        """Return the configuration after a motion (n_v,) from q (nq,)."""
+        if self._is_vector:
+            return q + motion
+        return np.asarray(pin.integrate(self.robot.model, q, motion))
+
+    def _delivered(self, tau: Array) -> Array:
+        """Return the part of a torque that the motors deliver."""
+        if self.torque_limits is None:
+            return tau
+        return np.minimum(np.maximum(tau, -self.torque_limits), self.torque_limits)
+
+    def _friction(self, v: Array) -> Array:
         friction = self.friction * v
-        if self.coulomb.any():
+        if self._has_coulomb:
             friction = friction + self.coulomb * np.tanh(v / self.coulomb_velocity)
-        return tau - friction
+        return friction
+
+    def _acceleration(self, q: Array, v: Array, tau: Array) -> Array:
+        """Return q̈ under a torque that the motors deliver, for arguments that are checked."""
+        return self._forward(q, v, tau - self._friction(v))
+
+    def _forward(self, q: Array, v: Array, tau: Array) -> Array:
+        """Return q̈ under a torque at the joints, for arguments that are checked."""
+        if self.robot.mimic_joints.G is not None:
+            return self.dynamics.forward(q, v, tau)
+        return np.asarray(pin.aba(self.robot.model, self._data, q, v, tau, WORLD))
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
-        """What ideal sensors measure at time t [s]; NaN what the sensor cannot see."""
+        """Return what ideal sensors measure at t [s]; NaN what the sensor cannot see."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        return Measurement(t, q, v, self.sensor.seen(self.sensor.value(q)))
+        return Measurement(t, q, v, self.sensor.seen(self.sensor.value(q)), t)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(self._shown())})"

@@ -1,4 +1,4 @@
-"""Where a run may start: a posture that motors hold, that is seen and far from singular."""
+"""A configuration to start from: held by the motors, seen, and far from singular."""
 
 from __future__ import annotations
 
@@ -17,10 +17,13 @@ _INNER = 0.8  # share of each joint's range that is drawn from
 _HOLDABLE = 0.7  # of the effort limits
 
 
-def ready_posture(sensor: Task, effort: Array, is_free: Callable[[Array], bool]) -> Array:
-    """The rule of `Plant.ready_posture`, for motors with the limits `effort`, shape (n_v,).
+def ready_configuration(sensor: Task, effort: Array, is_free: Callable[[Array], bool]) -> Array:
+    """Return the configuration of `Plant.ready_configuration`.
 
-    Of the postures that are free, `is_free(q)`.
+    Args:
+        sensor: Task of the true robot.
+        effort: Limits of the motors, shape (n_v,) [N m or N].
+        is_free: Whether the arm touches nothing in a configuration.
     """
     robot = sensor.robot
     rng, dynamics = np.random.default_rng(0), Dynamics(robot)
@@ -38,13 +41,13 @@ def ready_posture(sensor: Task, effort: Array, is_free: Callable[[Array], bool])
             best, found = sigma_min, q
     if found is None:
         raise InvalidInputError(
-            f"q0 must be given for {robot.name}: no posture was found that its motors can hold and "
-            f"that {sensor!r} sees; a lighter object may help",
+            f"q0 must be given for {robot.name}: no configuration was found that its motors can "
+            f"hold and that {sensor!r} sees; a lighter object may help",
             given=None,
         )
     return found
 
 
 def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:
-    """Whether holding a posture takes at most 70 % of the effort limits."""
+    """Return whether holding a configuration takes at most 70 % of the effort limits."""
     return not (np.abs(dynamics.g(q)) > _HOLDABLE * effort).any()

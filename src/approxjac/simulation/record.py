@@ -1,30 +1,39 @@
-"""`Record`: what is kept of a run while it goes on."""
+"""`Record`: instants of a run while it goes on, and what is derived from them when asked for."""
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from approxjac.controllers import SetpointController, law_of
 from approxjac.interface import Controller, Evaluation, Measurement
-from approxjac.robots import Robot
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.scene import Scene
 from approxjac.simulation.trajectory import Trajectory
-from approxjac.tasks import Task
 from approxjac.validation import Array
 
 
-class _Instant(NamedTuple):
+class Instant(NamedTuple):
+    """One instant of a run.
+
+    Attributes:
+        truth: Measurement of ideal sensors.
+        x_measured: Part of x that the controller got, shape (n_x,).
+        state: State of the controller, shape (n_state,).
+        answer: Answer of the controller.
+        target: x_d, shape (n_x,).
+        controller: The controller.
+    """
+
     truth: Measurement
     x_measured: Array
     state: Array
     answer: Evaluation
     target: Array
-    error: Array
-    task_torque: Array
-    V: float
+    controller: Controller
 
 
 class Record:
@@ -36,110 +45,139 @@ class Record:
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self._kept: list[_Instant] = []
-        self._theta: tuple[Any, Array | None] = (None, None)  # of the law that it is for
-
-    def add(
-        self,
-        truth: Measurement,
-        x_measured: Array,
-        state: Array,
-        answer: Evaluation,
-        target: Array,
-        controller: Controller,
-    ) -> None:
-        """Keep one instant.
-
-        Args:
-            truth: What ideal sensors measure.
-            x_measured: What the controller got of x, shape (n_x,).
-            state: State of the controller, shape (n_state,).
-            answer: What it answered.
-            target: x_d, shape (n_x,).
-            controller: Which one it was.
-        """
-        plant = self._plant
-        if not np.isfinite(truth.x).all():  # the record has what no sensor sees too
-            truth = truth._replace(x=plant.sensor.value(truth.q))
-        # to keep it: a controller may use one buffer for all its torques
-        answer = answer._replace(torque=answer.torque.copy())
-        error = plant.sensor.error(truth.x, target)
-        law: Any = getattr(controller, "law", None)
-        task_torque = np.full(plant.robot.nv, np.nan)
-        V = math.nan
-        if law is not None and answer.J_hat is not None:
-            task_torque = law.task_torque(answer, truth.v)
-            V = self._lyapunov_value(law, truth, state, answer, target)
-        self._kept.append(_Instant(truth, x_measured, state, answer, target, error, task_torque, V))
+        self._kept: list[Instant] = []
+        self.add = self._kept.append
 
     def trajectory(self, controller: Controller) -> Trajectory:
-        """All that was kept, as arrays with time as their first axis.
+        """Return all that was kept, as arrays with time as their first axis.
 
         Args:
             controller: The last one.
         """
         plant, kept = self._plant, self._kept
         robot, sensor = plant.robot, plant.sensor
+        truths, _, states, answers, _, controllers = zip(*kept, strict=True)
+        times, q, v, x, _ = map(np.array, zip(*truths, strict=True))
+        torques, _, statuses, _, _, _, limit_statuses, slacks = zip(*answers, strict=True)
+        x_d = np.array([each.target for each in kept])
+        for k in np.flatnonzero(~np.isfinite(x).all(axis=1)):  # a record has what no sensor sees
+            x[k] = sensor.value(q[k])
+        error = (
+            x - x_d
+            if sensor.subtracts
+            else np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)])
+        )
         return Trajectory(
-            t=np.array([k.truth.t for k in kept]),
-            q=np.array([k.truth.q for k in kept]),
-            v=np.array([k.truth.v for k in kept]),
-            x=np.array([k.truth.x for k in kept]),
-            x_measured=np.array([k.x_measured for k in kept]),
-            x_d=np.array([k.target for k in kept]),
-            error=np.array([k.error for k in kept]),
-            tau=np.array([k.answer.torque for k in kept]),
-            task_torque=np.array([k.task_torque for k in kept]),
-            V=np.array([k.V for k in kept]),
-            state=np.array([k.state for k in kept]),
-            status=np.array([int(k.answer.status) for k in kept], dtype=np.int64),
-            limit_status=np.array([int(k.answer.limit_status) for k in kept], dtype=np.int64),
-            slack=np.array([k.answer.slack for k in kept]),
-            sigma_min=np.array([k.answer.sigma_min for k in kept]),
+            t=times,
+            q=q,
+            v=v,
+            x=x,
+            x_measured=np.array([each.x_measured for each in kept]),
+            x_d=x_d,
+            error=error,
+            tau=np.array(torques),
+            state=np.array(states),
+            status=np.array(statuses, dtype=np.int64),
+            limit_status=np.array(limit_statuses, dtype=np.int64),
+            slack=np.array(slacks),
             robot_name=robot.name,
             joint_names=robot.joint_names,
             joint_units=robot.joint_units,
             task_labels=sensor.labels,
             task_units=sensor.units,
             scene=scene_of(plant, controller),
+            derived=_Derivation(plant, controllers, answers),
         )
 
     def taken(self, controller: Controller) -> Trajectory:
-        """`trajectory`, of which nothing is kept any longer."""
+        """Return `trajectory`, and keep nothing of it any longer."""
         run = self.trajectory(controller)
         self._kept.clear()
         return run
 
-    def _lyapunov_value(
-        self, law: Any, truth: Measurement, state: Array, answer: Evaluation, target: Array
-    ) -> float:
-        """V of the true arm."""
-        if self._theta[0] is not law:
-            regressor = None if law.adaptation is None else law.adaptation.regressor
-            theta = None if regressor is None else regressor.fit(self._plant.robot)[0]
-            self._theta = law, theta
-        e = law.task.error(truth.x, target)  # the true one; that of the answer is as measured
-        value: float = law.lyapunov_value(
-            answer._replace(e=e),
-            truth.v,
-            self._plant.dynamics.M(truth.q),
-            law.alpha,
-            state[: law.n_state],
-            self._theta[1],
-        )
-        return value
+
+class _Derivation:
+    """Computes V and the like of a run when they are asked for, with the controllers that ran.
+
+    Args:
+        plant: The plant.
+        controllers: The controller at each instant.
+        answers: Their answers.
+    """
+
+    def __init__(
+        self, plant: Plant, controllers: Sequence[Controller], answers: Sequence[Evaluation]
+    ) -> None:
+        self._plant = plant
+        changes = [k for k in range(1, len(answers)) if controllers[k] is not controllers[k - 1]]
+        self._parts: list[_Part] = []
+        for start, end in itertools.pairwise([0, *changes, len(answers)]):
+            law, said = law_of(controllers[start]), answers[start:end]
+            J_hat = rate = None
+            if all(answer.J_hat is not None for answer in said):
+                J_hat = np.array([answer.J_hat for answer in said])
+            if isinstance(law, SetpointController) and law.velocity is not None:
+                rate = np.array([answer.state_rate for answer in said])
+            e = np.array([answer.e for answer in said])
+            self._parts.append(_Part(slice(start, end), law, e, J_hat, rate))
+
+    def sigma_min(self, run: Trajectory) -> Array:
+        """Return the smallest singular value of Ĵ, NaN without one, shape (N,)."""
+        found = np.full(len(run.t), np.nan)
+        for which, _, _, J_hat, _ in self._parts:
+            if J_hat is not None:
+                found[which] = np.linalg.svd(J_hat, compute_uv=False)[:, -1]
+        return found
+
+    def task_torque(self, run: Trajectory) -> Array:
+        """Return the part of the law's torque that acts on the task, shape (N, n_v)."""
+        found = np.full(run.v.shape, np.nan)
+        for which, law, e, J_hat, rate in self._parts:
+            if isinstance(law, SetpointController) and J_hat is not None:
+                rate = np.zeros((len(e), 0)) if rate is None else rate
+                found[which] = law.task_torque(e, run.v[which], J_hat, rate)
+        return found
+
+    def V(self, run: Trajectory) -> Array:
+        """Return V of the true arm, shape (N,)."""
+        found = np.full(len(run.t), np.nan)
+        for which, law, _, J_hat, _ in self._parts:
+            if not isinstance(law, SetpointController) or J_hat is None:
+                continue
+            theta_error = [None] * len(J_hat)
+            if law.adaptation is not None:
+                theta = law.adaptation.regressor.fit(self._plant.robot)[0]
+                theta_error = theta - law.learnt(run.state[which])
+            each = zip(
+                run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error,
+                strict=True,
+            )  # fmt: skip
+            found[which] = [
+                law.lyapunov_value(
+                    law.task.error(x, x_d), v, J, self._plant.dynamics.M(q), law.alpha, off
+                )
+                for x, x_d, q, v, J, off in each
+            ]
+        return found
+
+
+class _Part(NamedTuple):
+    """Instants with the same controller: the law inside of it, and what it answered."""
+
+    which: slice
+    law: Controller
+    e: Array
+    J_hat: Array | None
+    rate: Array | None
 
 
 def scene_of(plant: Plant, controller: Controller) -> Scene:
-    """Who takes part in a run."""
-    task = getattr(controller, "task", None)
-    task = task if isinstance(task, Task) else None
+    """Return who takes part in a run."""
     limits = plant.torque_limits
-    belief: Robot | None = None if task is None else task.robot
     return Scene(
         plant.robot,
-        belief,
+        controller.task.robot,
         plant.sensor,
-        task,
+        controller.task,
         plant.robot.effort_limits if limits is None else np.asarray(limits),
     )

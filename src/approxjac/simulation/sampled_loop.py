@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
 
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError
-from approxjac.interface import Controller, Evaluation, Measurement
+from approxjac.interface import Controller, Evaluation, Measurement, Target, TargetPath
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.sensing import SensorReadings
@@ -16,10 +17,11 @@ from approxjac.validation import Array, as_array, require
 
 
 class SampledLoop:
-    """A closed loop whose torque is held over dt; the controller's state takes an Euler step.
+    """A closed loop whose torque is held over dt (zero-order hold).
 
-    `simulate` runs it. An observer gets it after every evaluation, may look at all of it, and may
-    move the target, exchange the controller or stop it; what it does not touch stays as it was.
+    `simulate` runs it. An observer gets it after every step of the controller, may look at all of
+    it, and may move the target, exchange the controller or stop it; what it does not touch stays
+    as it was.
 
     Attributes:
         plant: The true robot.
@@ -28,10 +30,10 @@ class SampledLoop:
         dt: Sampling time [s].
         step: Number of the step.
         steps: Number of the last one.
-        truth: What ideal sensors measure; its x is NaN where the sensor does not see.
-        measurement: What the controller gets.
-        state: State of the controller, shape (n_state,).
-        answer: What the controller answered.
+        truth: Measurement of ideal sensors; its x is NaN where the sensor does not see.
+        measurement: Measurement that the controller gets.
+        state: State of the controller before this step, shape (n_state,).
+        answer: Answer of the controller.
         stopped: Whether an observer stopped it.
     """
 
@@ -39,7 +41,7 @@ class SampledLoop:
         self,
         plant: Plant,
         controller: Controller,
-        target: Array,
+        path: Wanted,
         q: Array,
         v: Array,
         dt: float,
@@ -49,21 +51,22 @@ class SampledLoop:
     ) -> None:
         self.plant = plant
         self.controller = controller
-        self.target = target
         self.dt = dt
         self.step = 0
         self.steps = steps
         self.stopped = False
+        self._path = path
         self._integrate = INTEGRATORS[integrator]
         self._readings = None
         if plant.sensing is not None:
             self._readings = SensorReadings(plant.sensing, plant.sensor, dt, seed)
         self.truth = plant.measure(0.0, q, v)
         self.measurement = self._read(self.truth)
-        self.state = first_state(plant, controller, target, self.measurement)
+        self._aim()
+        self.state = first_state(plant, controller, self._wanted, self.measurement, dt)
         late = round(min(plant.actuator_delay / dt, float(steps)))
         self._waiting = deque([plant.dynamics.g(q)] * late)
-        self.answer = self._evaluate()
+        self._control()
 
     @property
     def t(self) -> float:
@@ -76,40 +79,42 @@ class SampledLoop:
         return self.stopped or self.step == self.steps
 
     def advance(self) -> None:
-        """Hold the torque for dt, measure, and evaluate the controller.
+        """Hold the torque for dt, measure, and step the controller.
 
         Raises:
             SimulationError: The closed loop diverged.
         """
         self._waiting.append(self.answer.torque)
-        self.state = self.state + self.dt * self.answer.state_rate
+        self.state = self._after
+        torque, truth = self._waiting.popleft(), self.truth
+        q, v = self.plant.advance(truth.q, truth.v, torque, self.dt, self._integrate)
+        self.step += 1
         try:
-            torque = self._waiting.popleft()
-            q, v = self._integrate(self.plant, self.truth.q, self.truth.v, torque, self.dt)
-            as_array("state", self.state, self.state.shape)
-            self.step += 1
             self.truth = self.plant.measure(self.step * self.dt, q, v)
         except InvalidInputError as error:
             raise self._diverged(error) from error
         self.measurement = self._read(self.truth)
-        self.answer = self._evaluate()
+        self._aim()
+        self._control()
 
-    def aim_at(self, target: Array) -> None:
+    def aim_at(self, target: Target | TargetPath | Array) -> None:
         """Move the target, from the next step on.
 
         Raises:
             InvalidInputError: Wrong shape, not finite, or not a value that the sensor has.
         """
-        wanted = self.plant.sensor.target(target)
+        path = wanted_of(self.plant.sensor, target, self.t)
+        wanted = target_at(path, self.t)
         try:
-            self.controller.evaluate(self.state, self.measurement, wanted)
+            self.controller.step(self.state, self.measurement, wanted, self.dt)
         except MeasurementError as error:
             raise InvalidInputError(
                 f"target must be one that the controller can be evaluated with, without an "
-                f"overflow, got {wanted.tolist()}",
+                f"overflow, got {_x_of(wanted).tolist()}",
                 given=target,
             ) from error
-        self.target = wanted
+        self._path = path
+        self.target = _x_of(wanted)
 
     def exchange(self, controller: Controller) -> None:
         """Let another controller go on, from the next step on.
@@ -121,7 +126,7 @@ class SampledLoop:
                 for another sampling time.
         """
         require_fit(self.plant, controller, self.dt)
-        state = first_state(self.plant, controller, self.target, self.measurement)
+        state = first_state(self.plant, controller, self._wanted, self.measurement, self.dt)
         if state.shape != self.state.shape:
             raise InvalidInputError(
                 f"controller must have a state of length {len(self.state)} to go on with, got "
@@ -134,13 +139,21 @@ class SampledLoop:
         """End the run at this step."""
         self.stopped = True
 
-    def _evaluate(self) -> Evaluation:
+    def _aim(self) -> None:
+        self._wanted = target_at(self._path, self.truth.t)
+        self.target = _x_of(self._wanted)
+
+    def _control(self) -> None:
         try:
-            answer = self.controller.evaluate(self.state, self.measurement, self.target)
+            self._after, answer = self.controller.step(
+                self.state, self.measurement, self._wanted, self.dt
+            )
+            if not math.isfinite(math.hypot(*self._after.tolist())):
+                as_array("state", self._after, self._after.shape)
         except (InvalidInputError, MeasurementError) as error:
             raise self._diverged(error) from error
         # a controller may use one buffer for all its torques, and `aim_at` asks it once more
-        return answer._replace(torque=answer.torque.copy())
+        self.answer: Evaluation = answer._replace(torque=answer.torque.copy())
 
     def _read(self, truth: Measurement) -> Measurement:
         return truth if self._readings is None else self._readings.read(truth)
@@ -149,8 +162,43 @@ class SampledLoop:
         return diverged(self.step * self.dt, self.steps * self.dt, error)
 
 
+Wanted = Target | TargetPath | Array
+"""A target that has been checked: an array at rest, a `Target`, or a path."""
+
+
+def wanted_of(sensor: Task, target: object, t: float) -> Wanted:
+    """Return a target, or a path, whose value at t [s] is one of the sensor.
+
+    Raises:
+        InvalidInputError: Wrong shape, not finite, or not a value that the sensor has.
+    """
+    if not isinstance(target, Target | TargetPath):
+        return sensor.target(target)
+    now = target.at(t) if isinstance(target, TargetPath) else target
+    require("at(t) of a path", now, Target, "a Target(x, v, a)")
+    x = sensor.target(now.x)
+    if isinstance(target, TargetPath):
+        return target
+    rates = {
+        name: None if value is None else as_array(f"{name} of the target", value, (sensor.m,))
+        for name, value in (("v", now.v), ("a", now.a))
+    }
+    return Target(x, **rates)
+
+
+def target_at(wanted: Wanted, t: float) -> Target | Array:
+    """Return the target at t [s]."""
+    if isinstance(wanted, np.ndarray | Target):
+        return wanted
+    return wanted.at(t)
+
+
+def _x_of(target: Target | Array) -> Array:
+    return target.x if isinstance(target, Target) else target
+
+
 def diverged(t: float, duration: float, error: Exception) -> SimulationError:
-    """The error that says that a loop diverged."""
+    """Return the error of a loop that diverged."""
     return SimulationError(
         f"the simulation diverged at t = {t:g} of {duration:g} s: {error} (a smaller dt or smaller "
         "gains may help)",
@@ -159,21 +207,27 @@ def diverged(t: float, duration: float, error: Exception) -> SimulationError:
 
 
 def first_state(
-    plant: Plant, controller: Controller, x_d: Array, measurement: Measurement
+    plant: Plant,
+    controller: Controller,
+    wanted: Target | Array,
+    measurement: Measurement,
+    dt: float,
 ) -> Array:
-    """Initial state of a controller, after one evaluation whose answer is looked at.
+    """Return the initial state of a controller, after one step whose answer is looked at.
 
-    What is wrong with the arguments or the controller shows here, and not as a divergence.
+    Wrong arguments and a wrong controller show here, and not as a divergence.
     """
-    state = as_array(
-        "the controller's initial_state",
-        controller.initial_state(measurement),
-        (controller.n_state,),
-    )
-    answer = controller.evaluate(state, measurement, x_d)
+    state = controller.initial_state(measurement)
+    state = as_array("the controller's initial_state", state, (np.size(state),))
+    stepped = controller.step(state, measurement, wanted, dt)
+    if not (isinstance(stepped, tuple) and len(stepped) == 2):
+        raise InvalidInputError(
+            f"step of a controller must return (state, Evaluation), got {stepped!r}", given=stepped
+        )
+    after, answer = stepped
     require("the controller's answer", answer, Evaluation, "an Evaluation")
     as_array("the controller's torque", answer.torque, (plant.robot.nv,), "N m or N")
-    as_array("the controller's state_rate", answer.state_rate, state.shape)
+    as_array("the controller's state", after, state.shape)
     if np.isfinite(measurement.x).all():  # a lost x has no error
         as_array("the controller's e", answer.e, (plant.sensor.m,), plant.sensor.unit)
     return state
@@ -185,20 +239,17 @@ def require_fit(plant: Plant, controller: Controller, dt: float | None) -> None:
     Raises:
         InvalidInputError: It does not fit.
     """
-    if isinstance(controller, type) or not hasattr(controller, "evaluate"):
+    if isinstance(controller, type) or not isinstance(controller, Controller):
         raise InvalidInputError(
             f"controller must be a controller, such as SetpointController(...), got {controller!r}",
             given=controller,
         )
-    task = getattr(controller, "task", None)
-    if isinstance(task, Task):
-        plant.require_measured(task)
-    wanted = getattr(controller, "dt", None)
-    if isinstance(wanted, float) and (
-        dt is None or not np.isclose(dt, wanted, rtol=1e-9, atol=0.0)
-    ):
+    require("task of the controller", controller.task, Task, "the task of the believed robot")
+    plant.require_measured(controller.task)
+    wanted = controller.dt
+    if wanted is not None and (dt is None or not np.isclose(dt, wanted, rtol=1e-9, atol=0.0)):
         raise InvalidInputError(
-            f"dt must be that of the controller, {wanted:g} [s], which keeps limits of torque "
-            f"rates, speeds or positions, or a held measurement, from step to step, got {dt!r}",
+            f"dt must be that of the controller, {wanted:g} [s], which keeps limits of speeds or "
+            f"positions from step to step, got {dt!r}",
             given=dt,
         )

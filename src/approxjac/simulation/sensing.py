@@ -1,4 +1,4 @@
-"""What sensors and drives really deliver: noise, delay, quanta, dropouts, frames, no tachometer."""
+"""Sensing as it really is: noise, delay, quanta, dropouts, frames, no tachometer."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Sensing:
 
     @property
     def is_linear(self) -> bool:
-        """Whether it does no more than delay x and filter q̇: nothing random, rounded or repeated.
+        """Return whether it only delays x and filters q̇: nothing random, rounded or repeated.
 
         An `x_rate` repeats frames, even where it is that of control: this does not know dt.
         """
@@ -124,9 +124,10 @@ class SensorReadings:
         per_sample = None if sensing.x_rate is None else sensing.x_rate * dt
         self._per_sample = None if per_sample is None or per_sample > 1.0 - _TINY else per_sample
         late = round(min(sensing.x_delay / dt, _FOREVER))
-        self._late: deque[tuple[int, Array]] = deque(maxlen=late + 1)
+        self._late: deque[tuple[int, float, Array]] = deque(maxlen=late + 1)
         self._samples, self._number, self._arrived = 0, -1, -1
         self._image: Array | None = None
+        self._taken_at = 0.0
         self._reading = np.full(task.n_x, np.nan)
         self._rng = np.random.default_rng(seed)
         self._before: Array | None = None
@@ -136,28 +137,31 @@ class SensorReadings:
         """Return what is measured at the next sample, given what is true then."""
         q = self._read_q(truth.q)
         v = truth.v if self._filter is None else self._difference(q, self._filter)
-        return Measurement(truth.t, q, v, self._read_x(truth.t, truth.x))
+        x, t_x = self._read_x(truth.t, truth.x)
+        return Measurement(truth.t, q, v, x, t_x)
 
-    def _read_x(self, t: float, x: Array) -> Array:
+    def _read_x(self, t: float, x: Array) -> tuple[Array, float]:
+        """Return the x that arrives at time t [s], and the time at which it was taken."""
         number = self._samples
         if self._per_sample is not None:  # counted from the start, so that no rounding adds up
             number = math.floor(self._samples * self._per_sample + _TINY)
         self._samples += 1
         if number != self._number or self._image is None:
             self._number, self._image = number, self._taken(t, x)
-        self._late.append((number, self._image))
-        arriving, image = self._late[0]  # before the first one arrives, the first is seen
+        self._late.append((number, self._taken_at, self._image))
+        arriving, t_x, image = self._late[0]  # before the first one arrives, the first is seen
         if arriving != self._arrived or self._per_sample is None:
             self._arrived = arriving
             lost = self._dropout and self._rng.random() < self._dropout
             self._reading = np.full(self._task.n_x, np.nan) if lost else image
-        return self._reading
+        return self._reading, t_x
 
     def _taken(self, t: float, x: Array) -> Array:
-        """The image that the camera has after it was to take one of x at time t [s]."""
-        t += _TINY * self._dt
+        """Return the image that the camera has after it was to take one of x at time t [s]."""
+        now, t = t, t + _TINY * self._dt
         if self._image is not None and any(start <= t < end for start, end in self._frozen):
             return self._image
+        self._taken_at = now
         if self._x_noise.any():
             x = self._task.displaced(x, self._x_noise * self._rng.standard_normal(self._task.m))
         if self._x_quantum.any():

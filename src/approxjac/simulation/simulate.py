@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
-from approxjac.interface import Controller
+from approxjac.interface import ContinuousController, Controller, Target, TargetPath
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
-from approxjac.simulation.record import Record
-from approxjac.simulation.sampled_loop import SampledLoop, diverged, first_state, require_fit
+from approxjac.simulation.record import Instant, Record
+from approxjac.simulation.sampled_loop import (
+    SampledLoop,
+    Wanted,
+    diverged,
+    first_state,
+    require_fit,
+    target_at,
+    wanted_of,
+)
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array, as_array, as_number, require
 
@@ -25,7 +34,7 @@ _STALL_STEPS = 1000
 def simulate(
     plant: Plant,
     controller: Controller,
-    target: Sequence[float] | Array,
+    target: Sequence[float] | Array | Target | TargetPath,
     q0: Sequence[float] | Array | None = None,
     duration: float = 10.0,
     *,
@@ -44,13 +53,14 @@ def simulate(
     Args:
         plant: The true robot.
         controller: Anything with the interface of `Controller`.
-        target: x_d, shape (n_x,) [unit of the task].
-        q0: Start configuration, shape (nq,); `plant.ready_posture()` by default.
+        target: x_d, shape (n_x,) [unit of the task]; a `Target` that moves; or a path, any object
+            with `at(t) → Target`, such as `Circle`.
+        q0: Start configuration, shape (nq,); `plant.ready_configuration()` by default.
         duration: > 0 [s].
         dt: Sampling time [s]: torques are held over it, as a robot does. None integrates
-            (q, v, controller state) as one differential equation with LSODA, as the paper does.
-            A controller that limits rates or speeds, or that holds measurements, has a `dt` of
-            its own, which it must be.
+            (q, v, controller state) as one differential equation with LSODA, as the paper does,
+            for laws in continuous time. A controller that limits speeds or positions has a `dt`
+            of its own, which it must be.
         v0: Start velocity, shape (n_v,); at rest by default.
         record_every: Time between recorded instants [s]: dt, or duration/1000 where dt is None.
             A whole number of them fits into duration where dt is None; it is a whole number of dt
@@ -62,8 +72,8 @@ def simulate(
         progress: Called now and then with the time reached [s].
         observer: Called with the `SampledLoop` at every step of sampled control. It may look at
             all of it, move its target, exchange its controller or stop it; what it does not touch
-            is the same to the last bit as without it. If it has a method `close`, that is called
-            at the end, however the run ends.
+            is the same to the last bit as without it. An observer that is a context manager is
+            entered before the run and left after it, however it ends.
 
     Returns:
         The record of the run; its first instant is the start, its last the end. Status is
@@ -79,8 +89,8 @@ def simulate(
         dt = as_number("dt", dt, unit="s", above=0.0)
     require_fit(plant, controller, dt)
     robot = plant.robot
-    x_d = plant.sensor.target(target)
-    q0 = plant.ready_posture() if q0 is None else as_array("q0", q0, (robot.nq,), "rad or m")
+    wanted = wanted_of(plant.sensor, target, 0.0)
+    q0 = plant.ready_configuration() if q0 is None else as_array("q0", q0, (robot.nq,), "rad or m")
     q = robot.configuration(q0, "q0")
     require_radians("q0", robot, q)
     v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
@@ -110,9 +120,17 @@ def simulate(
                 "of sampled control",
                 given=dt,
             )
+        if not isinstance(controller, ContinuousController):
+            raise InvalidInputError(
+                f"dt must be given for a controller that runs in samples, got None for "
+                f"{controller!r}",
+                given=dt,
+            )
         count = 1000 if record_every is None else _whole("record_every", record_every, duration)
         with _overflow_is_expected():
-            return _continuous(plant, controller, x_d, q, v, duration, count, rtol, atol, progress)
+            return _continuous(
+                plant, controller, wanted, q, v, duration, count, rtol, atol, progress
+            )
     else:
         steps = _whole("dt", dt, duration)
         stride = 1
@@ -120,7 +138,7 @@ def simulate(
             record_every = as_number("record_every", record_every, unit="s", above=0.0)
             stride = _whole("dt", dt, record_every, whole="record_every")
         with _overflow_is_expected():
-            loop = SampledLoop(plant, controller, x_d, q, v, dt, steps, integrator, seed)
+            loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed)
             return _sampled(loop, stride, observer, progress)
 
 
@@ -146,8 +164,8 @@ def _whole(name: str, part: float, total: float, *, whole: str = "duration") -> 
 
 def _continuous(
     plant: Plant,
-    controller: Controller,
-    x_d: Array,
+    controller: ContinuousController,
+    wanted: Wanted,
     q0: Array,
     v0: Array,
     duration: float,
@@ -168,13 +186,13 @@ def _continuous(
     def flow(t: float, z: Array) -> Array:
         v = z[n : 2 * n]
         measurement = plant.measure(t, pin.integrate(model, q0, z[:n]), v)
-        answer = controller.evaluate(z[2 * n :], measurement, x_d)
+        answer = controller.evaluate(z[2 * n :], measurement, target_at(wanted, t))
         return np.concatenate(
             [v, plant.acceleration(measurement.q, v, answer.torque), answer.state_rate]
         )
 
     times = np.linspace(0.0, duration, count + 1)
-    state = first_state(plant, controller, x_d, plant.measure(0.0, q0, v0))
+    state = first_state(plant, controller, target_at(wanted, 0.0), plant.measure(0.0, q0, v0), 1.0)
     records = np.empty((count + 1, 2 * n + len(state)))
     records[0] = np.concatenate([np.zeros(n), v0, state])
     solver = LSODA(flow, 0.0, records[0], duration, rtol=rtol, atol=atol)
@@ -206,9 +224,10 @@ def _continuous(
     kept = Record(plant)
     for t, z in zip(times, records, strict=True):
         truth = plant.measure(t, pin.integrate(model, q0, z[:n]), z[n : 2 * n])
-        state = z[2 * n :].copy()
-        answer = controller.evaluate(state, truth, x_d)
-        kept.add(truth, truth.x, state, answer, x_d, controller)
+        state, target = z[2 * n :].copy(), target_at(wanted, t)
+        answer = controller.evaluate(state, truth, target)
+        x_d = target.x if isinstance(target, Target) else target
+        kept.add(Instant(truth, truth.x, state, answer, x_d, controller))
     return kept.trajectory(controller)
 
 
@@ -217,24 +236,22 @@ def _sampled(
 ) -> Trajectory:
     """Run a sampled loop to its end, and record every so many steps."""
     record = Record(loop.plant)
-    try:
+    with observer if isinstance(observer, AbstractContextManager) else nullcontext():
         while True:
             # as they are before an observer changes them
-            instant = (loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target)
-            controller = loop.controller
+            instant = Instant(
+                loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target,
+                loop.controller,
+            )  # fmt: skip
             wanted = loop.step % stride == 0 or loop.ended
             if wanted:
-                record.add(*instant, controller)
+                record.add(instant)
                 if progress is not None:
                     progress(loop.t)
             if observer is not None:
                 observer(loop)
             if loop.ended:
                 if not wanted:
-                    record.add(*instant, controller)
+                    record.add(instant)
                 return record.trajectory(loop.controller)
             loop.advance()
-    finally:
-        close = getattr(observer, "close", None)
-        if close is not None:
-            close()

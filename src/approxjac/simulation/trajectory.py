@@ -7,9 +7,10 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,34 +20,62 @@ from approxjac.simulation.scene import Scene
 from approxjac.validation import Array, as_number, require
 
 
+class Derivation(Protocol):
+    """What follows from a run, and takes time: computed from it, or read from a file."""
+
+    def task_torque(self, run: Trajectory) -> Array:
+        """Return the part of the law's torque that acts on the task, shape (N, n_v)."""
+        ...
+
+    def V(self, run: Trajectory) -> Array:
+        """Return V of the true arm, shape (N,)."""
+        ...
+
+    def sigma_min(self, run: Trajectory) -> Array:
+        """Return the smallest singular value of Ĵ, shape (N,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A derivation that was read from a file."""
+
+    arrays: Mapping[str, Array]
+
+    def task_torque(self, run: Trajectory) -> Array:
+        return self.arrays["task_torque"]
+
+    def V(self, run: Trajectory) -> Array:
+        return self.arrays["V"]
+
+    def sigma_min(self, run: Trajectory) -> Array:
+        return self.arrays["sigma_min"]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
-    """What happened in one run. The first axis of every array is time.
+    """The record of one run. The first axis of every array is time.
 
     Attributes:
         t: Time, shape (N,) [s].
         q: Configuration, shape (N, nq).
         v: Velocity, shape (N, n_v).
         x: True task value, shape (N, n_x).
-        x_measured: What was measured of it, NaN where it was lost, shape (N, n_x).
-        x_d: Target, which only an observer of the run moves, shape (N, n_x).
+        x_measured: Measured task value, NaN where it was lost, shape (N, n_x).
+        x_d: Target, shape (N, n_x).
         error: True error of x to the target, shape (N, m).
         tau: Torque, shape (N, n_v).
-        task_torque: −Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of the law's torque that acts on the task;
-            NaN of others than `SetpointController`, limited and held ones too, shape (N, n_v).
-        V: Lyapunov function (12) of the true arm, or (31) where gravity is learnt, with the α
-            of the `SetpointController`; NaN of other laws, shape (N,) [J].
         state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
         status: `Status` at these instants, shape (N,).
         limit_status: `LimitStatus` at these instants, shape (N,).
         slack: σ, what limits add to V̇, NaN where it is not known, shape (N,) [W].
-        sigma_min: Smallest singular value of Ĵ, shape (N,).
         robot_name: Name of the true robot.
         joint_names: In the order of v and τ.
         joint_units: "rad", or "m" for prismatic joints, in the same order.
         task_labels: Names of the task coordinates, length m.
         task_units: Their units, length m.
-        scene: Who took part, as one needs it to draw the run; None if that is not known.
+        scene: Who took part, to draw the run with; None if that is not known.
+        derived: Source of V, task torque and σ_min, which are computed when asked for.
     """
 
     t: Array
@@ -57,19 +86,38 @@ class Trajectory:
     x_d: Array
     error: Array
     tau: Array
-    task_torque: Array
-    V: Array
     state: Array
     status: np.ndarray[Any, np.dtype[np.int64]]
     limit_status: np.ndarray[Any, np.dtype[np.int64]]
     slack: Array
-    sigma_min: Array
     robot_name: str
     joint_names: tuple[str, ...]
     joint_units: tuple[str, ...]
     task_labels: tuple[str, ...]
     task_units: tuple[str, ...]
     scene: Scene | None = None
+    derived: Derivation = field(kw_only=True)
+
+    @cached_property
+    def task_torque(self) -> Array:
+        """−Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of the law's torque that acts on the task.
+
+        NaN of laws other than `SetpointController`, limited or held; shape (N, n_v).
+        """
+        return self.derived.task_torque(self)
+
+    @cached_property
+    def V(self) -> Array:
+        """V of (12) of the true arm, or of (31) where gravity is learnt, shape (N,) [J].
+
+        With the α of the `SetpointController`; NaN of other laws.
+        """
+        return self.derived.V(self)
+
+    @cached_property
+    def sigma_min(self) -> Array:
+        """Smallest singular value of Ĵ, shape (N,)."""
+        return self.derived.sigma_min(self)
 
     @property
     def target(self) -> Array:
@@ -123,12 +171,12 @@ class Trajectory:
         return float(np.interp(t, self.t, norm) / norm[0])
 
     def status_counts(self) -> dict[Status, int]:
-        """At how many recorded instants each status held."""
+        """Return at how many recorded instants each status held."""
         values, counts = np.unique(self.status, return_counts=True)
         return {Status(int(s)): int(n) for s, n in zip(values, counts, strict=True)}
 
     def limit_status_counts(self) -> dict[LimitStatus, int]:
-        """At how many recorded instants each status of the limits held."""
+        """Return at how many recorded instants each status of the limits held."""
         values, counts = np.unique(self.limit_status, return_counts=True)
         return {LimitStatus(int(s)): int(n) for s, n in zip(values, counts, strict=True)}
 
@@ -171,7 +219,9 @@ class Trajectory:
             scene = texts.pop("scene")
             for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])
-            run = cls(**arrays, **texts, scene=None if scene is None else Scene.from_dict(scene))
+            derived = _Read({name: arrays.pop(name) for name in _DERIVED})
+            scene = None if scene is None else Scene.from_dict(scene)
+            run = cls(**arrays, **texts, scene=scene, derived=derived)
             run._require_shapes()
             return run
         except FileNotFoundError as error:
@@ -269,4 +319,6 @@ _UNREADABLE = (
     zlib.error,
 )  # fmt: skip
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
-_ARRAYS = tuple(f.name for f in fields(Trajectory) if f.name not in (*_TEXTS, "scene"))
+_DERIVED = ("task_torque", "V", "sigma_min")
+_OTHERS = (*_TEXTS, "scene", "derived")
+_ARRAYS = (*(f.name for f in fields(Trajectory) if f.name not in _OTHERS), *_DERIVED)

@@ -99,9 +99,10 @@ def lyapunov(
                 f"state = {state!r}, theta = {theta!r}",
                 given=(alpha, state, theta),
             )
-        state = as_array("state", state, (controller.n_state,))
-        theta = as_array("theta", theta, (controller.n_state,))
-        V += law.parameter_potential(theta - controller.theta_hat(state), controller.adaptation.L)
+        learning = controller.adaptation
+        state = as_array("state", state, (learning.regressor.p,))
+        theta = as_array("theta", theta, (learning.regressor.p,))
+        V += law.parameter_potential(theta - controller.learnt(state), learning.L)
     W = law.W(
         v,
         s,

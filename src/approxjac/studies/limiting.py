@@ -45,9 +45,9 @@ def limited(
         proof = isinstance(controller, SetpointController)  # the others have none
         return TorqueLimited(controller, limits, dt=dt, solver=solver, proof=proof)
     if limiter == "clip":
-        return TorqueClipped(controller, limits, dt=dt)
+        return TorqueClipped(controller, limits)
     if limiter == "scale":
-        return TaskTorqueScaled(controller, limits, dt=dt)
+        return TaskTorqueScaled(controller, limits)
     raise UnknownNameError("limiter", limiter, "the limiters", LIMITERS)
 
 

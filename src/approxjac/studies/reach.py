@@ -74,7 +74,7 @@ def prepare(robot: str, settings: Settings) -> Reach:
     plant = _plant(truth, sensor, motors, settings)
     rng = np.random.default_rng(settings.seed)
     if settings.start is None:
-        q0 = plant.ready_posture()
+        q0 = plant.ready_configuration()
     elif settings.start == "random":
         q0 = regular_posture(sensor, task, rng, motors)
     else:

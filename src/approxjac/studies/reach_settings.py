@@ -26,7 +26,7 @@ class Settings:
         axes: World axes of a position; those that the arm commands best by default.
         start: Joint positions at the start, one a joint, rad or m, or "random" for a posture of the
             seed; by default one that is far from singular, the same for each seed
-            (`Plant.ready_posture`).
+            (`Plant.ready_configuration`).
         target: Position (one number for each of axes, m) or pose (x y z qx qy qz qw); that of a
             posture of the seed by default.
         target_offset: Target of a position relative to where the tip starts, m.

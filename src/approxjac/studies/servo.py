@@ -84,7 +84,7 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
         motors = np.asarray(limits.effort)
         inner = limited(controller, limits, "qp", dt)
     plant = Plant(truth, scene.sensor, sensing=_sensing(settings), torque_limits=motors)
-    held = HeldMeasurement(inner, settings.unseen, dt=dt)
+    held = HeldMeasurement(inner, settings.unseen)
     return Servo(robot, settings, plant, controller, held, q0, q_goal, target, believe)
 
 

@@ -17,9 +17,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import Gains, HeldMeasurement, SetpointController
+from approxjac.controllers import ControllerWrapper, Gains, HeldMeasurement, SetpointController
 from approxjac.errors import InvalidInputError, SimulationError
-from approxjac.interface import Controller, Evaluation, Measurement
+from approxjac.interface import Controller, Evaluation, Measurement, Target
 from approxjac.simulation import Plant, Sensing, simulate
 from approxjac.stability import LocalStability, local_stability
 from approxjac.studies import servo
@@ -195,7 +195,7 @@ def simulated(
     if loop == "ideal":
         plant = Plant(plant.robot, sensor)
     else:
-        held = HeldMeasurement(controller, ready.settings.unseen, dt=_DT)
+        held = HeldMeasurement(controller, ready.settings.unseen)
         noise = ready.settings.noise * math.sqrt(sensor.m)
     q0, target = near_start(sensor, q_goal, distance, seed), sensor.value(q_goal)
     watch = Watch(held, sensor, target, max(noise, _SHRUNK * distance), _GROWN * distance)
@@ -230,7 +230,7 @@ class Decided(Exception):
     """Ends a simulation whose fate is decided."""
 
 
-class Watch:
+class Watch(ControllerWrapper):
     """A controller that is watched from outside, and its simulation ended once it is decided.
 
     It converges when the true error has been small for a second (root of the mean square), and
@@ -256,16 +256,11 @@ class Watch:
         self.errors: list[float] = []
         self.q = sensor.robot.neutral()
         self.verdict: Verdict | None = None
-        self._controller = controller
+        self.controller, self._memory = controller, 0
         self._sensor, self._target = sensor, target
         self._small, self._large = small, large
         self._window = round(_LONG / (_EVERY * _DT))
         self._samples = 0
-
-    @property
-    def n_state(self) -> int:
-        """That of what is watched."""
-        return self._controller.n_state
 
     @property
     def duration(self) -> float:
@@ -280,9 +275,11 @@ class Watch:
 
     def initial_state(self, measurement: Measurement) -> Array:
         """That of what is watched."""
-        return self._controller.initial_state(measurement)
+        return self.controller.initial_state(measurement)
 
-    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
         """What the controller answers.
 
         Raises:
@@ -292,7 +289,7 @@ class Watch:
             if self._samples % _EVERY == 0:
                 self.look(measurement.q)
             self._samples += 1
-        return self._controller.evaluate(state, measurement, target)
+        return self.controller.step(state, measurement, target, dt)
 
     def look(self, q: Array) -> None:
         """Look at where the arm is; shape (nq,).

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
-from approxjac.tasks import Task
+from approxjac.controllers import ControllerWrapper
+from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement, Target
 from approxjac.validation import Array
 
 
@@ -42,10 +41,8 @@ class Tally:
         return {status: n / self.steps for status, n in sorted(self.counts.items())}
 
 
-class Watched:
-    """Passes on what a controller answers, and keeps count of what limits did to it.
-
-    Unlike a controller it remembers, so it is for one run.
+class Watched(ControllerWrapper):
+    """A controller, and a count of what limits did to its answers; for one run.
 
     Args:
         controller: The controller.
@@ -57,49 +54,25 @@ class Watched:
     """
 
     def __init__(self, controller: Controller, effort: Array) -> None:
+        self._remember(locals())
         self.tally = Tally()
         self.controller = controller
         self._effort = effort
-        self._last = -math.inf
-
-    @property
-    def task(self) -> Task | None:
-        """That of the controller."""
-        return getattr(self.controller, "task", None)
-
-    @property
-    def dt(self) -> float | None:
-        """That of the controller [s]."""
-        return getattr(self.controller, "dt", None)
-
-    @property
-    def law(self) -> Any:
-        """That of the controller."""
-        return getattr(self.controller, "law", None)
-
-    @property
-    def n_state(self) -> int:
-        """That of the controller."""
-        return self.controller.n_state
+        self._last, self._memory = -math.inf, 0
 
     def initial_state(self, measurement: Measurement) -> Array:
         """That of the controller."""
         return self.controller.initial_state(measurement)
 
-    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
         """What the controller answers."""
-        answer = self.controller.evaluate(state, measurement, target)
+        after, answer = self.controller.step(state, measurement, target, dt)
         if measurement.t > self._last:  # `simulate` asks for the first answer twice
             self._last = measurement.t
             self._count(answer)
-        return answer
-
-    def with_task(self, task: Task) -> Watched:
-        """Return this for its controller with another task; what was counted stays."""
-        controller: Any = self.controller
-        other = Watched(controller.with_task(task), self._effort)
-        other.tally, other._last = self.tally, self._last
-        return other
+        return after, answer
 
     def _count(self, answer: Evaluation) -> None:
         tally, status = self.tally, answer.limit_status

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.controllers.wrapper import with_task
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
-from approxjac.simulation.record import Record, scene_of
+from approxjac.simulation.record import Instant, Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.validation import Array, as_number
 from approxjac.view.browser.frames import Frames
@@ -103,6 +104,12 @@ class LiveView:
         """Where the page is, once the run has begun."""
         return None if self._server is None else str(self._server.url)
 
+    def __enter__(self) -> LiveView:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def close(self) -> None:
         """Stop serving the page; pages that are open keep what they have been shown.
 
@@ -121,13 +128,8 @@ class LiveView:
     # -- showing ------------------------------------------------------------------------
 
     def _start(self, loop: SampledLoop) -> None:
-        controller: Any = loop.controller
-        if self._believe is not None and not hasattr(controller, "with_task"):
-            raise InvalidInputError(
-                f"controller must be able to take another task for its belief to be changed, "
-                f"got {controller!r}",
-                given=controller,
-            )
+        if self._believe is not None:
+            with_task(loop.controller, loop.controller.task)  # or there is no changing the belief
         self._record = Record(loop.plant)
         self._origin, self._next = 0.0, 0.0
         self._look(loop)
@@ -214,8 +216,11 @@ class LiveView:
     def _record_instant(self, loop: SampledLoop) -> dict[str, Array]:
         """What the page shows of this step."""
         self._record.add(
-            loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target, loop.controller
-        )
+            Instant(
+                loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target,
+                loop.controller,
+            )
+        )  # fmt: skip
         run = self._record.taken(loop.controller)
         self._columns, self._q = self._frames.columns(*recorded(run)), run.q
         return self._columns
@@ -302,10 +307,10 @@ class LiveView:
             raise InvalidInputError(f"commands are: {_HELP}; got {wish!r}", given=wish)
 
     def _change_belief(self, loop: SampledLoop, length: float) -> None:
-        controller: Any = loop.controller
+        controller = loop.controller
         assert self._believe is not None  # else there is no such command
         robot = self._believe(as_number("length", length, unit="m", minimum=0.0))
-        loop.exchange(controller.with_task(controller.task.on(robot)))
+        loop.exchange(with_task(controller, controller.task.on(robot)))
         self._length, self._changed = length, True
         self._server.send(_message(redraw=self._look(loop).data("believed")))
 

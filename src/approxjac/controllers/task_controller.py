@@ -1,17 +1,18 @@
-"""What every controller checks of the arguments that it is evaluated with."""
+"""`TaskController`: the base of laws in continuous time, and the checks of their arguments."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import Self
 
 import numpy as np
 
 from approxjac.controllers.gravity import Gravity
 from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.interface import Evaluation, Measurement
+from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.tasks import Task
-from approxjac.validation import Array, SetOnce
+from approxjac.validation import Array, Immutable, as_number, as_vector
 
 FLOAT64 = np.dtype(np.float64)
 _MAKES_ONE = "numpy.array({0}, dtype=float) makes one of numbers"
@@ -19,18 +20,24 @@ _NUMBERS = (list, tuple, int, float)
 HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 
 
-class CheckedController(SetOnce, ABC):
-    """A controller of one task: what it is told is looked at here, the law is in `_answer`.
+class TaskController(Immutable, ABC):
+    """A law of one task in continuous time: arguments are checked here, the law is in `_answer`.
 
-    The state and the gravity torque here are those of a law that learns nothing.
+    The state here is that of a law that learns nothing. The usual case costs one comparison of
+    shapes and one sum; only an unusual one is taken apart.
 
-    What is usual costs one comparison of shapes and one sum; only what is not is taken apart.
+    Attributes:
+        task: The task of the believed robot.
+        gravity: Source of the gravity torque.
+        dt: None: any sampling time will do.
     """
 
+    task: Task
     gravity: Gravity
+    dt: None = None
 
     def _take(self, task: Task, n_state: int) -> None:
-        """Remember the task and what the arguments of an evaluation have to look like."""
+        """Keep the task and the shapes that the arguments of an evaluation have."""
         robot = task.robot
         self.task = task
         self._subtracts = task.subtracts  # as most do
@@ -39,11 +46,6 @@ class CheckedController(SetOnce, ABC):
         self._continuous = robot.nq != robot.nv
         self._no_rate = np.zeros(n_state)
         self._no_rate.flags.writeable = False
-
-    @property
-    def n_state(self) -> int:
-        """Length of the state."""
-        return self._n_state
 
     def initial_state(self, measurement: Measurement) -> Array:
         """State before the first evaluation: none, shape (0,).
@@ -54,25 +56,56 @@ class CheckedController(SetOnce, ABC):
         self._require_arrays(self._no_rate, measurement, np.zeros(self.task.n_x))
         return np.zeros(0)
 
-    def evaluate(self, state: Array, measurement: Measurement, target: Array) -> Evaluation:
-        """Torque for one measurement.
+    def learnt(self, state: Array) -> Array:
+        """Return what is learnt in a state, or a series of them: nothing, shape (…, 0)."""
+        return state[..., :0]
 
-        A measurement x that is not finite counts as lost: then there is no position force, only
-        damping (by K_v and B_c, where the law has them) and gravity compensation, and what is
-        learnt stands still.
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after dt, one Euler step of its rate, and the answer of `evaluate`.
 
         Args:
             state: Controller state, shape (n_state,).
             measurement: t, q, v and the measured x.
-            target: x_d, shape (n_x,) [unit of the task].
+            target: x_d, shape (n_x,) [unit of the task], or a `Target` that moves.
+            dt: Time for which the torque is held > 0 [s].
+
+        Raises:
+            MeasurementError: As `evaluate`.
+            InvalidInputError: As `evaluate`, or a dt that is not positive.
+        """
+        answer = self.evaluate(state, measurement, target)
+        if not (isinstance(dt, float) and 0.0 < dt < math.inf):
+            dt = as_number("dt", dt, unit="s", above=0.0)
+        return state + dt * answer.state_rate, answer  # type: ignore[operator]  # a law has a rate
+
+    def evaluate(
+        self, state: Array, measurement: Measurement, target: Target | Array
+    ) -> Evaluation:
+        """Return torque and rate of the state for one measurement.
+
+        A measurement x that is not finite counts as lost: then there is no position force, only
+        damping (by K_v and B_c, where the law has them) and gravity compensation, and learning
+        rests.
+
+        Args:
+            state: Controller state, shape (n_state,).
+            measurement: t, q, v and the measured x.
+            target: x_d, shape (n_x,) [unit of the task], or a `Target` that moves.
 
         Raises:
             MeasurementError: q or v not finite, or a torque that overflows.
             InvalidInputError: Wrong shapes or types, a target or state that is not finite, or
                 (cos, sin) pairs of continuous joints off the unit circle.
         """
+        x_d_dot = None
+        if isinstance(target, Target):
+            target, x_d_dot, _ = target
+            if x_d_dot is not None:
+                x_d_dot = as_vector("v of the target", x_d_dot, self.task.m)
         try:
-            _, q, v, x = measurement
+            _, q, v, x, _ = measurement
             usual = (
                 (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
                 and q.dtype is v.dtype is x.dtype is target.dtype is state.dtype is FLOAT64
@@ -89,17 +122,17 @@ class CheckedController(SetOnce, ABC):
             if self._subtracts or math.isfinite(e.dot(e)):
                 if self._continuous:
                     self.task.robot.configuration(q)
-                answer = self._answer(q, v, x, e, state, lost=False)
+                answer = self._answer(q, v, x, e, state, x_d_dot, lost=False)
                 torque = answer.torque
                 if torque.dot(torque) < HUGE:  # a task or a saturation of one's own may fail
                     return answer
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is a named error
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             e = x - target if self._subtracts else self.task.error(x, target)
             lost = self._require_finite(q, v, x, target, state, e)
             self.task.robot.configuration(q)
             try:
-                answer = self._answer(q, v, x, e, state, lost)
-                if np.isfinite(answer.torque).all() and np.isfinite(answer.state_rate).all():
+                answer = self._answer(q, v, x, e, state, None if lost else x_d_dot, lost)
+                if np.isfinite(answer.torque).all() and np.isfinite(answer.state_rate).all():  # type: ignore[arg-type]
                     return answer
             except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
                 pass
@@ -110,33 +143,39 @@ class CheckedController(SetOnce, ABC):
             given=measurement,
         )
 
-    def gravity_torque(self, state: Array, q: Array) -> Array:
-        """The gravity torque that this controller compensates, shape (n_v,) [N m or N]."""
-        return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # others are not learnt
-
     @abstractmethod
-    def with_task(self, task: Task) -> CheckedController:
+    def gravity_torque(self, state: Array, q: Array) -> Array:
+        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
+
+    def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.
+
+        Gravity, and what is learnt of it, stays that of the robot that it was made for.
 
         Args:
             task: A task with the same coordinates, of a robot with the same joints.
         """
+        return self._rebuilt(task=task, gravity=self.gravity)
 
     @abstractmethod
     def _answer(
-        self, q: Array, v: Array, x: Array, e: Array, state: Array, lost: bool
+        self,
+        q: Array,
+        v: Array,
+        x: Array,
+        e: Array,
+        state: Array,
+        x_d_dot: Array | None,
+        lost: bool,
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked."""
 
     def _require_arrays(
         self, state: Array, measurement: Measurement, target: Array
     ) -> tuple[Array, Array, Array]:
-        """Say what is wrong with an argument that is no array of floats of its shape.
-
-        Returns q, v and x.
-        """
+        """Refuse an argument that is no array of floats of its shape; return q, v and x."""
         try:
-            _, q, v, x = measurement
+            _, q, v, x, _ = measurement
         except (TypeError, ValueError):
             raise InvalidInputError(
                 f"measurement must be Measurement(t, q, v, x), got {measurement!r}",
@@ -162,7 +201,7 @@ class CheckedController(SetOnce, ABC):
     def _require_finite(
         self, q: Array, v: Array, x: Array, target: Array, state: Array, e: Array
     ) -> bool:
-        """Tell what is not finite apart; return whether only the measured x is."""
+        """Refuse anything but x that is not finite; return whether x is lost."""
         for name, value in (("q", q), ("v", v)):
             if not np.isfinite(value).all():
                 raise MeasurementError(
@@ -184,7 +223,7 @@ class CheckedController(SetOnce, ABC):
 
 
 def is_beyond(torque: Array, limits: Array) -> bool:
-    """Whether any torque is beyond its limit, both of shape (n_v,)."""
+    """Return whether any torque is beyond its limit, both of shape (n_v,)."""
     share = torque / limits
     # the norm first: it is cheap, and mostly small enough
     return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)

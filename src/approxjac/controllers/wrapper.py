@@ -1,0 +1,112 @@
+"""`ControllerWrapper`: a controller around another one; `law_of` finds the law inside."""
+
+from __future__ import annotations
+
+import abc
+import math
+from typing import Self
+
+import numpy as np
+
+from approxjac.controllers.task_controller import FLOAT64, TaskController
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Controller, Evaluation, Measurement, Target
+from approxjac.tasks import Task
+from approxjac.validation import Array, Immutable
+
+
+class ControllerWrapper(Immutable, abc.ABC):
+    """A controller that steps another one and keeps some memory of its own.
+
+    Its state is that of the other one, followed by that memory, which is discrete by nature: such
+    a controller has no rate of its state.
+
+    Immutable; one instance a thread, as the controller inside.
+
+    Attributes:
+        controller: The controller inside.
+    """
+
+    controller: Controller
+    _memory: int  # length of what it keeps itself
+
+    @property
+    def task(self) -> Task:
+        """The task of the believed robot."""
+        return self.controller.task
+
+    @property
+    def dt(self) -> float | None:
+        """Sampling time that control has to have [s], or None where any will do."""
+        return self.controller.dt
+
+    def learnt(self, state: Array) -> Array:
+        """Return what the controller inside has learnt, shape (…, p)."""
+        return self.controller.learnt(state)
+
+    def with_task(self, task: Task) -> Self:
+        """Return this around the controller with another task, such as of another believed robot.
+
+        Args:
+            task: A task with the same coordinates, of a robot with the same joints.
+        """
+        return self._rebuilt(controller=with_task(self.controller, task))
+
+    @abc.abstractmethod
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step, shape (n_state,)."""
+
+    @abc.abstractmethod
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after a step, and torque and status for it."""
+
+    def _split(self, state: Array) -> tuple[Array, Array]:
+        """Return the state of the controller inside, and the memory.
+
+        Raises:
+            InvalidInputError: A state that is no such array, or a memory that is not finite.
+        """
+        least = self._memory
+        if not isinstance(state, np.ndarray) or state.ndim != 1 or state.dtype != FLOAT64:
+            raise InvalidInputError(
+                f"state must be an array of float64 as initial_state and step return it, got "
+                f"{f'{state.dtype} {state.shape}' if isinstance(state, np.ndarray) else state!r}",
+                given=state,
+            )
+        if len(state) < least:
+            raise InvalidInputError(
+                f"state must have the {least} numbers of {type(self).__name__} after those of the "
+                f"controller inside, got {len(state)}",
+                given=state,
+            )
+        inner, memory = state[: len(state) - least], state[len(state) - least :]
+        if not math.isfinite(math.hypot(*memory.tolist())):
+            raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
+        return inner, memory
+
+
+def law_of(controller: Controller) -> Controller:
+    """Return the controller inside of all wrappers, such as the `SetpointController`.
+
+    Its state is the first part of theirs.
+    """
+    while isinstance(controller, ControllerWrapper):
+        controller = controller.controller
+    return controller
+
+
+def with_task(controller: Controller, task: Task) -> Controller:
+    """Return a controller of this library with another task.
+
+    Raises:
+        InvalidInputError: A controller of your own.
+    """
+    if not isinstance(controller, TaskController | ControllerWrapper):
+        raise InvalidInputError(
+            f"controller must be able to take another task for its belief to be changed, got "
+            f"{controller!r}",
+            given=controller,
+        )
+    return controller.with_task(task)
