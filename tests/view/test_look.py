@@ -11,9 +11,9 @@ from lxml import etree
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.robots import urdf as urdf_xml
 from approxjac.robots.catalog import NAMED, share_dir
 from approxjac.robots.meshes import find_mesh
+from approxjac.robots.urdf import Urdf
 from approxjac.view.look import robot_look
 from approxjac.view.meshes import load_mesh, shares, simplify, smooth
 
@@ -38,7 +38,7 @@ def by_coal(path, scale=(1.0, 1.0, 1.0)):
 
 def visuals(robot):
     """Link, mesh file or None, scale and origin of each <visual>."""
-    for link in urdf_xml.parse(robot.urdf, "").iterfind("link"):
+    for link in robot.tree.root.iterfind("link"):
         for visual in link.iterfind("visual"):
             origin = visual.find("origin")
             placed = pin.SE3(
@@ -140,7 +140,7 @@ def test_an_arm_whose_meshes_are_gone_is_drawn_as_capsules(arm):
     )
     seen = {
         link.get("name")
-        for link in urdf_xml.parse(text, "").iterfind("link")
+        for link in Urdf.parse(text, "").root.iterfind("link")
         if any(g.tag != "mesh" for g in link.iterfind("visual/geometry/*"))
     }
     wanted = {link for link, *_ in visuals(moved)}
@@ -158,13 +158,13 @@ def test_an_arm_whose_meshes_are_gone_is_drawn_as_capsules(arm):
 
 
 def look_names(text):
-    root = urdf_xml.parse(text, "")
+    root = Urdf.parse(text, "").root
     return [mesh.get("filename") for mesh in root.iterfind("link/visual/geometry/mesh")]
 
 
 def moving_joints(robot):
     """Parent link of each moving joint, and where the joint is in it."""
-    for joint in urdf_xml.parse(robot.urdf, "").iterfind("joint"):
+    for joint in robot.tree.root.iterfind("joint"):
         if joint.get("type") != "fixed":
             yield joint.find("parent").get("link"), numbers(joint.find("origin"), "xyz", "0 0 0")
 

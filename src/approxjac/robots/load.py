@@ -12,10 +12,10 @@ from approxjac.errors import (
     UnknownNameError,
     UrdfError,
 )
-from approxjac.robots import urdf as urdf_xml
 from approxjac.robots.catalog import NAMED, NamedRobot, urdf_path
 from approxjac.robots.locked_joints import lock_off_chain
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
+from approxjac.robots.urdf import Urdf
 from approxjac.validation import Array
 
 
@@ -59,12 +59,9 @@ def load_robot(
     if entry is not None:
         tip, base = entry.tip if tip is None else tip, entry.base if base is None else base
     label, folder = ("URDF text", None) if path is None else (str(path), path.resolve().parent)
-    if tip is not None or base is not None or not isinstance(free, tuple) or free:
-        root = urdf_xml.parse(text, label)
-        if lock_off_chain(root, urdf_xml.read(root, label), base, tip, free):
-            text = urdf_xml.to_text(root)
+    urdf = lock_off_chain(Urdf.parse(text, label), base, tip, free)
     name = None if entry is None else str(source)
-    return Robot(text, gravity=gravity, tip=tip, urdf_dir=folder, source=label, name=name)
+    return Robot(urdf, gravity=gravity, tip=tip, urdf_dir=folder, name=name)
 
 
 def robot_names() -> tuple[str, ...]:
@@ -74,13 +71,10 @@ def robot_names() -> tuple[str, ...]:
 
 def locked_joints(source: str | Path, robot: Robot) -> tuple[str, ...]:
     """Return the joints that move in a source, and were locked when `robot` was loaded from it."""
-    fixed = _joints(robot.urdf, fixed=True)
-    return tuple(joint for joint in _joints(_find(source)[0], fixed=False) if joint in fixed)
-
-
-def _joints(text: str, *, fixed: bool) -> list[str]:
-    root = urdf_xml.parse(text, "URDF text")
-    return [j.get("name") for j in root.iterfind("joint") if (j.get("type") == "fixed") is fixed]
+    before, now = Urdf.parse(_find(source)[0], "URDF text").joints, robot.tree.joints
+    return tuple(
+        joint for joint in before if before[joint].type != "fixed" and now[joint].type == "fixed"
+    )
 
 
 def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:

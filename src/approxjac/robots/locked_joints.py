@@ -3,39 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
 
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.robots.urdf_edit import followers, leader_of, lock_joints
-
-if TYPE_CHECKING:
-    import yourdfpy
+from approxjac.robots.urdf import Urdf, UrdfJoint, leader_of
+from approxjac.robots.urdf_edit import with_locked_joints
 
 
 def lock_off_chain(
-    root: Any, urdf: yourdfpy.URDF, base: str | None, tip: str | None, free: str | Sequence[str]
-) -> bool:
-    """Fix the moving joints that are not between `base` and `tip`.
+    urdf: Urdf, base: str | None, tip: str | None, free: str | Sequence[str]
+) -> Urdf:
+    """Return a URDF with the moving joints fixed that are not between `base` and `tip`.
 
     Each is fixed at zero, or at its limit nearest to zero. A mimic joint and the joint that it
     follows are one: both stay free if either is needed. Without a tip nothing is locked.
 
     Args:
-        root: XML root to change.
-        urdf: The same, as `read` returned it.
+        urdf: The URDF.
         base: Link that the chain starts from; by default the root of the robot.
         tip: Link (or joint) at which it ends.
         free: Joints that are left free all the same, one or several, or "all".
 
     Returns:
-        Whether there was anything to lock.
+        The same URDF if there is nothing to lock.
 
     Raises:
         UnknownNameError: No such link, or in `free` no such moving joint.
         InvalidInputError: `base` without a tip, or not between the root and the tip; or nothing
             is left to move.
     """
-    moving = [joint.name for joint in urdf.robot.joints if joint.type != "fixed"]
+    moving = [joint.name for joint in urdf.joints.values() if joint.type != "fixed"]
     free = _names(free, moving, urdf)
     if tip is None:
         if base is not None:
@@ -44,27 +40,25 @@ def lock_off_chain(
                 f"got base {base!r} alone",
                 given=base,
             )
-        return False
+        return urdf
     chain = _chain(urdf, base, tip)
-    direct = {j: follows for j, follows in followers(root).items() if follows[0] in moving}
+    direct = {j: follows for j, follows in urdf.followers.items() if follows[0] in moving}
     leaders = {joint: leader_of(joint, direct)[0] for joint in moving}
     needed = {leaders[joint] for joint in moving if joint in chain or joint in free}
     locked = [joint for joint in moving if leaders[joint] not in needed]
     if locked and not needed:
         raise InvalidInputError(
             f"tip must be a frame that a joint moves, got {tip!r}: there is no moving joint "
-            f"between {'the root' if base is None else repr(base)} and it in {urdf.robot.name}",
+            f"between {'the root' if base is None else repr(base)} and it in {urdf.name}",
             given=tip,
         )
-    lock_joints(
-        root,
-        urdf,
-        {joint: _rest(urdf.joint_map[joint]) for joint in locked if leaders[joint] == joint},
-    )
-    return bool(locked)
+    if not locked:
+        return urdf
+    rest = {joint: _rest(urdf.joints[joint]) for joint in locked if leaders[joint] == joint}
+    return with_locked_joints(urdf, rest)
 
 
-def _names(free: str | Sequence[str], moving: list[str], urdf: yourdfpy.URDF) -> list[str]:
+def _names(free: str | Sequence[str], moving: list[str], urdf: Urdf) -> list[str]:
     """The joints that `free` names."""
     try:
         names = [free] if isinstance(free, str) else list(free)
@@ -76,13 +70,13 @@ def _names(free: str | Sequence[str], moving: list[str], urdf: yourdfpy.URDF) ->
         return moving
     for name in names:
         if not isinstance(name, str) or name not in moving:
-            raise UnknownNameError("moving joint", name, urdf.robot.name, moving)
+            raise UnknownNameError("moving joint", name, urdf.name, moving)
     return names
 
 
-def _chain(urdf: yourdfpy.URDF, base: str | None, tip: str) -> set[str]:
+def _chain(urdf: Urdf, base: str | None, tip: str) -> set[str]:
     """All joints between two links."""
-    parent_joints = {joint.child: joint for joint in urdf.robot.joints}
+    parent_joints = {joint.child: joint for joint in urdf.joints.values()}
     link = _link(urdf, tip)
     start = None if base is None else _link(urdf, base)
     joints = set()
@@ -91,24 +85,24 @@ def _chain(urdf: yourdfpy.URDF, base: str | None, tip: str) -> set[str]:
         link = parent_joints[link].parent
     if start is not None and link != start:
         raise InvalidInputError(
-            f"base must carry the tip {tip!r} of {urdf.robot.name}, got {base!r}, which does not",
+            f"base must carry the tip {tip!r} of {urdf.name}, got {base!r}, which does not",
             given=base,
         )
     return joints
 
 
-def _link(urdf: yourdfpy.URDF, frame: str) -> str:
+def _link(urdf: Urdf, frame: str) -> str:
     """The link that a frame is part of: itself, or what the joint of that name moves."""
-    if isinstance(frame, str) and frame in urdf.link_map:
+    if isinstance(frame, str) and frame in urdf.links:
         return frame
-    if isinstance(frame, str) and frame in urdf.joint_map:
-        return str(urdf.joint_map[frame].child)
-    raise UnknownNameError("frame", frame, urdf.robot.name, urdf.link_map)
+    if isinstance(frame, str) and frame in urdf.joints:
+        return urdf.joints[frame].child
+    raise UnknownNameError("frame", frame, urdf.name, urdf.links)
 
 
-def _rest(joint: yourdfpy.Joint) -> float:
+def _rest(joint: UrdfJoint) -> float:
     """Zero, or the limit that is nearest to it."""
-    if joint.type not in ("revolute", "prismatic") or joint.limit is None:
+    lower, upper = joint.limits
+    if joint.type not in ("revolute", "prismatic") or not lower < upper:
         return 0.0
-    lower, upper = joint.limit.lower or 0.0, joint.limit.upper or 0.0
-    return float(min(max(0.0, lower), upper)) if lower < upper else 0.0
+    return min(max(0.0, lower), upper)

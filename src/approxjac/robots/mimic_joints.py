@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import pinocchio as pin
+from lxml import etree
 
 from approxjac.errors import UrdfError
-from approxjac.robots.urdf import bare_text
-from approxjac.robots.urdf_edit import followers, leader_of
+from approxjac.robots.urdf import Follows, Urdf, leader_of
 from approxjac.validation import Array
 
 
@@ -33,6 +33,11 @@ class MimicJoints:
         self._A = A
         self._b = b
 
+    def of(self, model: pin.Model) -> MimicJoints:
+        """Return the same of a copy of the robot's own model."""
+        all_joints = model if self.G is None else pin.Model(self.model)
+        return MimicJoints(all_joints, self.G, self._A, self._b)
+
     def q(self, q: Array) -> Array:
         """Configuration of all joints, shape (nq_all,)."""
         return q if self._A is None or self._b is None else self._A @ q + self._b
@@ -50,22 +55,21 @@ class MimicJoints:
         return tau if self.G is None else self.G.T @ tau
 
 
-def build_coupled(root: Any, source: str) -> tuple[pin.Model, MimicJoints]:
+def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
     """Return the Pinocchio model of a URDF, without mimic joints in q and v, and how these move.
 
     Args:
-        root: XML root of the URDF.
-        source: What to call it in errors.
+        urdf: The URDF.
 
     Raises:
         UrdfError: A mimic joint that follows itself or nothing that moves, or one that Pinocchio
             cannot couple.
         ValueError: From Pinocchio, of what is no URDF.
     """
-    text = bare_text(root)
-    model = pin.buildModelFromXML(text)
+    root = urdf.bare_root()
+    model = pin.buildModelFromXML(etree.tostring(root, encoding="unicode"))
     names = list(model.names)
-    coupled = {joint: follows for joint, follows in followers(root).items() if joint in names}
+    coupled = {joint: follows for joint, follows in urdf.followers.items() if joint in names}
     if not coupled:
         return model, MimicJoints(model, None, None, None)
     found = {joint: leader_of(joint, coupled) for joint in coupled}
@@ -73,11 +77,17 @@ def build_coupled(root: Any, source: str) -> tuple[pin.Model, MimicJoints]:
         fault = _fault(model, joint, leader, coupled)
         if fault:
             raise UrdfError(
-                f"{source}: joint {joint!r} mimics {leader!r}, {fault}; make it fixed, or take "
-                "its <mimic> away",
-                given=source,
+                f"{urdf.source}: joint {joint!r} mimics {leader!r}, {fault}; make it fixed, or "
+                "take its <mimic> away",
+                given=urdf.source,
             )
-    reduced = pin.buildModelFromXML(_with_direct_leaders(text, found), True)
+    for element in root.iterfind("joint"):
+        if element.get("name") in found:
+            follows = zip(
+                ("joint", "multiplier", "offset"), found[element.get("name")], strict=True
+            )
+            element.find("mimic").attrib.update({key: str(value) for key, value in follows})
+    reduced = pin.buildModelFromXML(etree.tostring(root, encoding="unicode"), True)
     A, b = np.zeros((model.nq, reduced.nq)), np.zeros(model.nq)
     G = np.zeros((model.nv, reduced.nv))
     for name, own, kept in zip(names[1:], list(model.joints)[1:], reduced.joints[1:], strict=True):
@@ -91,10 +101,8 @@ def build_coupled(root: Any, source: str) -> tuple[pin.Model, MimicJoints]:
     return reduced, MimicJoints(model, G, A, b)
 
 
-def _fault(
-    model: pin.Model, joint: str, leader: str, coupled: dict[str, tuple[str, float, float]]
-) -> str:
-    """Why a joint cannot follow another, or nothing."""
+def _fault(model: pin.Model, joint: str, leader: str, coupled: Mapping[str, Follows]) -> str:
+    """Say why a joint cannot follow another, or nothing."""
     names = list(model.names)
     if leader in coupled:
         return "and the other way round"
@@ -106,18 +114,3 @@ def _fault(
     if led > follower:
         return "which comes after it in Pinocchio's order of joints, so that it cannot couple them"
     return ""
-
-
-def _with_direct_leaders(text: str, found: dict[str, tuple[str, float, float]]) -> str:
-    """Return the URDF with every mimic joint following a joint that moves on its own."""
-    from lxml import etree
-
-    root = etree.fromstring(text)
-    for joint in root.iterfind("joint"):
-        if joint.get("name") in found:
-            leader, multiplier, offset = found[joint.get("name")]
-            mimic = joint.find("mimic")
-            mimic.set("joint", leader)
-            mimic.set("multiplier", repr(multiplier))
-            mimic.set("offset", repr(offset))
-    return str(etree.tostring(root, encoding="unicode"))

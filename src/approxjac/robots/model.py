@@ -10,24 +10,22 @@ import pinocchio as pin
 
 from approxjac.errors import UrdfError
 from approxjac.robots.mimic_joints import MimicJoints, build_coupled
+from approxjac.robots.urdf import Urdf
 from approxjac.validation import Array
 
 WORLD = pin.Convention.WORLD  # members of Pinocchio's enums are slow to look up
 
 
-def build_model(root: Any, source: str) -> tuple[pin.Model, MimicJoints]:
+def build_model(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
     """Return the Pinocchio model of a URDF, and how mimic joints follow from its joints.
-
-    Args:
-        root: XML root of the URDF.
-        source: What to call it in errors.
 
     Raises:
         UrdfError: Not a URDF, no moving joint, joints of more than one degree of freedom,
             moving links without inertia, or mimic joints that nothing leads.
     """
+    source = urdf.source
     try:
-        model, mimic_joints = build_coupled(root, source)
+        model, mimic_joints = build_coupled(urdf)
     except UrdfError:  # ours, which says more
         raise
     except (ValueError, RuntimeError) as error:
@@ -42,7 +40,7 @@ def build_model(root: Any, source: str) -> tuple[pin.Model, MimicJoints]:
                 "arm must be revolute, continuous, prismatic or fixed",
                 given=source,
             )
-    _require_inertia(model, source)
+    require_inertia(model, source)
     return model, mimic_joints
 
 
@@ -80,7 +78,7 @@ def outward_axis(model: pin.Model, frame: int) -> str:
     return ("" if lever[k] >= 0.0 else "-") + "xyz"[k]
 
 
-def _require_inertia(model: pin.Model, source: str) -> None:
+def require_inertia(model: pin.Model, source: str) -> None:
     """Refuse a robot whose inertia matrix is singular: no torque control is possible.
 
     What is fixed to the base may have any inertia, and in URDFs that people use some of it has.

@@ -12,13 +12,12 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import meshes, urdf_edit
-from approxjac.robots import urdf as urdf_xml
 from approxjac.robots.mimic_joints import MimicJoints
 from approxjac.robots.model import build_model, outward_axis, own_joints
+from approxjac.robots.urdf import Urdf
 from approxjac.validation import Array, as_array, as_number, as_vector, require, shape_of
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
-_LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
 
 
 class Robot:
@@ -29,7 +28,7 @@ class Robot:
     joint that it follows, under that joint's limits, and is locked with it.
 
     Args:
-        urdf: URDF text.
+        urdf: URDF text, or a tree of it.
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
         tip: End-effector frame to use where none is named; by default the last link of an
             unbranched arm.
@@ -47,7 +46,7 @@ class Robot:
 
     def __init__(
         self,
-        urdf: str,
+        urdf: str | Urdf,
         *,
         gravity: Sequence[float] | Array = STANDARD_GRAVITY,
         tip: str | None = None,
@@ -56,15 +55,12 @@ class Robot:
         name: str | None = None,
         outward: str | None = None,
     ) -> None:
-        require("urdf", urdf, str, "URDF text")
-        self._urdf = urdf
+        require("urdf", urdf, (str, Urdf), "URDF text")
+        self._tree = urdf if isinstance(urdf, Urdf) else Urdf.parse(urdf, source)
         self._gravity = as_array("gravity", gravity, (3,), "m/s^2")
         self._urdf_dir = urdf_dir
-        self._source = source
-        root = urdf_xml.parse(urdf, source)
-        links = urdf_xml.read(root, source)
-        self._name = str(root.get("name")) if name is None else name
-        self._model, self._mimic_joints = build_model(root, source)
+        self._name = self._tree.name if name is None else name
+        self._model, self._mimic_joints = build_model(self._tree)
         self._joints = own_joints(self._model)
         for model in (self._model, self._mimic_joints.model):
             model.gravity.linear = self._gravity
@@ -74,8 +70,8 @@ class Robot:
             for index, frame in enumerate(self._model.frames)
         )
         self._frames = {name: index for _, index, name in frames if name != "universe"}
-        self._links = tuple(link.name for link in links.robot.links)
-        parents = {joint.parent for joint in links.robot.joints}
+        self._links = self._tree.links
+        parents = {joint.parent for joint in self._tree.joints.values()}
         leaves = [link for link in self._links if link not in parents]
         self._tip = tip if tip is not None else (leaves[0] if len(leaves) == 1 else None)
         self._outward = outward
@@ -92,7 +88,12 @@ class Robot:
     @property
     def urdf(self) -> str:
         """URDF text."""
-        return self._urdf
+        return self.tree.text
+
+    @property
+    def tree(self) -> Urdf:
+        """The URDF as a tree. Read-only."""
+        return self._tree
 
     @property
     def urdf_dir(self) -> Path | None:
@@ -283,32 +284,16 @@ class Robot:
                 none, or a name that is taken.
             UnknownNameError: No such parent.
         """
-        length = as_number("length", length, unit="m", minimum=0.0)
-        mass = as_number("mass", mass, unit="kg", minimum=0.0)
-        radius = as_number("radius", radius, unit="m", minimum=0.0)
-        if max(length, radius) > _LONGEST:
-            raise InvalidInputError(
-                f"length and radius must be at most {_LONGEST:g} [m], got {length:g} and "
-                f"{radius:g}; 200 mm are 0.2",
-                given=(length, radius),
-            )
+        length, mass, radius = urdf_edit.object_size(length, mass, radius)
         parent = self.tip_or(parent)
         if parent not in self._links:
             raise UnknownNameError("link", parent, self._name, self._links)
         direction = urdf_edit.direction(self.outward_axis(parent) if axis is None else axis)
         urdf_edit.require_new(name, set(self._frames) | {"universe"}, self._name)
-        root = urdf_xml.parse(self._urdf, self._source)
-        urdf_edit.append_object(
-            root,
-            name=name,
-            parent=parent,
-            axis=direction,
-            length=length,
-            radius=radius,
-            mass=mass,
-        )
+        size = {"length": length, "mass": mass, "radius": radius}
+        urdf = urdf_edit.with_object(self.tree, name=name, parent=parent, axis=direction, **size)
         outward = self.outward_axis(parent)  # the tip is turned as its parent is
-        return self._changed(urdf_xml.to_text(root), tip=f"{name}_tip", outward=outward)
+        return self._changed(urdf, tip=f"{name}_tip", outward=outward)
 
     def outward_axis(self, frame: str | None = None) -> str:
         """Axis of a frame, the tip by default, along which the arm leads on, such as "-z"."""
@@ -333,19 +318,18 @@ class Robot:
             UnknownNameError: No such joint.
             InvalidInputError: Wrong shape or not finite.
         """
-        for name, errors in (("shifts", shifts), ("rotations", rotations)):
-            if errors is not None:
-                require(name, errors, Mapping, "a mapping from joint names to 3-vectors")
-        root = urdf_xml.parse(self._urdf, self._source)
-        links = urdf_xml.read(root, self._source)
-        shifts, rotations = dict(shifts or {}), dict(rotations or {})
+        for name, given in (("shifts", shifts), ("rotations", rotations)):
+            if given is not None:
+                require(name, given, Mapping, "a mapping from joint names to 3-vectors")
+        shifts, rotations, none = shifts or {}, rotations or {}, np.zeros(3)
+        errors = {}
         for joint in dict.fromkeys([*shifts, *rotations]):
-            if joint not in links.joint_map:
-                raise UnknownNameError("joint", joint, self._name, links.joint_map)
-            shift = as_array(f"shift of {joint}", shifts.get(joint, np.zeros(3)), (3,), "m")
-            turn = as_array(f"rotation of {joint}", rotations.get(joint, np.zeros(3)), (3,), "rad")
-            urdf_edit.move_joint_origin(root, links, joint, shift, pin.exp3(turn))
-        return self._changed(urdf_xml.to_text(root))
+            if joint not in self.tree.joints:
+                raise UnknownNameError("joint", joint, self._name, self.tree.joints)
+            shift = as_array(f"shift of {joint}", shifts.get(joint, none), (3,), "m")
+            turn = as_array(f"rotation of {joint}", rotations.get(joint, none), (3,), "rad")
+            errors[joint] = shift, pin.exp3(turn)
+        return self._changed(urdf_edit.with_moved_origins(self.tree, errors))
 
     def with_locked_joints(self, positions: Mapping[str, float]) -> Robot:
         """Return this robot with joints fixed for good, such as those of fingers.
@@ -359,20 +343,22 @@ class Robot:
             InvalidInputError: A position that is not finite.
         """
         require("positions", positions, Mapping, "a mapping from joint names to positions")
-        root = urdf_xml.parse(self._urdf, self._source)
-        links = urdf_xml.read(root, self._source)
         moving = list(self._mimic_joints.model.names)[1:]
         locked: dict[str, float] = {}
         for joint, position in positions.items():
             if joint not in moving:
                 raise UnknownNameError("moving joint", joint, self._name, moving)
             locked[joint] = as_number(f"position of {joint}", position, unit="rad or m")
-        urdf_edit.lock_joints(root, links, locked)
-        return self._changed(urdf_xml.to_text(root))
+        return self._changed(urdf_edit.with_locked_joints(self.tree, locked))
 
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
-        return self._changed(self._urdf, gravity=as_array("gravity", gravity, (3,), "m/s^2"))
+        gravity = as_array("gravity", gravity, (3,), "m/s^2")
+        robot = self._copy()
+        robot._gravity = gravity
+        for model in (robot._model, robot._mimic_joints.model):
+            model.gravity.linear = gravity
+        return robot
 
     def save_urdf(self, path: str | Path) -> Path:
         """Write a URDF that Pinocchio, MuJoCo, MeshCat and yourdfpy open alike.
@@ -390,12 +376,12 @@ class Robot:
         Raises:
             InvalidInputError: The file cannot be written.
         """
-        root = urdf_xml.parse(self._urdf, self._source)
         require("path", path, (str, Path), "a file to write")
         path = Path(path)
-        meshes.for_other_tools(root, self._urdf_dir, path)
+        urdf = self.tree.copy()
+        meshes.for_other_tools(urdf.root, self._urdf_dir, path)
         try:
-            path.write_text(urdf_xml.to_text(root), encoding="utf-8")
+            path.write_text(urdf.text, encoding="utf-8")
         except OSError as error:
             raise InvalidInputError(
                 f"path must be a file that can be written, got {path}: {error}", given=path
@@ -404,8 +390,16 @@ class Robot:
 
     # -- Python -------------------------------------------------------------------------
 
-    def _changed(self, urdf: str, **changes: Any) -> Robot:
+    def _changed(self, urdf: Urdf, **changes: Any) -> Robot:
         return Robot(urdf, **self._options() | changes)
+
+    def _copy(self) -> Robot:
+        """Return the same robot with Pinocchio models of its own."""
+        robot = object.__new__(type(self))
+        robot.__dict__.update(self.__dict__)
+        robot._model = pin.Model(self._model)
+        robot._mimic_joints = self._mimic_joints.of(robot._model)
+        return robot
 
     def _options(self) -> dict[str, Any]:
         """The arguments besides the URDF."""
@@ -413,7 +407,7 @@ class Robot:
             "gravity": tuple(self._gravity),
             "tip": self._tip,
             "urdf_dir": self._urdf_dir,
-            "source": self._source,
+            "source": self.tree.source,
             "name": self._name,
             "outward": None if self._tip is None else self.outward_axis(),
         }
@@ -432,16 +426,16 @@ class Robot:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Robot):
             return NotImplemented
-        return self._key() == other._key()
+        return self is other or self._key() == other._key()
 
     def __hash__(self) -> int:
         return hash(self._key())
 
     def _key(self) -> tuple[Any, ...]:
-        return (self._urdf, tuple(self._gravity))
+        return (self.urdf, tuple(self._gravity))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
         return self  # it never changes
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return functools.partial(Robot, **self._options()), (self._urdf,)
+        return functools.partial(Robot, **self._options()), (self.urdf,)

@@ -1,138 +1,191 @@
-"""Reading and checking URDF text.
+"""`Urdf`: a URDF as a tree, checked.
 
-yourdfpy reads and validates the elements; the XML tree itself is kept as it was given, so that
-nothing that yourdfpy would drop is lost (mimic joints, transmissions, Gazebo and MuJoCo tags,
-comments).
+The XML itself is kept as it was given, so that nothing is lost on the way (transmissions, Gazebo
+and MuJoCo tags, comments).
 """
 
 from __future__ import annotations
 
 import copy
-import io
+import functools
 import math
 import re
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+from lxml import etree
 
 from approxjac.errors import UrdfError
+from approxjac.validation import Array
 
-if TYPE_CHECKING:
-    import yourdfpy
+_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+Follows = tuple[str, float, float]
+"""The joint that a mimic joint follows, the multiplier and the offset [rad or m]."""
 
 
-def parse(text: str, source: str) -> Any:
-    """Return the XML root of a URDF.
+class UrdfJoint(NamedTuple):
+    """A <joint>.
+
+    Attributes:
+        name: Its name.
+        type: "revolute", "continuous", "prismatic", "fixed", "floating" or "planar".
+        parent: Link that carries it.
+        child: Link that it carries.
+        origin: Placement of the child in the parent at zero, shape (4, 4).
+        axis: Axis in the child's frame, shape (3,), of any length.
+        limits: Lower and upper limit [rad or m]; 0 where none is given.
+    """
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+    limits: tuple[float, float]
+
+
+class Urdf:
+    """A URDF: its XML tree, its links and its joints. Read-only; an edit is made on a `copy`.
 
     Args:
-        text: The URDF.
+        root: XML root.
         source: What to call it in errors: a path or "URDF text".
-
-    Raises:
-        UrdfError: Not well-formed XML, the root is not <robot>, or xacro is not expanded.
+        text: The text that it was read from, if it was.
     """
-    from lxml import etree
 
-    # The text is decoded already; an encoding it declares would be applied a second time.
-    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
-    try:
-        root = etree.fromstring(text.encode(), etree.XMLParser(remove_blank_text=True))
-    except etree.XMLSyntaxError as error:
-        raise UrdfError(f"{source} is not well-formed XML: {error}", given=text) from error
-    if root.tag != "robot":
-        raise UrdfError(
-            f"{source} must have <robot> as its root element, got <{root.tag}>", given=text
-        )
-    for element in root.iter(etree.Element):
-        if "xacro" in element.tag:
+    def __init__(self, root: Any, source: str, text: str | None = None) -> None:
+        self.root = root
+        self.source = source
+        self._text = text
+
+    @classmethod
+    def parse(cls, text: str, source: str) -> Urdf:
+        """Return the tree of a URDF text.
+
+        Raises:
+            UrdfError: Not well-formed XML, the root is not <robot>, xacro is not expanded, or an
+                element or attribute that URDF requires is missing or wrong.
+        """
+        # The text is decoded already; an encoding it declares would be applied a second time.
+        bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
+        try:
+            root = etree.fromstring(bare.encode(), etree.XMLParser(remove_blank_text=True))
+        except etree.XMLSyntaxError as error:
+            raise UrdfError(f"{source} is not well-formed XML: {error}", given=text) from error
+        if root.tag != "robot":
             raise UrdfError(
-                f"{source} holds <{etree.QName(element).localname}> of xacro: expand it first "
-                "with the command xacro",
-                given=text,
+                f"{source} must have <robot> as its root element, got <{root.tag}>", given=text
             )
-    return root
+        for element in root.iter(etree.Element):
+            if "xacro" in element.tag:
+                raise UrdfError(
+                    f"{source} holds <{etree.QName(element).localname}> of xacro: expand it first "
+                    "with the command xacro",
+                    given=text,
+                )
+        for fault in _faults(root):
+            raise UrdfError(f"{source} is not a valid URDF: {fault}", given=source)
+        return cls(root, source, text)
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        return str(self.root.get("name"))
+
+    @functools.cached_property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links."""
+        return tuple(link.get("name") for link in self.root.iterfind("link"))
+
+    @functools.cached_property
+    def joints(self) -> Mapping[str, UrdfJoint]:
+        """Joint name → joint, fixed ones included."""
+        return {joint.get("name"): _joint(joint) for joint in self.root.iterfind("joint")}
+
+    @functools.cached_property
+    def followers(self) -> Mapping[str, Follows]:
+        """Mimic joint → what it follows."""
+        found = {}
+        for joint in self.root.iterfind("joint"):
+            mimic = joint.find("mimic")
+            if mimic is not None:
+                numbers = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
+                found[joint.get("name")] = (mimic.get("joint"), *numbers)
+        return found
+
+    @functools.cached_property
+    def text(self) -> str:
+        """The text that it was read from; of an edited one, indented with an XML declaration."""
+        if self._text is not None:
+            return self._text
+        tree = self.root.getroottree()  # with the comments that stand before the root
+        text = etree.tostring(tree, pretty_print=True, xml_declaration=True, encoding="utf-8")
+        return str(text.decode())
+
+    def copy(self) -> Urdf:
+        """Return a copy whose root may be changed before anything else is asked of it."""
+        return Urdf(copy.deepcopy(self.root.getroottree()).getroot(), self.source)
+
+    def bare_root(self) -> Any:
+        """Return a root as computing needs it: without geometry, comments and instructions.
+
+        Not every parser takes every geometry, nor instructions.
+        """
+        bare = copy.deepcopy(self.root)
+        etree.strip_tags(bare, etree.Comment, etree.ProcessingInstruction)
+        etree.strip_elements(bare, "visual", "collision")
+        return bare
 
 
-def read(root: Any, source: str) -> yourdfpy.URDF:
-    """Return the links and joints of a URDF, checked, without touching any mesh.
+def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
+    """Return the joint at the end of a chain of followers, and the multiplier and offset to it.
 
-    Raises:
-        UrdfError: An element or attribute that URDF requires is missing or wrong.
+    Args:
+        joint: Where to start; itself, 1 and 0 are returned if it follows no other.
+        following: As `Urdf.followers`. Of joints that follow each other, one is returned.
     """
-    import yourdfpy
-
-    for fault in _attribute_faults(root):
-        raise UrdfError(f"{source} is not a valid URDF: {fault}", given=source)
-    try:
-        urdf = yourdfpy.URDF.load(
-            io.BytesIO(bare_text(root).encode()), build_scene_graph=False, load_meshes=False
-        )
-        urdf.validate()
-    except (ValueError, KeyError, AttributeError, IndexError, TypeError) as error:
-        raise UrdfError(
-            f"{source} is not a valid URDF: {type(error).__name__}: {error}", given=source
-        ) from error
-    for fault in _faults(urdf):
-        raise UrdfError(f"{source} is not a valid URDF: {fault}", given=source)
-    return urdf
+    multiplier, offset = 1.0, 0.0
+    for _ in following:
+        if joint not in following:
+            break
+        joint, own_multiplier, own_offset = following[joint]
+        multiplier, offset = multiplier * own_multiplier, multiplier * own_offset + offset
+    return joint, multiplier, offset
 
 
-def bare_text(root: Any) -> str:
-    """Return the URDF as computing needs it: without geometry, comments and instructions.
-
-    Not every parser takes every geometry, nor instructions.
-    """
-    from lxml import etree
-
-    bare = copy.deepcopy(root)
-    etree.strip_tags(bare, etree.Comment, etree.ProcessingInstruction)
-    etree.strip_elements(bare, "visual", "collision")
-    return str(etree.tostring(bare, encoding="unicode"))
-
-
-def to_text(root: Any) -> str:
-    """Return the URDF as indented text with an XML declaration."""
-    from lxml import etree
-
-    tree = root.getroottree()  # with the comments that stand before the root
-    return str(
-        etree.tostring(tree, pretty_print=True, xml_declaration=True, encoding="utf-8").decode()
+def _joint(element: Any) -> UrdfJoint:
+    origin, axis, limit = (element.find(tag) for tag in ("origin", "axis", "limit"))
+    return UrdfJoint(
+        element.get("name"),
+        element.get("type"),
+        element.find("parent").get("link"),
+        element.find("child").get("link"),
+        np.eye(4) if origin is None else _placement(origin),
+        np.array(_floats("1 0 0" if axis is None else axis.get("xyz"))),
+        (0.0, 0.0)
+        if limit is None
+        else (float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))),
     )
 
 
-def _attribute_faults(root: Any) -> list[str]:
-    """Attributes that URDF requires and that are missing or no numbers, with their owner."""
-    faults = [] if root.get("name") else ["<robot> has no name"]
-    for owner in root.iterfind("link"):
-        if not owner.get("name"):
-            faults.append("a <link> has no name")
-    for owner in root.iterfind("joint"):
-        if not owner.get("name"):
-            faults.append("a <joint> has no name")
-        for tag in ("parent", "child"):
-            if owner.find(tag) is None or not owner.find(tag).get("link"):
-                faults.append(f"joint {owner.get('name')!r} has no <{tag} link=...>")
-        if owner.find("mimic") is not None and not owner.find("mimic").get("joint"):
-            faults.append(f"joint {owner.get('name')!r} has a <mimic> without joint=...")
-    for owner in root.iterfind("link"):
-        inertial = owner.find("inertial")
-        if inertial is not None and None in (inertial.find("mass"), inertial.find("inertia")):
-            faults.append(f"<inertial> of link {owner.get('name')!r} needs <mass> and <inertia>")
-    for owner in [*root.iterfind("link"), *root.iterfind("joint")]:
-        for path, attribute, count in _NUMBERS:
-            for element in owner.iterfind(path):
-                given = element.get(attribute)
-                if given is None and attribute in _OPTIONAL and element.tag != "axis":
-                    continue
-                if len(_floats(given)) != count:
-                    wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-                    faults.append(
-                        f"<{element.tag} {attribute}=...> of {owner.tag} {owner.get('name')!r} "
-                        f"must be {wanted}, got {given!r}"
-                    )
-    return faults
+def _placement(origin: Any) -> Array:
+    """Homogeneous matrix (4, 4) of an <origin>: roll, pitch and yaw about fixed axes x, y, z."""
+    sin, cos = (f(_floats(origin.get("rpy", "0 0 0"))) for f in (np.sin, np.cos))
+    (si, sj, sk), (ci, cj, ck) = sin, cos
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [cj * ck, sj * (si * ck) - ci * sk, sj * (ci * ck) + si * sk],
+        [cj * sk, sj * (si * sk) + ci * ck, sj * (ci * sk) - si * ck],
+        [-sj, cj * si, cj * ci],
+    ]
+    matrix[:3, 3] = _floats(origin.get("xyz", "0 0 0"))
+    return matrix + 0.0  # no -0, which would turn half a turn round when it is written again
 
+
+# -- what is checked --------------------------------------------------------------------
 
 _NUMBERS = (
     ("origin", "xyz", 3),
@@ -148,8 +201,6 @@ _NUMBERS = (
 )
 # looked at elsewhere, or with a default
 _OPTIONAL = ("xyz", "rpy", "lower", "upper", "effort", "velocity", "multiplier", "offset")
-
-
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -167,58 +218,97 @@ def _floats(text: str | None) -> list[float]:
     return numbers if all(math.isfinite(number) for number in numbers) else []
 
 
-def _faults(urdf: yourdfpy.URDF) -> list[str]:
+def _faults(root: Any) -> Iterator[str]:
     """What is wrong with a URDF, in words; Pinocchio's parser would only say that it is."""
-    links, joints = urdf.robot.links, urdf.robot.joints
-    faults = [
-        f"two {kind}s are called {name!r}"
-        for kind, items in (("link", links), ("joint", joints))
-        for name, count in Counter(item.name for item in items).items()
-        if count > 1
-    ]
-    names = {link.name for link in links}
-    for joint in joints:
-        for link in (joint.parent, joint.child):
-            if link not in names:
-                faults.append(f"joint {joint.name!r} refers to link {link!r}, which does not exist")
-        moves = joint.type in ("revolute", "continuous", "prismatic")
-        if moves and joint.axis is not None and not np.linalg.norm(joint.axis) > 0.0:
-            faults.append(f"the axis of joint {joint.name!r} is zero")
-        limit = joint.limit
-        if joint.type in ("revolute", "prismatic") and limit is None:
-            faults.append(
+    yield from _attribute_faults(root)  # without which the rest cannot be looked at
+    elements = list(root.iterfind("joint"))
+    joints = [_joint(element) for element in elements]
+    links = [link.get("name") for link in root.iterfind("link")]
+    for kind, names in (("link", links), ("joint", [joint.name for joint in joints])):
+        for name, count in Counter(names).items():
+            if count > 1:
+                yield f"two {kind}s are called {name!r}"
+    for joint, element in zip(joints, elements, strict=True):
+        yield from _joint_faults(joint, element.find("limit"), links)
+    yield from _tree_faults(joints, set(links))
+
+
+def _attribute_faults(root: Any) -> Iterator[str]:
+    """Attributes that URDF requires and that are missing or no numbers, with their owner."""
+    if not root.get("name"):
+        yield "<robot> has no name"
+    links, joints = list(root.iterfind("link")), list(root.iterfind("joint"))
+    for owner in (*links, *joints):
+        if not owner.get("name"):
+            yield f"a <{owner.tag}> has no name"
+    for owner in joints:
+        name = owner.get("name")
+        for tag in ("parent", "child"):
+            if owner.find(tag) is None or not owner.find(tag).get("link"):
+                yield f"joint {name!r} has no <{tag} link=...>"
+        if owner.find("mimic") is not None and not owner.find("mimic").get("joint"):
+            yield f"joint {name!r} has a <mimic> without joint=..."
+    for owner in links:
+        inertial = owner.find("inertial")
+        if inertial is not None and None in (inertial.find("mass"), inertial.find("inertia")):
+            yield f"<inertial> of link {owner.get('name')!r} needs <mass> and <inertia>"
+    for owner in (*links, *joints):
+        for path, attribute, count in _NUMBERS:
+            for element in owner.iterfind(path):
+                given = element.get(attribute)
+                if given is None and attribute in _OPTIONAL and element.tag != "axis":
+                    continue
+                if len(_floats(given)) != count:
+                    wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+                    yield (
+                        f"<{element.tag} {attribute}=...> of {owner.tag} {owner.get('name')!r} "
+                        f"must be {wanted}, got {given!r}"
+                    )
+
+
+def _joint_faults(joint: UrdfJoint, limit: Any, links: list[str]) -> Iterator[str]:
+    """What is wrong with one joint and its <limit>."""
+    for link in (joint.parent, joint.child):
+        if link not in links:
+            yield f"joint {joint.name!r} refers to link {link!r}, which does not exist"
+    if joint.type not in _TYPES:
+        yield (
+            "The <joint> tag misses a 'type' attribute or value is not part of allowed values "
+            f"[{', '.join(_TYPES)}], got {joint.type!r} of joint {joint.name!r}"
+        )
+    if joint.type not in ("revolute", "continuous", "prismatic"):
+        return
+    if not np.linalg.norm(joint.axis) > 0.0:
+        yield f"the axis of joint {joint.name!r} is zero"
+    if limit is None:
+        if joint.type != "continuous":
+            yield (
                 f"joint {joint.name!r} is {joint.type} and has no <limit>; with effort, velocity, "
                 "lower and upper all 0, no limit is known"
             )
-        turns_freely = joint.type == "continuous"
-        if moves and limit and not turns_freely and (limit.lower or 0.0) > (limit.upper or 0.0):
-            faults.append(f"the limits of joint {joint.name!r} are reversed")
-        if moves and limit is not None and (limit.effort is None or limit.velocity is None):
-            faults.append(
-                f"the <limit> of joint {joint.name!r} needs effort and velocity; 0 means that none "
-                "is known"
-            )
-    faults += _tree_faults(joints, names)
-    # yourdfpy counts some limits as missing that URDF allows to be; those were looked at above.
-    return faults + [str(error) for error in urdf.errors if "<limit>" not in str(error)]
+        return
+    if joint.type != "continuous" and joint.limits[0] > joint.limits[1]:
+        yield f"the limits of joint {joint.name!r} are reversed"
+    if limit.get("effort") is None or limit.get("velocity") is None:
+        yield (
+            f"the <limit> of joint {joint.name!r} needs effort and velocity; 0 means that none "
+            "is known"
+        )
 
 
-def _tree_faults(joints: list[yourdfpy.Joint], names: set[str]) -> list[str]:
+def _tree_faults(joints: list[UrdfJoint], links: set[str]) -> Iterator[str]:
     """Links with two parents, more than one root, or loops."""
     parents = Counter(joint.child for joint in joints)
-    faults = [
-        f"link {link!r} is the child of {count} joints"
-        for link, count in parents.items()
-        if count > 1
-    ]
-    roots = sorted(names - set(parents))
+    for link, count in parents.items():
+        if count > 1:
+            yield f"link {link!r} is the child of {count} joints"
+    roots = sorted(links - set(parents))
     if len(roots) != 1:
-        faults.append(f"there must be one link without a parent, got {', '.join(roots) or 'none'}")
-        return faults
-    reached = {roots[0]}
+        yield f"there must be one link without a parent, got {', '.join(roots) or 'none'}"
+        return
+    reached = set(roots)
     for _ in joints:
         reached |= {joint.child for joint in joints if joint.parent in reached}
-    if reached != names:
-        loose = ", ".join(sorted(names - reached))
-        faults.append(f"these links are not connected to {roots[0]!r}: {loose}")
-    return faults
+    if reached != links:
+        loose = ", ".join(sorted(links - reached))
+        yield f"these links are not connected to {roots[0]!r}: {loose}"

@@ -1,24 +1,24 @@
 """Editing URDF: an object attached, joint origins moved, joints fixed.
 
-yourdfpy writes the new elements; they go into the original XML tree, which keeps everything else.
+Each edit returns a new tree, which keeps everything else of the old one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from lxml.builder import E
 
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.validation import Array, as_array
-
-if TYPE_CHECKING:
-    import yourdfpy
+from approxjac.robots.urdf import Urdf, UrdfJoint
+from approxjac.validation import Array, as_array, as_number
 
 THIN_ROD = 0.01
 """Radius that a thin rod (radius 0) is drawn with, relative to its length."""
+_LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
 
 
 def transform(translation: Array, rotation: Array | None = None) -> Array:
@@ -51,6 +51,24 @@ def direction(axis: str | Sequence[float]) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
+def object_size(length: float, mass: float, radius: float) -> tuple[float, float, float]:
+    """Return length [m], mass [kg] and radius [m] of an object as numbers.
+
+    Raises:
+        InvalidInputError: Negative, not finite or too large.
+    """
+    length = as_number("length", length, unit="m", minimum=0.0)
+    mass = as_number("mass", mass, unit="kg", minimum=0.0)
+    radius = as_number("radius", radius, unit="m", minimum=0.0)
+    if max(length, radius) > _LONGEST:
+        raise InvalidInputError(
+            f"length and radius must be at most {_LONGEST:g} [m], got {length:g} and "
+            f"{radius:g}; 200 mm are 0.2",
+            given=(length, radius),
+        )
+    return length, mass, radius
+
+
 def require_new(name: str, taken: Collection[str], robot: str) -> None:
     """Refuse a name of an object that is none, or that a robot's frames have."""
     if not isinstance(name, str) or not name.isprintable() or not name or " " in name:
@@ -75,170 +93,133 @@ def rotation_onto(axis: Array) -> Array:
     return np.asarray(np.eye(3) + K + K @ K / (1.0 + z))
 
 
-def append_object(
-    root: Any, *, name: str, parent: str, axis: Array, length: float, radius: float, mass: float
-) -> None:
-    """Append a uniform cylinder from the origin of `parent` along `axis`, and a tip frame.
+def object_moments(length: float, mass: float, radius: float) -> tuple[float, float]:
+    """Return moments of inertia of a uniform cylinder, across its axis and along it [kg m²].
+
+    A thin rod (radius 0) has m l²/12 across it; along it, where MuJoCo refuses 0, it has the
+    inertia of the cylinder it is drawn as.
+    """
+    across = mass * (3.0 * radius**2 + length**2) / 12.0
+    return across, 0.5 * mass * _drawn_radius(length, radius) ** 2
+
+
+def with_object(
+    urdf: Urdf, *, name: str, parent: str, axis: Array, length: float, radius: float, mass: float
+) -> Urdf:
+    """Return a URDF with a uniform cylinder from the origin of `parent` along `axis`, and its tip.
 
     Both new links keep the orientation of `parent`, so that a length of 0 puts the tip frame
     exactly onto it. A massless object has no <inertial>, one without length no geometry
-    (other tools refuse cylinders of length 0), neither to see nor to touch. A thin rod (radius 0)
-    has m l²/12 across it; along it, where MuJoCo refuses 0, it has the inertia of the cylinder it
-    is drawn as.
+    (other tools refuse cylinders of length 0), neither to see nor to touch.
     """
-    from yourdfpy import (
-        Collision,
-        Color,
-        Cylinder,
-        Geometry,
-        Inertial,
-        Joint,
-        Link,
-        Material,
-        Visual,
-    )
-
-    middle = transform(0.5 * length * axis, rotation_onto(axis))
-    link = Link(name=name)
-    drawn_radius = radius if radius > 0.0 else THIN_ROD * length
+    middle = _origin(transform(0.5 * length * axis, rotation_onto(axis)))
+    link = E.link(name=name)
     if mass > 0.0:
-        across = mass * (3.0 * radius**2 + length**2) / 12.0
-        link.inertial = Inertial(
-            origin=middle,
-            mass=mass,
-            inertia=np.diag([across, across, 0.5 * mass * drawn_radius**2]),
-        )
+        across, along = map(str, object_moments(length, mass, radius))
+        inertia = E.inertia(ixx=across, ixy="0.0", ixz="0.0", iyy=across, iyz="0.0", izz=along)
+        link.append(E.inertial(_origin_of(middle), E.mass(value=str(mass)), inertia))
     if length > 0.0:
-        geometry = Geometry(cylinder=Cylinder(radius=drawn_radius, length=length))
-        link.collisions = [Collision(name=None, origin=middle, geometry=geometry)]
-        link.visuals = [
-            Visual(
-                origin=middle,
-                geometry=geometry,
-                material=Material(
-                    name=f"{name}_color", color=Color(rgba=np.array([0.9, 0.6, 0.0, 1.0]))
-                ),
-            )
+        size = {"radius": str(_drawn_radius(length, radius)), "length": str(length)}
+        color = E.material(E.color(rgba="0.9 0.6 0.0 1.0"), name=f"{name}_color")
+        for shape in (E.visual(), E.collision()):
+            shape.extend([E.geometry(E.cylinder(**size)), _origin_of(middle)])
+            link.append(shape)
+        link.find("visual").append(color)
+    new = urdf.copy()
+    new.root.extend(
+        [
+            link,
+            E.link(name=f"{name}_tip"),
+            _fixed_joint(f"{name}_joint", parent, name, np.eye(4)),
+            _fixed_joint(f"{name}_tip_joint", name, f"{name}_tip", transform(length * axis)),
         ]
-    tip = Link(name=f"{name}_tip")
-    joints = [
-        Joint(name=f"{name}_joint", type="fixed", parent=parent, child=name, origin=np.eye(4)),
-        Joint(
-            name=f"{name}_tip_joint",
-            type="fixed",
-            parent=name,
-            child=tip.name,
-            origin=transform(length * axis),
-        ),
-    ]
-    root.extend(_elements([link, tip], joints))
+    )
+    return new
 
 
-def move_joint_origin(
-    root: Any, urdf: yourdfpy.URDF, name: str, translation: Array, rotation: Array
-) -> None:
-    """Shift the origin of a joint in its parent link's frame, and turn it about itself.
+def with_moved_origins(urdf: Urdf, errors: Mapping[str, tuple[Array, Array]]) -> Urdf:
+    """Return a URDF with the origins of joints shifted in the parent's frame, and turned.
 
     Args:
-        root: XML root to change.
-        urdf: The same, as `read` returned it.
-        name: Joint.
-        translation: Shift in the parent link's frame, shape (3,) [m].
-        rotation: Rotation matrix applied in the joint's own frame, shape (3, 3).
+        urdf: The URDF.
+        errors: Joint → shift in the parent link's frame, shape (3,) [m], and rotation matrix
+            applied in the joint's own frame, shape (3, 3).
     """
-    old = _origin(urdf, name)
-    _set_origin(root, name, transform(translation) @ old @ transform(np.zeros(3), rotation))
+    new = urdf.copy()
+    elements = _joint_elements(new)
+    for name, (shift, turn) in errors.items():
+        origin = transform(shift) @ urdf.joints[name].origin @ transform(np.zeros(3), turn)
+        _set_origin(elements[name], origin)
+    return new
 
 
-def lock_joints(root: Any, urdf: yourdfpy.URDF, positions: Mapping[str, float]) -> None:
-    """Make joints fixed at their positions [rad or m], and with them the joints that mimic them.
+def with_locked_joints(urdf: Urdf, positions: Mapping[str, float]) -> Urdf:
+    """Return a URDF with joints fixed at positions [rad or m], and those that mimic them.
 
     Args:
-        root: XML root to change.
-        urdf: The same, as `read` returned it.
+        urdf: The URDF.
         positions: Moving joint → position. A mimic joint that is named is fixed where this says.
     """
     locked = dict(positions)
-    moving = {joint.name for joint in urdf.robot.joints if joint.type != "fixed"}
-    following = {joint: f for joint, f in followers(root).items() if joint in moving}
+    moving = {joint.name for joint in urdf.joints.values() if joint.type != "fixed"}
+    following = {joint: follows for joint, follows in urdf.followers.items() if joint in moving}
     for _ in following:  # a follower may be followed in turn
         for joint, (leader, multiplier, offset) in following.items():
             if leader in locked:
                 locked.setdefault(joint, multiplier * locked[leader] + offset)
+    new = urdf.copy()
+    elements = _joint_elements(new)
     for name, position in locked.items():
-        _fix_joint(root, urdf, name, position)
+        element = elements[name]
+        if position != 0.0:
+            _set_origin(element, urdf.joints[name].origin @ _motion(urdf.joints[name], position))
+        element.set("type", "fixed")
+        for tag in ("axis", "limit", "mimic", "safety_controller", "calibration", "dynamics"):
+            for part in element.findall(tag):
+                element.remove(part)
+    return new
 
 
-def followers(root: Any) -> dict[str, tuple[str, float, float]]:
-    """Return mimic joint → (joint that it follows, multiplier, offset)."""
-    found = {}
-    for joint in root.iterfind("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None:
-            multiplier = float(mimic.get("multiplier", 1.0))
-            offset = float(mimic.get("offset", 0.0))
-            found[joint.get("name")] = (mimic.get("joint"), multiplier, offset)
-    return found
+def _motion(joint: UrdfJoint, position: float) -> Array:
+    """Placement (4, 4) of a joint's child at a position [rad or m], from where it is at zero."""
+    along = position * (joint.axis / np.linalg.norm(joint.axis))
+    if joint.type == "prismatic":
+        return transform(along)
+    return transform(np.zeros(3), pin.exp3(along))
 
 
-def leader_of(
-    joint: str, following: Mapping[str, tuple[str, float, float]]
-) -> tuple[str, float, float]:
-    """Return the joint at the end of a chain of followers, and the multiplier and offset to it.
-
-    Args:
-        joint: Where to start; itself, 1 and 0 are returned if it follows no other.
-        following: As `followers` returns it. Of joints that follow each other, one is returned.
-    """
-    multiplier, offset = 1.0, 0.0
-    for _ in following:
-        if joint not in following:
-            break
-        joint, own_multiplier, own_offset = following[joint]
-        multiplier, offset = multiplier * own_multiplier, multiplier * own_offset + offset
-    return joint, multiplier, offset
+def _drawn_radius(length: float, radius: float) -> float:
+    return radius if radius > 0.0 else THIN_ROD * length
 
 
-def _fix_joint(root: Any, urdf: yourdfpy.URDF, name: str, position: float) -> None:
-    """Make a joint fixed at a position [rad or m]."""
-    if position != 0.0:
-        axis = urdf.joint_map[name].axis / np.linalg.norm(urdf.joint_map[name].axis)
-        if urdf.joint_map[name].type == "prismatic":
-            motion = transform(position * axis)
-        else:
-            motion = transform(np.zeros(3), pin.exp3(position * axis))
-        _set_origin(root, name, _origin(urdf, name) @ motion)
-    joint = _joint_element(root, name)
-    joint.set("type", "fixed")
-    for tag in ("axis", "limit", "mimic", "safety_controller", "calibration", "dynamics"):
-        for element in joint.findall(tag):
-            joint.remove(element)
+def _joint_elements(urdf: Urdf) -> dict[str, Any]:
+    return {joint.get("name"): joint for joint in urdf.root.iterfind("joint")}
 
 
-def _elements(links: Sequence[yourdfpy.Link], joints: Sequence[yourdfpy.Joint]) -> list[Any]:
-    """Return links and joints as XML elements, written by yourdfpy."""
-    import yourdfpy
-
-    robot = yourdfpy.Robot(name="elements", links=list(links), joints=list(joints))
-    writer = yourdfpy.URDF(robot=robot, build_scene_graph=False, load_meshes=False)
-    return list(writer.write_xml().getroot())
+def _fixed_joint(name: str, parent: str, child: str, origin: Array) -> Any:
+    links = E.parent(link=parent), E.child(link=child)
+    return E.joint(*links, _origin(origin), name=name, type="fixed")
 
 
-def _joint_element(root: Any, name: str) -> Any:
-    return next(joint for joint in root.iterfind("joint") if joint.get("name") == name)
-
-
-def _origin(urdf: yourdfpy.URDF, name: str) -> Array:
-    """Origin of a joint in its parent link, 4 × 4; URDF leaves out the identity."""
-    origin: Array | None = urdf.joint_map[name].origin
-    return np.eye(4) if origin is None else origin
-
-
-def _set_origin(root: Any, name: str, origin: Array) -> None:
-    from yourdfpy import Joint
-
-    written = _elements([], [Joint(name=name, type="fixed", parent="", child="", origin=origin)])
-    joint = _joint_element(root, name)
+def _set_origin(joint: Any, placement: Array) -> None:
     for element in joint.findall("origin"):
         joint.remove(element)
-    joint.append(written[0].find("origin"))
+    joint.append(_origin(placement))
+
+
+def _origin(placement: Array) -> Any:
+    """<origin> of a placement (4, 4)."""
+    R = placement[:3, :3]
+    cos_pitch = np.sqrt(R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0])
+    pitch = np.arctan2(-R[2, 0], cos_pitch)
+    if cos_pitch > 4.0 * np.finfo(float).eps:
+        rpy = np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])
+    else:  # roll and yaw are about the same axis
+        rpy = np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0
+    xyz, angles = (" ".join(map(str, numbers)) for numbers in (placement[:3, 3], rpy))
+    return E.origin(xyz=xyz, rpy=angles)
+
+
+def _origin_of(origin: Any) -> Any:
+    """A copy, as an element has one parent only."""
+    return E.origin(**origin.attrib)

@@ -13,7 +13,6 @@ from lxml import etree
 from trimesh import Trimesh, creation
 
 from approxjac.robots import Robot
-from approxjac.robots import urdf as urdf_xml
 from approxjac.robots.meshes import find_mesh
 from approxjac.validation import Array, as_number, require
 from approxjac.view.meshes import capsule, load_mesh, shares, simplify, smooth
@@ -81,7 +80,7 @@ def robot_look(
     """
     require("robot", robot, Robot, "a Robot")
     budget = as_number("triangles", triangles, above=0.0)
-    root = urdf_xml.parse(robot.urdf, robot.name)
+    root = robot.tree.root
     taken = {} if like is None else _taken(root, *like)
     seen, missing = _visuals(root, robot.urdf_dir, taken.keys())
     shapes = taken | _in_place(robot, root, seen.keys() | taken.keys())
@@ -94,7 +93,7 @@ def robot_look(
 
 def _taken(root: Any, other: Robot, look: Look) -> dict[str, tuple[Trimesh, ...]]:
     """Return the shapes of the links of another robot that are the same in this one."""
-    theirs = {_text(link) for link in urdf_xml.parse(other.urdf, other.name).iterfind("link")}
+    theirs = {_text(link) for link in other.tree.root.iterfind("link")}
     same = [link.get("name") for link in root.iterfind("link") if _text(link) in theirs]
     return {name: look.shapes[name] for name in same if name in look.found}
 
