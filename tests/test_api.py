@@ -72,6 +72,14 @@ def test_every_name_has_a_docstring(module):
             assert inspect.getdoc(thing), name
 
 
+def test_nothing_public_is_printed_as_an_address():
+    for name in aj.__all__:
+        kind = getattr(aj, name)
+        if inspect.isclass(kind) and not issubclass(kind, Exception | aj.Task):
+            own = kind.__repr__ is not object.__repr__
+            assert own or getattr(kind, "_is_protocol", False), name
+
+
 def test_tab_completion_shows_what_helps(panda):
     controller = aj.SetpointController(aj.PositionTask(panda))
     for thing in (panda, controller, aj.Plant(panda), controller.task):
