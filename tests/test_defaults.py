@@ -8,6 +8,7 @@ import approxjac as aj
 from approxjac.robots.catalog import NAMED, urdf_path
 from approxjac.studies.arms import carried_object
 from approxjac.tasks import best_axes
+from approxjac.tasks.analysis import sees
 
 OFFSET = 0.05  # of the target from the start along each axis [m], with signs that alternate
 
@@ -64,7 +65,7 @@ def test_the_ready_posture_is_one_that_the_camera_sees(panda):
         800.0, (640, 480), (1.5, 0.0, 0.5), [[0, 0, -1], [1, 0, 0], [0, -1, 0]]
     )
     plant = aj.Plant(panda, aj.ImageTask(panda, looks))
-    assert plant.sensor.sees(plant.ready_posture())
+    assert sees(plant.sensor, plant.ready_posture())
 
 
 def test_the_sensor_is_by_default_the_position_of_the_tip(panda):

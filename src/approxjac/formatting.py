@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -35,3 +36,8 @@ def short_fields(record: Any) -> str:
         elif value is not field.default and value != field.default:
             shown.append(f"{field.name}={value!r}")
     return f"{type(record).__name__}({', '.join(shown)})"
+
+
+def joined(units: Iterable[str]) -> str:
+    """Units as one text; different ones are joined by "or"."""
+    return " or ".join(dict.fromkeys(units))

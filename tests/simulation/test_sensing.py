@@ -538,7 +538,7 @@ def test_bad_sensing_is_refused(changes, text):
         ({"q_quantum": np.ones(7)}, r"q_quantum must have shape \(2,\), got shape \(7,\)"),
         (
             {"x_lost": [(0, 1, 0), (1, 2, 1)]},
-            r"part of x_lost must be that of an entry of PositionTask\(.*\).parts, 0, got 1",
+            r"part of x_lost must be that of a part of PositionTask\(.*\), 0, got 1",
         ),
     ],
 )
@@ -663,7 +663,7 @@ class Blind(aj.PositionTask):
 
     wall = 0.0
 
-    def seen(self, x):
+    def _seen(self, x):
         return x if x[0] <= self.wall else np.full(3, np.nan)
 
 
@@ -895,7 +895,7 @@ def test_noise_and_rounding_leave_what_is_not_seen_unseen_and_the_rest_as_it_is(
     for hand in (aj.PositionTask(panda), aj.PoseTask(panda)):
         both = aj.StackedTask(hand, elbow)
         truths = still(both, START, 100)
-        for entries, _ in both.parts:
+        for entries, _ in both._parts:
             hidden = []
             for truth in truths:
                 x = truth.x.copy()

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import law
-from approxjac.simulation.scene import features
+from approxjac.tasks.analysis import features
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 GAINS = aj.Gains(kp=[300.0, 400.0, 500.0], kv=80.0, damping=1.5)
@@ -183,14 +183,14 @@ MOUNTED = aj.PinholeCamera(500.0, (640, 480), mount="panda_hand")
 )
 def test_every_kind_of_task_is_kept(panda, task_of, tmp_path):
     truth, belief = panda.with_object(0.2, 0.5), panda.with_object(0.0)
-    sensor, task = task_of(truth).measured, task_of(belief)
+    sensor, task = task_of(truth)._measured, task_of(belief)
     controller = aj.SetpointController(task)
     x_d = sensor.value(START)
     run = aj.simulate(aj.Plant(truth, sensor), controller, x_d, START, 0.002, dt=1e-3)
     again = aj.Trajectory.load(run.save(tmp_path / "run"))
     for kept, given in ((again.scene.sensor, sensor), (again.scene.task, task)):
         assert_allclose(kept.value(START), given.value(START), rtol=1e-13)
-        assert kept.measured.labels == given.measured.labels
+        assert kept._measured.labels == given._measured.labels
         for a, b in zip(features(kept), features(given), strict=True):
             assert (a.entries, a.frame, a.axes) == (b.entries, b.frame, b.axes)
             assert type(a.camera) is type(b.camera)

@@ -257,7 +257,7 @@ def test_the_pictures_show_the_points_the_lanes_and_both_cameras(done, in_hand):
     for ax, k in zip(views, (0, -1), strict=True):
         lines = {line.get_label(): np.array(line.get_data()).T for line in ax.get_lines()}
         assert_allclose(lines["points, true"], done.run.x[k].reshape(2, 2), atol=1e-9)
-        wrong = done.servo.controller.task.measured.value(done.run.q[k]).reshape(2, 2)
+        wrong = done.servo.controller.task._measured.value(done.run.q[k]).reshape(2, 2)
         assert_allclose(lines["points, believed"], wrong, atol=1e-9)
     own = servo_report.draw_views(in_hand).axes[0]
     assert "arm, true" not in [line.get_label() for line in own.get_lines()]

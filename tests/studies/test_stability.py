@@ -105,7 +105,7 @@ def test_camera_of_the_two_link_arm(tmp_path):
         ),
     )  # fmt: skip
     result = study.run(case)
-    assert case.controller.task.unit == "m"
+    assert set(case.controller.task.units) == {"m"}
     assert result.tolerances["local"].scale > result.tolerances["theorem1"].scale
     assert "camera roll" in report.verdicts(case, result.report)
     assert report.draw_map(result) is not None

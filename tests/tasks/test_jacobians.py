@@ -57,7 +57,7 @@ def test_axes_choose_rows_in_the_order_given(panda, rng):
     assert_allclose(zx.value(q), xyz.value(q)[[2, 0]])
     assert_allclose(zx.jacobian(q), xyz.jacobian(q)[[2, 0]])
     assert zx.labels == ("z", "x")
-    assert zx.unit == "m"
+    assert zx.units == ("m", "m")
 
 
 def test_the_planar_camera_is_the_papers_formula():

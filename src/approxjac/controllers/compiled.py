@@ -84,7 +84,7 @@ class CompiledSetpointController(SetpointController):
                 type(self.saturation) in _SATURATIONS,
                 "Linear, Sine or Tanh: others are not compiled",
             ),
-            ("task", task, task.subtracts, "one whose error is x - x_d: others are not compiled"),
+            ("task", task, task._subtracts, "one whose error is x - x_d: others are not compiled"),
         ):
             if not fits:
                 raise InvalidInputError(
@@ -103,7 +103,7 @@ class CompiledSetpointController(SetpointController):
         """
         ordinary = super().evaluate
         task, learning, pull = self.task, self.adaptation, self._pull
-        robot, jacobian, n, m, p = task.robot, task.compute_jacobian, task.robot.nv, task.m, self._p
+        robot, jacobian, n, m, p = task.robot, task.jacobian, task.robot.nv, task.m, self._p
         q_shape, state_shape, continuous = (robot.nq,), (self.n_state,), self._continuous
         # Pinocchio takes any number; where NumPy computes, huge ones would make warnings
         guarded = (

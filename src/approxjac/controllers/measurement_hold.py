@@ -9,7 +9,9 @@ import numpy as np
 
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.formatting import joined
 from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
+from approxjac.tasks.analysis import uncombined
 from approxjac.validation import Array, as_limits
 
 _OK, _HELD = Status.OK, Status.MEASUREMENT_HELD  # members of an enum are slow to look up
@@ -77,12 +79,13 @@ class HeldMeasurement(ControllerWrapper):
             )
         task = controller.task
         self.controller = controller
-        self.unseen = as_limits("unseen", unseen, task.m, unit=task.measured.unit)
+        self.unseen = as_limits("unseen", unseen, task.m, unit=joined(task._measured.units))
         self._task = task
-        self._measured = task.measured  # whose parts are lost one by one
-        self._parts = self._measured.parts
-        self._subtracts = self._measured.subtracts  # as most, and then x is as finite as its error
-        self._origin = task.origin
+        self._measured = task._measured  # whose parts are lost one by one
+        self._parts = task._parts
+        self._subtracts = self._measured._subtracts  # as most, and then x is as finite as its error
+        self._origin = task._origin
+        self._uncombined = uncombined(task)
         self._limits = [self.unseen[coordinates].tolist() for _, coordinates in self._parts]
         self._p_start = task.n_x + 1
         self._p_end = self._p_start + task.m
@@ -130,7 +133,8 @@ class HeldMeasurement(ControllerWrapper):
                     f"got {self.controller!r}, which has none",
                     given=self.controller,
                 )
-            moved = dt * self._task.measured_rate(answer.J_hat.dot(measurement.v))
+            rate = answer.J_hat.dot(measurement.v)
+            moved = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
             memory[self._p_start : self._p_end] += moved if counts is None else counts * moved
         if not math.isfinite(math.hypot(*memory.tolist())):
             raise MeasurementError(

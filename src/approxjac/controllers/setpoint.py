@@ -28,7 +28,7 @@ from approxjac.interface import Evaluation, Measurement, Status
 from approxjac.law import Linear, Saturation
 from approxjac.robots.joint_limits import require_radians
 from approxjac.tasks import Task
-from approxjac.tasks.task import vanishing
+from approxjac.tasks.analysis import vanishing
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
@@ -117,7 +117,7 @@ class SetpointController(TaskController):
                 f"got {self.diagonals.damping.tolist()}",
                 given=gains,
             )
-        if velocity is not None and not task.subtracts:
+        if velocity is not None and not task._subtracts:
             raise InvalidInputError(
                 f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
                 given=velocity,
@@ -267,7 +267,7 @@ class SetpointController(TaskController):
         lost: bool,
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked."""
-        J_hat = self.task.compute_jacobian(q, x)
+        J_hat = self.task.jacobian(q, x)
         s = np.zeros_like(e) if lost else self.saturation.s(e)
         kp, kv, damping = self.diagonals
         G = J_hat.dot(J_hat.T)

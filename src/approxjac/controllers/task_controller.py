@@ -40,7 +40,7 @@ class TaskController(Immutable, ABC):
         """Keep the task and the shapes that the arguments of an evaluation have."""
         robot = task.robot
         self.task = task
-        self._subtracts = task.subtracts  # as most do
+        self._subtracts = task._subtracts  # as most do
         self._n_state = n_state
         self._shapes = ((robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (n_state,))
         self._continuous = robot.nq != robot.nv

@@ -10,7 +10,7 @@ from approxjac.controllers.gains import Diagonals, Gains
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import Task
-from approxjac.tasks.task import seen_postures
+from approxjac.tasks.analysis import seen_configurations
 from approxjac.validation import Array, as_number, require
 
 _POSTURES = 100
@@ -181,7 +181,7 @@ def _groups(task: Task) -> list[np.ndarray[Any, np.dtype[np.bool_]]]:
 
 def _regular_postures(task: Task) -> list[tuple[Array, Array]]:
     """Seeded postures within the limits where the task is seen and not near singular, with Ĵ."""
-    usual = [(q, task.jacobian(q)) for q in seen_postures(task, _POSTURES)]
+    usual = [(q, task.jacobian(q)) for q in seen_configurations(task, _POSTURES)]
     values = [np.linalg.svd(J, compute_uv=False) for _, J in usual]
     ratios = np.array([v[-1] / v[0] if v[0] > 0.0 else 0.0 for v in values])
     least = _REGULAR

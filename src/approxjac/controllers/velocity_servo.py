@@ -18,7 +18,7 @@ from approxjac.interface import Evaluation, Status
 from approxjac.law import Linear, Saturation
 from approxjac.robots import Dynamics
 from approxjac.tasks import Task
-from approxjac.tasks.task import vanishing
+from approxjac.tasks.analysis import vanishing
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
@@ -123,7 +123,7 @@ class VelocityServo(TaskController):
         lost: bool,
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked."""
-        J_hat = self.task.compute_jacobian(q, x)
+        J_hat = self.task.jacobian(q, x)
         s = np.zeros_like(e) if lost else self.saturation.s(e)
         reference, damping = self._reference(J_hat, s)
         moving = self._dynamics.inverse(q, v, self.inner_bandwidth * (reference - v))

@@ -172,7 +172,7 @@ class Plant(Immutable):
                 of joints.
         """
         self._require_same(task, self.sensor, task)
-        origin = self.sensor.origin
+        origin = self.sensor._origin
         for unit in np.eye(task.m):
             x = self.sensor.displaced(origin, unit)
             ours, theirs = self.sensor.error(x, origin), task.error(x, origin)
@@ -189,7 +189,7 @@ class Plant(Immutable):
         Raises:
             InvalidInputError: Other coordinates, or another number of joints.
         """
-        self._require_same(task, self.sensor.measured, task.measured)
+        self._require_same(task, self.sensor._measured, task._measured)
 
     def _require_same(self, task: Task, sensor: Task, wanted: Task) -> None:
         if self.robot.nv != task.robot.nv:
@@ -252,7 +252,7 @@ class Plant(Immutable):
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
         """Return what ideal sensors measure at t [s]; NaN what the sensor cannot see."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        return Measurement(t, q, v, self.sensor.seen(self.sensor.value(q)), t)
+        return Measurement(t, q, v, self.sensor._seen(self.sensor.value(q)), t)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(self._shown())})"

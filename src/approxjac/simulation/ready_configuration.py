@@ -10,6 +10,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import sees
 from approxjac.validation import Array
 
 _DRAWN = 300
@@ -33,7 +34,7 @@ def ready_configuration(sensor: Task, effort: Array, is_free: Callable[[Array], 
     for _ in range(_DRAWN):
         motion = middle + half * rng.uniform(-1.0, 1.0, robot.nv)
         q = np.array(pin.integrate(robot.model, robot.neutral(), motion))
-        if not (sensor.sees(q) and holdable(dynamics, q, effort) and is_free(q)):
+        if not (sees(sensor, q) and holdable(dynamics, q, effort) and is_free(q)):
             continue
         J = sensor.jacobian(q, sensor.value(q))
         sigma_min = float(np.linalg.svd(J, compute_uv=False)[-1])

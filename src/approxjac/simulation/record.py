@@ -64,7 +64,7 @@ class Record:
             x[k] = sensor.value(q[k])
         error = (
             x - x_d
-            if sensor.subtracts
+            if sensor._subtracts
             else np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)])
         )
         return Trajectory(

@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError
+from approxjac.formatting import joined
 from approxjac.interface import Controller, Evaluation, Measurement, Target, TargetPath
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
@@ -229,7 +230,7 @@ def first_state(
     as_array("the controller's torque", answer.torque, (plant.robot.nv,), "N m or N")
     as_array("the controller's state", after, state.shape)
     if np.isfinite(measurement.x).all():  # a lost x has no error
-        as_array("the controller's e", answer.e, (plant.sensor.m,), plant.sensor.unit)
+        as_array("the controller's e", answer.e, (plant.sensor.m,), joined(plant.sensor.units))
     return state
 
 

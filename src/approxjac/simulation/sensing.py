@@ -15,6 +15,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_diagonal, as_number, shape_of
 
 _FOREVER = 1e15  # samples
@@ -165,9 +166,9 @@ class SensorReadings:
         if self._x_noise.any():
             x = self._task.displaced(x, self._x_noise * self._rng.standard_normal(self._task.m))
         if self._x_quantum.any():
-            origin = self._task.origin
+            origin = self._task._origin
             e = _rounded(self._task.error(x, origin), self._x_quantum)
-            x = self._task.with_error(x, origin, e)
+            x = with_error(self._task, x, origin, e)
         lost = [entries for start, end, entries in self._lost if start <= t < end]
         if lost:
             x = x.copy()
@@ -225,11 +226,11 @@ def _lost(interval: tuple[Any, ...], task: Task) -> tuple[float, float, slice]:
     start, end, *part = interval
     if not part:
         return start, end, slice(None)
-    parts = task.parts
+    parts = task._parts
     if part[0] >= len(parts):
         valid = "0" if len(parts) == 1 else f"0 to {len(parts) - 1}"
         raise InvalidInputError(
-            f"part of x_lost must be that of an entry of {task!r}.parts, {valid}, got {part[0]}",
+            f"part of x_lost must be that of a part of {task!r}, {valid}, got {part[0]}",
             given=part[0],
         )
     return start, end, parts[part[0]][0]

@@ -13,7 +13,7 @@ from approxjac.simulation import Plant
 from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import JointBox, Region, RegularPart
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.tasks.task import vanishing
+from approxjac.tasks.analysis import vanishing
 from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import sees
 from approxjac.validation import Array
 
 _STEPS = 200
@@ -23,11 +24,11 @@ def attain(sensor: Task, x_d: Array, q0: Array) -> Array | None:
     """
     q = np.array(q0)
     for _ in range(_STEPS):
-        e, J = sensor.error(sensor.value(q), x_d), sensor.sensor_jacobian(q)
+        e, J = sensor.error(sensor.value(q), x_d), sensor._sensor_jacobian(q)
         size = float(np.linalg.norm(J, 2))
         error = float(np.linalg.norm(e))
         if error <= _EXACT * size:
-            return q if sensor.sees(q) else None
+            return q if sees(sensor, q) else None
         if size == 0.0 or math.isnan(error):  # no way to move the task; behind the camera
             return None
         damping = (1e-3 * size) ** 2 * min(1.0, error / size)

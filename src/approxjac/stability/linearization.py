@@ -10,7 +10,7 @@ from approxjac import law
 from approxjac.controllers import SetpointController
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
-from approxjac.tasks.task import vanishing
+from approxjac.tasks.analysis import vanishing
 from approxjac.validation import Array
 
 
@@ -89,7 +89,7 @@ def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> Linea
     return LinearLoop(
         plant.dynamics.M(q),
         plant.dynamics.g_gradient(q),
-        np.array(plant.sensor.sensor_jacobian(q)),
+        np.array(plant.sensor._sensor_jacobian(q)),
         J_hat,
         J_hat_pinv,
         *controller.diagonals[:2],

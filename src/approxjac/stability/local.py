@@ -22,6 +22,7 @@ from approxjac.stability.linearization import (
     linear_loop,
     sampled_matrix,
 )
+from approxjac.tasks.analysis import sees
 from approxjac.validation import Array, as_number, require
 
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
@@ -151,7 +152,7 @@ def local_stability(
     plant.require_task(controller.task)
     timing = _timing(plant, dt)
     q = plant.robot.configuration(q_target, "q_target")
-    if not plant.sensor.sees(q):
+    if not sees(plant.sensor, q):
         raise InvalidInputError(
             f"q_target must be a posture that the sensor sees, or no law acts there, got "
             f"{q.tolist()} with {plant.sensor!r}",

@@ -9,7 +9,7 @@ from approxjac.controllers import SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.tasks.task import require_jacobian_of_q
+from approxjac.tasks.analysis import require_jacobian_of_q, sees
 from approxjac.validation import Array, as_array, as_number, require
 
 
@@ -71,7 +71,7 @@ def lyapunov(
     target = plant.sensor.target(target)
     task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
     require_jacobian_of_q(task, "the Lyapunov function")
-    if not sensor.sees(q):
+    if not sees(sensor, q):
         raise InvalidInputError(
             f"q must be a posture that the sensor sees, or no law acts there, got {q.tolist()} "
             f"with {sensor!r}",
@@ -80,7 +80,7 @@ def lyapunov(
     kp, kv, damping = controller.diagonals
     e = sensor.error(sensor.value(q), target)
     s = controller.saturation.s(e)
-    J_e, J_hat = sensor.error_jacobian(e, sensor.sensor_jacobian(q)), task.jacobian(q)
+    J_e, J_hat = sensor._error_jacobian(e, sensor._sensor_jacobian(q)), task.jacobian(q)
     sigma_min, sigma_max = law.extreme_singular_values(J_hat)
     if sigma_min <= 1e-7 * sigma_max:
         raise InvalidInputError(

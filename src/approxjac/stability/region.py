@@ -16,7 +16,7 @@ from approxjac.robots import Robot
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
-from approxjac.tasks.task import require_jacobian_of_q
+from approxjac.tasks.analysis import require_jacobian_of_q, sees
 from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
 _TRIES = 1000
@@ -239,7 +239,7 @@ class SublevelSet(Region):
                 f"q0 must be in {self.within!r}, or the region is empty, got {self.start.tolist()}",
                 given=q0,
             )
-        if not plant.sensor.sees(self.start):
+        if not sees(plant.sensor, self.start):
             raise InvalidInputError(
                 f"q0 must be a posture that the sensor sees, got {self.start.tolist()} with "
                 f"{plant.sensor!r}",
@@ -260,7 +260,7 @@ class SublevelSet(Region):
         return np.array(drawn)
 
     def contains(self, q: Array) -> bool:
-        if not (self.within.contains(q) and self._plant.sensor.sees(q)):
+        if not (self.within.contains(q) and sees(self._plant.sensor, q)):
             return False
         kinetic = 0.0
         if self.alpha > 0.0:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from approxjac.errors import InvalidInputError, SimulationError
+from approxjac.formatting import joined
 from approxjac.interface import Controller
 from approxjac.simulation import Trajectory, simulate
 from approxjac.simulation.sampled_loop import require_fit
@@ -116,7 +117,7 @@ class Rollouts:
 
     def __str__(self) -> str:
         low, high = self.interval
-        worst, unit = self.worst, self.uncertainty.believed_task().unit
+        worst, unit = self.worst, joined(self.uncertainty.believed_task().units)
         ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
         return (
             f"{self.n_converged} of {self.n} runs converged to within {self.tolerance:g} {unit} "

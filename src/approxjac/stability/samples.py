@@ -15,7 +15,7 @@ from approxjac.simulation import Plant
 from approxjac.stability.inverse_kinematics import attain
 from approxjac.stability.region import Region
 from approxjac.stability.visibility import SeenPart, UnattainedError, between
-from approxjac.tasks.task import require_jacobian_of_q
+from approxjac.tasks.analysis import jacobian_gradient, require_jacobian_of_q
 from approxjac.validation import Array
 
 Indices = NDArray[np.intp]
@@ -238,11 +238,11 @@ class Sampler:
             dynamics, sensor = plant.dynamics, plant.sensor
             M[i] = dynamics.M(q)
             e[i] = sensor.error(sensor.value(q), x_d[i])
-            J[i] = sensor.sensor_jacobian(q)
-            J_e[i] = sensor.error_jacobian(e[i], J[i])
+            J[i] = sensor._sensor_jacobian(q)
+            J_e[i] = sensor._error_jacobian(e[i], J[i])
             J_hat[i] = task.jacobian(q)
             dM[i] = dynamics.M_gradient(q)
-            dJ_hat[i] = task.jacobian_gradient(q)
+            dJ_hat[i] = jacobian_gradient(task, q)
             if progress is not None and i % 100 == 99:
                 progress(i + 1)
         _require_regular(J_hat, postures)

@@ -15,7 +15,7 @@ import pinocchio as pin
 from approxjac.stability.samples import Scenarios
 from approxjac.stability.visibility import SeenPart
 from approxjac.tasks import Task
-from approxjac.tasks.task import vanishing
+from approxjac.tasks.analysis import vanishing
 from approxjac.validation import Array
 
 _STARTS = 5

@@ -8,6 +8,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.stability.region import Region
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import sees
 from approxjac.validation import Array
 
 _TRIES = 1000  # for each posture that is seen
@@ -49,13 +50,13 @@ class SeenPart:
         Raises:
             UnattainedError: Hardly any is seen, as far as drawing can tell.
         """
-        missing = [k for k, q in enumerate(drawn) if not self.sensor.sees(q)]
+        missing = [k for k, q in enumerate(drawn) if not sees(self.sensor, q)]
         kept, tried = np.array(drawn), len(drawn)
         while missing:
             batch = self.region.sample(max(len(missing), 20), rng)
             tried += len(batch)
             for q in batch:
-                if missing and self.sensor.sees(q):
+                if missing and sees(self.sensor, q):
                     kept[missing.pop()] = q
             if missing and tried > _TRIES * (1 + len(drawn) - len(missing)):
                 raise UnattainedError(
@@ -68,13 +69,13 @@ class SeenPart:
 
     def contains(self, q: Array) -> bool:
         """Whether a posture (nq,) belongs to the region and is seen."""
-        return self.region.contains(q) and self.sensor.sees(q)
+        return self.region.contains(q) and sees(self.sensor, q)
 
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
         """A posture that is seen, about `size` spreads of the region away from such a q (nq,)."""
         for _ in range(_NEARBY):
             moved = self.region.near(q, size, rng)
-            if self.sensor.sees(moved):
+            if sees(self.sensor, moved):
                 return moved
         return q
 
@@ -87,7 +88,7 @@ def between(sensor: Task, seen: Array, other: Array, share: float) -> Array:
     model = sensor.robot.model
     for _ in range(_HALVINGS):
         q = np.array(pin.interpolate(model, seen, other, share))
-        if sensor.sees(q):
+        if sees(sensor, q):
             return q
         share *= 0.5
     return np.array(seen)

@@ -22,6 +22,7 @@ from approxjac.controllers import (
     default_gains,
 )
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import joined
 from approxjac.interface import Controller
 from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
@@ -190,7 +191,9 @@ def _target(
     if settings.target is not None:
         return sensor.target(settings.target)
     if settings.target_offset is not None:
-        offset = as_array("target_offset", settings.target_offset, (sensor.m,), sensor.unit)
+        offset = as_array(
+            "target_offset", settings.target_offset, (sensor.m,), joined(sensor.units)
+        )
         return sensor.displaced(sensor.value(q0), offset)
     return sensor.value(regular_posture(sensor, task, rng, motors))
 

@@ -30,7 +30,7 @@ from approxjac.studies.servo_result import Servo, ServoResult
 from approxjac.studies.servo_scene import ServoScene, carried_scene, watched_scene, well_within
 from approxjac.studies.servo_settings import ServoSettings
 from approxjac.tasks import CombinedTask, ImageTask, Task
-from approxjac.tasks.task import seen_postures
+from approxjac.tasks.analysis import seen_configurations, with_error
 from approxjac.validation import Array, as_array
 
 __all__ = ["Servo", "ServoResult", "ServoSettings", "prepare", "run"]
@@ -70,7 +70,7 @@ def prepare(robot: str, settings: ServoSettings) -> Servo:
     target = scene.sensor.value(q_goal)
     if settings.target is not None:
         images = as_array("target", settings.target, (scene.sensor.m,), "px")
-        target = scene.sensor.with_error(target, scene.sensor.origin, images)
+        target = with_error(scene.sensor, target, scene.sensor._origin, images)
         target = scene.sensor.target(target)
     gravity = gravity_from(truth, belief, settings.gravity)
     task: Task = scene.task
@@ -113,7 +113,7 @@ def _watched(
         q0 = posture_from(truth, settings.start)
         _require_seen(sensor, q0)
     _require_in_view(scene)
-    ratio = _usual_ratio([(sensor, q) for q in seen_postures(sensor, _SAMPLES)])
+    ratio = _usual_ratio([(sensor, q) for q in seen_configurations(sensor, _SAMPLES)])
 
     def draw() -> Array:
         for _ in range(_TRIES):
@@ -203,7 +203,7 @@ def _require_seen(sensor: ImageTask, q0: Array) -> None:
 def _require_in_view(scene: ServoScene) -> None:
     for which, task in (("true", scene.sensor), ("believed", scene.task)):
         try:
-            seen_postures(task, 1)
+            seen_configurations(task, 1)
         except InvalidInputError as error:
             raise InvalidInputError(
                 f"the {which} camera must see the points in some posture: give another "

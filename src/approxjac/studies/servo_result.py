@@ -111,7 +111,7 @@ class ServoResult:
     def unseen(self) -> Mask:
         """Whether a point was out of the true camera's view at each instant, shape (N,)."""
         sensor = self.servo.sensor
-        return np.array([not np.isfinite(sensor.seen(x)).all() for x in self.run.x])
+        return np.array([not np.isfinite(sensor._seen(x)).all() for x in self.run.x])
 
     @property
     def braked(self) -> Mask:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from approxjac.formatting import joined
 from approxjac.stability import StabilityReport
 from approxjac.stability.map import PARAMETERS
 from approxjac.studies.stability import Case, StabilityResult
@@ -94,7 +95,7 @@ def draw_figure_1(result: StabilityResult) -> Figure:
     plot_allowed_error(
         first.lambda_2,
         first.p,
-        unit=f"{controller.task.unit}/rad",
+        unit=f"{joined(controller.task.units)}/rad",
         p_label="p of the errors, the largest ‖Jᵀ − Ĵᵀ‖",
         own_a=float(kp.max() / kv.max()),
         ax=ax,

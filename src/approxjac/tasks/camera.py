@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,6 +59,10 @@ class Camera(ABC):
         """Image coordinates x (2,) if they are in the field of view, and NaN otherwise."""
         return x
 
+    def _saved(self) -> dict[str, Any] | None:
+        """Return what a file keeps of the camera; None of a class that `restored` does not know."""
+        return None
+
     @property
     def calibration(self) -> Mapping[str, Calibrated]:
         """What may be wrong with the camera's calibration, by name."""
@@ -82,6 +86,14 @@ class Camera(ABC):
             if name not in self.calibration:
                 where = f"the calibration of {type(self).__name__}"
                 raise UnknownNameError("value", name, where, self.calibration)
+
+
+def fields_of(camera: Any, kind: type[Camera]) -> dict[str, Any] | None:
+    """Return a dataclass' fields for a file; None of a camera of a class made from `kind`."""
+    if type(camera) is not kind:
+        return None
+    given = {f.name: getattr(camera, f.name) for f in fields(camera) if f.init}  # type: ignore[arg-type]
+    return {"kind": kind.__name__, **given}
 
 
 @dataclass(frozen=True, repr=False)
@@ -131,6 +143,9 @@ class PlanarCamera(Camera):
 
     def __repr__(self) -> str:
         return short_fields(self)
+
+    def _saved(self) -> dict[str, Any] | None:
+        return fields_of(self, PlanarCamera)
 
     @property
     def magnification(self) -> float:

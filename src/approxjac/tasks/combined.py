@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import joined
 from approxjac.robots import Dynamics, Robot
-from approxjac.tasks.task import Task, seen_postures
+from approxjac.tasks.analysis import seen_configurations, with_error
+from approxjac.tasks.task import Task
 from approxjac.tasks.wrapped import WrappedTask
 from approxjac.validation import Array, as_array, require
 
-_POSTURES = 400
+_CONFIGURATIONS = 400
 _NEAREST = 30  # of these, by their value's distance to the target
 _LEAST = 0.01  # mobility that a direction is taken to have at least, as a share of the largest
 _REGULAR = 1e-9  # σ_min/σ_max of C below which it has no inverse
@@ -39,28 +39,35 @@ class CombinedTask(WrappedTask):
         task: The task of the believed robot.
         C: Regular matrix, shape (m, m). Its size does not matter, as gains go with it.
 
+    Attributes:
+        task: The task whose coordinates are combined.
+        C: The combination, shape (m, m).
+
     Raises:
         InvalidInputError: A matrix of another shape, not finite or singular.
     """
 
     def __init__(self, task: Task, C: object) -> None:
         require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
-        self._task = task
-        self._C = as_array("C", C, (task.m, task.m))
-        values = np.linalg.svd(self._C, compute_uv=False)
+        self.C = as_array("C", C, (task.m, task.m))
+        values = np.linalg.svd(self.C, compute_uv=False)
         if not values[-1] > _REGULAR * values[0]:
             raise InvalidInputError(
                 f"C must be regular, got singular values {values.tolist()}", given=C
             )
-        self._inverse = np.linalg.inv(self._C)
+        super().__init__(
+            task, [f"c{i}" for i in range(1, task.m + 1)], (joined(task.units),) * task.m
+        )
+        self._inverse = np.linalg.inv(self.C)
+        self._subtracts = False
 
     @classmethod
     def balanced(cls, task: Task, target: object) -> CombinedTask:
         """Combine coordinates such that the arm shows the same inertia along all of them.
 
         C = Ā^(−1/2), with Ā the mean of the mobility Ĵ M̂⁻¹ Ĵᵀ, its trace set to one, over the 30 of
-        400 seeded postures whose values are nearest to a target; with ‖C‖ = 1, so that it makes no
-        error larger.
+        400 seeded configurations whose values are nearest to a target; with ‖C‖ = 1, so that it
+        makes no error larger.
 
         Args:
             task: The task of the believed robot.
@@ -73,73 +80,44 @@ class CombinedTask(WrappedTask):
         require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
         if len(set(task.units)) > 1:
             raise InvalidInputError(
-                f"task must have coordinates of one unit to be balanced, got {task.unit}: balance "
-                "each part, StackedTask(CombinedTask.balanced(image, x_d), position)",
+                f"task must have coordinates of one unit to be balanced, got {joined(task.units)}: "
+                "balance each part, StackedTask(CombinedTask.balanced(image, x_d), position)",
                 given=task,
             )
         x_d = task.target(target)
-        postures = seen_postures(task, _POSTURES)
-        far = [np.linalg.norm(task.error(task.value(q), x_d)) for q in postures]
+        seen = seen_configurations(task, _CONFIGURATIONS)
+        far = [np.linalg.norm(task.error(task.value(q), x_d)) for q in seen]
         dynamics, A = Dynamics(task.robot), np.zeros((task.m, task.m))
         for k in np.argsort(far)[:_NEAREST]:
-            x = task.value(postures[k])
-            J = task.jacobian(postures[k], task.with_error(x, x_d, np.zeros(task.m)))
-            mobility = J @ np.linalg.solve(dynamics.M(postures[k]), J.T)
+            q = seen[k]
+            J = task.jacobian(q, with_error(task, task.value(q), x_d, np.zeros(task.m)))
+            mobility = J @ np.linalg.solve(dynamics.M(q), J.T)
             A += mobility / np.trace(mobility)
         values, U = np.linalg.eigh(A)
         values = np.maximum(values, _LEAST * values[-1])
         return cls(task, (U * np.sqrt(values[0] / values)) @ U.T)
 
-    @property
-    def C(self) -> Array:
-        """The combination, shape (m, m)."""
-        return self._C
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return tuple(f"c{i}" for i in range(1, self._task.m + 1))
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return (self._task.unit,) * self._task.m
-
-    def measured_rate(self, Jv: Array) -> Array:
-        return self._task.measured_rate(self._inverse @ Jv)
-
-    @property
-    def parts(self) -> tuple[tuple[slice, slice], ...]:
-        return ((slice(0, self.n_x), slice(0, self.m)),)
-
-    @property
-    def subtracts(self) -> bool:
-        return False
-
     def error(self, x: Array, x_d: Array) -> Array:
-        return np.asarray(self._C @ self._task.error(x, x_d))
+        return np.asarray(self.C @ self.task.error(x, x_d))
 
     def displaced(self, x: Array, e: Array) -> Array:
-        return self._task.displaced(x, self._inverse @ e)
+        return self.task.displaced(x, self._inverse @ e)
 
-    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
-        return self._task.with_error(x, x_d, self._inverse @ e)
-
-    def error_rate(self, e: Array, Jv: Array) -> Array:
-        return np.asarray(self._C @ self._task.error_rate(self._inverse @ e, self._inverse @ Jv))
-
-    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return np.asarray(self._C @ self._task.compute_jacobian(q, x))
-
-    def sensor_jacobian(self, q: Array) -> Array:
-        return np.asarray(self._C @ self._task.sensor_jacobian(q))
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return np.asarray(self.C @ self.task.jacobian(q, x))
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
-        return np.asarray(self._C @ self._task.jacobian_dot(q, v))
+        return np.asarray(self.C @ self.task.jacobian_dot(q, v))
 
     def on(self, robot: Robot) -> CombinedTask:
-        return CombinedTask(self._task.on(robot), self._C)
+        return CombinedTask(self.task.on(robot), self.C)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self._task, self._C)
+    def _sensor_jacobian(self, q: Array) -> Array:
+        return np.asarray(self.C @ self.task._sensor_jacobian(q))
+
+    def _error_jacobian(self, e: Array, J: Array) -> Array:
+        inverse = self._inverse
+        return np.asarray(self.C @ self.task._error_jacobian(inverse @ e, inverse @ J))
 
     def __repr__(self) -> str:
-        return f"CombinedTask({self._task!r}, C={np.round(self._C, 4).tolist()})"
+        return f"CombinedTask({self.task!r}, C={np.round(self.C, 4).tolist()})"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -12,6 +13,7 @@ from approxjac.robots import Robot
 from approxjac.validation import Array, as_vector
 
 _LWA = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+_FLOAT = np.dtype(np.float64)
 
 
 class FrameKinematics:
@@ -38,6 +40,8 @@ class FrameKinematics:
         # live views: reading an attribute of Pinocchio's costs as much as computing
         self._rotation = self._data.oMf[self._id].rotation
         self._translation = self._data.oMf[self._id].translation
+        # (cos, sin) pairs are looked at each time
+        self._shape = (robot.nq,) if robot.nq == robot.nv else None
         self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
         self._all = robot.mimic_joints.model
@@ -48,37 +52,40 @@ class FrameKinematics:
         return type(self), (self.robot, self.frame)  # a copy has scratch memory of its own
 
     def position(self, q: Array) -> Array:
-        """Position of the frame's origin in the world, shape (3,) [m]."""
+        """Return the position of the frame's origin in the world, shape (3,) [m]."""
         return np.array(self._placement(q).translation)
 
     def placement(self, q: Array) -> tuple[Array, Array]:
-        """Rotation (3, 3) of the frame's axes in the world's, and `position`."""
+        """Return the rotation (3, 3) of the frame's axes in the world's, and `position`."""
         self._placement(q)
         return np.array(self._rotation), np.array(self._translation)
 
     def pose(self, q: Array) -> Array:
-        """Position [m] and unit quaternion (x, y, z, w) of the frame in the world, shape (7,)."""
+        """Return position [m] and unit quaternion (x, y, z, w) in the world, shape (7,)."""
         return np.array(pin.SE3ToXYZQUAT(self._placement(q)))
 
     def jacobian(self, q: Array) -> Array:
-        """Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, shape (6, n_v)."""
-        return self.compute_jacobian(self.robot.configuration(q))
-
-    def compute_jacobian(self, q: Array) -> Array:
-        """`jacobian` at a q that has been checked already, for loops."""
+        """Return the Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, (6, n_v)."""
+        if not (  # as Robot.configuration, in the time that a control step has
+            type(q) is np.ndarray
+            and q.dtype is _FLOAT
+            and q.shape == self._shape
+            and math.isfinite(math.hypot(*q.tolist()))
+        ):
+            q = self.robot.configuration(q)
         J: Array = self._jacobian_of(q, self._id, _LWA)
         return J if self._many else J.reshape(6, 1)
 
-    def compute_motion(self, q: Array) -> tuple[Array, Array, Array]:
-        """`compute_jacobian`, and the frame's rotation (3, 3) and position (3,) at the same q.
+    def motion(self, q: Array) -> tuple[Array, Array, Array]:
+        """Return `jacobian`, and the frame's rotation (3, 3) and position (3,) at the same q.
 
         Rotation and position are scratch memory: use them before the next call, do not keep them.
         """
-        J = self.compute_jacobian(q)  # places the frame, too
+        J = self.jacobian(q)  # places the frame, too
         return J, self._rotation, self._translation
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
-        """Time derivative of `jacobian` along q̇, shape (6, n_v)."""
+        """Return the time derivative of `jacobian` along q̇, shape (6, n_v)."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         mimic_joints, frame = self.robot.mimic_joints, self._id_in_all
         pin.computeJointJacobiansTimeVariation(

@@ -11,9 +11,10 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
+from approxjac.tasks.feature import Feature
 from approxjac.tasks.pinhole import PinholeCamera
 from approxjac.tasks.point_kinematics import PointKinematics
-from approxjac.tasks.task import Task, require_rows
+from approxjac.tasks.task import Task
 from approxjac.validation import Array, as_array, as_number, is_scalar, require, shape_of
 
 _APART = 1e-9  # points nearer to one another, or to one line, count as there [m]
@@ -44,6 +45,12 @@ class ImageTask(Task):
             entries. The depths are no part of the error, and those of a target are not used. Where
             none is measured (Z is not finite, or not > 0) it is the believed one.
 
+    Attributes:
+        camera: The camera.
+        frame: Name of the frame that the points are fixed to; None is the world.
+        points: Positions of the points in that frame, shape (k, 3) [m].
+        depth: The word, or the depth that is taken for each point, shape (k,) [m].
+
     Raises:
         UnknownNameError: No such frame.
         InvalidInputError: More image coordinates than joints; points that are the same or three
@@ -62,18 +69,30 @@ class ImageTask(Task):
     ) -> None:
         require("robot", robot, Robot, "a Robot")
         require("camera", camera, Camera, "a camera, such as PlanarCamera(f, z)")
-        self._camera = camera
+        self.camera = camera
         if points is None and frame is None and camera.mount is not None:
             raise InvalidInputError(
                 f"points must be given for a camera that is carried by the robot: positions in the "
                 f"world, shape (k, 3) [m], which it watches; got None with {camera!r}",
                 given=points,
             )
-        self._points = _points(((0.0, 0.0, 0.0),) if points is None else points)
-        require_rows(2 * len(self._points), robot)
+        self.points = _points(((0.0, 0.0, 0.0),) if points is None else points)
+        k = len(self.points)
+        self.depth = _depth(depth, camera, k)
+        measures_depth = isinstance(self.depth, str) and self.depth == "measured"
+        self._stride = n = 3 if measures_depth else 2  # entries of x for each point
+        labels = camera.labels
+        if k > 1:
+            labels = tuple(f"{label}{i}" for i in range(1, k + 1) for label in labels)
+        super().__init__(robot, labels, (camera.unit,) * (2 * k), n * k)
+        self._uses_x = not (isinstance(self.depth, str) and self.depth == "believed")
+        self._subtracts = not measures_depth
+        self._untold = list(range(2, n * k, 3)) if measures_depth else []
+        self._parts = tuple((slice(n * i, n * i + n), slice(2 * i, 2 * i + 2)) for i in range(k))
         if frame is not None or camera.mount is None:
             frame = robot.tip_or(frame)
-        self._kinematics = PointKinematics(robot, self._points, frame, camera.mount)
+        self.frame = frame
+        self._kinematics = PointKinematics(robot, self.points, frame, camera.mount)
         if camera.mount is not None and _joint_of(robot, frame) == _joint_of(robot, camera.mount):
             watched = "the world" if frame is None else repr(frame)
             raise InvalidInputError(
@@ -81,70 +100,6 @@ class ImageTask(Task):
                 f"{watched} and a camera on {camera.mount!r}",
                 given=frame,
             )
-        self._depth = _depth(depth, camera, len(self._points))
-
-    @property
-    def robot(self) -> Robot:
-        return self._kinematics.robot
-
-    @property
-    def camera(self) -> Camera:
-        """The camera."""
-        return self._camera
-
-    @property
-    def frame(self) -> str | None:
-        """Name of the frame that the points are fixed to; None is the world."""
-        return self._kinematics.frame
-
-    @property
-    def points(self) -> Array:
-        """Positions of the points in that frame, shape (k, 3) [m]."""
-        return self._points
-
-    @property
-    def depth(self) -> str | Array:
-        """What was chosen: a word, or the depth that is taken for each point, shape (k,) [m]."""
-        return self._depth
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        labels = self._camera.labels
-        if len(self._points) == 1:
-            return labels
-        return tuple(f"{label}{i}" for i in range(1, len(self._points) + 1) for label in labels)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return (self._camera.unit,) * (2 * len(self._points))
-
-    @property
-    def n_x(self) -> int:
-        return self._stride * len(self._points)
-
-    @property
-    def _stride(self) -> int:
-        """Entries of x for each point."""
-        return 3 if self._measures_depth else 2
-
-    @property
-    def _measures_depth(self) -> bool:
-        return isinstance(self._depth, str) and self._depth == "measured"
-
-    @property
-    def parts(self) -> tuple[tuple[slice, slice], ...]:
-        n = self._stride
-        return tuple(
-            (slice(n * i, n * i + n), slice(2 * i, 2 * i + 2)) for i in range(len(self._points))
-        )
-
-    @property
-    def jacobian_uses_x(self) -> bool:
-        return not (isinstance(self._depth, str) and self._depth == "believed")
-
-    @property
-    def subtracts(self) -> bool:
-        return not self._measures_depth
 
     def error(self, x: Array, x_d: Array) -> Array:
         return self._images(x - x_d).ravel()
@@ -154,37 +109,29 @@ class ImageTask(Task):
         moved[:, :2] += e.reshape(-1, 2)
         return moved.ravel()
 
-    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
-        placed = x.reshape(-1, self._stride).copy()
-        placed[:, :2] = self._images(x_d) + e.reshape(-1, 2)
-        return placed.ravel()
-
-    def error_jacobian(self, e: Array, J: Array) -> Array:
-        return J
-
     def value(self, q: Array) -> Array:
         images = []
         for r in self._kinematics.positions(q):
-            image = self._camera.project(r)
-            if self._measures_depth:
+            image = self.camera.project(r)
+            if self._stride == 3:
                 image = np.append(image, self._pinhole.in_camera(r)[2])
             images.append(image)
         return np.concatenate(images)
 
-    def seen(self, x: Array) -> Array:
+    def _seen(self, x: Array) -> Array:
         delivered = x.reshape(-1, self._stride).copy()
         for point in delivered:
-            if not np.isfinite(self._camera.seen(point[:2])).all():
+            if not np.isfinite(self.camera.seen(point[:2])).all():
                 point[:] = np.nan
         return delivered.ravel()
 
     def target(self, x_d: object) -> Array:
         target = super().target(x_d)
-        outside = np.nonzero(~np.isfinite(self._images(self.seen(target))).all(axis=1))[0]
+        outside = np.nonzero(~np.isfinite(self._images(self._seen(target))).all(axis=1))[0]
         if len(outside):
             size = ""
-            if isinstance(self._camera, PinholeCamera):
-                size = f" of {self._camera.size[0]} x {self._camera.size[1]} px"
+            if isinstance(self.camera, PinholeCamera):
+                size = f" of {self.camera.size[0]} x {self.camera.size[1]} px"
             wrong = self._images(target)[outside[0]].tolist()
             raise InvalidInputError(
                 f"target must be within the image{size}, got {wrong} for point {outside[0] + 1}",
@@ -193,39 +140,39 @@ class ImageTask(Task):
         return target
 
     def depths(self, q: Array) -> Array:
-        """Depths Z of the points in the camera, negative behind it, shape (k,) [m].
+        """Return the depths Z of the points in the camera, negative behind it, shape (k,) [m].
 
         Raises:
             InvalidInputError: A q that is none, or a camera without depth.
         """
-        if not isinstance(self._camera, PinholeCamera):
+        if not isinstance(self.camera, PinholeCamera):
             raise InvalidInputError(
-                f"depths are those of a PinholeCamera, got {self._camera!r}", given=self._camera
+                f"depths are those of a PinholeCamera, got {self.camera!r}", given=self.camera
             )
-        return np.array([self._camera.in_camera(r)[2] for r in self._kinematics.positions(q)])
+        return np.array([self.camera.in_camera(r)[2] for r in self._kinematics.positions(q)])
 
-    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return self._jacobian(q, self._located(q, x) if self.jacobian_uses_x else None)
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return self._jacobian(q, self._located(q, x) if self._uses_x else None)
 
-    def sensor_jacobian(self, q: Array) -> Array:
-        return self._jacobian(self.robot.configuration(q), None)  # at the depths that are so
+    def _sensor_jacobian(self, q: Array) -> Array:
+        return self._jacobian(q, None)  # at the depths that are so
 
     def _jacobian(self, q: Array, at: Array | None) -> Array:
-        """J with the points where they are, or elsewhere (k, 3); see `PointKinematics`."""
+        """Return J with the points where they are, or elsewhere (k, 3); see `PointKinematics`."""
         r, J = self._kinematics.jacobians(q, at)
         if len(r) == 1:
-            image_jacobian: Array = self._camera.interaction(r[0]) @ J[0]
+            image_jacobian: Array = self.camera.interaction(r[0]) @ J[0]
             return image_jacobian
-        return np.vstack([self._camera.interaction(p) @ A for p, A in zip(r, J, strict=True)])
+        return np.vstack([self.camera.interaction(p) @ A for p, A in zip(r, J, strict=True)])
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
-        if self.jacobian_uses_x:
+        if self._uses_x:
             raise InvalidInputError(
                 f"the rate of a Jacobian that uses the measured x is not known: it takes "
                 f"depth='believed', got {self!r}",
-                given=self._depth,
+                given=self.depth,
             )
-        motion, camera = self._kinematics.motion(q, v), self._camera
+        motion, camera = self._kinematics.motion(q, v), self.camera
         return np.vstack(
             [
                 camera.interaction_dot(r, r_dot) @ J + camera.interaction(r) @ J_dot
@@ -234,15 +181,30 @@ class ImageTask(Task):
         )
 
     def on(self, robot: Robot) -> ImageTask:
-        depth: Any = self._depth
-        return ImageTask(robot, self._camera, self.frame, self._points, depth=depth)
+        depth: Any = self.depth
+        return ImageTask(robot, self.camera, self.frame, self.points, depth=depth)
+
+    def _features(self) -> tuple[Feature, ...]:
+        return (Feature(slice(0, self.n_x), self.frame, "", self.camera, self.points),)
+
+    def _saved(self) -> dict[str, Any] | None:
+        camera = self.camera._saved()
+        if camera is None or type(self) is not ImageTask:  # one made from it may differ
+            return None
+        return {
+            "kind": "image",
+            "camera": camera,
+            "frame": self.frame,
+            "points": self.points.tolist(),
+            "depth": self.depth if isinstance(self.depth, str) else self.depth.tolist(),
+        }
 
     def _images(self, x: Array) -> Array:
-        """Image coordinates of each point of a value, shape (k, 2)."""
+        """Return the image coordinates of each point of a value, shape (k, 2)."""
         return x.reshape(-1, self._stride)[:, :2]
 
     def _located(self, q: Array, x: Array | None) -> Array:
-        """Where the points are by their measured images, shape (k, 3).
+        """Return the points by their measured images, shape (k, 3).
 
         Images that are lost are those that this robot would see; NaN if it would not either.
         """
@@ -251,7 +213,7 @@ class ImageTask(Task):
         elif not math.isfinite(math.hypot(*x.tolist())):
             x = np.where(np.isfinite(x), x, self.value(q))
         images = x.reshape(-1, self._stride)
-        depths = images[:, 2] if self._measures_depth else np.asarray(self._depth)
+        depths = images[:, 2] if self._stride == 3 else np.asarray(self.depth)
         found = np.empty((len(images), 3))
         for i, Z in enumerate(depths.tolist()):
             # NaN where an image is that of a point that this robot would not see either
@@ -262,27 +224,27 @@ class ImageTask(Task):
 
     @property
     def _pinhole(self) -> PinholeCamera:
-        assert isinstance(self._camera, PinholeCamera)  # no other has depths or edges
-        return self._camera
+        assert isinstance(self.camera, PinholeCamera)  # no other has depths or edges
+        return self.camera
 
     def __repr__(self) -> str:
         name = "the world" if self.frame is None else repr(self.frame)
-        shown = f"ImageTask({self.robot.name!r}, {self._camera!r}, {name}"
-        if len(self._points) > 1 or self._points.any():
-            shown += f", {self._points.tolist()}"
-        if self.jacobian_uses_x:
-            depth = self._depth if isinstance(self._depth, str) else self._depth.tolist()
+        shown = f"ImageTask({self.robot.name!r}, {self.camera!r}, {name}"
+        if len(self.points) > 1 or self.points.any():
+            shown += f", {self.points.tolist()}"
+        if self._uses_x:
+            depth = self.depth if isinstance(self.depth, str) else self.depth.tolist()
             shown += f", depth={depth!r}"
         return shown + ")"
 
 
 def _joint_of(robot: Robot, frame: str | None) -> int:
-    """Index of the joint that a frame moves with; 0 is the world."""
+    """Return the index of the joint that a frame moves with; 0 is the world."""
     return 0 if frame is None else int(robot.model.frames[robot.frame_id(frame)].parentJoint)
 
 
 def _points(points: object) -> Array:
-    """Points as an array of shape (k, 3), no two the same and no three on one line."""
+    """Return points as an array of shape (k, 3), no two the same and no three on one line."""
     shape = shape_of(points)
     if len(shape) != 2 or shape[0] == 0:
         raise InvalidInputError(

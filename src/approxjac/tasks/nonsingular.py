@@ -9,7 +9,8 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
-from approxjac.tasks.task import Task, vanishing
+from approxjac.tasks.analysis import vanishing
+from approxjac.tasks.task import Task
 from approxjac.tasks.wrapped import WrappedTask
 from approxjac.validation import Array, as_number, require
 
@@ -17,27 +18,27 @@ _TINY = 1e-300
 
 
 class NonsingularTask(WrappedTask):
-    """A task whose Ĵ is designed to stay of full rank at the robot's singular postures.
+    """A task whose Ĵ is designed to stay of full rank at the robot's singular configurations.
 
     The paper (section 6) remarks that Ĵ may be chosen so that the arm does not stall there. Here
 
         Ĵ_d(q) = Ĵ(q) + P(q) (Ĵ(q ⊕ bend) − Ĵ(q)),   P = Σ wᵢ uᵢuᵢᵀ,   wᵢ = max(0, 1 − (σᵢ/ε)²)
 
     with σᵢ, uᵢ the singular values and left singular vectors of Ĵ(q) and ε = `ratio` · σ_max (or
-    of a tenth of the σ_max that Ĵ typically has, where even σ_max is smaller). In
-    task directions that are being lost, Ĵ_d has the rows of a posture that is bent a little; all
-    other rows stay. P depends on ĴĴᵀ only, so Ĵ_d is continuous through a singular posture.
+    of a tenth of the σ_max that Ĵ typically has, where even σ_max is smaller). In task directions
+    that are being lost, Ĵ_d has the rows of a configuration that is bent a little; all other rows
+    stay. P depends on ĴĴᵀ only, so Ĵ_d is continuous through a singular configuration.
 
     What it costs is Δ = Ĵ_d − Ĵ, which `design_error` reports and which adds to the error of the
     model. `bend` also decides to which side the arm folds: of a square Jacobian the singular
-    postures are not gone but moved to the other side of the fold (its determinant has to change
-    its sign somewhere).
+    configurations are not gone but moved to the other side of the fold (its determinant has to
+    change its sign somewhere).
 
     For controllers; a sensor is a plain task of the true robot.
 
     Args:
         task: The task of the believed robot.
-        bend: Joint name → displacement of the bent posture [rad or m], such as {"joint4": 0.3}.
+        bend: Joint name → how far the bent one is away [rad or m], such as {"joint4": 0.3}.
         ratio: Where a singular value falls below this share of the largest, Ĵ is changed; > 0
             and < 1.
 
@@ -50,7 +51,7 @@ class NonsingularTask(WrappedTask):
     def __init__(self, task: Task, bend: Mapping[str, float], ratio: float = 0.1) -> None:
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         require("bend", bend, Mapping, "a mapping from joint names to displacements")
-        self._task = task
+        super().__init__(task)
         self._ratio = as_number("ratio", ratio, above=0.0)
         if self._ratio >= 1.0:
             raise InvalidInputError(f"ratio must be < 1, got {ratio!r}", given=ratio)
@@ -74,22 +75,22 @@ class NonsingularTask(WrappedTask):
         self._bend = offset
         self._scale = vanishing(task)
 
-    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
-        J = self._task.compute_jacobian(q, x)
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        J = self.task.jacobian(q, x)
         squares, U = np.linalg.eigh(J @ J.T)
         weights = self._weights(squares)
         if not weights.any():
             return J
         P = (U * weights) @ U.T
-        designed: Array = J + P @ (self._task.compute_jacobian(self._bent(q), x) - J)
+        designed: Array = J + P @ (self.task.jacobian(self._bent(q), x) - J)
         return designed
 
     def design_error(self, q: Array) -> float:
         """‖Ĵ_d − Ĵ‖, the part of (7)'s bound p that the design adds at q; 0 away from singular."""
-        return float(np.linalg.norm(self.jacobian(q) - self._task.jacobian(q), 2))
+        return float(np.linalg.norm(self.jacobian(q) - self.task.jacobian(q), 2))
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
-        J, J_dot = self._task.jacobian(q), self._task.jacobian_dot(q, v)
+        J, J_dot = self.task.jacobian(q), self.task.jacobian_dot(q, v)
         squares, U = np.linalg.eigh(J @ J.T)
         weights = self._weights(squares)
         if not weights.any():
@@ -113,12 +114,13 @@ class NonsingularTask(WrappedTask):
         P = (U * weights) @ U.T
         P_dot = U @ (divided * A_dot + np.diag(moved)) @ U.T
         bent = self._bent(q)
-        difference = self._task.jacobian(bent) - J
-        difference_dot = self._task.jacobian_dot(bent, v) - J_dot
+        difference = self.task.jacobian(bent) - J
+        difference_dot = self.task.jacobian_dot(bent, v) - J_dot
         designed: Array = J_dot + P_dot @ difference + P @ difference_dot
         return designed
 
     def _bent(self, q: Array) -> Array:
+        q = self.robot.configuration(q)
         return np.array(pin.integrate(self.robot.model, q, self._bend))
 
     def _weights(self, squares: Array) -> Array:
@@ -131,7 +133,7 @@ class NonsingularTask(WrappedTask):
 
     def on(self, robot: Robot) -> Task:
         """The task that was designed around, of another robot."""
-        return self._task.on(robot)
+        return self.task.on(robot)
 
     def __repr__(self) -> str:
         moved = {
@@ -139,4 +141,4 @@ class NonsingularTask(WrappedTask):
             for joint, displacement in zip(self.robot.joint_names, self._bend, strict=True)
             if displacement
         }
-        return f"NonsingularTask({self._task!r}, bend={moved})"
+        return f"NonsingularTask({self.task!r}, bend={moved})"

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.tasks.camera import Calibrated, Camera
+from approxjac.tasks.camera import Calibrated, Camera, fields_of
 from approxjac.tasks.distortion import RadialDistortion
 from approxjac.validation import Array, as_array, as_number, is_scalar
 
@@ -363,6 +363,9 @@ class PinholeCamera(Camera):
         return self.with_error(
             shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_factor=f / self._f[0]
         )
+
+    def _saved(self) -> dict[str, Any] | None:
+        return fields_of(self, PinholeCamera)
 
     def __repr__(self) -> str:
         shown = [f"{self.size[0]} x {self.size[1]} px", f"f = {_short(self.focal_length)} px"]

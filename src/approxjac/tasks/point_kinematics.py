@@ -57,7 +57,7 @@ class PointKinematics:
         self._at_origin = len(points) == 1 and not points.any()
 
     def positions(self, q: Array) -> Array:
-        """Positions of the points, shape (k, 3) [m]."""
+        """Return the positions of the points, shape (k, 3) [m]."""
         p = self.points
         if self._frame is not None:
             R, o = self._frame.placement(q)
@@ -68,7 +68,7 @@ class PointKinematics:
         return p
 
     def jacobians(self, q: Array, at: Array | None = None) -> tuple[Array, Array]:
-        """r (k, 3) and ∂r/∂q (k, 3, n_v), at a q that has been checked already.
+        """Return r (k, 3) and ∂r/∂q (k, 3, n_v).
 
         Args:
             q: Configuration, shape (nq,).
@@ -78,22 +78,22 @@ class PointKinematics:
         p, moved = self._in_world(q)
         if self._mount is None:
             return _chosen(p, at), moved
-        J, R, o = self._mount.compute_motion(q)
+        J, R, o = self._mount.motion(q)
         r = _chosen((p - o) @ R, at)
         return r, R.T @ (moved - J[:3]) + _skews(r) @ (R.T @ J[3:])
 
     def _in_world(self, q: Array) -> tuple[Array, Array]:
-        """Positions (k, 3) of the points in the world, and their Jacobians (k, 3, n_v)."""
+        """Return positions (k, 3) of the points in the world, and their Jacobians (k, 3, n_v)."""
         if self._frame is None:
             return self.points, np.zeros((len(self.points), 3, self.robot.nv))
-        J, R, o = self._frame.compute_motion(q)
+        J, R, o = self._frame.motion(q)
         if self._at_origin:
             return o[np.newaxis].copy(), J[np.newaxis, :3]
         arms = self.points @ R.T
         return arms + o, J[:3] - _skews(arms) @ J[3:]
 
     def motion(self, q: Array, v: Array) -> PointMotion:
-        """All of it, with time derivatives along q̇.
+        """Return all of it, with time derivatives along q̇.
 
         Raises:
             InvalidInputError: A q or v of the wrong length or not finite.
@@ -103,14 +103,14 @@ class PointKinematics:
         r_dot: Array = A @ v
         moved, moved_dot = self._in_world(q)[1], np.zeros_like(A)
         if self._frame is not None:
-            J, R, _ = self._frame.compute_motion(q)
+            J, R, _ = self._frame.motion(q)
             arms, swing, J = self.points @ R.T, J[3:] @ v, J.copy()
             J_dot = self._frame.jacobian_dot(q, v)
             arms_dot = np.cross(swing, arms)
             moved_dot = J_dot[:3] - _skews(arms_dot) @ J[3:] - _skews(arms) @ J_dot[3:]
         if self._mount is None:
             return PointMotion(r, A, r_dot, moved_dot)
-        J, R, _ = self._mount.compute_motion(q)
+        J, R, _ = self._mount.motion(q)
         J, R_t = J.copy(), R.T.copy()
         J_dot = self._mount.jacobian_dot(q, v)
         own = R_t @ J[3:]
@@ -130,5 +130,5 @@ def _chosen(r: Array, at: Array | None) -> Array:
 
 
 def _skews(vectors: Array) -> Array:
-    """Matrices [a]ₓ with [a]ₓ b = a × b for each row a, shape (k, 3, 3)."""
+    """Return the matrices [a]ₓ with [a]ₓ b = a × b for each row a, shape (k, 3, 3)."""
     return np.asarray(vectors @ _CROSS).reshape(-1, 3, 3)

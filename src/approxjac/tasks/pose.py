@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.robots import Robot
+from approxjac.tasks.feature import Feature
 from approxjac.tasks.frame_kinematics import FrameKinematics
-from approxjac.tasks.task import Task, require_rows
+from approxjac.tasks.task import Task
 from approxjac.validation import Array, require
 
 _NO_ROTATION = 1e-6  # a quaternion shorter than this stands for no orientation
@@ -33,6 +35,9 @@ class PoseTask(Task):
         robot: The robot, true or believed.
         frame: Frame name; the robot's `tip` by default.
 
+    Attributes:
+        frame: Name of the frame.
+
     Raises:
         UnknownNameError: No such frame.
         InvalidInputError: Fewer than six joints.
@@ -40,35 +45,16 @@ class PoseTask(Task):
 
     def __init__(self, robot: Robot, frame: str | None = None) -> None:
         require("robot", robot, Robot, "a Robot")
-        self._frame = FrameKinematics(robot, robot.tip_or(frame))
-        require_rows(6, robot)
-
-    @property
-    def robot(self) -> Robot:
-        return self._frame.robot
-
-    @property
-    def frame(self) -> str:
-        """Name of the frame."""
-        return self._frame.frame
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return ("x", "y", "z", "rx", "ry", "rz")
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return ("m",) * 3 + ("rad",) * 3
-
-    @property
-    def n_x(self) -> int:
-        return 7
+        self.frame = robot.tip_or(frame)
+        super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ("m",) * 3 + ("rad",) * 3, 7)
+        self._frame = FrameKinematics(robot, self.frame)
+        self._origin = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # no rotation
 
     def value(self, q: Array) -> Array:
         return self._frame.pose(q)
 
-    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return self._frame.compute_jacobian(q)
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return self._frame.jacobian(q)
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return self._frame.jacobian_dot(q, v)
@@ -80,26 +66,28 @@ class PoseTask(Task):
             [px - dx, py - dy, pz - dz, *_rotation_between(quaternion, target)], dtype=np.float64
         )
 
-    @property
-    def origin(self) -> Array:
-        return np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-
     def displaced(self, x: Array, e: Array) -> Array:
         turned = pin.Quaternion(pin.exp3(e[3:])) * pin.Quaternion(x[3:])
         return np.concatenate([x[:3] + e[:3], turned.coeffs()])
 
-    def error_rate(self, e: Array, Jv: Array) -> Array:
-        return np.concatenate([Jv[:3], _rotation_vector_rate(e[3:], Jv[3:])])
-
     def on(self, robot: Robot) -> PoseTask:
         return PoseTask(robot, self.frame)
+
+    def _error_jacobian(self, e: Array, J: Array) -> Array:
+        return np.concatenate([J[:3], _rotation_vector_rates(e[3:], J[3:].T).T])
+
+    def _features(self) -> tuple[Feature, ...]:
+        return (Feature(slice(0, self.n_x), self.frame, "xyz", None, np.zeros((1, 3))),)
+
+    def _saved(self) -> dict[str, Any] | None:
+        return {"kind": "pose", "frame": self.frame} if type(self) is PoseTask else None
 
     def __repr__(self) -> str:
         return f"PoseTask({self.robot.name!r}, {self.frame!r})"
 
 
 def _rotation_between(a: list[float], b: list[float]) -> tuple[float, float, float]:
-    """Rotation vector of R_a R_bᵀ [rad] from quaternions (x, y, z, w); NaN where one is none."""
+    """Return log(R_a R_bᵀ) [rad] from quaternions (x, y, z, w); NaN where one is none."""
     length_a, length_b = math.hypot(*a), math.hypot(*b)
     if not (_NO_ROTATION < length_a < math.inf and _NO_ROTATION < length_b < math.inf):
         return math.nan, math.nan, math.nan
@@ -116,8 +104,8 @@ def _rotation_between(a: list[float], b: list[float]) -> tuple[float, float, flo
     return factor * x, factor * y, factor * z
 
 
-def _rotation_vector_rate(phi: Array, omega: Array) -> Array:
-    """Rate of a rotation vector φ of R where Ṙ = [ω]ₓR: φ̇ = J_l⁻¹(φ) ω, shape (3,).
+def _rotation_vector_rates(phi: Array, omega: Array) -> Array:
+    """Return the rates of a rotation vector φ of R where Ṙ = [ω]ₓR: φ̇ = J_l⁻¹(φ) ω, (k, 3).
 
     Source: J. Solà et al., "A micro Lie theory for state estimation in robotics", eq. (146).
     """

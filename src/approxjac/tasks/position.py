@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from approxjac.robots import Robot
+from approxjac.tasks.feature import Feature
 from approxjac.tasks.frame_kinematics import FrameKinematics
-from approxjac.tasks.task import Task, require_rows
+from approxjac.tasks.task import Task
 from approxjac.validation import Array, axis_rows, require
 
 _STILL = 1e-4  # share of the fastest axis below which nothing moves along it (URDFs are rounded)
@@ -22,6 +25,9 @@ class PositionTask(Task):
             commands: all three, or of a planar arm or one with fewer joints the best of them
             (`best_axes`).
 
+    Attributes:
+        frame: Name of the frame.
+
     Raises:
         UnknownNameError: No such frame, or an axis that is not x, y or z.
         InvalidInputError: No or doubled axes, or more of them than joints.
@@ -29,49 +35,40 @@ class PositionTask(Task):
 
     def __init__(self, robot: Robot, frame: str | None = None, axes: str | None = None) -> None:
         require("robot", robot, Robot, "a Robot")
-        frame = robot.tip_or(frame)
-        axes = best_axes(robot, frame) if axes is None else axes
+        self.frame = robot.tip_or(frame)
+        axes = best_axes(robot, self.frame) if axes is None else axes
         self._rows = _as_slice(axis_rows("axes", axes))
-        self._labels = tuple(axes)
-        self._frame = FrameKinematics(robot, frame)
-        self._frame_jacobian = self._frame.compute_jacobian
-        require_rows(len(axes), robot)
-
-    @property
-    def robot(self) -> Robot:
-        return self._frame.robot
-
-    @property
-    def frame(self) -> str:
-        """Name of the frame."""
-        return self._frame.frame
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return self._labels
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return ("m",) * len(self._labels)
+        super().__init__(robot, tuple(axes), ("m",) * len(axes))
+        self._frame = FrameKinematics(robot, self.frame)
+        self._frame_jacobian = self._frame.jacobian
 
     def value(self, q: Array) -> Array:
         return self._frame.position(q)[self._rows]
 
-    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
         return self._frame_jacobian(q)[self._rows]
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return self._frame.jacobian_dot(q, v)[self._rows]
 
     def on(self, robot: Robot) -> PositionTask:
-        return PositionTask(robot, self.frame, "".join(self._labels))
+        return PositionTask(robot, self.frame, "".join(self.labels))
+
+    def _features(self) -> tuple[Feature, ...]:
+        axes = "".join(self.labels)
+        return (Feature(slice(0, self.n_x), self.frame, axes, None, np.zeros((1, 3))),)
+
+    def _saved(self) -> dict[str, Any] | None:
+        if type(self) is not PositionTask:  # one made from it may differ
+            return None
+        return {"kind": "position", "frame": self.frame, "axes": "".join(self.labels)}
 
     def __repr__(self) -> str:
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {''.join(self.labels)!r})"
 
 
 def _as_slice(rows: list[int]) -> slice | list[int]:
-    """Rows at equal distances as a slice, which NumPy takes without a copy."""
+    """Return rows at equal distances as a slice, which NumPy takes without a copy."""
     step = rows[1] - rows[0] if len(rows) > 1 else 1
     end = rows[-1] + step
     found = slice(rows[0], end if end >= 0 else None, step)
@@ -79,7 +76,7 @@ def _as_slice(rows: list[int]) -> slice | list[int]:
 
 
 def best_axes(robot: Robot, frame: str | None = None) -> str:
-    """World axes along which an arm commands a frame: all three, or those of its fastest motion.
+    """Return world axes along which an arm commands a frame: all three, or the fastest ones.
 
     Args:
         robot: The robot.
@@ -88,11 +85,11 @@ def best_axes(robot: Robot, frame: str | None = None) -> str:
     Returns:
         "xyz" without the axes along which nothing moves the frame, as of a planar arm; and of an
         arm with fewer joints as many as joints, those along which it moves fastest, in the mean
-        over seeded postures.
+        over seeded configurations.
     """
     rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(frame))
-    postures = [robot.random_configuration(rng) for _ in range(20)]
-    jacobians = np.array([kinematics.jacobian(q)[:3] for q in postures])
+    drawn = [robot.random_configuration(rng) for _ in range(20)]
+    jacobians = np.array([kinematics.jacobian(q)[:3] for q in drawn])
     speeds = np.linalg.norm(jacobians, axis=2).sum(axis=0)
     moving = int((speeds > _STILL * speeds.max()).sum()) or 3
     return "".join("xyz"[i] for i in sorted(np.argsort(-speeds)[: min(moving, robot.nv)]))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
-from approxjac.tasks.task import Task, require_rows
+from approxjac.tasks.feature import Feature
+from approxjac.tasks.task import Task
 from approxjac.validation import Array, require
 
 
@@ -17,6 +21,9 @@ class StackedTask(Task):
 
     Args:
         *tasks: At least one task, all of the same robot.
+
+    Attributes:
+        tasks: The tasks.
 
     Raises:
         InvalidInputError: No task, something else than tasks, tasks of different robots, or more
@@ -33,116 +40,94 @@ class StackedTask(Task):
                     f"tasks must be of one robot, got {tasks[0].robot!r} and {task.robot!r}",
                     given=tasks,
                 )
-        self._tasks = tasks
-        require_rows(self.m, self.robot)
-        ends = np.cumsum([task.n_x for task in tasks]).tolist()
-        self._parts = [slice(end - task.n_x, end) for end, task in zip(ends, tasks, strict=True)]
-        ends = np.cumsum([task.m for task in tasks]).tolist()
-        self._rows = [slice(end - task.m, end) for end, task in zip(ends, tasks, strict=True)]
-
-    @property
-    def tasks(self) -> tuple[Task, ...]:
-        """The tasks."""
-        return self._tasks
-
-    @property
-    def robot(self) -> Robot:
-        return self._tasks[0].robot
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return tuple(
-            f"{i}.{label}" for i, task in enumerate(self._tasks, start=1) for label in task.labels
+        self.tasks = tasks
+        super().__init__(
+            tasks[0].robot,
+            [f"{i}.{label}" for i, task in enumerate(tasks, start=1) for label in task.labels],
+            [unit for task in tasks for unit in task.units],
+            sum(task.n_x for task in tasks),
         )
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return tuple(unit for task in self._tasks for unit in task.units)
-
-    @property
-    def n_x(self) -> int:
-        return sum(task.n_x for task in self._tasks)
-
-    @property
-    def measured(self) -> Task:
-        plain = [task.measured for task in self._tasks]
-        same = all(a is b for a, b in zip(plain, self._tasks, strict=True))
-        return self if same else StackedTask(*plain)
-
-    def measured_rate(self, Jv: Array) -> Array:
-        each = zip(self._tasks, self._rows, strict=True)
-        return np.concatenate([task.measured_rate(Jv[rows]) for task, rows in each])
-
-    @property
-    def parts(self) -> tuple[tuple[slice, slice], ...]:
-        each = zip(self._tasks, self._parts, self._rows, strict=True)
-        return tuple(
-            (_moved(entries, part.start), _moved(coordinates, rows.start))
-            for task, part, rows in each
-            for entries, coordinates in task.parts
+        self._entries = list(_one_after_the_other(task.n_x for task in tasks))
+        self._rows = list(_one_after_the_other(task.m for task in tasks))
+        self._uses_x = any(task._uses_x for task in tasks)
+        self._subtracts = all(task._subtracts for task in tasks)
+        self._origin = np.concatenate([task._origin for task in tasks])
+        placed = list(zip(tasks, self._entries, self._rows, strict=True))
+        self._untold = [entries.start + i for task, entries, _ in placed for i in task._untold]
+        self._parts = tuple(
+            (_moved(part, entries.start), _moved(coordinates, rows.start))
+            for task, entries, rows in placed
+            for part, coordinates in task._parts
         )
-
-    @property
-    def jacobian_uses_x(self) -> bool:
-        return any(task.jacobian_uses_x for task in self._tasks)
-
-    def seen(self, x: Array) -> Array:
-        each = zip(self._tasks, self._parts, strict=True)
-        return np.concatenate([task.seen(x[part]) for task, part in each])
 
     def value(self, q: Array) -> Array:
-        return np.concatenate([task.value(q) for task in self._tasks])
+        return np.concatenate([task.value(q) for task in self.tasks])
 
-    def compute_jacobian(self, q: Array, x: Array | None = None) -> Array:
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
         if x is None:
-            return np.vstack([task.compute_jacobian(q) for task in self._tasks])
-        each = zip(self._tasks, self._parts, strict=True)
-        return np.vstack([task.compute_jacobian(q, x[part]) for task, part in each])
-
-    def sensor_jacobian(self, q: Array) -> Array:
-        return np.vstack([task.sensor_jacobian(q) for task in self._tasks])
+            return np.concatenate([task.jacobian(q) for task in self.tasks])
+        each = zip(self.tasks, self._entries, strict=True)
+        return np.concatenate([task.jacobian(q, x[entries]) for task, entries in each])
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
-        return np.vstack([task.jacobian_dot(q, v) for task in self._tasks])
+        return np.concatenate([task.jacobian_dot(q, v) for task in self.tasks])
 
     def error(self, x: Array, x_d: Array) -> Array:
-        return np.concatenate(
-            [t.error(x[part], x_d[part]) for t, part in zip(self._tasks, self._parts, strict=True)]
-        )
-
-    @property
-    def subtracts(self) -> bool:
-        return all(task.subtracts for task in self._tasks)
-
-    @property
-    def origin(self) -> Array:
-        return np.concatenate([task.origin for task in self._tasks])
+        each = zip(self.tasks, self._entries, strict=True)
+        return np.concatenate([task.error(x[entries], x_d[entries]) for task, entries in each])
 
     def displaced(self, x: Array, e: Array) -> Array:
-        each = zip(self._tasks, self._parts, self._rows, strict=True)
-        return np.concatenate([task.displaced(x[part], e[rows]) for task, part, rows in each])
-
-    def with_error(self, x: Array, x_d: Array, e: Array) -> Array:
-        each = zip(self._tasks, self._parts, self._rows, strict=True)
-        return np.concatenate(
-            [task.with_error(x[part], x_d[part], e[rows]) for task, part, rows in each]
-        )
-
-    def error_rate(self, e: Array, Jv: Array) -> Array:
-        each = zip(self._tasks, self._rows, strict=True)
-        return np.concatenate([task.error_rate(e[rows], Jv[rows]) for task, rows in each])
+        each = zip(self.tasks, self._entries, self._rows, strict=True)
+        return np.concatenate([task.displaced(x[entries], e[rows]) for task, entries, rows in each])
 
     def target(self, x_d: object) -> Array:
         target = super().target(x_d)
-        for task, part in zip(self._tasks, self._parts, strict=True):
-            task.target(target[part])  # as it may have edges, such as those of an image
+        for task, entries in zip(self.tasks, self._entries, strict=True):
+            task.target(target[entries])  # as it may have edges, such as those of an image
         return target
 
     def on(self, robot: Robot) -> StackedTask:
-        return StackedTask(*(task.on(robot) for task in self._tasks))
+        return StackedTask(*(task.on(robot) for task in self.tasks))
+
+    @property
+    def _measured(self) -> Task:
+        plain = [task._measured for task in self.tasks]
+        same = all(a is b for a, b in zip(plain, self.tasks, strict=True))
+        return self if same else StackedTask(*plain)
+
+    def _seen(self, x: Array) -> Array:
+        each = zip(self.tasks, self._entries, strict=True)
+        return np.concatenate([task._seen(x[entries]) for task, entries in each])
+
+    def _sensor_jacobian(self, q: Array) -> Array:
+        return np.concatenate([task._sensor_jacobian(q) for task in self.tasks])
+
+    def _error_jacobian(self, e: Array, J: Array) -> Array:
+        each = zip(self.tasks, self._rows, strict=True)
+        return np.concatenate([task._error_jacobian(e[rows], J[rows]) for task, rows in each])
+
+    def _features(self) -> tuple[Feature, ...]:
+        return tuple(
+            feature._replace(entries=_moved(feature.entries, entries.start))
+            for task, entries in zip(self.tasks, self._entries, strict=True)
+            for feature in task._features()
+        )
+
+    def _saved(self) -> dict[str, Any] | None:
+        tasks = [task._saved() for task in self.tasks]
+        if None in tasks or type(self) is not StackedTask:
+            return None
+        return {"kind": "stacked", "tasks": tasks}
 
     def __repr__(self) -> str:
-        return f"StackedTask({', '.join(map(repr, self._tasks))})"
+        return f"StackedTask({', '.join(map(repr, self.tasks))})"
+
+
+def _one_after_the_other(sizes: Iterator[int]) -> Iterator[slice]:
+    start = 0
+    for size in sizes:
+        yield slice(start, start + size)
+        start += size
 
 
 def _moved(entries: slice, start: int) -> slice:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.simulation.scene import Feature
 from approxjac.tasks import Camera, PinholeCamera, PlanarCamera
+from approxjac.tasks.feature import Feature
 from approxjac.validation import Array, axis_rows
 
 _NEAR = 0.18  # where the image is drawn, of the way to what the camera looks at

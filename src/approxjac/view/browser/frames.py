@@ -6,8 +6,10 @@ import numpy as np
 
 from approxjac.robots import Robot
 from approxjac.robots.model import own_joints
-from approxjac.simulation.scene import Feature, Scene, features
+from approxjac.simulation.scene import Scene
 from approxjac.tasks import FrameKinematics
+from approxjac.tasks.analysis import features
+from approxjac.tasks.feature import Feature
 from approxjac.tasks.point_kinematics import PointKinematics
 from approxjac.validation import Array
 from approxjac.view.tree import joint_positions
@@ -132,7 +134,7 @@ class Frames:
         if np.linalg.norm(J.T @ force - task_torque) <= _LITTLE * np.linalg.norm(task_torque):
             return np.asarray(force)
         assert self._wrenched is not None  # as the believed tip, whose J this is
-        J = self._wrenched.compute_jacobian(q)
+        J = self._wrenched.jacobian(q)
         return np.asarray(np.linalg.pinv(J.T, rcond=_SINGULAR) @ task_torque)[:3]
 
     def _position(self, x: Array, tip: Array) -> Array:

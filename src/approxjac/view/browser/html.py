@@ -18,7 +18,8 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
-from approxjac.simulation.scene import Scene, features
+from approxjac.simulation.scene import Scene
+from approxjac.tasks.analysis import features
 from approxjac.validation import Array, require
 from approxjac.view.browser.cameras import image_axes
 from approxjac.view.browser.frames import Frames, display_unit

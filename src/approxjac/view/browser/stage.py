@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.robots import Robot
-from approxjac.simulation.scene import Scene, features
+from approxjac.simulation.scene import Scene
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import features
 from approxjac.validation import Array
 from approxjac.view.browser.cameras import camera_view
 from approxjac.view.browser.viewpoint import reach_points

@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.simulation.sampled_loop import SampledLoop
-from approxjac.simulation.scene import features
+from approxjac.tasks.analysis import features
 from approxjac.validation import Array, as_array
 
 _LONG = 80  # characters of what was given, in errors

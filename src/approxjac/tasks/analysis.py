@@ -1,0 +1,92 @@
+"""What only an analysis, a sensor or a drawing asks of a task."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.errors import InvalidInputError
+from approxjac.tasks.feature import Feature
+from approxjac.tasks.task import Task
+from approxjac.validation import Array
+
+_TRIES = 20000  # random configurations to look for ones that a camera sees
+
+
+def jacobian_gradient(task: Task, q: Array) -> Array:
+    """Return ∂J/∂q_k, shape (n_v, m, n_v), k first: `jacobian_dot` along each joint."""
+    return np.array([task.jacobian_dot(q, unit) for unit in np.eye(task.robot.nv)])
+
+
+def with_error(task: Task, x: Array, x_d: Array, e: Array) -> Array:
+    """Return the value whose error to x_d is e (m,); what no error tells is as in x; (n_x,)."""
+    found = task.displaced(x_d, e)
+    found[task._untold] = x[task._untold]
+    return found
+
+
+def uncombined(task: Task) -> Array | None:
+    """Return the matrix (m, m) from a task's errors to those of what is measured; None is I."""
+    measured, origin = task._measured, task._origin
+    if measured is task:
+        return None
+    units = [measured.displaced(origin, unit) for unit in np.eye(task.m)]
+    return np.linalg.inv(np.column_stack([task.error(x, origin) for x in units]))
+
+
+def features(task: Task | None) -> tuple[Feature, ...]:
+    """Return what a task follows, part by part; nothing of tasks that are not this library's."""
+    return () if task is None else task._features()
+
+
+def sees(task: Task, q: Array) -> bool:
+    """Return whether a sensor delivers all of a task's value at q (nq,)."""
+    return bool(np.isfinite(task._seen(task.value(q))).all())
+
+
+def seen_configurations(task: Task, count: int) -> list[Array]:
+    """Draw seeded configurations within the joint limits in which the task's sensor sees it.
+
+    Returns:
+        `count` of them, or fewer where they are rare.
+
+    Raises:
+        InvalidInputError: None was found.
+    """
+    rng = np.random.default_rng(0)
+    # as random_configuration, whose range is the same for all of them
+    model, neutral, usual = task.robot.model, task.robot.neutral(), task.robot.usual_range()
+    found: list[Array] = []
+    for _ in range(max(count, _TRIES)):
+        q = np.array(pin.integrate(model, neutral, rng.uniform(*usual)))
+        if sees(task, q):
+            found.append(q)
+            if len(found) == count:
+                break
+    if not found:
+        raise InvalidInputError(
+            f"task must be one that its own sensor sees in some posture within the joint limits of "
+            f"{task.robot.name}, got {task!r}",
+            given=task,
+        )
+    return found
+
+
+def vanishing(task: Task) -> float:
+    """Return a tenth of the σ_max that the task's Jacobian typically has [unit of the task/rad].
+
+    Below it, a Jacobian is vanishing. It is of the median over 20 seeded configurations.
+    """
+    largest = [np.linalg.norm(task.jacobian(q), 2) for q in seen_configurations(task, 20)]
+    return 0.1 * float(np.median(largest))
+
+
+def require_jacobian_of_q(task: Task, what: str) -> None:
+    """Refuse a task whose Jacobian uses the measured x, for an analysis that needs its rate."""
+    if task._uses_x:
+        raise InvalidInputError(
+            f"{what} is for a task whose Jacobian depends on q only and has a rate, such as an "
+            f"ImageTask with depth='believed', got {task!r}; local_stability and rollouts are for "
+            "every task",
+            given=task,
+        )
