@@ -23,7 +23,8 @@ ALLOWED = {
     "controllers": {"law", "tasks", "robots", "interface", "formatting", "validation", "errors"},
     "simulation": {"law", "tasks", "robots", "interface", "formatting", "validation", "errors"},
     "stability": {
-        "controllers", "simulation", "law", "tasks", "robots", "interface", "validation", "errors",
+        "controllers", "simulation", "law", "tasks", "robots", "interface", "formatting",
+        "validation", "errors",
     },
     "view": {"simulation", "law", "tasks", "robots", "interface", "validation", "errors"},
     "paper": {
@@ -32,7 +33,7 @@ ALLOWED = {
     },
     "studies": {
         "paper", "view", "stability", "controllers", "simulation", "law", "tasks", "robots",
-        "interface", "validation", "errors",
+        "interface", "formatting", "validation", "errors",
     },
     "cli_studies": {"paper", "studies", "view", "errors"},
     "cli": {"cli_studies", "studies", "view", "stability", "simulation", "errors", "__init__"},

@@ -538,7 +538,7 @@ def test_bad_sensing_is_refused(changes, text):
         ({"q_quantum": np.ones(7)}, r"q_quantum must have shape \(2,\), got shape \(7,\)"),
         (
             {"x_lost": [(0, 1, 0), (1, 2, 1)]},
-            r"part of x_lost must be that of a part of PositionTask\(.*\), 0, got 1",
+            r"part of x_lost must be one of the parts of PositionTask\(.*\), 0, got 1",
         ),
     ],
 )
@@ -861,7 +861,7 @@ PLANE = aj.PositionTask(aj.load_robot("two_link"), axes="xz")
 
 
 def test_an_interval_of_a_part_that_the_task_does_not_have_is_refused(panda, pair):
-    text = r"part of x_lost must be that of an entry of StackedTask.*parts, 0 to 1, got 2"
+    text = r"part of x_lost must be one of the parts of StackedTask.*, 0 to 1, got 2"
     with pytest.raises(aj.InvalidInputError, match=text):
         aj.Plant(panda, pair, sensing=aj.Sensing(x_lost=[(0.0, 1.0, 2)]))
 

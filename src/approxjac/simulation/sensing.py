@@ -230,7 +230,7 @@ def _lost(interval: tuple[Any, ...], task: Task) -> tuple[float, float, slice]:
     if part[0] >= len(parts):
         valid = "0" if len(parts) == 1 else f"0 to {len(parts) - 1}"
         raise InvalidInputError(
-            f"part of x_lost must be that of a part of {task!r}, {valid}, got {part[0]}",
+            f"part of x_lost must be one of the parts of {task!r}, {valid}, got {part[0]}",
             given=part[0],
         )
     return start, end, parts[part[0]][0]
