@@ -10,9 +10,9 @@ import naive_laws as naive
 import numpy as np
 import pinocchio as pin
 import turns
+from approxjac.controllers.checked import is_beyond
 
 from approxjac import law
-from approxjac.controllers.checked import is_beyond
 
 ROUNDS = 60
 HEADS = ("piece", "(6), µs", "of bare", "(28), (29), µs", "of bare")

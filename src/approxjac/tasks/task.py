@@ -13,12 +13,12 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.robots import Robot
 from approxjac.tasks.feature import Feature
-from approxjac.validation import Array, SetOnce, as_array, as_vector, require
+from approxjac.validation import Array, Immutable, as_array, as_vector, require
 
 _DIFFERENCE = 1e-5  # of q, either way, from which a rate is taken [rad or m]
 
 
-class Task(SetOnce, ABC):
+class Task(Immutable, ABC):
     """A task X = h(q) of one robot.
 
     A controller uses the task of the *believed* robot, and of it only the Jacobian Ĵ: the value
@@ -162,6 +162,8 @@ class Task(SetOnce, ABC):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.robot.name!r})"
+
+    __reduce__ = object.__reduce__  # what a task is made of copies itself: `FrameKinematics`
 
     @property
     def _measured(self) -> Task:
