@@ -163,7 +163,7 @@ class Task(Immutable, ABC):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.robot.name!r})"
 
-    __reduce__ = object.__reduce__  # what a task is made of copies itself: `FrameKinematics`
+    __reduce__ = object.__reduce__  # type: ignore[assignment]  # what a task is made of copies itself: `FrameKinematics`
 
     @property
     def _measured(self) -> Task:
