@@ -1,4 +1,4 @@
-"""How numbers and records are written in one line."""
+"""Numbers and records in one line of text."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from approxjac.validation import Array
 
 
 class Status(enum.IntEnum):
-    """What happened in one evaluation of a controller."""
+    """Outcome of one step of a controller."""
 
     OK = 0
     NEAR_SINGULAR = 1
@@ -56,7 +56,7 @@ _MESSAGES: Mapping[Status, str] = {
 
 
 class LimitStatus(enum.IntEnum):
-    """What became of the torque that a law asks for, in one evaluation of a controller.
+    """Outcome of limits for the torque that a law asks for, in one step of a controller.
 
     The proof is that of Theorem 1: V̇ ≤ −W, which any torque with yᵀ(τ − τ*) ≤ 0 keeps. Where
     gravity is learnt, and stands still, V̇ has −yᵀZ(θ − θ̂) besides the slack.

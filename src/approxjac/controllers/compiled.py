@@ -260,7 +260,7 @@ def learnt_gravity(
 
 
 def fits(J_hat: Array, v: Array, x: Array, x_d: Array, g: Array, torque: Array, e: Array) -> bool:
-    """Whether all have the sizes of what they make: machine code looks at no bounds."""
+    """Return whether all sizes agree: machine code looks at no bounds."""
     return (
         J_hat.shape == (len(e), len(torque))
         and len(v) == len(g) == len(torque)
@@ -290,7 +290,7 @@ def saturated(e: Array, gamma: Array, kind: float) -> Array:
 
 
 def is_small(torque: Array, e: Array) -> bool:
-    """Whether torque and error are finite, and nowhere near to where numbers overflow."""
+    """Return whether torque and error are finite, and far from where numbers overflow."""
     size = 0.0
     for each in torque:
         size += abs(each)

@@ -1,4 +1,4 @@
-"""Where the gravity torque of a law comes from."""
+"""Sources of the gravity torque of a law."""
 
 from __future__ import annotations
 

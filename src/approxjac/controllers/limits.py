@@ -1,4 +1,4 @@
-"""What torques and joints must keep, and the bounds and rows that say so for one control step."""
+"""`Limits` of torques and joints, and the bounds and rows that they make for one control step."""
 
 from __future__ import annotations
 

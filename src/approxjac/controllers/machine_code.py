@@ -102,7 +102,7 @@ def _digest(inputs: tuple[int, ...]) -> str:
 
 
 def product_of(a: Array, b: Array) -> Callable[[Array, Array], Array] | None:
-    """What `products.dot` is in machine code, by the dimensions of its arguments.
+    """Return `products.dot` for machine code, by the dimensions of its arguments.
 
     BLAS, which Numba would call, takes longer than loops for arrays as small as a step's.
     """

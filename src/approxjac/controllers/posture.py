@@ -1,4 +1,4 @@
-"""A posture that a redundant arm is drawn to without disturbing its task."""
+"""`Posture`: a preferred posture of a redundant arm, in the null space of its task."""
 
 from __future__ import annotations
 

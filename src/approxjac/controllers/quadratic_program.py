@@ -48,7 +48,7 @@ class QuadraticProgram(NamedTuple):
 
 
 class Verdict(enum.Enum):
-    """What came of a problem."""
+    """Outcome of a problem."""
 
     SOLVED = "solved"
     INFEASIBLE = "no z holds all bounds and rows"

@@ -1,4 +1,4 @@
-"""What a saturation has to keep to, asked of it once, when a controller is built.
+"""Checks of a saturation, made once, when a controller is built.
 
 The tests of stability take it for granted: none of them would notice a slope other than 1.
 """
@@ -23,7 +23,7 @@ _PAIRS = np.concatenate([_SIGNED * (1.0 - _APART), _SIGNED * (1.0 + _APART)])
 
 
 class _Fault(Exception):
-    """What is wrong with a saturation, in words."""
+    """Fault of a saturation, in words."""
 
 
 def require_saturation(saturation: Saturation, task: Task) -> None:
@@ -115,7 +115,7 @@ class _Sample:
         )
 
     def require_alone(self, f: Saturation) -> None:
-        """What s makes of an entry is the same in other company, and in the shape of control."""
+        """Refuse an s of an entry that depends on the other entries, or on the shape."""
         m = self._e.shape[2]
         which = (7 * np.arange(m)) % self._e.shape[1], np.arange(m)
         e, together = self._e[0][which], self._s[0][which]

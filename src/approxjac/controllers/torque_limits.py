@@ -53,7 +53,7 @@ class TorqueLimited(Limiter):
     and to the limits: of τ and its rate; and of q̇ and q, whose next step the believed dynamics
     predict. A slack σ > 0 is reported, never hidden. The multiplier of the proof's row acts as
     damping added along y, λR⁻¹ with λ ≤ ρ, so ρ is chosen such that this damping is not faster
-    than `braking` at usual postures.
+    than `braking` at usual configurations.
 
     Where R is diagonal and no limit of speed or position is near, the minimum is known in closed
     form and no solver is called. Where no torque keeps all limits, and where the solver fails, the
@@ -64,8 +64,8 @@ class TorqueLimited(Limiter):
     Args:
         controller: The controller whose torque to limit.
         limits: What to keep; those of the believed robot's URDF by default.
-        weight: R: "joint inertia", diagonal, the largest (M̂⁻¹)ᵢᵢ over usual postures; "inertia",
-            M̂(q)⁻¹, so that accelerations change least; "identity"; "task force", which reduces the
+        weight: R: "joint inertia", diagonal, the largest (M̂⁻¹)ᵢᵢ over usual configurations;
+            "inertia", M̂(q)⁻¹, so that accelerations change least; "identity"; "task force", which reduces the
             force on the task rather than turns it; or a diagonal of one's own, shape (n_v,).
         proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
         alpha: α of y [1/s]; that of the adaptation where gravity is learnt. By default 0.3 of the
@@ -347,7 +347,7 @@ def _light(inertias: Array) -> Array:
 
 
 def _quickest(inertias: Array, damping: Array) -> float:
-    """Largest eigenvalue of M⁻¹D over postures, for a diagonal D of shape (n_v,)."""
+    """Largest eigenvalue of M⁻¹D over configurations, for a diagonal D of shape (n_v,)."""
     root = np.sqrt(damping)
     scaled = root[:, np.newaxis] * np.linalg.inv(inertias) * root
     return float(np.linalg.eigvalsh(scaled)[:, -1].max())

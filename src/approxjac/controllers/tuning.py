@@ -13,10 +13,10 @@ from approxjac.tasks import Task
 from approxjac.tasks.analysis import seen_configurations
 from approxjac.validation import Array, as_number, require
 
-_POSTURES = 100
+_CONFIGURATIONS = 100
 _SETTLED = 4.0  # time constants until 2 % are left
 _SINGULAR = 1e-6  # σ_min/σ_max that counts as no rank
-_REGULAR = 0.05  # postures with σ_min below this share of σ_max are left out
+_REGULAR = 0.05  # configurations with σ_min below this share of σ_max are left out
 _DAMPING_SHARE = 0.03
 _LEARNING_SPEED = 3.0
 _FASTEST_LEARNING = 10.0
@@ -25,11 +25,11 @@ _NO_TIME = 1e-50  # settling times below it have gains that overflow [s]
 
 
 def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 1000.0) -> Gains:
-    """Gains with which the believed arm settles to 2 % in about `settling_time`.
+    """Return gains with which the believed arm settles to 2 % in about `settling_time`.
 
     With r = 4 / settling_time, Λ the inertia that the arm shows to a force along a task
-    coordinate, 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ, and M its inertia matrix, each the median over postures within
-    the joint limits (seeded, without those that are singular or out of a camera's view):
+    coordinate, 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ, and M its inertia matrix, each the median over configurations
+    within the joint limits (seeded, without those that are singular or out of a camera's view):
 
         K_v = 4 r Λ,   B_c = r Mᵢᵢ + b,   b = 0.03 λ_max[Ĵᵀ K_v Ĵ],   K_p = r (K_v + K_b),
 
@@ -55,14 +55,14 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
 
     Raises:
         InvalidInputError: Numbers that are not positive, or a task that is singular in every
-            posture.
+            configuration.
     """
     require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
     rate = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
     fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
     dynamics = Dynamics(task.robot)
     jacobians, inertias, inverses = [], [], []
-    for q, J in _regular_postures(task):
+    for q, J in _regular_configurations(task):
         jacobians.append(J)
         inertias.append(dynamics.M(q))
         inverses.append(np.linalg.inv(inertias[-1]))
@@ -87,39 +87,26 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
 
 
 def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:
-    """K_p of `default_gains` for a K_v (m,) and a B_c (n_v,) of one's own, shape (m,)."""
-    jacobians = [J for _, J in _regular_postures(task)]
+    """Return K_p of `default_gains` for a K_v (m,) and a B_c (n_v,) of one's own, shape (m,)."""
+    jacobians = [J for _, J in _regular_configurations(task)]
     rate = _SETTLED / settling_time
     return rate * (kv + _felt_damping(task, damping, jacobians))
-
-
-def joint_damping(task: Task, settling_time: float = 1.0, bandwidth: float = 1000.0) -> Array:
-    """B_c alone that is about as much as K_v and B_c of `default_gains`, shape (n_v,).
-
-    The diagonal of ĴᵀK_vĴ + B_c, the median over postures, and not faster than `bandwidth` allows.
-    """
-    gains = default_gains(task, settling_time, bandwidth).diagonals(task.m, task.robot.nv)
-    dynamics, postures = Dynamics(task.robot), _regular_postures(task)
-    felt: Array = np.median([gains.kv @ (J * J) for _, J in postures], axis=0)
-    mobility = np.max([np.diag(np.linalg.inv(dynamics.M(q))) for q, _ in postures], axis=0)
-    damping: Array = np.minimum(felt + gains.damping, 0.5 * bandwidth / mobility)
-    return damping
 
 
 def default_adaptation(
     task: Task, gains: Diagonals, regressor: GravityRegressor, alpha: float | None = None
 ) -> tuple[Array, float]:
-    """L and α for learning gravity about as fast as the gains let the task settle.
+    """Return L and α for learning gravity about as fast as the gains let the task settle.
 
     α is the rate of the task's slow pole, min k_p / (k_v + K_b) with the K_b of `default_gains`.
     L = k D with D = 1/mean(‖Zᵢ‖²), so that every parameter counts by the torque it makes, and k
     such that near the target, where the position force makes up for what gravity compensation
     lacks, that lack dies out with three times that rate where it does so fastest (the median over
-    postures).
+    configurations).
 
     Learning a parameter and the motion of the joints that it acts on make an oscillator of
     frequency ω² = Lᵢ Zᵢᵀ M⁻¹ Zᵢ. An entry of L is reduced to where ω is at most ten times the rate
-    of the slow pole in every posture, or a light wrist would be shaken by what is learnt.
+    of the slow pole in every configuration, or a light wrist would be shaken by what is learnt.
 
     Args:
         task: The task of the believed robot.
@@ -130,14 +117,14 @@ def default_adaptation(
     Returns:
         The diagonal of L, shape (p,), and α [1/s].
     """
-    postures = _regular_postures(task)
-    slow = slow_rate(task, gains, [J for _, J in postures])
+    configurations = _regular_configurations(task)
+    slow = slow_rate(task, gains, [J for _, J in configurations])
     alpha = slow if alpha is None else alpha
     dynamics = Dynamics(task.robot)
-    columns = [regressor.Z(q) for q, _ in postures]
+    columns = [regressor.Z(q) for q, _ in configurations]
     D = 1.0 / np.mean([(Z * Z).sum(axis=0) for Z in columns], axis=0)
     rates, accelerations = [], []
-    for Z, (q, J) in zip(columns, postures, strict=True):
+    for Z, (q, J) in zip(columns, configurations, strict=True):
         # e = K_p⁻¹ Ĵ⁺ᵀ Z Δθ at rest, and Δθ̇ = −L Zᵀ α Ĵ⁺ e
         A = np.linalg.solve(J @ J.T, J) @ Z
         learning = alpha * (A * D).T @ (A / gains.kp[:, None])
@@ -148,23 +135,24 @@ def default_adaptation(
 
 
 def slow_rate(task: Task, gains: Diagonals, jacobians: list[Array] | None = None) -> float:
-    """Rate of the task's slow pole, min k_p / (k_v + K_b) with the K_b of `default_gains` [1/s]."""
+    """Return the rate of the task's slow pole, min k_p / (k_v + K_b) with the K_b of `default_gains` [1/s]."""
     if jacobians is None:
-        jacobians = [J for _, J in _regular_postures(task)]
+        jacobians = [J for _, J in _regular_configurations(task)]
     felt = _felt_damping(task, gains.damping, jacobians)
     return float((gains.kp / (gains.kv + felt)).min())
 
 
 def usual_inertias(robot: Robot) -> Array:
-    """M(q) at seeded postures within the joint limits, shape (postures, n_v, n_v)."""
+    """Return M(q) at k seeded configurations within the joint limits, shape (k, n_v, n_v)."""
     rng, dynamics = np.random.default_rng(0), Dynamics(robot)
-    return np.array([dynamics.M(robot.random_configuration(rng)) for _ in range(_POSTURES)])
+    drawn = [robot.random_configuration(rng) for _ in range(_CONFIGURATIONS)]
+    return np.array([dynamics.M(q) for q in drawn])
 
 
 def _felt_damping(task: Task, damping: Array, jacobians: list[Array]) -> Array:
-    """What damping B_c of the joints adds to K_v along a task coordinate, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
+    """Return what B_c adds to the damping along a task coordinate, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
 
-    The median over postures, and the mean over coordinates of one unit; shape (m,).
+    The median over configurations, and the mean over coordinates of one unit; shape (m,).
     """
     mobility = [(J * J) @ (1.0 / np.maximum(damping, _NO_DAMPING)) for J in jacobians]
     felt: Array = np.median(1.0 / np.array(mobility), axis=0)
@@ -174,14 +162,14 @@ def _felt_damping(task: Task, damping: Array, jacobians: list[Array]) -> Array:
 
 
 def _groups(task: Task) -> list[np.ndarray[Any, np.dtype[np.bool_]]]:
-    """Which coordinates have the same unit, unit by unit."""
+    """Return which coordinates have the same unit, unit by unit."""
     units = np.array(task.units)
     return [units == unit for unit in dict.fromkeys(task.units)]
 
 
-def _regular_postures(task: Task) -> list[tuple[Array, Array]]:
-    """Seeded postures within the limits where the task is seen and not near singular, with Ĵ."""
-    usual = [(q, task.jacobian(q)) for q in seen_configurations(task, _POSTURES)]
+def _regular_configurations(task: Task) -> list[tuple[Array, Array]]:
+    """Return seeded configurations where the task is seen and not near singular, with Ĵ."""
+    usual = [(q, task.jacobian(q)) for q in seen_configurations(task, _CONFIGURATIONS)]
     values = [np.linalg.svd(J, compute_uv=False) for _, J in usual]
     ratios = np.array([v[-1] / v[0] if v[0] > 0.0 else 0.0 for v in values])
     least = _REGULAR

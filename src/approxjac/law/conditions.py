@@ -12,7 +12,7 @@ from approxjac.validation import Array
 
 
 def jacobian_error(J: Array, J_hat: Array) -> float:
-    """‖Jᵀ − Ĵᵀ‖, the spectral norm. Implements Eq. (7) at one posture."""
+    """‖Jᵀ − Ĵᵀ‖, the spectral norm. Implements Eq. (7) at one configuration."""
     return float(np.linalg.norm(J - J_hat, 2))
 
 

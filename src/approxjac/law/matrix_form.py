@@ -11,9 +11,9 @@ obeys V̇ = −zᵀQz along eq. (9), where D = ĴᵀK_vĴ + B and
 
 ∂M[z] the derivative of M along z, and ∂G[·]s the matrix whose k-th column is (∂G/∂q_k) s. Nothing
 is bounded or left out: Q depends on q and e only. It is affine in (G, W), so asking for Q ≻ 0 in
-many postures at once is a linear matrix inequality. The paper's V is G = αĴ⁺, W = K_p + αK_v.
+many configurations at once is a linear matrix inequality. The paper's V is G = αĴ⁺, W = K_p + αK_v.
 
-All functions take stacks of postures: arrays with any leading axes.
+All functions take stacks of configurations: arrays with any leading axes.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def potential_matrix(M: Array, G: Array, weights: Array, c_bar: float) -> Array:
 
 
 def _blocks(upper: Array, cross: Array, lower: Array) -> Array:
-    """[[upper, cross], [crossᵀ, lower]] for each posture."""
+    """[[upper, cross], [crossᵀ, lower]] for each configuration."""
     n, m = cross.shape[-2:]
     joined = np.empty((*cross.shape[:-2], n + m, n + m))
     joined[..., :n, :n] = upper

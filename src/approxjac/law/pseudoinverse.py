@@ -80,7 +80,7 @@ def damped_gram_solve(
 
 
 def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0) -> bool:
-    """Whether σ_min < `singular_ratio` · max(σ_max, `scale`) of J, from G = J Jᵀ, shape (m, m)."""
+    """Return whether σ_min of J is below `singular_ratio` · max(σ_max, `scale`), from G = J Jᵀ."""
     if len(G) == 2:
         a, b, d = float(G[0, 0]), float(G[0, 1]), float(G[1, 1])
         if _surely_regular((a * d - b * b) * (a + d), a + d, singular_ratio, scale):
@@ -96,7 +96,7 @@ def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: fl
 
 
 def _surely_regular(bound: float, trace: float, singular_ratio: float, scale: float) -> bool:
-    """Whether a symmetric 2 × 2 or 3 × 3 matrix surely has σ_min above the ratio.
+    """Return whether a symmetric 2 × 2 or 3 × 3 matrix surely has σ_min above the ratio.
 
     Args:
         bound: What its smallest eigenvalue times trace² is at least: det · trace of a 2 × 2 matrix,

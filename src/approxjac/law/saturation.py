@@ -95,7 +95,7 @@ class Linear:
 
 @dataclass(frozen=True, eq=False)
 class _Bounded:
-    """What saturations with a γ have in common."""
+    """Base of saturations with a γ."""
 
     gamma: float | Sequence[float] | Array
     d: float = 1.0

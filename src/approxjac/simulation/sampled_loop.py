@@ -76,7 +76,7 @@ class SampledLoop:
 
     @property
     def ended(self) -> bool:
-        """Whether there is no further step."""
+        """Return whether there is no further step."""
         return self.stopped or self.step == self.steps
 
     def advance(self) -> None:

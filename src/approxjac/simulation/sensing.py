@@ -24,7 +24,7 @@ _TINY = 1e-6  # of a frame or a sample: more than round-off in k dt, less than a
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sensing:
-    """How the measurements differ from the truth. Everything is off by default.
+    """Differences of the measurements from the truth. Everything is off by default.
 
     The task value gets noise, is rounded, arrives late and is sometimes lost; the encoders get
     noise and are rounded; and q̇ may come from differences of the measured q instead of a

@@ -21,7 +21,7 @@ from approxjac.validation import Array, as_number, require
 
 
 class Derivation(Protocol):
-    """What follows from a run, and takes time: computed from it, or read from a file."""
+    """Source of what takes time to derive from a run: computed, or read from a file."""
 
     def task_torque(self, run: Trajectory) -> Array:
         """Return the part of the law's torque that acts on the task, shape (N, n_v)."""
