@@ -40,8 +40,7 @@ class TaskTorqueScaled(Limiter):
     """
 
     def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
-        answer, _, lower, upper, _, _ = asked
-        g = answer.gravity
+        answer, g, _, lower, upper, _, _ = asked
         hold = np.minimum(np.maximum(g, lower), upper)
         change = answer.torque - hold
         room = np.where(change > 0.0, upper - hold, lower - hold)

@@ -24,6 +24,7 @@ class Asked(NamedTuple):
 
     Attributes:
         answer: Answer of the controller.
+        gravity: Gravity torque in it, shape (n_v,).
         measurement: What was measured.
         lower: Smallest torques, shape (n_v,).
         upper: Largest torques, shape (n_v,).
@@ -32,6 +33,7 @@ class Asked(NamedTuple):
     """
 
     answer: Evaluation
+    gravity: Array
     measurement: Measurement
     lower: Array
     upper: Array
@@ -134,7 +136,8 @@ class Limiter(ControllerWrapper):
         status, slack = _FREE, 0.0
         free = torque.tolist() == wanted.tolist()
         if not free or self._looks_ahead:
-            asked = Asked(answer, measurement, lower, upper, torque, free)
+            gravity = np.zeros_like(wanted) if answer.gravity is None else answer.gravity
+            asked = Asked(answer, gravity, measurement, lower, upper, torque, free)
             torque, status, slack = self._limit(asked)
         if self._p and status is not _FREE and status is not _KEPT:
             after[: self._p] = state[: self._p]

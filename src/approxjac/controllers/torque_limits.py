@@ -63,10 +63,10 @@ class TorqueLimited(Limiter):
 
     Args:
         controller: The controller whose torque to limit.
-        limits: What to keep; those of the believed robot's URDF by default.
+        limits: Limits to keep; those of the believed robot's URDF by default.
         weight: R: "joint inertia", diagonal, the largest (M̂⁻¹)ᵢᵢ over usual configurations;
-            "inertia", M̂(q)⁻¹, so that accelerations change least; "identity"; "task force", which reduces the
-            force on the task rather than turns it; or a diagonal of one's own, shape (n_v,).
+            "inertia", M̂(q)⁻¹, so that accelerations change least; "identity"; "task force", which
+            reduces the force on the task rather than turns it; or a diagonal, shape (n_v,).
         proof: Whether yᵀ(τ − τ*) ≤ σ is asked for.
         alpha: α of y [1/s]; that of the adaptation where gravity is learnt. By default 0.3 of the
             rate of the task's slow pole: with a small α it is q̇ that counts, and the proof can be
@@ -178,7 +178,7 @@ class TorqueLimited(Limiter):
 
     def _nearest(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
         """`_limit` itself."""
-        answer, measurement, lower, upper, torque, free = asked
+        answer, _, measurement, lower, upper, torque, free = asked
         wanted, q, v = answer.torque, measurement.q, measurement.v
         y, rho, slack = None, 0.0, math.nan
         if not free and self.proof:
@@ -188,7 +188,7 @@ class TorqueLimited(Limiter):
         speeds = q_dd = None
         keeps = True
         if self._looks_ahead:
-            speeds, q_dd, accelerations = self._predicted(answer, q, v, torque)
+            speeds, q_dd, accelerations = self._predicted(asked, torque)
             keeps = _is_within(q_dd, accelerations)
         # the minimum without rows that it keeps is the minimum with them
         if keeps and free:
@@ -203,13 +203,13 @@ class TorqueLimited(Limiter):
             rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), accelerations)
         R = self._R
         if R is None:
-            R = M_inv if self._is_inertia else _task_force_weight(answer)
+            R = M_inv if self._is_inertia else _task_force_weight(asked)
         found, verdict = self._solve(R, wanted, y, rho, lower, upper, rows)
         if found is not None:
             return (found, *self._said(answer, _slack(found, wanted, y)))
         infeasible = verdict is Verdict.INFEASIBLE
         status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
-        torque = self._fallback(answer, v, speeds, lower, upper)
+        torque = self._fallback(asked, speeds)
         _, slack = self._said(answer, _slack(torque, wanted, y))
         return torque, status, slack
 
@@ -223,7 +223,7 @@ class TorqueLimited(Limiter):
         upper: Array,
         rows: Rows,
     ) -> tuple[Array | None, Verdict]:
-        """Minimum of the QP over τ, its slack eliminated.
+        """Return the minimum of the QP over τ, its slack eliminated.
 
         The minimum has σ > 0 only where it is that with ρyᵀτ in the cost instead of the row. Where
         that one has yᵀ(τ − τ*) < 0, the row with σ = 0 has a multiplier of ρ at most.
@@ -246,37 +246,33 @@ class TorqueLimited(Limiter):
         return (dearest if found is None else found), Verdict.SOLVED
 
     def _said(self, answer: Evaluation, slack: float) -> tuple[LimitStatus, float]:
-        """Status and slack of a torque that was limited and keeps the limits."""
+        """Return status and slack of a torque that was limited and keeps the limits."""
         if not self.proof or answer.status is not _OK:
             return _LIMITED, math.nan  # without x, or without Ĵ⁺, there is no V
         return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
 
-    def _fallback(
-        self, answer: Evaluation, v: Array, speeds: Array | None, lower: Array, upper: Array
-    ) -> Array:
-        """Gravity compensation, and brakes towards speeds that joints may have; shape (n_v,)."""
-        slowest, fastest = (0.0, 0.0) if speeds is None else speeds
+    def _fallback(self, asked: Asked, speeds: Array | None) -> Array:
+        """Return gravity compensation, and brakes towards speeds that joints may have; (n_v,)."""
+        v, (slowest, fastest) = asked.measurement.v, (0.0, 0.0) if speeds is None else speeds
         excess = v - np.minimum(np.maximum(0.0, slowest), fastest)
         brakes = self._brakes * np.abs(excess)
         if self._ramp is not None:
             brakes = np.minimum(brakes, np.sqrt(self._ramp * np.abs(excess)))
-        torque: Array = answer.gravity - np.sign(excess) * brakes
-        return np.minimum(np.maximum(torque, lower), upper)
+        torque: Array = asked.gravity - np.sign(excess) * brakes
+        return np.minimum(np.maximum(torque, asked.lower), asked.upper)
 
-    def _predicted(
-        self, answer: Evaluation, q: Array, v: Array, torque: Array
-    ) -> tuple[Array, Array, Array]:
-        """Bounds of speeds (2, n_v), the q̈ that the believed dynamics predict, and its bounds."""
+    def _predicted(self, asked: Asked, torque: Array) -> tuple[Array, Array, Array]:
+        """Return bounds of speeds (2, n_v), q̈ by the believed dynamics, and its bounds."""
+        q, v = asked.measurement.q, asked.measurement.v
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
         speeds = position_bounds(motion, self._position, self._approach)
         # a joint far beyond its limit comes back no faster than it may move
         speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
-        moving = torque - answer.gravity
-        q_dd = self._dynamics.forward(q, v, moving)
+        q_dd = self._dynamics.forward(q, v, torque - asked.gravity)
         return speeds, q_dd, acceleration_bounds(v, speeds, self._braking, self._jerk)
 
     def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, float]:
-        """y, shape (n_v,), or q̇ for a controller that is under no proof; and ρ.
+        """Return y, shape (n_v,), or q̇ for a controller that is under no proof; and ρ.
 
         λ pulls q̇ towards −αĴ⁺s(e). Where that is faster than joints may move, ρ is reduced, or the
         pull would drive them into their limits of speed for as long as the error lasts.
@@ -307,7 +303,7 @@ class TorqueLimited(Limiter):
         return alpha
 
     def _share_of(self, name: str, value: float | None, most: float, share: float) -> float:
-        """A rate that was given, at most `most`, or a share of it."""
+        """Return a rate that was given, at most `most`, or a share of it."""
         if value is None:
             return share * most
         rate = as_number(name, value, unit="1/s", above=0.0)
@@ -318,7 +314,7 @@ class TorqueLimited(Limiter):
         return rate
 
     def _resolved_weight(self, weight: Any, inertias: Array) -> Array | None:
-        """Diagonal of R, or None where it is no diagonal."""
+        """Return the diagonal of R, or None where it is no diagonal."""
         nv = self.task.robot.nv
         if not isinstance(weight, str):
             return as_diagonal("weight", weight, nv)
@@ -337,7 +333,7 @@ class TorqueLimited(Limiter):
 
 
 def _light(inertias: Array) -> Array:
-    """Inertia of each joint where the others give way most, 1 / max (M⁻¹)ᵢᵢ, shape (n_v,).
+    """Return the least inertia of each joint, 1 / max (M⁻¹)ᵢᵢ, as the others give way; (n_v,).
 
     Damping of D times it acts no faster than n_v D: tr(M⁻¹D) bounds its largest eigenvalue.
     """
@@ -347,20 +343,20 @@ def _light(inertias: Array) -> Array:
 
 
 def _quickest(inertias: Array, damping: Array) -> float:
-    """Largest eigenvalue of M⁻¹D over configurations, for a diagonal D of shape (n_v,)."""
+    """Return the largest eigenvalue of M⁻¹D over configurations, D diagonal of shape (n_v,)."""
     root = np.sqrt(damping)
     scaled = root[:, np.newaxis] * np.linalg.inv(inertias) * root
     return float(np.linalg.eigvalsh(scaled)[:, -1].max())
 
 
-def _task_force_weight(answer: Evaluation) -> Array:
-    """R that makes it dear to turn the force on the task, shape (n_v, n_v).
+def _task_force_weight(asked: Asked) -> Array:
+    """Return an R that makes it dear to turn the force on the task, shape (n_v, n_v).
 
     R = I + w N P N with P = Ĵᵀ(ĴĴᵀ)⁻¹Ĵ, onto the joint torques that act on the task, and
     N = I − uuᵀ, u the direction of the law's own τ* − g.
     """
-    force = answer.torque - answer.gravity
-    size, J_hat = math.hypot(*force.tolist()), answer.J_hat
+    force = asked.answer.torque - asked.gravity
+    size, J_hat = math.hypot(*force.tolist()), asked.answer.J_hat
     if size == 0.0 or J_hat is None:
         return np.eye(len(force))
     u = force / size
@@ -373,7 +369,7 @@ def _task_force_weight(answer: Evaluation) -> Array:
 
 
 def _slack(torque: Array, wanted: Array, y: Array) -> float:
-    """σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
+    """Return σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
     power = float(y.dot(torque - wanted))
     if not math.isfinite(power):
         return math.inf

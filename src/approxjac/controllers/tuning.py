@@ -135,7 +135,7 @@ def default_adaptation(
 
 
 def slow_rate(task: Task, gains: Diagonals, jacobians: list[Array] | None = None) -> float:
-    """Return the rate of the task's slow pole, min k_p / (k_v + K_b) with the K_b of `default_gains` [1/s]."""
+    """Return the rate of the slow pole, min k_p / (k_v + K_b), K_b as in `default_gains` [1/s]."""
     if jacobians is None:
         jacobians = [J for _, J in _regular_configurations(task)]
     felt = _felt_damping(task, gains.damping, jacobians)

@@ -144,10 +144,10 @@ class _Derivation:
         for which, law, _, J_hat, _ in self._parts:
             if not isinstance(law, SetpointController) or J_hat is None:
                 continue
-            theta_error = [None] * len(J_hat)
+            theta_error: Sequence[Array | None] = [None] * len(J_hat)
             if law.adaptation is not None:
                 theta = law.adaptation.regressor.fit(self._plant.robot)[0]
-                theta_error = theta - law.learnt(run.state[which])
+                theta_error = list(theta - law.learnt(run.state[which]))
             each = zip(
                 run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error,
                 strict=True,
