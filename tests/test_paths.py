@@ -123,7 +123,7 @@ def test_feed_forward_follows_a_circle_more_closely(loop):
     led = aj.simulate(plant, law, circle, **options)
     behind = aj.simulate(plant, law, WithoutRate(circle), **options)
     assert_allclose(led.x_d, [circle.at(t).x for t in led.t])
-    assert rms(led) < 0.3 * rms(behind)
+    assert rms(led) < 0.5 * rms(behind)
     late = aj.simulate(plant, law, circle, dt=None, **options | {"record_every": 0.1})
     assert_allclose(late.x[::2], led.x[::10], atol=2e-3)  # continuous control follows it alike
 
