@@ -103,7 +103,7 @@ class CompiledSetpointController(SetpointController):
         """
         ordinary = super().evaluate
         task, learning, pull = self.task, self.adaptation, self._pull
-        robot, jacobian, n, m, p = task.robot, task.compute_jacobian, task.robot.nv, task.m, self._p
+        robot, jacobian, n, m, p = task.robot, task.jacobian, task.robot.nv, task.m, self._p
         q_shape, state_shape, continuous = (robot.nq,), (self._n_state,), self._continuous
         # Pinocchio takes any number; where NumPy computes, huge ones would make warnings
         guarded = (
