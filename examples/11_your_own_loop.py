@@ -7,7 +7,7 @@ asked for (Ctrl-C asks too), and the arm comes to standstill. How long cycles to
 torques were late is told as it was: on a busy machine some are, and this simulated arm waits for
 them, as no real one does.
 
-You will learn: what a loop on a robot has to do around `evaluate`: deadlines, measurements that
+You will learn: what a loop on a robot has to do around `step`: deadlines, measurements that
 are lost or wrong, goals that move, limits, and a stop that is none too hard.
 
     python examples/11_your_own_loop.py --out results/examples

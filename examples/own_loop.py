@@ -47,9 +47,9 @@ def control(
         Why it stopped; the log, a structured array with a row for each cycle; and θ̂, for the
         `theta0` of the next run's AdaptiveGravity.
     """
-    held, law, task = aj.HeldMeasurement(controller, unseen, DT), controller.law, controller.task
+    held, task = aj.HeldMeasurement(controller, unseen), controller.task
     fastest = 1.2 * task.robot.velocity_limits if fastest is None else np.asarray(fastest)
-    log, aim, fault, slowest = new_log(law, rows), None, "", math.inf
+    aim, fault, slowest = None, "", math.inf
     unknown = troubled = stopping = 0  # cycles
     limit, slack, gap = aj.LimitStatus.UNLIMITED, 0.0, 0.0
     try:
@@ -57,11 +57,13 @@ def control(
         # mistakes show here, before the arm moves
         state = held.initial_state(aj.Measurement(0.0, q, v, x))
         wanted = goal(0.0)
-        held.evaluate(state, aj.Measurement(0.0, q, v, x), wanted)
+        held.step(state, aj.Measurement(0.0, q, v, x), wanted, DT)
         hold = aj.Measurement(0.0, q, np.zeros_like(v), np.full_like(x, np.nan))
-        answer = controller.evaluate(state[: controller.n_state], hold, wanted)
-        require_held(controller, answer, law.gravity_torque(state[: law.n_state], q))
-        torque = answer.torque
+        inner = controller.initial_state(hold)
+        answer = controller.step(inner, hold, wanted, DT)[1]
+        require_held(controller, answer)
+        log, torque = new_log(controller, inner, rows), answer.torque
+        sizes = {held: len(state), controller: len(inner)}
         gc.disable()  # its pauses may be longer than a period
         due = sent = time.perf_counter()
         for k in itertools.count():
@@ -87,11 +89,11 @@ def control(
             acting = held
             if fault or aim is None:  # nothing to steer to: gravity, damping and limits, whatever
                 acting, x = controller, np.full_like(x, np.nan)  # was seen last and may be held
-            own = state[: acting.n_state]  # the state of what is held comes first, here as a view
+            own = slice(sizes[acting])  # the state of what is held comes first
             try:
-                wanted = goal(t) if aim is None else aim
-                answer = acting.evaluate(own, aj.Measurement(t, q, v, x), wanted)
-                own += DT * answer.state_rate  # the period of the controllers, not the clock's
+                wanted, measured = goal(t) if aim is None else aim, aj.Measurement(t, q, v, x)
+                # the period of the controllers, not the clock's
+                state[own], answer = acting.step(state[own], measured, wanted, DT)
                 torque, status, unknown = answer.torque, answer.status, 0
                 limit, slack = answer.limit_status, answer.slack
             except aj.MeasurementError:  # nothing may depend on q and q̇ now: the last torque once
@@ -99,7 +101,7 @@ def control(
             arm.send(torque)
             before, sent = sent, time.perf_counter()
             gap = sent - before
-            theta_hat = law.theta_hat(state[: law.n_state])
+            theta_hat = controller.learnt(state[: len(inner)])
             did = t, gap, sent - began, status, limit, slack
             log[k % rows] = *did, q, v, x, wanted, torque, theta_hat
 
@@ -123,10 +125,11 @@ def control(
         arm.brake()  # whatever happened
 
 
-def require_held(controller, answer, gravity):
+def require_held(controller, answer):
     """Refuse to begin where the limits do not hold the arm as it stands, as it is believed."""
     limits = getattr(controller, "limits", None)
     effort = np.inf if limits is None else np.asarray(limits.effort)
+    gravity = answer.gravity
     if (np.abs(gravity) > effort).any() or answer.limit_status >= aj.LimitStatus.INFEASIBLE:
         raise ValueError(
             f"the limits do not hold the arm as it stands: gravity takes {gravity.round(1)}, the "
@@ -146,10 +149,10 @@ def moved(task, aim, goal, step):
     return task.displaced(aim, e * min(1.0, step / max(np.linalg.norm(e), 1e-9)))
 
 
-def new_log(law, rows):
+def new_log(controller, state, rows):
     """A ring of rows that is there before the loop begins: nothing grows while it runs."""
-    nq, nv, n_x = law.task.robot.nq, law.task.robot.nv, law.task.n_x
-    p = len(law.theta_hat(np.zeros(law.n_state)))
+    robot, n_x, p = controller.task.robot, controller.task.n_x, len(controller.learnt(state))
+    nq, nv = robot.nq, robot.nv
     numbers = [(name, float) for name in ("t", "gap", "work")]
     numbers += [("status", int), ("limit", int), ("slack", float)]
     arrays = {"q": nq, "v": nv, "x": n_x, "target": n_x, "torque": nv, "theta_hat": p}
