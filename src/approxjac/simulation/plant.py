@@ -96,7 +96,10 @@ class Plant(Immutable):
             if torque_limits is None
             else as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         )
+        self._has_friction = bool(self.friction.any() or self.coulomb.any())
         self._has_coulomb = bool(self.coulomb.any())
+        self._has_mimic_joints = robot.mimic_joints.G is not None
+        self._model = robot.model
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
 
     @cached_property
@@ -106,7 +109,7 @@ class Plant(Immutable):
 
     @cached_property
     def _data(self) -> pin.Data:
-        return self.robot.model.createData()
+        return self._model.createData()
 
     def ready_configuration(self) -> Array:
         """Return a configuration to start from, the same each time, as `simulate` does by default.
@@ -225,7 +228,7 @@ class Plant(Immutable):
         """Return the configuration after a motion (n_v,) from q (nq,)."""
         if self._is_vector:
             return q + motion
-        return np.asarray(pin.integrate(self.robot.model, q, motion))
+        return np.asarray(pin.integrate(self._model, q, motion))
 
     def _delivered(self, tau: Array) -> Array:
         """Return the part of a torque that the motors deliver."""
@@ -233,21 +236,20 @@ class Plant(Immutable):
             return tau
         return np.minimum(np.maximum(tau, -self.torque_limits), self.torque_limits)
 
-    def _friction(self, v: Array) -> Array:
-        friction = self.friction * v
-        if self._has_coulomb:
-            friction = friction + self.coulomb * np.tanh(v / self.coulomb_velocity)
-        return friction
-
     def _acceleration(self, q: Array, v: Array, tau: Array) -> Array:
         """Return q̈ under a torque that the motors deliver, for arguments that are checked."""
-        return self._forward(q, v, tau - self._friction(v))
+        if self._has_friction:
+            tau = tau - self.friction * v
+        if self._has_coulomb:
+            tau = tau - self.coulomb * np.tanh(v / self.coulomb_velocity)
+        return self._forward(q, v, tau)
 
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
         """Return q̈ under a torque at the joints, for arguments that are checked."""
-        if self.robot.mimic_joints.G is not None:
+        if self._has_mimic_joints:
             return self.dynamics.forward(q, v, tau)
-        return np.asarray(pin.aba(self.robot.model, self._data, q, v, tau, WORLD))
+        acceleration: Array = pin.aba(self._model, self._data, q, v, tau, WORLD)
+        return acceleration
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
         """Return what ideal sensors measure at t [s]; NaN what the sensor cannot see."""

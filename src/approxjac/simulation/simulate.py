@@ -13,7 +13,7 @@ from approxjac.interface import ContinuousController, Controller, Target, Target
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
-from approxjac.simulation.record import Instant, Record
+from approxjac.simulation.record import Record
 from approxjac.simulation.sampled_loop import (
     SampledLoop,
     Wanted,
@@ -227,8 +227,8 @@ def _continuous(
         state, target = z[2 * n :].copy(), target_at(wanted, t)
         answer = controller.evaluate(state, truth, target)
         x_d = target.x if isinstance(target, Target) else target
-        kept.add(Instant(truth, truth.x, state, answer, x_d, controller))
-    return kept.trajectory(controller)
+        kept.add(truth, truth.x, state, answer, x_d, controller)
+    return kept.trajectory()
 
 
 def _sampled(
@@ -239,19 +239,19 @@ def _sampled(
     with observer if isinstance(observer, AbstractContextManager) else nullcontext():
         while True:
             # as they are before an observer changes them
-            instant = Instant(
+            instant = (
                 loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target,
                 loop.controller,
             )  # fmt: skip
             wanted = loop.step % stride == 0 or loop.ended
             if wanted:
-                record.add(instant)
+                record.add(*instant)
                 if progress is not None:
                     progress(loop.t)
             if observer is not None:
                 observer(loop)
             if loop.ended:
                 if not wanted:
-                    record.add(instant)
-                return record.trajectory(loop.controller)
+                    record.add(*instant)
+                return record.trajectory()
             loop.advance()

@@ -16,7 +16,7 @@ import numpy as np
 from approxjac.controllers.wrapper import with_task
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
-from approxjac.simulation.record import Instant, Record, scene_of
+from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.validation import Array, as_number
 from approxjac.view.browser.frames import Frames
@@ -130,7 +130,6 @@ class LiveView:
     def _start(self, loop: SampledLoop) -> None:
         if self._believe is not None:
             with_task(loop.controller, loop.controller.task)  # or there is no changing the belief
-        self._record = Record(loop.plant)
         self._origin, self._next = 0.0, 0.0
         self._look(loop)
         self._record_instant(loop)
@@ -215,13 +214,12 @@ class LiveView:
 
     def _record_instant(self, loop: SampledLoop) -> dict[str, Array]:
         """What the page shows of this step."""
-        self._record.add(
-            Instant(
+        record = Record(loop.plant)
+        record.add(
                 loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target,
                 loop.controller,
-            )
-        )  # fmt: skip
-        run = self._record.taken(loop.controller)
+            )  # fmt: skip
+        run = record.trajectory()
         self._columns, self._q = self._frames.columns(*recorded(run)), run.q
         return self._columns
 
