@@ -4,12 +4,14 @@ from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.excitation import Excitation, excitation
 from approxjac.robots.gravity_regressor import GravityRegressor
 from approxjac.robots.load import load_robot, robot_names
+from approxjac.robots.perturbation import Perturbation
 from approxjac.robots.robot import Robot
 
 __all__ = [
     "Dynamics",
     "Excitation",
     "GravityRegressor",
+    "Perturbation",
     "Robot",
     "excitation",
     "load_robot",

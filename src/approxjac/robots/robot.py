@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -62,7 +62,7 @@ class Robot:
         self._name = self._tree.name if name is None else name
         self._model, self._mimic_joints = build_model(self._tree)
         self._joints = own_joints(self._model)
-        for model in (self._model, self._mimic_joints.model):
+        for model in self.models:
             model.gravity.linear = self._gravity
         # A body and a joint may share a name; the body's frame is the one people mean.
         frames = sorted(
@@ -114,6 +114,12 @@ class Robot:
     def model(self) -> pin.Model:
         """Pinocchio model. Treat it as read-only; call `model.copy()` to change it."""
         return self._model
+
+    @property
+    def models(self) -> tuple[pin.Model, ...]:
+        """`model`, and where mimic joints move the one in which they move on their own."""
+        coupled = self._mimic_joints.G is not None
+        return (self._model, self._mimic_joints.model) if coupled else (self._model,)
 
     @property
     def mimic_joints(self) -> MimicJoints:
@@ -258,7 +264,7 @@ class Robot:
         self,
         length: float,
         mass: float = 0.0,
-        radius: float = 0.01,
+        radius: float = urdf_edit.OBJECT_RADIUS,
         parent: str | None = None,
         axis: str | Sequence[float] | None = None,
         name: str = "object",
@@ -354,9 +360,9 @@ class Robot:
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
         gravity = as_array("gravity", gravity, (3,), "m/s^2")
-        robot = self._copy()
+        robot = type(self).like(self)
         robot._gravity = gravity
-        for model in (robot._model, robot._mimic_joints.model):
+        for model in robot.models:
             model.gravity.linear = gravity
         return robot
 
@@ -393,13 +399,14 @@ class Robot:
     def _changed(self, urdf: Urdf, **changes: Any) -> Robot:
         return Robot(urdf, **self._options() | changes)
 
-    def _copy(self) -> Robot:
-        """Return the same robot with Pinocchio models of its own."""
-        robot = object.__new__(type(self))
-        robot.__dict__.update(self.__dict__)
-        robot._model = pin.Model(self._model)
-        robot._mimic_joints = self._mimic_joints.of(robot._model)
-        return robot
+    @classmethod
+    def like(cls, robot: Robot) -> Self:
+        """Return the same robot with models of its own, which may be changed at once."""
+        new = cls.__new__(cls)
+        new.__dict__.update(robot.__dict__)
+        new._model = pin.Model(robot._model)
+        new._mimic_joints = robot._mimic_joints.of(new._model)
+        return new
 
     def _options(self) -> dict[str, Any]:
         """The arguments besides the URDF."""

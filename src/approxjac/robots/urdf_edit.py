@@ -18,6 +18,8 @@ from approxjac.validation import Array, as_array, as_number
 
 THIN_ROD = 0.01
 """Radius that a thin rod (radius 0) is drawn with, relative to its length."""
+OBJECT_RADIUS = 0.01
+"""Radius of an object that nothing is said about [m]."""
 _LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
 
 

@@ -10,10 +10,10 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
+from numpy.typing import NDArray
 
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.robots import Robot
+from approxjac.robots import Perturbation, Robot
 from approxjac.simulation import Plant
 from approxjac.stability.coordinates import Coordinate, as_range, in_words
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
@@ -21,6 +21,7 @@ from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
 _CORNER_SEED = 0
 _HALVINGS = 20
+_KINDS = ("shift", "rotation")
 _CALIBRATION = ("focal_length", "distance", "roll")  # of a camera, in this order
 
 
@@ -93,7 +94,8 @@ class Uncertainty:
     friction: float | Sequence[float] | Array = 0.0
     factor: float = 1.0
     _coordinates: tuple[Coordinate, ...] = field(init=False)
-    _belief: Robot = field(init=False)
+    _perturbation: Perturbation = field(init=False)
+    _places: NDArray[np.intp] = field(init=False)
     _axes: str | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
@@ -110,9 +112,11 @@ class Uncertainty:
         given = [*self._object_ranges(), *self._joint_ranges(), *self._camera_ranges()]
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
-        self._set("_belief", self._believed_robot())
+        joints = tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
+        self._set("_perturbation", self._perturbed(joints))
+        self._set("_places", self._places_of(joints))
         if self.task is None and self.camera is None:
-            self._set("_axes", best_axes(self._belief))
+            self._set("_axes", best_axes(self.belief()))
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
 
     # -- the box ------------------------------------------------------------------------
@@ -207,11 +211,11 @@ class Uncertainty:
 
     def belief(self) -> Robot:
         """Return the believed robot, holding the object that is believed."""
-        return self._belief
+        return self._perturbation.base
 
     def believed_task(self) -> Task:
         """Return a new task of the believed robot, for a controller."""
-        return self._task_of(self._belief, self.camera)
+        return self._task_of(self.belief(), self.camera)
 
     def plant(self, values: Sequence[float] | Array) -> Plant:
         """Return the true robot at some values, with its sensor and friction.
@@ -251,26 +255,36 @@ class Uncertainty:
 
     def _true_robot(self, at: Mapping[str, float]) -> Robot:
         """The robot at some values; the believed one itself where nothing is wrong with it."""
-        robot = self._belief
         length = at.get("object_length", self.believed_length)
         mass = at.get("object_mass", self.believed_mass)
-        if (length, mass) != (self.believed_length, self.believed_mass):
-            robot = self.arm.with_object(length, mass, axis=self.object_axis)
-        shifts = _vectors(at, "shift", self.joint_shifts)
-        rotations = _vectors(at, "rotation", self.joint_rotations)
-        return robot.with_kinematic_error(shifts, rotations) if shifts or rotations else robot
+        errors = np.array([*at.values(), 0.0])[self._places]
+        if (length, mass) == (self.believed_length, self.believed_mass) and not errors.any():
+            return self.belief()
+        return self._perturbation.robot(length, mass, *errors)
 
-    def _believed_robot(self) -> Robot:
-        none_given = self.object_length is None and self.object_mass is None
-        if none_given and self.believed_length == 0.0 and self.believed_mass == 0.0:
-            return self.arm
+    def _perturbed(self, joints: tuple[str, ...]) -> Perturbation:
+        """What the truth may be, about the belief."""
+        given = self.object_length is not None or self.object_mass is not None
+        if not given and self.believed_length == 0.0 and self.believed_mass == 0.0:
+            return Perturbation(self.arm, joints=joints)
         if "object_tip" in self.arm.frame_names:
             raise InvalidInputError(
                 "arm must be the bare arm, as the set itself puts the object into its hand "
                 f"(object_length, object_mass), got one that holds one: {self.arm!r}",
                 given=self.arm,
             )
-        return self.arm.with_object(self.believed_length, self.believed_mass, axis=self.object_axis)
+        held = self.believed_length, self.believed_mass
+        return Perturbation(self.arm, held, self.object_axis, joints)
+
+    def _places_of(self, joints: tuple[str, ...]) -> NDArray[np.intp]:
+        """Where shifts and rotations of joints are among the values, shape (2, k, 3).
+
+        What is certain is at the end, after all of them.
+        """
+        places = {known: i for i, known in enumerate(self.names)}
+        names = [f"{joint} {kind} {axis}" for kind in _KINDS for joint in joints for axis in "xyz"]
+        found = [places.get(name, self.d) for name in names]
+        return np.array(found, dtype=np.intp).reshape(2, len(joints), 3)
 
     def _true_camera(self, at: Mapping[str, float]) -> Camera | None:
         """The camera at some values; the believed one itself where nothing is wrong with it."""
@@ -313,7 +327,7 @@ class Uncertainty:
         """`joint_shifts` or `joint_rotations`, checked, as a new dictionary."""
         given = getattr(self, name)
         require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
-        joints = _joints(self.arm)
+        joints = self.arm.tree.joints
         for joint in given:
             if joint not in joints:
                 raise UnknownNameError("joint", joint, self.arm.name, joints)
@@ -408,21 +422,6 @@ class Uncertainty:
             for known in self._coordinates
         ]
         return f"Uncertainty({self.arm.name!r}: {', '.join(shown) or 'no error'})"
-
-
-def _vectors(
-    at: Mapping[str, float], kind: str, joints: Mapping[str, Any]
-) -> dict[str, list[float]]:
-    """Joint → vector of the values that are named after it, without those that are zero."""
-    vectors = {joint: [at.get(f"{joint} {kind} {axis}", 0.0) for axis in "xyz"] for joint in joints}
-    return {joint: vector for joint, vector in vectors.items() if any(vector)}
-
-
-def _joints(arm: Robot) -> list[str]:
-    """All joints of a robot, fixed ones included."""
-    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-    frames = list(arm.model.frames)[1:]  # without the universe
-    return [frame.name for frame in frames if frame.type in kinds]
 
 
 def _takes(function: object, arguments: Sequence[object]) -> bool:

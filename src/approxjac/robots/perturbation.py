@@ -1,0 +1,219 @@
+"""`Perturbation`: robots that differ from one in its object and in where its joints are."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.robots.model import require_inertia
+from approxjac.robots.robot import Robot
+from approxjac.robots.urdf import Urdf
+from approxjac.robots.urdf_edit import OBJECT_RADIUS, direction, object_moments, object_size
+from approxjac.validation import Array
+
+
+class Perturbation:
+    """Robots that differ from one in the size of its object, and in the origins of its joints.
+
+    For many of them: `robot` copies the Pinocchio model and moves what is elsewhere in it, which
+    takes a hundredth of the time that building the model from a URDF does. It is the model of
+    `Robot.with_object` and `with_kinematic_error` up to round-off.
+
+    Args:
+        arm: The robot, without the object.
+        held: Length [m] and mass [kg] of the object that `base` holds, or None for no object.
+        axis: Axis of the tip that the object points along, as of `Robot.with_object`.
+        joints: Joints whose origins may be elsewhere, fixed ones too.
+
+    Attributes:
+        base: The robot without perturbations.
+    """
+
+    def __init__(
+        self,
+        arm: Robot,
+        held: tuple[float, float] | None = None,
+        axis: str | Sequence[float] | None = None,
+        joints: Sequence[str] = (),
+    ) -> None:
+        self._given = (arm, held, axis, tuple(joints))
+        self.base = arm if held is None else arm.with_object(*held, axis=axis)
+        self._outward = None if self.base.tip is None else self.base.outward_axis()
+        n = None
+        if held is not None:
+            n = direction(arm.outward_axis() if axis is None else axis)
+        self._parts = [_Parts(model, joints, n) for model in self.base.models]
+        # links that resist every turn leave no inertia matrix singular, wherever they are
+        self._surely_regular = all(
+            np.linalg.eigvalsh(inertia.inertia)[0] > 0.0 for inertia in list(arm.model.inertias)[1:]
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._given
+
+    def robot(self, length: float, mass: float, shifts: Array, rotations: Array) -> Robot:
+        """Return a robot.
+
+        Args:
+            length: Of the object, 0 to 10 [m]; without one it is not looked at.
+            mass: Of the object, ≥ 0 [kg]; the same.
+            shifts: Of the origins of `joints` in the parent links' frames, shape (k, 3) [m].
+            rotations: Rotation vectors in the joints' own frames, shape (k, 3) [rad].
+
+        Raises:
+            InvalidInputError: A size that is negative, not finite or too large.
+            UrdfError: The inertia matrix would be singular.
+        """
+        if self._given[1] is not None:
+            object_size(length, mass, OBJECT_RADIUS)
+        robot = PerturbedRobot.like(self.base)
+        robot.__dict__.pop("tree", None)  # that of `base`, if it is perturbed itself
+        robot._outward = self._outward
+        robot.perturbation, robot.values = self, (length, mass, shifts, rotations)
+        turns = np.array([pin.exp3(turn) for turn in rotations]).reshape(-1, 3, 3)
+        for model, parts in zip(robot.models, self._parts, strict=True):
+            parts.change(model, length, mass, shifts, turns)
+        if not self._surely_regular:
+            require_inertia(robot.model, self.base.tree.source)
+        return robot
+
+    def tree(self, length: float, mass: float, shifts: Array, rotations: Array) -> Urdf:
+        """Return the URDF of `robot`."""
+        arm, held, axis, joints = self._given
+        robot = arm if held is None else arm.with_object(length, mass, axis=axis)
+        moved, turned = (dict(zip(joints, each, strict=True)) for each in (shifts, rotations))
+        for joint in joints:
+            if not (moved[joint].any() or turned[joint].any()):
+                del moved[joint], turned[joint]
+        return (robot.with_kinematic_error(moved, turned) if moved else robot).tree
+
+
+class PerturbedRobot(Robot):
+    """A robot whose model is a changed copy; its URDF is made when it is asked for."""
+
+    perturbation: Perturbation
+    values: tuple[float, float, Array, Array]
+
+    @functools.cached_property
+    def tree(self) -> Urdf:
+        """The URDF as a tree. Read-only."""
+        return self.perturbation.tree(*self.values)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (self.perturbation, self.values, self.gravity)
+
+
+def _again(perturbation: Perturbation, values: tuple[Any, ...], gravity: Array) -> Robot:
+    """Return a perturbed robot again, in another process."""
+    return perturbation.robot(*values).with_gravity(gravity)
+
+
+class _Parts:
+    """What in a Pinocchio model depends on the object and on the origins of joints.
+
+    Args:
+        model: The model without perturbations.
+        joints: Joints whose origins may be elsewhere.
+        n: Axis of the object, shape (3,), or None without one.
+    """
+
+    def __init__(self, model: pin.Model, joints: Sequence[str], n: Array | None) -> None:
+        self._n = n
+        frames = list(model.frames)
+        kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+        places = {frame.name: k for k, frame in enumerate(frames) if frame.type in kinds}
+        at = [places[joint] for joint in joints]
+        is_fixed = [frames[k].type == pin.FrameType.FIXED_JOINT for k in at]
+        self._moving = [i for i, fixed in enumerate(is_fixed) if not fixed]
+        self._ids = [frames[at[i]].parentJoint for i in self._moving]
+        carriers = [frames[frames[at[i]].parentFrame].placement for i in self._moving]
+        placed = [model.jointPlacements[j] for j in self._ids]
+        self._carriers, self._rotations = (
+            np.array([place.rotation for place in each]).reshape(-1, 3, 3)
+            for each in (carriers, placed)
+        )
+        self._translations = np.array([place.translation for place in placed]).reshape(-1, 3)
+        # with a fixed joint goes all that it carries: frames, and moving joints
+        self._fixed = [
+            (i, at[i], frames[at[i]].parentFrame, *_carried(frames, at[i]))
+            for i, fixed in enumerate(is_fixed)
+            if fixed
+        ]
+        # inertias of what may move within a link; the rest of the link as dynamic parameters
+        loose = {k for _, _, _, carried, _ in self._fixed for k in carried}
+        if n is not None:
+            self._object = places["object_joint"]
+            self._tips = [k for k, frame in enumerate(frames) if frame.name in _TIPS]
+            loose.add(self._object)
+        self._links: dict[int, tuple[Array, list[int]]] = {}
+        for k in sorted(loose):
+            j = frames[k].parentJoint
+            rest, parts = self._links.get(j, (model.inertias[j].toDynamicParameters(), []))
+            self._links[j] = rest - _parameters(frames[k]), [*parts, k]
+
+    def change(
+        self, model: pin.Model, length: float, mass: float, shifts: Array, turns: Array
+    ) -> None:
+        """Change a copy of the model.
+
+        Args:
+            model: The copy.
+            length: Of the object [m].
+            mass: Of the object [kg].
+            shifts: Of the origins of joints in the parent links' frames, shape (k, 3) [m].
+            turns: Rotation matrices in the joints' own frames, shape (k, 3, 3).
+        """
+        frames = model.frames
+        if self._n is not None:
+            across, along = object_moments(length, mass, OBJECT_RADIUS)
+            nn = np.outer(self._n, self._n)
+            inertia = across * (np.eye(3) - nn) + along * nn
+            held = frames[self._object]
+            held.inertia = pin.Inertia(mass, 0.5 * length * self._n, inertia)
+            tip = held.placement * pin.SE3(np.eye(3), length * self._n)
+            for k in self._tips:
+                frames[k].placement = tip
+        if self._ids:
+            placements = model.jointPlacements
+            moved = (self._carriers @ shifts[self._moving, :, None])[:, :, 0] + self._translations
+            turned = self._rotations @ turns[self._moving]
+            for j, translation, rotation in zip(self._ids, moved, turned, strict=True):
+                placements[j] = pin.SE3(rotation, translation)
+        for i, k, carrier, carried, beyond in self._fixed:
+            old = pin.SE3(frames[k].placement)
+            new = old * pin.SE3(turns[i], np.zeros(3))
+            new.translation = old.translation + frames[carrier].placement.rotation @ shifts[i]
+            change = new * old.inverse()
+            for each in carried:
+                frames[each].placement = change * frames[each].placement
+            for j in beyond:
+                model.jointPlacements[j] = change * model.jointPlacements[j]
+        for j, (rest, parts) in self._links.items():
+            total = rest + sum(_parameters(frames[k]) for k in parts)
+            if total[0] != 0.0:  # or it has no centre of mass
+                model.inertias[j] = pin.Inertia.FromDynamicParameters(total)
+
+
+_TIPS = ("object_tip_joint", "object_tip")
+
+
+def _carried(frames: Sequence[pin.Frame], fixed: int) -> tuple[list[int], list[int]]:
+    """Frames that a fixed joint carries on its link, itself first, and moving joints beyond."""
+    carried, beyond = [fixed], []
+    for k in range(fixed + 1, len(frames)):  # frames come after those that carry them
+        if frames[k].parentFrame in carried:
+            if frames[k].type == pin.FrameType.JOINT:
+                beyond.append(frames[k].parentJoint)
+            else:
+                carried.append(k)
+    return carried, beyond
+
+
+def _parameters(frame: pin.Frame) -> Array:
+    """Dynamic parameters of what a frame adds to its link, shape (10,)."""
+    parameters: Array = frame.placement.act(frame.inertia).toDynamicParameters()
+    return parameters
