@@ -70,6 +70,8 @@ def as_number(
     Raises:
         InvalidInputError: Not a number, not finite, or out of range.
     """
+    if type(value) is float and value >= minimum and value > above and math.isfinite(value):
+        return value  # the quick way
     suffix = f" [{unit}]" if unit else ""
     bound = ""
     if minimum > -math.inf:
@@ -97,6 +99,14 @@ def as_diagonal(
     Raises:
         InvalidInputError: Wrong shape, not finite, above 1e60, negative, or zero where `positive`.
     """
+    if (
+        type(value) is float
+        and (value > 0.0 or (value == 0.0 and not positive))
+        and (value <= _LARGEST)
+    ):
+        array = np.full(max(size, 1), value)  # the quick way
+        array.flags.writeable = False
+        return array
     scalar = is_scalar(value)
     if len(shape_of(value)) == 2:
         raise InvalidInputError(

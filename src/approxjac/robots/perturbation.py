@@ -123,6 +123,9 @@ class _Parts:
 
     def __init__(self, model: pin.Model, joints: Sequence[str], n: Array | None) -> None:
         self._n = n
+        if n is not None:
+            self._along = np.outer(n, n)
+            self._across = np.eye(3) - self._along
         frames = list(model.frames)
         kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
         places = {frame.name: k for k, frame in enumerate(frames) if frame.type in kinds}
@@ -170,11 +173,10 @@ class _Parts:
         frames = model.frames
         if self._n is not None:
             across, along = object_moments(length, mass, OBJECT_RADIUS)
-            nn = np.outer(self._n, self._n)
-            inertia = across * (np.eye(3) - nn) + along * nn
-            held = frames[self._object]
-            held.inertia = pin.Inertia(mass, 0.5 * length * self._n, inertia)
-            tip = held.placement * pin.SE3(np.eye(3), length * self._n)
+            inertia = across * self._across + along * self._along
+            tip, held = length * self._n, frames[self._object]
+            held.inertia = pin.Inertia(mass, 0.5 * tip, inertia)
+            tip = held.placement * pin.SE3(_NO_TURN, tip)
             for k in self._tips:
                 frames[k].placement = tip
         if self._ids:
@@ -193,11 +195,12 @@ class _Parts:
             for j in beyond:
                 model.jointPlacements[j] = change * model.jointPlacements[j]
         for j, (rest, parts) in self._links.items():
-            total = rest + sum(_parameters(frames[k]) for k in parts)
+            total = functools.reduce(np.add, (_parameters(frames[k]) for k in parts), rest)
             if total[0] != 0.0:  # or it has no centre of mass
                 model.inertias[j] = pin.Inertia.FromDynamicParameters(total)
 
 
+_NO_TURN = np.eye(3)
 _TIPS = ("object_tip_joint", "object_tip")
 
 

@@ -7,6 +7,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -121,12 +122,12 @@ class Uncertainty:
 
     # -- the box ------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the uncertain coordinates, length d."""
         return tuple(known.name for known in self._coordinates)
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """Their units, length d."""
         return tuple(known.unit for known in self._coordinates)
@@ -205,7 +206,8 @@ class Uncertainty:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
-        return rng.uniform(self.low, self.high)
+        low, width = self._range
+        return low + width * rng.random(self.d)  # as rng.uniform does, which takes its time
 
     # -- the robots ---------------------------------------------------------------------
 
@@ -249,8 +251,16 @@ class Uncertainty:
         ]
         return ", ".join(shown)
 
+    @cached_property
+    def _in_units(self) -> str:
+        return ", ".join(self.units)
+
+    @cached_property
+    def _range(self) -> tuple[Array, Array]:
+        return self.low, self.high - self.low
+
     def _by_name(self, values: Sequence[float] | Array) -> dict[str, float]:
-        array = as_array("values", values, (self.d,), ", ".join(self.units))
+        array = as_array("values", values, (self.d,), self._in_units)
         return dict(zip(self.names, array.tolist(), strict=True))
 
     def _true_robot(self, at: Mapping[str, float]) -> Robot:
