@@ -1,0 +1,113 @@
+"""The options of a scenario: its keys with dots, with short ones for the common few."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, asdict, field, is_dataclass, make_dataclass
+from typing import Annotated, Any, get_type_hints
+
+import tyro
+from docstring_parser import DocstringStyle, parse
+
+from approxjac.scenario import Scenario
+from approxjac.scenario.records import Goal
+from approxjac.scenario.tables import hints
+
+_ROBOT = Annotated[
+    tyro.conf.Positional[str],
+    tyro.conf.arg(
+        metavar="NAME|FILE",
+        help="Name of an arm, a .urdf file, or a .toml file with a scenario; options given here "
+        "come before it.",
+    ),
+]
+_COMMON = {
+    "--object-length": "true.object.length",
+    "--object-mass": "true.object.mass",
+    "--object-axis": "true.object.axis",
+    "--believed-length": "believed.object.length",
+    "--believed-mass": "believed.object.mass",
+    "--gravity": "controller.gravity",
+    "--settling-time": "controller.settling_time",
+    "--kp": "controller.kp",
+    "--kv": "controller.kv",
+    "--damping": "controller.damping",
+    "--limits": "controller.limits",
+    "--limiter": "controller.limiter",
+    "--start": "run.start",
+    "--target": "run.target.at",
+    "--target-offset": "run.target.offset",
+    "--duration": "run.duration",
+    "--seed": "run.seed",
+}
+_STABILITY = {
+    f"--{name.replace('_', '-')}": f"stability.{name}"
+    for name in (
+        "object_length", "object_mass", "joint_shifts", "joint_rotations", "around", "radius",
+        "run", "reach_from", "sigma_min", "target", "configurations", "runs", "map", "map_points",
+        "map_runs",
+    )
+}  # fmt: skip
+SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COMMON | _STABILITY}
+"""Command → short option → the key that it stands for; a report's errors are ranges."""
+
+
+def scenario_of(words: list[str]) -> tuple[Scenario | None, list[str]]:
+    """Return the scenario of the file among a command's words, and the words with its robot.
+
+    An option for the target takes the place of any that the file has.
+    """
+    for i, word in enumerate(words):
+        if word.endswith(".toml") and not word.startswith("-") and words[i - 1] != "--save":
+            scenario = Scenario.load(word)
+            if any(other.startswith(("--target", "--run.target")) for other in words):
+                scenario = scenario.with_values({"run": {"target": Goal()}})
+            return scenario, [*words[:i], scenario.robot, *words[i + 1 :]]
+    return None, words
+
+
+def with_options(command: Callable[..., int], default: Scenario) -> Callable[..., int]:
+    """Return a command that takes the keys of a scenario as options, instead of a scenario.
+
+    Args:
+        command: A function with an argument `scenario`.
+        default: What options say that are not given.
+    """
+    short: dict[str, list[str]] = {}
+    for option, key in SHORT[command.__name__].items():
+        short.setdefault(key, []).append(option)
+
+    @functools.wraps(command)
+    def taking_options(scenario: Any, **others: Any) -> int:
+        return command(default.with_values(asdict(scenario)), **others)
+
+    options = Annotated[_options(default, short), tyro.conf.OmitArgPrefixes]
+    taking_options.__annotations__ = {**get_type_hints(command, include_extras=True)}
+    taking_options.__annotations__["scenario"] = options
+    return taking_options
+
+
+def _options(record: Any, short: Mapping[str, list[str]], key: str = "") -> type:
+    """Return a type with the fields of a record, which tyro makes options of."""
+    described = parse(str(type(record).__doc__), DocstringStyle.GOOGLE).params
+    texts = {each.arg_name: each.description for each in described}
+    made: list[tuple[str, Any, Any]] = []
+    for name, hint in hints(type(record)).items():
+        value, dotted = getattr(record, name, None), f"{key}{name}"
+        if hint is KW_ONLY:
+            continue
+        if dotted == "robot":
+            made.append((name, _ROBOT, field()))
+        elif is_dataclass(value):
+            kind = _options(value, short, f"{dotted}.")
+            made.append((name, kind, field(default_factory=kind)))
+        else:
+            argument = tyro.conf.arg(help=texts[name], aliases=short.get(dotted))
+            made.append((name, Annotated[hint, argument], _holding(value)))
+    return make_dataclass(type(record).__name__, made)
+
+
+def _holding(value: Any) -> Any:
+    """A field with a default, which may be a table."""
+    return field(default_factory=lambda: value)

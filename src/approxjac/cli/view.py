@@ -1,0 +1,57 @@
+"""`approxjac view`: a run → a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from approxjac.errors import InvalidInputError
+
+
+def view(
+    run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")],
+    out: Path | None = None,
+    title: str | None = None,
+) -> int:
+    """Make a page of a run, to see in a browser and to keep: one file that needs no network.
+
+    Example: approxjac view results/simulate --out page.html
+
+    Args:
+        run: A run.npz that simulate, paper or Trajectory.save wrote, or a folder with one.
+        out: The page, such as page.html; beside the run by default, and then it is opened too.
+        title: Of the page; by default what the run is of.
+    """
+    from approxjac.simulation import Trajectory
+    from approxjac.view import save_page
+    from approxjac.view.browser.opening import open_browser
+
+    path = _run_file(run)
+    beside = path.with_name(path.name.removesuffix(".npz") + ".html")
+    page = save_page(Trajectory.load(path), out or beside, title=title)
+    print(page)
+    if out is None and not open_browser(Path(page).resolve().as_uri()):
+        print("No browser could be opened here: open it in yours")
+    return 0
+
+
+def _run_file(run: Path) -> Path:
+    """Return the file of a run, where its folder may have been given."""
+    if not run.is_dir():
+        if run.is_file() and run.suffix.lower() != ".npz":
+            raise InvalidInputError(
+                f"RUN must be a run.npz that simulate, paper or Trajectory.save wrote, or a "
+                f"folder with one, got {run}",
+                given=run,
+            )
+        return run
+    found = sorted(run.glob("*.npz"))
+    if len(found) != 1:
+        names = ", ".join(path.name for path in found) or "none"
+        raise InvalidInputError(
+            f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}",
+            given=run,
+        )
+    return found[0]

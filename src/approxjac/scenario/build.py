@@ -1,0 +1,365 @@
+"""A scenario made into what runs: plant, controller, target and start."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from approxjac.controllers import (
+    AdaptiveGravity,
+    DifferentiatedVelocity,
+    Gains,
+    Gravity,
+    HeldMeasurement,
+    Limits,
+    ModelGravity,
+    NoGravity,
+    Posture,
+    RegressorGravity,
+    SetpointController,
+    TaskTorqueScaled,
+    TorqueClipped,
+    TorqueLimited,
+    VelocityServo,
+    default_gains,
+)
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Controller
+from approxjac.law import Linear, Sine
+from approxjac.robots import GravityRegressor, Robot, load_robot
+from approxjac.scenario.configurations import configuration_of, regular_configuration
+from approxjac.scenario.images import image_scene
+from approxjac.scenario.refusals import require_effect
+from approxjac.scenario.scenario import Scenario
+from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing
+from approxjac.tasks import CombinedTask, ImageTask, PlanarCamera, PoseTask, PositionTask
+from approxjac.tasks import StackedTask, Task
+from approxjac.validation import Array, as_array
+
+if TYPE_CHECKING:
+    from approxjac.scenario.result import Result
+
+_PLANAR_FOCAL_LENGTH = 0.05  # [m]
+_SETTLED = 4.0  # time constants until 2 % are left
+# A simulated arm waits for the solver: what comes out must not depend on how busy a machine is.
+_PATIENCE = 10.0  # [s]
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltScenario:
+    """What runs: the truth, the controller with its belief, start and target.
+
+    Attributes:
+        scenario: What it was built from.
+        plant: The truth; its torque limits are those of the motors.
+        controller: What runs: the law, within its limits and with a held measurement where the
+            scenario has them.
+        law: The law itself.
+        q0: Start, shape (nq,).
+        target: x_d, shape (n_x,).
+        limits: What the controller keeps, with an entry for each joint; None if it knows none.
+        believe: Makes the believed robot from the length that is believed of the object [m].
+    """
+
+    scenario: Scenario
+    plant: Plant
+    controller: Controller
+    law: SetpointController | VelocityServo
+    q0: Array
+    target: Array
+    limits: Limits | None
+    believe: Callable[[float], Robot]
+
+    @property
+    def motor_limits(self) -> Array:
+        """What the true motors deliver, shape (n_v,) [N m or N]."""
+        limits = self.plant.torque_limits
+        return self.plant.robot.effort_limits if limits is None else limits
+
+    def run(
+        self,
+        progress: Callable[[float], None] | None = None,
+        observer: Callable[[SampledLoop], None] | None = None,
+    ) -> Result:
+        """Simulate for the scenario's duration and judge it.
+
+        Args:
+            progress: As for `simulate`.
+            observer: As for `simulate`.
+
+        Raises:
+            SimulationError: The closed loop diverged.
+        """
+        from approxjac.scenario.runs import result_of
+
+        return result_of(self, progress, observer)
+
+
+def build(scenario: Scenario) -> BuiltScenario:
+    """Build the truth, the belief and what stands between them, as `Scenario.build` does."""
+    require_effect(scenario)
+    arm = load_robot(scenario.robot, tip=scenario.tip, base=scenario.base, free=scenario.free)
+    return build_with(arm, scenario)
+
+
+def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
+    """Build a scenario whose arm, without an object, is loaded already."""
+    truth = true_robot(arm, scenario)
+    believe = functools.partial(believed_robot, arm, scenario)
+    belief = believe(scenario.believed.object.length)
+    limits = _limits(scenario, belief)
+    motors = truth.effort_limits if limits is None else np.asarray(limits.effort)
+    rng = np.random.default_rng(scenario.run.seed)
+    task: Task
+    sensor: Task
+    if scenario.task.kind == "image" and scenario.true.camera.kind == "pinhole":
+        (sensor, task), q0, q_goal = image_scene(truth, belief, arm.tip_or(None), scenario, rng)
+        target = _target(sensor, q0, scenario, lambda: q_goal)
+        if scenario.task.points > 1 and scenario.controller.differentiator is None:
+            task = CombinedTask.balanced(task, target)
+        plant = _plant(truth, sensor, motors, scenario)
+    else:
+        task = _task(belief, scenario)
+        sensor = _sensor(task, truth, scenario)
+        plant = _plant(truth, sensor, motors, scenario)
+        draw = functools.partial(regular_configuration, sensor, task, rng, motors)
+        q0 = _start(plant, scenario, draw)
+        target = _target(sensor, q0, scenario, draw)
+    law = _law(task, gravity_from(truth, belief, scenario.controller.gravity), q0, scenario)
+    controller = _held(law if limits is None else limited(law, limits, scenario), scenario)
+    return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
+
+
+# -- robots -----------------------------------------------------------------------------
+
+
+def true_robot(arm: Robot, scenario: Scenario) -> Robot:
+    """Return the arm as it is, holding what it holds."""
+    true = scenario.true
+    return _holding(arm, true.object.length, true.object.mass, true, scenario)
+
+
+def believed_robot(arm: Robot, scenario: Scenario, length: float) -> Robot:
+    """Return the arm as it is believed, with an object that is believed to have a length [m]."""
+    believed = scenario.believed
+    return _holding(arm, length, believed.object.mass, believed, scenario)
+
+
+def _holding(arm: Robot, length: float, mass: float, part: Any, scenario: Scenario) -> Robot:
+    axis, radius = (
+        mine if mine is not None else true
+        for mine, true in (
+            (part.object.axis, scenario.true.object.axis),
+            (part.object.radius, scenario.true.object.radius),
+        )
+    )
+    more = {} if radius is None else {"radius": radius}
+    robot = arm.with_object(length, mass, axis=axis, **more)
+    if part.shifts or part.rotations:
+        robot = robot.with_kinematic_error(part.shifts, part.rotations)
+    return robot
+
+
+# -- tasks ------------------------------------------------------------------------------
+
+
+def _task(robot: Robot, scenario: Scenario) -> Task:
+    """Return the believed task, where no pinhole camera is in it."""
+    kind, axes = scenario.task.kind, scenario.task.axes
+    if kind == "position":
+        return PositionTask(robot, axes=axes)
+    if kind == "stacked":
+        frames = scenario.task.frames
+        return StackedTask(*(PositionTask(robot, frame, axes) for frame in frames))
+    if kind == "pose":
+        return PoseTask(robot)
+    wrong, true = scenario.believed.camera, _planar_camera(scenario)
+    believed = PlanarCamera(
+        true.focal_length * wrong.focal_factor,
+        true.distance * wrong.depth_factor,
+        true.roll + wrong.roll,
+    )
+    return ImageTask(robot, believed)
+
+
+def _sensor(task: Task, truth: Robot, scenario: Scenario) -> Task:
+    """Return what the true robot measures for a believed task."""
+    if isinstance(task, ImageTask):
+        return ImageTask(truth, _planar_camera(scenario))
+    return task.on(truth)
+
+
+def _planar_camera(scenario: Scenario) -> PlanarCamera:
+    camera = scenario.true.camera
+    focal_length = camera.focal_length or _PLANAR_FOCAL_LENGTH
+    return PlanarCamera(focal_length, camera.distance, camera.roll)
+
+
+# -- start and target -------------------------------------------------------------------
+
+
+def _start(plant: Plant, scenario: Scenario, draw: Callable[[], Array]) -> Array:
+    start = scenario.run.start
+    if start is None:
+        return plant.ready_posture()
+    return draw() if start == "random" else configuration_of(plant.robot, "run.start", start)
+
+
+def _target(sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array]) -> Array:
+    goal = scenario.run.target
+    if goal.offset is not None:
+        offset = as_array("run.target.offset", goal.offset, (sensor.m,), sensor.unit)
+        return sensor.displaced(sensor.value(q0), offset)
+    if goal.configuration is not None:
+        name = "run.target.configuration"
+        return sensor.value(configuration_of(sensor.robot, name, goal.configuration))
+    if goal.at is None:
+        return sensor.value(draw())
+    if sensor.unit == "px":  # the depths of an image are not what one goes to
+        images = as_array("run.target", goal.at, (sensor.m,), "px")
+        drawn = sensor.with_error(sensor.value(draw()), sensor.origin, images)
+        return sensor.target(drawn)
+    return sensor.target(goal.at)
+
+
+# -- who controls -----------------------------------------------------------------------
+
+
+def gravity_from(truth: Robot, belief: Robot, kind: str) -> Gravity:
+    """Return where a controller has its gravity from: "learnt", "exact", "believed" or "none"."""
+    if kind == "none":
+        return NoGravity(belief)
+    if kind == "believed":
+        return ModelGravity(belief)
+    if kind == "learnt":
+        return AdaptiveGravity(belief)
+    regressor = GravityRegressor(belief)
+    return RegressorGravity(regressor, regressor.fit(truth)[0])
+
+
+def _law(
+    task: Task, gravity: Gravity, q0: Array, scenario: Scenario
+) -> SetpointController | VelocityServo:
+    chosen = scenario.controller
+    saturation = Linear() if chosen.gamma is None else Sine(chosen.gamma)
+    if chosen.law == "velocity_servo":
+        rate = _SETTLED / chosen.settling_time
+        return VelocityServo(task, rate, gravity=gravity, saturation=saturation)
+    velocity = None
+    if chosen.differentiator is not None:
+        velocity = DifferentiatedVelocity(chosen.differentiator)
+    stiffness = chosen.posture_stiffness
+    return SetpointController(
+        task,
+        _gains(task, scenario),
+        gravity=gravity,
+        saturation=saturation,
+        velocity=velocity,
+        posture=Posture(q0, stiffness) if stiffness else None,
+    )
+
+
+def _gains(task: Task, scenario: Scenario) -> Gains:
+    """Default gains that the loop's lags allow, but for those that are given."""
+    chosen, sensor = scenario.controller, scenario.sensor
+    lag = sampling_time(scenario) + (sensor.velocity_filter or 0.0) + scenario.loop.actuator_delay
+    if chosen.differentiator is not None:  # damping of law (5) acts as late as x tells Ẋ
+        lag += chosen.differentiator + sensor.delay
+        lag += 0.0 if sensor.rate is None else 0.5 / sensor.rate
+    bandwidth = {} if lag == 0.0 else {"bandwidth": 1.0 / lag}
+    gains = default_gains(task, chosen.settling_time, **bandwidth)
+    given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
+    values = {
+        name: getattr(gains, name) if value is None else value[0] if len(value) == 1 else value
+        for name, value in given.items()
+    }
+    return Gains(**values)
+
+
+def sampling_time(scenario: Scenario) -> float:
+    """Return the period of control [s], 0 where it is continuous."""
+    return scenario.loop.dt if isinstance(scenario.loop.dt, float) else 0.0
+
+
+def _limits(scenario: Scenario, belief: Robot) -> Limits | None:
+    """Return the limits that the controller keeps, with an entry for each joint."""
+    share = scenario.controller.limits
+    if share is None:
+        return None
+    if not np.isfinite(belief.effort_limits).any():
+        raise InvalidInputError(
+            f"controller.limits are shares of the URDF's effort limits, and that of {belief.name} "
+            f"has none, got {share}",
+            given=share,
+        )
+    limits = Limits.of(belief, share if isinstance(share, float) else 1.0)
+    rate = scenario.controller.torque_rate
+    return Limits(limits.effort, rate, limits.position, limits.velocity).for_joints(belief.nv)
+
+
+def limited(
+    law: SetpointController | VelocityServo, limits: Limits, scenario: Scenario
+) -> Controller:
+    """Wrap a law into the limiter that a scenario chooses."""
+    kind, dt = scenario.controller.limiter or "qp", sampling_time(scenario)
+    if kind == "clip":
+        return TorqueClipped(law, limits, dt=dt)
+    if kind == "scale":
+        return TaskTorqueScaled(law, limits, dt=dt)
+    proof = isinstance(law, SetpointController)  # the others have none
+    return TorqueLimited(law, limits, dt=dt, time_budget=_PATIENCE, proof=proof)
+
+
+def _held(controller: Controller, scenario: Scenario) -> Controller:
+    unseen = scenario.controller.unseen
+    if unseen is None:
+        return controller
+    return HeldMeasurement(controller, unseen, dt=sampling_time(scenario))
+
+
+# -- the plant --------------------------------------------------------------------------
+
+
+def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Plant:
+    true, delay = scenario.true, scenario.loop.actuator_delay
+    options: dict[str, Any] = {
+        "coulomb": true.coulomb,
+        "sensing": _sensing(scenario, len(sensor.parts)),
+        "actuator_delay": delay,
+        "torque_limits": motors if np.isfinite(motors).any() else None,
+    }
+    if true.engine == "mujoco":
+        return MujocoPlant(truth, sensor, true.friction, floor=true.floor, **options)
+    return Plant(truth, sensor, true.friction, **options)
+
+
+def _sensing(scenario: Scenario, count: int) -> Sensing | None:
+    """Return how measurements of so many parts differ from the truth; None if they do not."""
+    given = scenario.sensor
+    parts: Any = range(count)
+    if given.lost_part is not None:
+        if given.lost_part > count:
+            raise InvalidInputError(
+                f"sensor.lost_part must be one of the parts of x, 1 to {count}, "
+                f"got {given.lost_part}",
+                given=given.lost_part,
+            )
+        parts = (given.lost_part - 1,)
+    sensing = Sensing(
+        x_noise=given.noise,
+        x_quantum=given.quantum,
+        x_delay=given.delay,
+        x_dropout=given.dropout,
+        x_rate=given.rate,
+        x_lost=() if given.lost is None else tuple((*given.lost, part) for part in parts),
+        x_frozen=() if given.frozen is None else (given.frozen,),
+        q_noise=given.q_noise,
+        q_quantum=given.q_quantum,
+        velocity_filter=given.velocity_filter,
+    )
+    return None if given == type(given)() else sensing

@@ -1,0 +1,80 @@
+"""Configurations to start from and to go to: chosen ones, and random ones that make sense."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics, Robot
+from approxjac.simulation.ready_configuration import holdable
+from approxjac.tasks import Task
+from approxjac.validation import Array, as_array
+
+REGULAR = 0.1
+"""Starts and targets have σ_min of J and of Ĵ above this share of σ_max."""
+
+
+def regular_configuration(
+    sensor: Task,
+    task: Task,
+    rng: np.random.Generator,
+    effort: Array | None = None,
+    tries: int = 1000,
+    ratio: float = REGULAR,
+) -> Array:
+    """Random configuration that can be a start or a target.
+
+    Within the joint limits, neither J nor Ĵ is near singular, and holding it takes at most 70 % of
+    the effort limits.
+
+    Args:
+        sensor: Task of the true robot.
+        task: That of the believed robot.
+        rng: Draws the configuration.
+        effort: The effort limits, shape (n_v,) [N m or N]; those of the URDF by default.
+        tries: Configurations to draw at most.
+        ratio: σ_min/σ_max above which a Jacobian is not near singular.
+
+    Raises:
+        InvalidInputError: None was found.
+    """
+    effort = sensor.robot.effort_limits if effort is None else effort
+    dynamics = Dynamics(sensor.robot)
+    for _ in range(tries):
+        q = sensor.robot.random_configuration(rng)
+        if holdable(dynamics, q, effort) and is_regular(sensor, task, q, ratio):
+            return q
+    raise InvalidInputError(
+        f"no configuration of {sensor.robot.name} was found that its motors can hold and where the "
+        "task is not near singular: give a lighter object, larger torque limits, or other axes "
+        f"than those of {sensor!r}",
+        given=sensor,
+    )
+
+
+def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bool:
+    """Return True if neither J nor Ĵ is near singular at a configuration."""
+    x = sensor.value(q)
+    jacobians = sensor.jacobian(q, x), task.jacobian(q, x)
+    values = [np.linalg.svd(J, compute_uv=False) for J in jacobians]
+    return all(v[-1] > ratio * v[0] for v in values)
+
+
+def configuration_of(robot: Robot, name: str, joints: tuple[float, ...]) -> Array:
+    """Configuration (nq,) from one number a joint, continuous joints included.
+
+    Raises:
+        InvalidInputError: Another count, or beyond the joint limits.
+    """
+    motion = as_array(name, joints, (robot.nv,), "rad or m")
+    low, high = robot.position_limits
+    limits = zip(robot.joint_names, robot.joint_units, motion, low, high, strict=True)
+    for joint, unit, value, a, b in limits:
+        if not a <= value <= b:
+            raise InvalidInputError(
+                f"{name} must be within the joint limits, got {value:g} for {joint} "
+                f"({a:.4g} to {b:.4g} {unit})",
+                given=joints,
+            )
+    return np.array(pin.integrate(robot.model, robot.neutral(), motion))

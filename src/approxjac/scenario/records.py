@@ -1,0 +1,336 @@
+"""The parts of a scenario: what is true, believed, measured, who controls, and where to.
+
+Lengths in m, masses in kg, angles in rad, times in s. The names are those of the tables and keys
+of a scenario file, and of the options of the command line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+Numbers = tuple[float, ...]
+Vector = tuple[float, float, float]
+Interval = tuple[float, float]
+Vectors = dict[str, Vector]  # joint name → vector
+
+
+def _above(default: Any, bound: float = 0.0) -> Any:
+    return field(default=default, metadata={"above": bound})
+
+
+def _at_least(default: Any, bound: float = 0.0) -> Any:
+    return field(default=default, metadata={"minimum": bound})
+
+
+@dataclass(frozen=True)
+class Object:
+    """An object that the arm holds.
+
+    Attributes:
+        length: From the arm's tip to that of the object, m.
+        mass: Its mass, kg.
+        axis: Axis of the arm's tip that the object points along, such as z, or -x as
+            --object-axis=-x; by default the one that leads on from the arm, or that of the true
+            object for a believed one.
+        radius: Of the object, a cylinder, m; 0.01 by default, or that of the true object.
+    """
+
+    length: float = _at_least(0.0)
+    mass: float = _at_least(0.0)
+    axis: str | None = None
+    radius: float | None = _at_least(None)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The true camera of an image task.
+
+    Attributes:
+        kind: "pinhole", in px; or "planar", the paper's, parallel to a plane, in m on its sensor.
+        mount: Frame of the arm that carries it, "tip" for the arm's own: an eye in hand that looks
+            along the axis that leads on from the arm, at points of the world. By default it stands
+            in the world and watches the object.
+        position: Where it stands, m, or on its mount relative to that frame; by default in front of
+            the arm, to its right.
+        looking_at: What a camera in the world looks at, m; the middle of where the arm reaches by
+            default.
+        focal_length: In px, 600 by default; of a planar camera in m, 0.05 by default.
+        size: Width and height, px.
+        distortion: Radial distortion (k1 k2 k3), of which the controller knows nothing.
+        distance: Of a planar camera from the plane, m.
+        roll: Of a planar camera about its optical axis, rad.
+    """
+
+    kind: Literal["pinhole", "planar"] = "pinhole"
+    mount: str | None = None
+    position: Vector | None = None
+    looking_at: Vector | None = None
+    focal_length: float | None = _above(None)
+    size: tuple[int, int] = (640, 480)
+    distortion: Numbers = (-0.1, 0.02)
+    distance: float = _above(3.0)
+    roll: float = 0.0
+
+
+@dataclass(frozen=True)
+class CameraError:
+    """What is wrong with the believed camera, which is otherwise the true one without distortion.
+
+    Attributes:
+        roll: How far it is turned about its optical axis, rad.
+        focal_factor: Its focal length as a multiple of the true one.
+        depth_factor: Depth of the scene as a multiple of the true one: the camera stands so much
+            nearer or farther back, or constant depths are wrong by it.
+        shift: Further error of its position, along its own axes (right, down, forward), m.
+        rotation: Further error of its orientation, a rotation vector in its own axes, rad.
+    """
+
+    roll: float = 0.0
+    focal_factor: float = _above(1.0)
+    depth_factor: float = _above(1.0)
+    shift: Vector = (0.0, 0.0, 0.0)
+    rotation: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is true, which only the plant gets to see.
+
+    Attributes:
+        object: What the arm holds.
+        shifts: Errors of the URDF's joint origins, m, such as panda_joint4 0 0.01 0.
+        rotations: Errors of the URDF's joint axes, as rotation vectors, rad.
+        friction: Viscous friction of every joint, N m s/rad.
+        coulomb: Coulomb friction of every joint, N m.
+        camera: The camera of an image task.
+        engine: What simulates the robot.
+        floor: Height of a floor, m, for the engine mujoco.
+    """
+
+    object: Object = Object(length=0.2, mass=0.5)
+    shifts: Vectors = field(default_factory=dict)
+    rotations: Vectors = field(default_factory=dict)
+    friction: float = _at_least(0.0)
+    coulomb: float = _at_least(0.0)
+    camera: Camera = Camera()
+    engine: Literal["pinocchio", "mujoco"] = "pinocchio"
+    floor: float | None = None
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What the controller believes.
+
+    Attributes:
+        object: What the arm holds.
+        shifts: Errors of the believed joint origins, m, such as panda_joint4 0 0.01 0.
+        rotations: Errors of the believed joint axes, as rotation vectors, rad.
+        camera: What is wrong with the believed camera of an image task.
+    """
+
+    object: Object = Object()
+    shifts: Vectors = field(default_factory=dict)
+    rotations: Vectors = field(default_factory=dict)
+    camera: CameraError = CameraError()
+
+
+@dataclass(frozen=True)
+class TaskChoice:
+    """What is measured and controlled.
+
+    Attributes:
+        kind: The position of the object's tip, its pose, the image of points in a camera, or
+            stacked: the positions of several frames.
+        axes: World axes of a position; those that the arm commands best by default.
+        frames: Frames of a stacked task, such as object_tip panda_link4.
+        points: How many points a pinhole camera sees: m is twice as many.
+        spread: How far the points are apart, m.
+        depth: Where the controller takes a point's depth from: the believed camera and robot, a
+            constant (that of the scene, times depth_factor), or a camera that measures it.
+            "believed" in the world, "constant" in hand by default.
+    """
+
+    kind: Literal["position", "pose", "image", "stacked"] = "position"
+    axes: str | None = None
+    frames: tuple[str, ...] = ()
+    points: int = 1
+    spread: float = _above(0.2)
+    depth: Literal["believed", "constant", "measured"] | None = None
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How measurements differ from the truth; not at all by default.
+
+    Attributes:
+        noise: Standard deviation of noise on x, m, rad or px.
+        quantum: Steps that x is rounded to, m, rad or px.
+        rate: Frames of x a second, Hz; one a step by default.
+        delay: Age of x when it arrives, s.
+        dropout: Probability that a frame of x is lost, 0 to 1.
+        lost: Time from which and to which x is lost, such as 2 3, s.
+        lost_part: Which part of x is lost then, such as the point of an image, 1 for the first;
+            all by default.
+        frozen: Time from which and to which the sensor delivers the same x, s.
+        q_noise: Standard deviation of noise on the encoders, rad or m.
+        q_quantum: Steps of the encoders, rad or m.
+        velocity_filter: Time constant of q̇ from differences of q, s; an exact tachometer by
+            default.
+    """
+
+    noise: float = _at_least(0.0)
+    quantum: float = _at_least(0.0)
+    rate: float | None = _above(None)
+    delay: float = _at_least(0.0)
+    dropout: float = _at_least(0.0)
+    lost: Interval | None = None
+    lost_part: int | None = _at_least(None, 1)
+    frozen: Interval | None = None
+    q_noise: float = _at_least(0.0)
+    q_quantum: float = _at_least(0.0)
+    velocity_filter: float | None = _at_least(None)
+
+
+@dataclass(frozen=True)
+class ControllerChoice:
+    """Who controls, and within which limits.
+
+    Attributes:
+        law: "setpoint", the paper's; or "velocity_servo", classical velocity-level control with an
+            inner velocity loop.
+        differentiator: Time constant of Ẋ from the differentiated x, s, the law (5); by default Ẋ
+            is Ĵq̇, the law (6).
+        gravity: "learnt" (the law (28), (29)), "exact" (the parameters with which the believed
+            robot's regressor fits the true gravity, which wrong joint axes keep it from doing
+            exactly), "believed" (the believed robot's), or "none".
+        settling_time: Wanted by the default gains, s.
+        kp: K_p instead of the default gains' one; one number, or one a task coordinate.
+        kv: K_v instead of the default gains' one; one number, or one a task coordinate.
+        damping: Added joint damping instead of the default gains' one; one number, or one a joint.
+        gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; none by default.
+        posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
+        limits: Lets the controller know limits and keep them: "urdf" those of the URDF, a number
+            the effort limits times it, which are then the motors' too. Unknown by default.
+        limiter: How: "qp" (with the position and velocity limits, and the proof kept where it can
+            be; the default where there are limits), "clip" or "scale".
+        torque_rate: Largest change of a torque that the limiter allows, N m/s; any by default.
+        unseen: Goes on with the x that was last seen until it must have moved by more than this,
+            m, rad or px, and only brakes then; by default x is held at no time.
+    """
+
+    law: Literal["setpoint", "velocity_servo"] = "setpoint"
+    differentiator: float | None = _above(None)
+    gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"
+    settling_time: float = _above(1.0)
+    kp: Numbers | None = _above(None)
+    kv: Numbers | None = _above(None)
+    damping: Numbers | None = _at_least(None)
+    gamma: float | None = _above(None)
+    posture_stiffness: float = _at_least(0.0)
+    limits: float | Literal["urdf"] | None = _above(None)
+    limiter: Literal["qp", "clip", "scale"] | None = None
+    torque_rate: float | None = _above(None)
+    unseen: float | None = _above(None)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """At which period and delay.
+
+    Attributes:
+        dt: Sampling time of control, s; or "continuous", which integrates arm and controller as
+            one differential equation.
+        actuator_delay: From a torque to its effect, s.
+    """
+
+    dt: float | Literal["continuous"] = _above(1e-3)
+    actuator_delay: float = _at_least(0.0)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where to go; a list of numbers in a file is `at`.
+
+    Attributes:
+        at: Position (one number for each of axes, m), pose (x y z qx qy qz qw) or image (u v of
+            each point); that of a random configuration by default.
+        offset: Relative to where the task starts instead, m (and rad of a pose).
+        configuration: What the true sensor measures at these joint positions instead.
+    """
+
+    at: Numbers | None = None
+    offset: Numbers | None = None
+    configuration: Numbers | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """From where, where to, and for how long.
+
+    Attributes:
+        start: Joint positions at the start, one a joint, rad or m, or "random" for a configuration
+            of the seed; by default one that is far from singular, the same for each seed
+            (`Plant.ready_configuration`), or with a pinhole camera one of the seed.
+        target: Where to go; what a configuration of the seed has by default.
+        duration: Of the run, s.
+        tolerance: Error below which the task counts as done, 1e-3 m (and rad of a pose) by default;
+            for a pinhole camera the RMS of each image coordinate over the last tenth of the run,
+            px, by default the noise or half a pixel.
+        seed: Of target, noise and dropouts, and of a random start.
+    """
+
+    start: Numbers | Literal["random"] | None = None
+    target: Goal = Goal()
+    duration: float = _above(20.0)
+    tolerance: float | None = _above(None)
+    seed: int = _at_least(0, 0)
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What `approxjac stability` looks at. Without ranges of errors it looks at the true robot.
+
+    Attributes:
+        object_length: Smallest and largest true length of the object, m.
+        object_mass: Smallest and largest true mass of the object, kg.
+        joint_shifts: How far joint origins may be off either way, m, such as panda_joint4 0 0.01 0.
+        joint_rotations: The same for joint axes, as rotation vectors, rad.
+        focal_length: Smallest and largest true focal length of the camera, px, or m of a planar
+            one.
+        distance: Smallest and largest true distance of a planar camera, m; of a pinhole camera how
+            far back it may truly stand from where it is believed to be, m.
+        roll: Smallest and largest true roll of the camera, rad; of a pinhole camera relative to the
+            believed one.
+        around: Joint positions, one a joint, rad or m: look within `radius` of them; by default
+            within the joint limits, where the believed Jacobian is not near singular.
+        radius: How far each joint may be from `around`, or from a run's configurations, rad or m.
+        run: File run.npz of `approxjac simulate`: look near its configurations.
+        reach_from: Joint positions of a start: look where V lets the arm get to the target.
+        sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
+        target: The one target; by default all targets within the region.
+        configurations: How many to draw.
+        runs: Rollouts of 10 s.
+        map: Two parameters of the stability map, of error, a, kv and damping.
+        map_points: Values of each parameter; 0 draws no map.
+        map_runs: Rollouts at each point of the map's coarse grid.
+    """
+
+    object_length: Interval | None = None
+    object_mass: Interval | None = None
+    joint_shifts: Vectors = field(default_factory=dict)
+    joint_rotations: Vectors = field(default_factory=dict)
+    focal_length: Interval | None = None
+    distance: Interval | None = None
+    roll: Interval | None = None
+    around: Numbers | None = None
+    radius: float = _above(0.3)
+    run: str | None = None
+    reach_from: Numbers | None = None
+    sigma_min: float | None = _at_least(None)
+    target: Numbers | None = None
+    configurations: int = _at_least(2000, 20)
+    runs: int = _at_least(20)
+    map: tuple[str, str] = ("error", "a")
+    map_points: int = _at_least(40)
+    map_runs: int = _at_least(2)

@@ -1,0 +1,128 @@
+"""Parts of a scenario that would do nothing, or contradict each other, are refused by name."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from approxjac.errors import InvalidInputError
+from approxjac.scenario.scenario import Scenario
+
+
+def require_effect(scenario: Scenario) -> None:
+    """Refuse what was given but would do nothing, or what contradicts something else.
+
+    Raises:
+        InvalidInputError: Such a value.
+    """
+    usual = Scenario(scenario.robot)
+    for key, useless, what, where in _rules(scenario):
+        value = _value(scenario, key)
+        if useless and value != _value(usual, key):
+            raise InvalidInputError(f"{key} {what}, got {value} with {where}", given=value)
+    _require_times(scenario)
+    _require_one_goal(scenario)
+    roll = scenario.believed.camera.roll
+    if abs(roll) > math.pi:
+        raise InvalidInputError(
+            f"believed.camera.roll must be within -pi and pi [rad], got {roll:g}"
+            f" ({math.radians(roll):.4g} rad would be {roll:g} degrees)",
+            given=roll,
+        )
+    if scenario.sensor.dropout > 1.0:
+        raise InvalidInputError(
+            f"sensor.dropout must be a probability from 0 to 1, got {scenario.sensor.dropout}",
+            given=scenario.sensor.dropout,
+        )
+
+
+def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
+    """What does nothing, or cannot be: key, whether it is so here, what it is for, what there is."""
+    task, control, true = scenario.task, scenario.controller, scenario.true
+    servo, image = control.law == "velocity_servo", task.kind == "image"
+    pinhole = image and true.camera.kind == "pinhole"
+    in_hand = pinhole and true.camera.mount is not None
+    unlimited = control.limits is None
+    gains = None not in (control.kp, control.kv, control.damping)
+    rules = [
+        ("true.floor", true.engine != "mujoco", "needs true.engine mujoco", true.engine),
+        ("task.axes", task.kind in ("pose", "image"), "are those of a position", task.kind),
+        ("task.frames", task.kind != "stacked", "are those of a stacked task", task.kind),
+        ("task.points", not pinhole, "are those of a pinhole camera's image", task.kind),
+        ("task.depth", not pinhole, "is that of a pinhole camera's image", task.kind),
+        ("task.spread", task.points == 1, "is for several points", "one point"),
+        ("true.camera", not image, "is for task.kind image", task.kind),
+        ("believed.camera", not image, "is for task.kind image", task.kind),
+        ("true.camera.looking_at", in_hand, "is for a camera in the world", "one in hand"),
+        ("controller.settling_time", gains and not servo, "is for default gains", "given ones"),
+        ("controller.differentiator", servo, "is for the law setpoint", control.law),
+        ("controller.posture_stiffness", servo, "is for the law setpoint", control.law),
+        ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
+    ]
+    for name in ("kp", "kv", "damping"):
+        rules.append((f"controller.{name}", servo, "is a gain of the law setpoint", control.law))
+    for name in ("limiter", "torque_rate"):
+        needs = 'needs controller.limits, "urdf" or a share of the URDF\'s such as 0.5'
+        rules.append((f"controller.{name}", unlimited, needs, "none"))
+    if isinstance(scenario.loop.dt, str):
+        at = "needs a loop.dt in s"
+        rules += [(f"controller.{name}", True, at, "continuous") for name in ("limits", "unseen")]
+        rules += [("sensor", True, at, "continuous"), ("loop.actuator_delay", True, at, "continuous")]
+    for kind in ("true", "believed"):  # what a camera in hand watches is not the object
+        weightless = in_hand and _value(scenario, f"{kind}.object.mass") == 0.0
+        needs = f"needs {kind}.object.mass"
+        rules.append((f"{kind}.object.length", weightless, needs, "a camera in hand"))
+    return rules
+
+
+def _require_times(scenario: Scenario) -> None:
+    dt, duration = scenario.loop.dt, scenario.run.duration
+    if isinstance(dt, float):
+        if duration < dt:
+            raise InvalidInputError(
+                f"run.duration must be a finite number >= loop.dt = {dt:g} [s], got {duration}",
+                given=duration,
+            )
+        rate = scenario.sensor.rate
+        if rate is not None and rate > 1.0 / dt * (1.0 + 1e-9):
+            raise InvalidInputError(
+                f"sensor.rate must be at most that of control, {1.0 / dt:g} [Hz], got {rate:g}",
+                given=rate,
+            )
+    for name in ("lost", "frozen"):
+        interval = getattr(scenario.sensor, name)
+        if interval is not None and not max(0.0, interval[0]) < min(duration, interval[1]):
+            raise InvalidInputError(
+                f"sensor.{name} must be the start and the end of a time within the run, "
+                f"0 to {duration:g} [s], got {interval}",
+                given=interval,
+            )
+
+
+def _require_one_goal(scenario: Scenario) -> None:
+    goal, control = scenario.run.target, scenario.controller
+    given = {name: value for name, value in vars(goal).items() if value is not None}
+    if len(given) > 1:
+        raise InvalidInputError(
+            f"run.target must not both be given as {' and as '.join(given)}",
+            given=given,
+        )
+    if control.law == "velocity_servo" and control.gravity == "learnt":
+        raise InvalidInputError(
+            "controller.gravity must be exact, believed or none with velocity_servo, which learns "
+            "nothing, got learnt",
+            given=control.gravity,
+        )
+    if control.differentiator is not None and scenario.task.depth == "measured":
+        raise InvalidInputError(
+            "task.depth must be believed or constant with a differentiator, which differentiates "
+            "the image alone, got measured",
+            given=scenario.task.depth,
+        )
+
+
+def _value(scenario: Scenario, key: str) -> Any:
+    value: Any = scenario
+    for name in key.split("."):
+        value = getattr(value, name)
+    return value

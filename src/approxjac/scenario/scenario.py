@@ -1,0 +1,125 @@
+"""`Scenario`: what is true, believed, measured, who controls and where to, said once."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import KW_ONLY, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from approxjac.errors import InvalidInputError
+from approxjac.scenario.records import (
+    Analysis,
+    Belief,
+    ControllerChoice,
+    Loop,
+    Run,
+    Sensor,
+    TaskChoice,
+    Truth,
+)
+from approxjac.scenario.tables import Table, checked, differences, filled, to_toml
+
+if TYPE_CHECKING:
+    from approxjac.scenario.build import BuiltScenario
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What a run, a report and a live view are about, said once.
+
+    Each part may be given as its record or as a table of what differs from the defaults:
+    `Scenario("panda", true={"object": {"length": 0.3}}, run={"target": {"offset": (0.1, 0, 0)}})`.
+    It prints as the scenario file that says the same.
+
+    Attributes:
+        robot: Name of an arm, or a .urdf file.
+        tip: End-effector frame that holds the object; the robot's own by default.
+        base: Link that the chain to the tip starts from.
+        free: Joints that are not locked although the tip does not need them.
+        true: What is true, which only the plant gets to see.
+        believed: What the controller believes.
+        task: What is measured and controlled.
+        sensor: How measurements differ from the truth.
+        controller: Who controls, and within which limits.
+        loop: At which period and delay.
+        run: From where, where to, and for how long.
+        stability: What a stability report looks at.
+
+    Raises:
+        UnknownNameError: A key or a choice that there is not.
+        InvalidInputError: A value of another type, or out of range.
+    """
+
+    robot: str
+    _: KW_ONLY
+    tip: str | None = None
+    base: str | None = None
+    free: tuple[str, ...] = ()
+    true: Truth = Truth()
+    believed: Belief = Belief()
+    task: TaskChoice = TaskChoice()
+    sensor: Sensor = Sensor()
+    controller: ControllerChoice = ControllerChoice()
+    loop: Loop = Loop()
+    run: Run = Run()
+    stability: Analysis = Analysis()
+
+    def __post_init__(self) -> None:
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        for name, value in checked(Scenario, Scenario, given).items():
+            object.__setattr__(self, name, value)  # frozen once it is built
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scenario:
+        """Return the scenario that a TOML file describes.
+
+        Raises:
+            InvalidInputError: No such file, no TOML, no robot, or a value that is none.
+            UnknownNameError: A key or a choice that there is not.
+        """
+        try:
+            table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except FileNotFoundError as error:
+            raise InvalidInputError(f"{path} does not exist", given=path) from error
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise InvalidInputError(
+                f"{path} cannot be read as TOML: {error}", given=path
+            ) from error
+        robot = table.get("robot")
+        if not isinstance(robot, str):
+            raise InvalidInputError(
+                f'{path} must name a robot, such as robot = "panda", got {robot!r}', given=path
+            )
+        return cls(robot).with_values(table, str(path))
+
+    def with_values(self, table: Table, where: str = "") -> Scenario:
+        """Return this scenario with the values of a table, such as `{"run": {"duration": 5.0}}`.
+
+        Args:
+            table: Of names and values, as in a scenario file.
+            where: The file that it is from, for errors; none by default.
+
+        Raises:
+            UnknownNameError: A key or a choice that there is not.
+            InvalidInputError: A value of another type, or out of range.
+        """
+        return filled(self, table, where)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the scenario file that says the same, and return its path."""
+        Path(path).write_text(str(self), encoding="utf-8")
+        return Path(path)
+
+    def build(self) -> BuiltScenario:
+        """Return the plant, the controller, the target and the start that this describes.
+
+        Raises:
+            ApproxJacError: Values that do not fit the robot, or each other.
+        """
+        from approxjac.scenario.build import build
+
+        return build(self)
+
+    def __str__(self) -> str:
+        return to_toml({"robot": self.robot, **differences(self, Scenario(self.robot))})

@@ -1,0 +1,212 @@
+"""Records to and from tables of names and values, as TOML and options have them."""
+
+from __future__ import annotations
+
+import json
+import os
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import Field, fields, is_dataclass, replace
+from functools import cache
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.scenario.records import Goal
+from approxjac.validation import as_number
+
+Table = Mapping[str, Any]
+Record = TypeVar("Record")
+
+
+@cache
+def hints(kind: type) -> Mapping[str, Any]:
+    """Return the types of a record's fields by name."""
+    return get_type_hints(kind)
+
+
+def filled(record: Record, values: Table, where: str = "", key: str = "") -> Record:
+    """Return a record with the values of a table in place of its own.
+
+    Args:
+        record: The record; what the table does not name stays as it is there.
+        values: Field → value, or record, or table of a record.
+        where: The file that the table is from, for errors; none by default.
+        key: Dotted name of the record within its scenario; the scenario itself by default.
+
+    Raises:
+        UnknownNameError: A key that the record does not have, or a choice that there is not.
+        InvalidInputError: A value of another type, or out of range.
+    """
+    given: Any = record
+    return replace(given, **checked(type(given), given, values, where, key))
+
+
+def checked(kind: type, base: Any, values: Table, where: str = "", key: str = "") -> dict[str, Any]:
+    """Return the values of a table as the fields of a kind of record have them, as `filled` does.
+
+    Args:
+        kind: The kind of record.
+        base: Has the records that tables within the table are filled into, by field.
+        values: As for `filled`.
+        where: As for `filled`.
+        key: As for `filled`.
+    """
+    known: dict[str, Field[Any]] = {field.name: field for field in fields(kind)}
+    table = " ".join(word for word in (where, f"[{key}]" if key else "") if word) or "a scenario"
+    found = {}
+    for name, value in values.items():
+        if name not in known:
+            raise UnknownNameError("key", name, table, known)
+        dotted, inner = f"{key}.{name}" if key else name, getattr(base, name, None)
+        if is_dataclass(inner):
+            found[name] = filled(inner, _table_of(inner, value, dotted), where, dotted)
+        else:
+            hint = hints(kind)[name]
+            found[name] = _value(hint, value, dotted, where)
+            _require_choice(hint, found[name], dotted, table)
+            _require_bounds(dotted, found[name], known[name].metadata)
+    return found
+
+
+def differences(record: Any, default: Any) -> dict[str, Any]:
+    """Return what a record has otherwise than another, as tables of plain values."""
+    found: dict[str, Any] = {}
+    for field in fields(record):
+        mine, usual = getattr(record, field.name), getattr(default, field.name)
+        if mine == usual:
+            continue
+        found[field.name] = differences(mine, usual) if is_dataclass(mine) else _plain(mine)
+        if isinstance(mine, Goal) and set(found[field.name]) == {"at"}:
+            found[field.name] = found[field.name]["at"]
+    return found
+
+
+def plain(record: Any) -> dict[str, Any]:
+    """Return all of a record as tables of plain values, as JSON has them."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    return {
+        name: plain(value) if is_dataclass(value) else _plain(value)
+        for name, value in values.items()
+    }
+
+
+def to_toml(table: Table) -> str:
+    """Return a table of plain values as TOML, with a heading for each table in it."""
+    inner = {name: value for name, value in table.items() if isinstance(value, Mapping)}
+    lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in inner]
+    for name, values in inner.items():
+        lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
+    return "\n".join(lines).strip() + "\n"
+
+
+def _table_of(record: Any, value: Any, key: str) -> Table:
+    """Return the table that a value is for a field that is a record."""
+    if isinstance(value, type(record)):
+        return {field.name: getattr(value, field.name) for field in fields(record)}
+    if isinstance(record, Goal) and isinstance(value, Sequence | np.ndarray):
+        return {"at": value}
+    if isinstance(value, Mapping):
+        return value
+    names = ", ".join(field.name for field in fields(record))
+    raise InvalidInputError(f"{key} must be a table of {names}, got {value!r}", given=value)
+
+
+def _value(hint: Any, value: Any, key: str, where: str) -> Any:
+    try:
+        return _converted(hint, value)
+    except (TypeError, ValueError):  # such as a number, which has no length
+        told = f"{key} must be {_wanted(hint)}, got {value!r}" + (f" in {where}" if where else "")
+        raise InvalidInputError(told, given=value) from None
+
+
+def _converted(hint: Any, value: Any) -> Any:
+    """Return a value as a field of that type has it; a TypeError where it is of another."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return _first_that_fits(inner, value)
+    if origin is Literal:
+        return _converted(str, value)  # which one is looked at with all that there are
+    if origin is dict:
+        return {_converted(str, k): _converted(inner[1], v) for k, v in dict(value).items()}
+    if origin is tuple:
+        variadic = inner[-1] is Ellipsis
+        if variadic and inner[0] is float and isinstance(value, int | float):
+            value = (value,)
+        if isinstance(value, str) or (not variadic and len(value) != len(inner)):
+            raise TypeError
+        kinds = [inner[0]] * len(value) if variadic else inner
+        return tuple(_converted(kind, entry) for kind, entry in zip(kinds, value, strict=True))
+    if isinstance(value, np.generic):
+        value = value.item()
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is float and number:
+        return float(value)
+    if hint is int and number and value == int(value):
+        return int(value)
+    if hint not in (float, int) and isinstance(value, hint):
+        return value
+    if hint is str and isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError
+
+
+def _first_that_fits(kinds: Sequence[Any], value: Any) -> Any:
+    for kind in kinds:
+        try:
+            return _converted(kind, value)
+        except (TypeError, ValueError):
+            continue
+    raise TypeError
+
+
+def _require_choice(hint: Any, value: Any, key: str, table: str) -> None:
+    """Refuse a word that is none of those that a field may be."""
+    kinds = [hint, *get_args(hint)]
+    choices = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+    if not isinstance(value, str) or str in kinds or value in choices:
+        return
+    if all(kind is type(None) or get_origin(kind) is Literal for kind in get_args(hint) or [hint]):
+        raise UnknownNameError(key, value, table, choices)
+    raise InvalidInputError(f"{key} must be {_wanted(hint)}, got {value!r}", given=value)
+
+
+def _require_bounds(key: str, value: Any, bounds: Mapping[str, float]) -> None:
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, int | float):
+            as_number(key, number, **bounds)
+
+
+def _wanted(hint: Any) -> str:
+    """Return what a value of a type is, in words."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return " or ".join(_wanted(each) for each in inner if each is not type(None))
+    if origin is Literal:
+        return " or ".join(json.dumps(word) for word in inner)
+    if origin is dict:
+        return f"a table of names, each with {_wanted(inner[1])}"
+    if origin is tuple:
+        count = "" if inner[-1] is Ellipsis else f"{len(inner)} "
+        return f"a list of {count}{'words' if inner[0] is str else 'numbers'}"
+    return {float: "a number", int: "a whole number", str: "a word"}[hint]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    return {k: _plain(v) for k, v in value.items()} if isinstance(value, dict) else value
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+
+
+def _key(name: str) -> str:
+    bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if bare else json.dumps(name, ensure_ascii=False)
