@@ -3,90 +3,21 @@
 from __future__ import annotations
 
 import json
-import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 from tqdm import tqdm
 
+from approxjac.cli.output import Live, make_folder
 from approxjac.errors import InvalidInputError
+from approxjac.studies.servo_settings import ServoSettings
+from approxjac.studies.stability import StabilitySettings
 
-
-def paper(
-    out: Path = Path("results/paper"),
-    figures: tuple[int, ...] = (1, 3, 4, 5, 6, 7, 8),
-    start: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (60.0, 90.0),
-    target: Annotated[tuple[float, float], tyro.conf.arg(metavar="DEG DEG")] = (90.0, 90.0),
-    friction: float = 0.0,
-    gamma: float | None = None,
-    inertia: Literal["rod", "point-mass"] = "rod",
-    duration: float = 120.0,
-) -> int:
-    """Reproduce the paper's two-link study, Figures 1 and 3-8, with a verdict for each.
-
-    Example: approxjac paper --figures 3 4
-
-    Exit code 0 if every verdict is the paper's, 1 if not.
-
-    Args:
-        out: Folder for figN.png, figN.svg, figN.npz and summary.json, and, with the extra "view"
-            installed, pages to see in a browser: index.html and figN.html.
-        figures: Figures to make, such as "--figures 3 4".
-        start: Posture q(0) at the start, in degrees.
-        target: Posture whose image is the target, in degrees.
-        friction: Viscous friction B at both joints, N m s/rad.
-        gamma: Saturation of the error on the sensor, in m; "None" is s(e) = e.
-        inertia: Uniform rods, or point masses at their middles.
-        duration: Length of each run, in s.
-    """
-    from approxjac import paper as study
-    from approxjac.paper import report
-    from approxjac.view import save_figure
-
-    known = [1, *study.EXPERIMENTS]
-    if not figures:
-        raise InvalidInputError("figures must name at least one figure, got none", given=figures)
-    for figure in figures:
-        if figure not in known:
-            raise InvalidInputError(
-                f"figures must be among {', '.join(map(str, known))}, got {figure}", given=figure
-            )
-    setup = study.Setup(
-        start=(math.radians(start[0]), math.radians(start[1])),
-        target=(math.radians(target[0]), math.radians(target[1])),
-        friction=friction,
-        gamma=gamma,
-        inertia=inertia,
-        duration=duration,
-    )
-    make_folder(out)
-    truth = study.build_arm(inertia=inertia)
-    bound = None
-    results = []
-    experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]
-    # tqdm shows nothing where the output is not a terminal (disable=None)
-    with tqdm(total=max(1, len(experiments)) * duration, unit="s", disable=None) as bar:
-        if 1 in figures:
-            bar.set_description("figure 1")
-            bound = study.jacobian_bound(setup)
-            save_figure(report.draw_bound(bound), out / "fig1")
-        for i, experiment in enumerate(experiments):
-            bar.set_description(f"figure {experiment.figure}")
-
-            def advance(t: float, done: float = i * duration) -> None:
-                bar.update(done + t - bar.n)
-
-            result = study.run_experiment(experiment, setup, progress=advance)
-            report.write_result(result, setup, truth, out)
-            results.append(result)
-    summary = report.summary(results, bound, setup)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    print(report.table(results, bound))
-    print(f"\nPictures, runs and summary.json are in {out}")
-    if experiments:
-        print(report.write_pages(results, out))
-    return 0 if all(result.agrees_with_paper for result in results) else 1
+_NOT_LIVE = Live()
+_SHARE = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}"
 
 
 def arms(
@@ -217,15 +148,93 @@ def servo_study(
     return 0 if summary["verdict"] == "ok" else 1
 
 
-def make_folder(out: Path) -> None:
-    """Make the folder that a command writes to.
+def servo(
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")],
+    settings: Annotated[ServoSettings, tyro.conf.OmitArgPrefixes],
+    live: Annotated[Live, tyro.conf.OmitArgPrefixes] = _NOT_LIVE,
+    out: Path = Path("results/servo"),
+) -> int:
+    """Let an arm bring points to where they shall be in the image of a camera nobody calibrated.
 
-    Raises:
-        InvalidInputError: It cannot be made.
+    Example: approxjac servo panda --roll 0.5 --focal-factor 1.3
+
+    Exit code 0 if the image error ended within the tolerance, 1 if not.
+
+    Args:
+        robot: Name of an arm, a .urdf file, or a .toml file that names the robot and holds any of
+            these options, such as roll = 0.5; options given here come before it.
+        settings: What to simulate.
+        live: How to see it while it goes on.
+        out: Folder for run, image and views as .png and .svg, run.npz and summary.json.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInputError(
-            f"--out must be a folder that can be made, got {out}: {error}", given=out
-        ) from error
+    from approxjac.studies import servo as study
+    from approxjac.studies import servo_report as report
+
+    prepared = study.prepare(robot, settings)
+    make_folder(out)
+    observer = live.observer(prepared.believe, settings.believed_length)
+    with _bar(settings.duration, live) as progress:
+        result = study.run(prepared, progress, observer)
+    report.write(result, out)
+    print(report.text(result))
+    print(_written(out))
+    return 0 if result.converged else 1
+
+
+def stability(
+    robot: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")],
+    settings: Annotated[StabilitySettings, tyro.conf.OmitArgPrefixes],
+    jobs: int = 1,
+    out: Path = Path("results/stability"),
+) -> int:
+    """Tell whether a controller is stable before anything moves, by how much, and what to change.
+
+    Example: approxjac stability panda --object-length 0 0.3 --around 0 -0.5 0 -2 0 1.6 0.7
+
+    Exit code 0 if Theorem 1 or the matrix form certifies the region, 1 if not.
+
+    Args:
+        robot: Name of an arm, or a .urdf file.
+        settings: What to look at.
+        jobs: Processes that share the rollouts.
+        out: Folder for figure1, workspace and map as .png and .svg, and summary.json.
+    """
+    from concurrent.futures import ProcessPoolExecutor
+    from contextlib import nullcontext
+
+    from approxjac.studies import stability as study
+    from approxjac.studies import stability_report as report
+
+    if jobs < 1:
+        raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
+    case = study.prepare(robot, settings)
+    make_folder(out)
+    pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
+    with pool as executor, tqdm(total=1.0, disable=None, bar_format=_SHARE) as bar:
+
+        def tell(what: str, share: float) -> None:
+            bar.set_description(what, refresh=False)
+            bar.update(share - bar.n)
+
+        result = study.run(
+            case, executor, tell, lambda found: bar.write(report.verdicts(case, found))
+        )
+    report.write(result, out)
+    print(report.consequences(result))
+    print(f"\nPictures and summary.json are in {out}")
+    return 0 if result.report.certified_by is not None else 1
+
+
+@contextmanager
+def _bar(duration: float, live: Live) -> Iterator[Callable[[float], None]]:
+    """A progress bar over the time of a run, none where the run is shown; yields what moves it."""
+    # tqdm shows nothing where the output is not a terminal (disable=None)
+    with tqdm(total=duration, unit="s", disable=True if live.view else None) as bar:
+        yield lambda t: bar.update(t - bar.n) and None
+
+
+def _written(out: Path) -> str:
+    return (
+        f"\nPictures, the run and summary.json are in {out}\n"
+        f"See it move: approxjac view {out / 'run.npz'}"
+    )

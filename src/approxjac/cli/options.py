@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, asdict, field, is_dataclass, make_dataclass
 from typing import Annotated, Any, get_type_hints
@@ -53,13 +53,13 @@ SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COM
 """Command → short option → the key that it stands for; a report's errors are ranges."""
 
 
-def scenario_of(words: list[str]) -> tuple[Scenario | None, list[str]]:
+def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:
     """Return the scenario of the file among a command's words, and the words with its robot.
 
     An option for the target takes the place of any that the file has.
     """
     for i, word in enumerate(words):
-        if word.endswith(".toml") and not word.startswith("-") and words[i - 1] != "--save":
+        if word.endswith(".toml") and words[0] in SHORT and words[i - 1] != "--save":
             scenario = Scenario.load(word)
             if any(other.startswith(("--target", "--run.target")) for other in words):
                 scenario = scenario.with_values({"run": {"target": Goal()}})
@@ -67,24 +67,29 @@ def scenario_of(words: list[str]) -> tuple[Scenario | None, list[str]]:
     return None, words
 
 
-def with_options(command: Callable[..., int], default: Scenario) -> Callable[..., int]:
+def with_options(
+    command: Callable[..., int], default: Scenario | None = None
+) -> Callable[..., int]:
     """Return a command that takes the keys of a scenario as options, instead of a scenario.
 
     Args:
         command: A function with an argument `scenario`.
-        default: What options say that are not given.
+        default: What options say that are not given; the usual by default.
     """
+    default = Scenario("") if default is None else default
     short: dict[str, list[str]] = {}
     for option, key in SHORT[command.__name__].items():
         short.setdefault(key, []).append(option)
 
-    @functools.wraps(command)
     def taking_options(scenario: Any, **others: Any) -> int:
         return command(default.with_values(asdict(scenario)), **others)
 
-    options = Annotated[_options(default, short), tyro.conf.OmitArgPrefixes]
-    taking_options.__annotations__ = {**get_type_hints(command, include_extras=True)}
+    options = Annotated[_options(default, short), tyro.conf.arg(name="")]
+    # tyro reads all of these
+    taking_options.__doc__ = command.__doc__
+    taking_options.__annotations__ = get_type_hints(command, include_extras=True)
     taking_options.__annotations__["scenario"] = options
+    taking_options.__signature__ = inspect.signature(command)  # type: ignore[attr-defined]
     return taking_options
 
 

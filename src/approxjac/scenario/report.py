@@ -20,7 +20,6 @@ from approxjac.simulation import Trajectory
 from approxjac.tasks import CombinedTask
 from approxjac.validation import Array
 from approxjac.view import (
-    legend_below,
     new_figure,
     plot_camera_view,
     plot_error,
@@ -33,7 +32,7 @@ from approxjac.view import (
     style,
 )
 from approxjac.view.images import POINTS
-from approxjac.view.style import COLORS, NEUTRAL, SATURATED
+from approxjac.view.style import COLORS, SERIES, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -239,8 +238,8 @@ def _draw_run(result: Result) -> Figure:
         _plot_speed(result, axes[7])
     plot_error(run, error)
     with style():
-        size.semilogy(run.t, run.error_norm, color=COLORS[0])
-        size.axhline(result.tolerance, color=NEUTRAL, linewidth=1.0, linestyle="--")
+        size.semilogy(run.t, run.error_norm, color=SERIES[0])
+        size.axhline(result.tolerance, color=COLORS["neutral"], linewidth=1.0, linestyle="--")
         label = f"‖x − x_d‖ [{run.task_unit}]"
         size.set(
             xlabel="time [s]", ylabel=label, title="Size of the task error (dashed: tolerance)"
@@ -258,15 +257,14 @@ def _draw_run(result: Result) -> Figure:
 def _plot_speed(result: Result, ax: Axes) -> None:
     """Draw the speed of each joint as a share of its limit; those without one are left out."""
     run, limits = result.run, result.speed_limits
-    with style():
+    with styled(ax):
         for i, joint in enumerate(run.joint_names):
             if math.isfinite(limits[i]):
-                color = COLORS[i % len(COLORS)]
+                color = SERIES[i % len(SERIES)]
                 ax.plot(run.t, run.v[:, i] / limits[i], color=color, label=joint)
         for side, name in ((1.0, "limit"), (-1.0, None)):
-            ax.axhline(side, color=NEUTRAL, linewidth=1.0, linestyle="--", label=name)
+            ax.axhline(side, color=COLORS["neutral"], linewidth=1.0, linestyle="--", label=name)
         ax.set(xlabel="time [s]", ylabel="q̇ / limit [–]", title="Speed of each joint")
-    legend_below(ax)
 
 
 def _draw_image_run(result: ImageResult) -> Figure:
@@ -283,25 +281,22 @@ def _draw_image_run(result: ImageResult) -> Figure:
     }
     words = {Status.NEAR_SINGULAR: "near singular", Status.TORQUE_SATURATED: "torque saturated"}
     lanes |= {words[s]: run.status == s for s in run.status_counts() if s in words}
-    colors = {words[Status.TORQUE_SATURATED]: SATURATED}
+    colors = {words[Status.TORQUE_SATURATED]: COLORS["saturated"]}
     plot_lanes(run.t, lanes, images, colors=colors, title="What the controller goes by, and when")
     return figure
 
 
 def _plot_errors(result: ImageResult, ax: Axes) -> None:
-    with style():
+    with styled(ax):
         for i, error in enumerate(result.errors.T):
             ax.semilogy(result.run.t, error, color=POINTS[i], label=f"point {i + 1}")
-        ax.axhline(
-            result.tolerance, color=NEUTRAL, linewidth=1.0, linestyle="--", label="tolerance"
-        )
+        ax.axhline(result.tolerance, color=COLORS["neutral"], linestyle="--", label="tolerance")
         ax.set_ylim(bottom=0.05 * result.tolerance)  # what is smaller is noise
         ax.set(
             xlabel="time [s]",
             ylabel="distance to the target [px]",
             title="True distance of each point to its target",
         )
-    legend_below(ax)
 
 
 def _draw_image(result: ImageResult) -> Figure:
