@@ -35,8 +35,15 @@ ALLOWED = {
         "paper", "view", "stability", "controllers", "simulation", "law", "tasks", "robots",
         "interface", "formatting", "validation", "errors",
     },
-    "cli_studies": {"paper", "studies", "view", "errors"},
-    "cli": {"cli_studies", "studies", "view", "stability", "simulation", "errors", "__init__"},
+    "scenario": {
+        "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "interface",
+        "formatting", "validation", "errors",
+    },
+    "cli_studies": {"cli", "studies", "view", "errors"},
+    "cli": {
+        "cli_studies", "scenario", "paper", "view", "stability", "simulation", "robots", "errors",
+        "__init__",
+    },
     "__main__": {"cli"},
 }  # fmt: skip
 

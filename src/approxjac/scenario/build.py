@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,7 @@ from approxjac.controllers import (
     default_gains,
 )
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import joined
 from approxjac.interface import Controller
 from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
@@ -37,8 +37,16 @@ from approxjac.scenario.images import image_scene
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing
-from approxjac.tasks import CombinedTask, ImageTask, PlanarCamera, PoseTask, PositionTask
-from approxjac.tasks import StackedTask, Task
+from approxjac.tasks import (
+    CombinedTask,
+    ImageTask,
+    PlanarCamera,
+    PoseTask,
+    PositionTask,
+    StackedTask,
+    Task,
+)
+from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_array
 
 if TYPE_CHECKING:
@@ -46,8 +54,6 @@ if TYPE_CHECKING:
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
 _SETTLED = 4.0  # time constants until 2 % are left
-# A simulated arm waits for the solver: what comes out must not depend on how busy a machine is.
-_PATIENCE = 10.0  # [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,23 +212,25 @@ def _planar_camera(scenario: Scenario) -> PlanarCamera:
 def _start(plant: Plant, scenario: Scenario, draw: Callable[[], Array]) -> Array:
     start = scenario.run.start
     if start is None:
-        return plant.ready_posture()
+        return plant.ready_configuration()
     return draw() if start == "random" else configuration_of(plant.robot, "run.start", start)
 
 
 def _target(sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array]) -> Array:
     goal = scenario.run.target
     if goal.offset is not None:
-        offset = as_array("run.target.offset", goal.offset, (sensor.m,), sensor.unit)
+        offset = as_array("run.target.offset", goal.offset, (sensor.m,), joined(sensor.units))
         return sensor.displaced(sensor.value(q0), offset)
     if goal.configuration is not None:
         name = "run.target.configuration"
         return sensor.value(configuration_of(sensor.robot, name, goal.configuration))
     if goal.at is None:
         return sensor.value(draw())
-    if sensor.unit == "px":  # the depths of an image are not what one goes to
+    if (
+        isinstance(sensor, ImageTask) and "px" in sensor.units
+    ):  # the depths of an image are not what one goes to
         images = as_array("run.target", goal.at, (sensor.m,), "px")
-        drawn = sensor.with_error(sensor.value(draw()), sensor.origin, images)
+        drawn = with_error(sensor, sensor.value(draw()), sensor._origin, images)
         return sensor.target(drawn)
     return sensor.target(goal.at)
 
@@ -306,20 +314,20 @@ def limited(
     law: SetpointController | VelocityServo, limits: Limits, scenario: Scenario
 ) -> Controller:
     """Wrap a law into the limiter that a scenario chooses."""
-    kind, dt = scenario.controller.limiter or "qp", sampling_time(scenario)
+    kind = scenario.controller.limiter or "qp"
     if kind == "clip":
-        return TorqueClipped(law, limits, dt=dt)
+        return TorqueClipped(law, limits)
     if kind == "scale":
-        return TaskTorqueScaled(law, limits, dt=dt)
+        return TaskTorqueScaled(law, limits)
     proof = isinstance(law, SetpointController)  # the others have none
-    return TorqueLimited(law, limits, dt=dt, time_budget=_PATIENCE, proof=proof)
+    return TorqueLimited(law, limits, dt=sampling_time(scenario), proof=proof)
 
 
 def _held(controller: Controller, scenario: Scenario) -> Controller:
     unseen = scenario.controller.unseen
     if unseen is None:
         return controller
-    return HeldMeasurement(controller, unseen, dt=sampling_time(scenario))
+    return HeldMeasurement(controller, unseen)
 
 
 # -- the plant --------------------------------------------------------------------------

@@ -65,7 +65,7 @@ class ImageResult(Result):
     @cached_property
     def unseen(self) -> Mask:
         """Whether a point was out of the true camera's view at each instant, shape (N,)."""
-        return np.array([not np.isfinite(self.sensor.seen(x)).all() for x in self.run.x])
+        return np.array([not np.isfinite(self.sensor._seen(x)).all() for x in self.run.x])
 
     @property
     def braked(self) -> Mask:

@@ -15,7 +15,7 @@ from approxjac.scenario.records import Camera, CameraError
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation.ready_configuration import holdable
 from approxjac.tasks import FrameKinematics, ImageTask, PinholeCamera
-from approxjac.tasks.task import seen_postures
+from approxjac.tasks.analysis import seen_configurations
 from approxjac.validation import Array, as_array
 
 _FOCAL_LENGTH = 600.0  # [px]
@@ -86,7 +86,7 @@ def _watched(
         q0 = configuration_of(truth, "run.start", scenario.run.start)
         _require_seen(sensor, q0)
     _require_in_view(scene)
-    ratio = _usual_ratio([(sensor, q) for q in seen_postures(sensor, _SAMPLES)])
+    ratio = _usual_ratio([(sensor, q) for q in seen_configurations(sensor, _SAMPLES)])
 
     def draw() -> Array:
         for _ in range(_TRIES):
@@ -189,7 +189,9 @@ def _image_tasks(
     measured = "measured" if depth == "measured" else "believed"
     return ImageScene(
         ImageTask(truth, camera, points=points, depth=measured),
-        ImageTask(belief, believed, points=points, depth=constant if depth == "constant" else depth),
+        ImageTask(
+            belief, believed, points=points, depth=constant if depth == "constant" else depth
+        ),
     )
 
 
@@ -280,7 +282,7 @@ def _require_seen(sensor: ImageTask, q0: Array) -> None:
 def _require_in_view(scene: ImageScene) -> None:
     for which, task in (("true", scene.sensor), ("believed", scene.task)):
         try:
-            seen_postures(task, 1)
+            seen_configurations(task, 1)
         except InvalidInputError as error:
             raise InvalidInputError(
                 f"the {which} camera must see the points in some configuration: give another "

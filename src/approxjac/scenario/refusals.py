@@ -67,7 +67,10 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
     if isinstance(scenario.loop.dt, str):
         at = "needs a loop.dt in s"
         rules += [(f"controller.{name}", True, at, "continuous") for name in ("limits", "unseen")]
-        rules += [("sensor", True, at, "continuous"), ("loop.actuator_delay", True, at, "continuous")]
+        rules += [
+            ("sensor", True, at, "continuous"),
+            ("loop.actuator_delay", True, at, "continuous"),
+        ]
     for kind in ("true", "believed"):  # what a camera in hand watches is not the object
         weightless = in_hand and _value(scenario, f"{kind}.object.mass") == 0.0
         needs = f"needs {kind}.object.mass"

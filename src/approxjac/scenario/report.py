@@ -192,7 +192,9 @@ def _limits(result: Result) -> list[str]:
         shares = ", ".join(f"{s.name} {100.0 * n:.3g} %" for s, n in tally.shares().items())
         slack, speed = tally.largest_slack, result.peak_speed_ratio
         known = "slack not known" if math.isnan(slack) else f"slack up to {slack:.3g} W"
-        fast = "no speed limit known" if math.isnan(speed) else f"speeds up to {speed:.3g} of theirs"
+        fast = (
+            "no speed limit known" if math.isnan(speed) else f"speeds up to {speed:.3g} of theirs"
+        )
         urdf = chosen.limits == "urdf"
         which = "the URDF's effort limits" if urdf else f"{chosen.limits} of the effort limits"
         lines += [

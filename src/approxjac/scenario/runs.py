@@ -25,7 +25,7 @@ def result_of(
     tally = None
     if built.limits is not None:
         tally = observer = Tally(np.asarray(built.limits.effort), observer)
-    kind = ImageResult if built.plant.sensor.unit == "px" else Result
+    kind = ImageResult if "px" in built.plant.sensor.units else Result
     return kind(built, record(built, progress, observer), tally)
 
 

@@ -18,6 +18,7 @@ from approxjac.validation import as_number
 
 Table = Mapping[str, Any]
 Record = TypeVar("Record")
+_UNIONS = (Union, types.UnionType)
 
 
 @cache
@@ -124,7 +125,7 @@ def _value(hint: Any, value: Any, key: str, where: str) -> Any:
 def _converted(hint: Any, value: Any) -> Any:
     """Return a value as a field of that type has it; a TypeError where it is of another."""
     origin, inner = get_origin(hint), get_args(hint)
-    if origin in (Union, types.UnionType):
+    if origin in _UNIONS:
         return _first_that_fits(inner, value)
     if origin is Literal:
         return _converted(str, value)  # which one is looked at with all that there are
@@ -163,11 +164,11 @@ def _first_that_fits(kinds: Sequence[Any], value: Any) -> Any:
 
 def _require_choice(hint: Any, value: Any, key: str, table: str) -> None:
     """Refuse a word that is none of those that a field may be."""
-    kinds = [hint, *get_args(hint)]
+    kinds = get_args(hint) if get_origin(hint) in _UNIONS else (hint,)
     choices = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
     if not isinstance(value, str) or str in kinds or value in choices:
         return
-    if all(kind is type(None) or get_origin(kind) is Literal for kind in get_args(hint) or [hint]):
+    if all(kind is type(None) or get_origin(kind) is Literal for kind in kinds):
         raise UnknownNameError(key, value, table, choices)
     raise InvalidInputError(f"{key} must be {_wanted(hint)}, got {value!r}", given=value)
 
@@ -181,7 +182,7 @@ def _require_bounds(key: str, value: Any, bounds: Mapping[str, float]) -> None:
 def _wanted(hint: Any) -> str:
     """Return what a value of a type is, in words."""
     origin, inner = get_origin(hint), get_args(hint)
-    if origin in (Union, types.UnionType):
+    if origin in _UNIONS:
         return " or ".join(_wanted(each) for each in inner if each is not type(None))
     if origin is Literal:
         return " or ".join(json.dumps(word) for word in inner)
@@ -204,9 +205,15 @@ def _toml(value: Any) -> str:
         return "{ " + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _quoted(value) if isinstance(value, str) else repr(value)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")  # as JSON but for this
 
 
 def _key(name: str) -> str:
     bare = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
-    return name if bare else json.dumps(name, ensure_ascii=False)
+    return name if bare else _quoted(name)

@@ -1,0 +1,113 @@
+"""The command line as a whole: help, completion, exit codes, output."""
+
+import fcntl
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
+
+import pytest
+
+import approxjac as aj
+from approxjac.cli import main
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "approxjac", *arguments], capture_output=True, text=True, check=False
+    )
+
+
+def test_arguments_that_do_not_parse_give_exit_code_2():
+    process = run("paper", "--inertia", "ring")
+    assert process.returncode == 2
+    assert "ring" in process.stderr + process.stdout
+
+
+def test_help_and_version(capsys):
+    assert run("paper", "--help").returncode == 0
+    assert "--duration" in run("paper", "--help").stdout
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"approxjac {aj.__version__}\n"
+
+
+def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all():
+    listed, own = run("--help").stdout, run("stability", "--help").stdout
+    assert "Tell whether a controller is stable before anything moves" in listed
+    assert "Exit code" not in listed
+    assert "Example: approxjac stability panda --object-length 0 0.3" in own
+    assert "Exit code 0 if Theorem 1 or the matrix form certifies the region, 1 if not." in own
+
+
+@pytest.mark.parametrize("command", ["simulate", "stability", "servo"])
+def test_every_length_and_time_in_the_help_has_its_unit(command):
+    text = run(command, "--help").stdout.split("positional arguments")[1]  # after the example
+    text = " ".join(text.replace("│", " ").split())
+    lengths = [name for name in ("--object-length", "--believed-length") if name in text]
+    for name in lengths:
+        assert text.split(name, 1)[1].split("(default", 1)[0].endswith(" m. "), name
+    assert text.split("--settling-time", 1)[1].split("(default", 1)[0].endswith(" s. ")
+
+
+def test_a_command_that_does_not_exist_is_one_line_with_what_was_meant(capsys):
+    assert main(["simulat", "panda"]) == 2
+    assert capsys.readouterr().err == (
+        "approxjac: command 'simulat' not in approxjac; did you mean 'simulate'?\n"
+    )
+
+
+def test_the_shell_completes_commands_and_options(tmp_path):
+    script = tmp_path / "approxjac.bash"
+    assert run("--tyro-write-completion", "bash", str(script)).returncode == 0
+    subprocess.run(["bash", "-n", str(script)], check=True)
+    ask = (
+        f"source {script}; COMP_WORDS=(approxjac simulate --object-l); COMP_CWORD=2; "
+        '_tyro_approxjac; echo "${COMPREPLY[@]}"; '
+        'COMP_WORDS=(approxjac stab); COMP_CWORD=1; _tyro_approxjac; echo "${COMPREPLY[@]}"'
+    )
+    answer = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == ["--object-length", "stability"]
+    assert run("--tyro-print-completion", "zsh").stdout.startswith("#compdef approxjac")
+
+
+def test_the_command_line_imports_nothing_slow():
+    code = "import sys, approxjac.cli; print(*sys.modules)"
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    loaded = {name.split(".")[0] for name in process.stdout.split()}
+    slow = {"matplotlib", "scipy", "meshcat", "trimesh", "mujoco", "osqp", "qpsolvers"}
+    assert not slow & loaded
+
+
+def test_a_terminal_gets_a_progress_bar(tmp_path):
+    controller, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "approxjac", "paper", "--out", str(tmp_path), "--figures", "4"],
+        stdout=subprocess.DEVNULL,
+        stderr=terminal,
+    )
+    os.close(terminal)
+    shown = b""
+    while True:
+        try:
+            chunk = os.read(controller, 4096)
+        except OSError:
+            break
+        if not chunk:
+            break
+        shown += chunk
+    assert process.wait(timeout=60) == 0
+    assert b"figure 4" in shown
+    assert b"100%" in shown
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    words = [sys.executable, "-m", "approxjac", "robots"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() in (0, 128 + 13)  # all was written, or nobody read it

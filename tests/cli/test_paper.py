@@ -1,0 +1,217 @@
+"""`approxjac paper`: its files, its verdicts, and what it refuses."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from pictures import pixels
+from PIL import Image
+
+import approxjac as aj
+from approxjac.cli import main
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "approxjac", *arguments], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory):
+    """The whole study, run once as a user runs it."""
+    out = tmp_path_factory.mktemp("paper")
+    return out, run("paper", "--out", str(out))
+
+
+def test_the_study_makes_every_file(paper):
+    out, process = paper
+    assert process.returncode == 0
+    assert process.stderr == ""  # the progress bar is for terminals only
+    figures = ["fig1", *(f"fig{n}" for n in range(3, 9))]
+    for name in figures:
+        picture = Image.open(out / f"{name}.png")
+        assert len(np.unique(np.asarray(picture.convert("L")))) > 50
+        assert (out / f"{name}.svg").read_text().rstrip().endswith("</svg>")
+    for name in figures[1:]:
+        assert aj.Trajectory.load(out / f"{name}.npz").t[-1] == 120.0
+
+
+def test_the_summary_has_the_agreed_form(paper):
+    summary = json.loads((paper[0] / "summary.json").read_text())
+    figures = summary["figures"]
+    assert sorted(figures) == ["fig1", *(f"fig{n}" for n in range(3, 9))]
+    for n in range(3, 9):
+        entry = figures[f"fig{n}"]
+        assert sorted(entry["error_ratio"], key=float) == ["5", "20", "60", "120"]
+        assert entry["verdict"] == ("unstable" if n == 3 else "stable")
+        assert entry["agrees_with_paper"] is True
+        assert (entry["max_real_eigenvalue"] > 0.0) == (n == 3)
+    assert figures["fig5"]["max_real_eigenvalue"] == pytest.approx(-0.0130, abs=5e-5)
+    assert figures["fig8"]["theta_hat"] == pytest.approx([3.5, 1.625], rel=0.01)
+    true = {"focal_length": 0.05, "distance": 3.0, "roll": 0.0}
+    assert summary["truth"] == {"lengths": [1.0, 1.0, 0.5], "object_mass": 0.5, "camera": true}
+    assert figures["fig6"]["believed"] == {"lengths": [0.75, 1.25, 0.0], "camera": true}
+    assert (figures["fig7"]["kp"], figures["fig7"]["kv"]) == (5000.0, 30000.0)
+    assert figures["fig7"]["gravity"] == "known"
+    assert figures["fig8"]["gravity"]["L"] == 0.12
+    assert figures["fig1"]["condition_23_met_by_figure_4"] is False
+    assert figures["fig1"]["allowed_p_at_a_of_figure_4"] < figures["fig1"]["largest_allowed_p"]
+
+
+def test_the_table_stands_beside_the_papers_words(paper):
+    text = paper[1].stdout
+    assert "+0.0588   0.5077  1.2592  1.6850  1.5700  unstable  “an unstable response”" in text
+    assert "Theorem 1 does not cover it" in text
+    assert "learnt θ̂ = (3.5001, 1.6248) kg m" in text
+    assert "differs" not in text
+
+
+def test_single_figures_and_options(tmp_path, capsys):
+    code = main(
+        ["paper", "--out", str(tmp_path), "--figures", "4", "--duration", "30", "--friction", "0.5"]
+    )
+    assert code == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "fig4.html", "fig4.npz", "fig4.png", "fig4.svg", "index.html", "summary.json",
+    ]  # fmt: skip
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert list(summary["figures"]) == ["fig4"]
+    assert summary["setup"]["friction"] == 0.5
+    assert sorted(summary["figures"]["fig4"]["error_ratio"]) == ["20", "5"]
+    assert "Figure 1" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        (["--gamma", "0.005"], {"gamma": 0.005}),
+        (["--inertia", "point-mass"], {"inertia": "point-mass"}),
+        (["--friction", "0.5"], {"friction": 0.5}),
+    ],
+)
+def test_each_option_reaches_the_run(tmp_path, option, expected):
+    usual, changed = tmp_path / "usual", tmp_path / "changed"
+    short = ["--figures", "4", "--duration", "2"]
+    main(["paper", "--out", str(usual), *short])
+    main(["paper", "--out", str(changed), *short, *option])
+    setup = json.loads((changed / "summary.json").read_text())["setup"]
+    assert expected.items() <= setup.items()
+    runs = [aj.Trajectory.load(folder / "fig4.npz") for folder in (usual, changed)]
+    assert np.abs(runs[0].q - runs[1].q).max() > 1e-3
+
+
+def test_a_singular_target_is_no_crash(tmp_path, capsys):
+    arguments = ["--figures", "1", "4", "--target", "0", "0", "--duration", "5"]
+    assert main(["paper", "--out", str(tmp_path), *arguments]) == 1
+    assert "singular posture" in capsys.readouterr().out
+
+
+def test_a_verdict_whose_evidence_differs_gives_its_reason(tmp_path, capsys):
+    main(["paper", "--out", str(tmp_path), "--figures", "3", "--duration", "1"])
+    assert "they differ: the run may be too short" in capsys.readouterr().out
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["figures"]["fig3"]["evidence_agrees"] is False
+
+
+def test_an_output_that_knows_no_greek_is_no_crash(tmp_path):
+    process = subprocess.run(
+        [sys.executable, "-m", "approxjac", "paper", "--out", str(tmp_path), "--figures", "4"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert process.returncode == 0
+    assert "max Re ?" in process.stdout
+
+
+def test_a_file_in_the_way_gives_exit_code_2(tmp_path, capsys):
+    (tmp_path / "fig1.png").mkdir()
+    assert main(["paper", "--out", str(tmp_path), "--figures", "1"]) == 2
+    assert "fig1.png" in capsys.readouterr().err
+
+
+def test_degrees_become_radians(tmp_path):
+    arguments = ["--start", "30", "60", "--target", "80", "70", "--duration", "1"]
+    main(["paper", "--out", str(tmp_path), "--figures", "4", *arguments])
+    setup = json.loads((tmp_path / "summary.json").read_text())["setup"]
+    assert setup["start"] == pytest.approx(np.radians([30, 60]))
+    assert setup["target"] == pytest.approx(np.radians([80, 70]))
+
+
+def test_a_verdict_that_differs_gives_exit_code_1(tmp_path, capsys):
+    # enough friction settles the response that the paper calls unstable
+    code = main(["paper", "--out", str(tmp_path), "--figures", "3", "--friction", "50"])
+    assert code == 1
+    out = capsys.readouterr().out
+    assert "<< differs" in out
+    assert "max Re λ = -" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--figures"], "approxjac: figures must name at least one figure, got none"),
+        (["--figures", "2"], "approxjac: figures must be among 1, 3, 4, 5, 6, 7, 8, got 2"),
+        (["--friction", "-1"], "approxjac: friction must be a finite number >= 0"),
+        (["--start", "90", "90"], "approxjac: start must not have the image of the target already"),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_exit_code_2(tmp_path, capsys, arguments, text):
+    assert main(["paper", "--out", str(tmp_path), *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(text)
+    assert captured.err.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_made(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["paper", "--out", str(tmp_path / "file" / "out"), "--figures", "1"]) == 2
+    assert "--out must be a folder that can be made, got" in capsys.readouterr().err
+
+
+def test_the_study_writes_pages_with_an_index(paper):
+    out, process = paper
+    assert f"See them move: {out / 'index.html'}" in process.stdout
+    index = (out / "index.html").read_text(encoding="utf-8")
+    for n in range(3, 9):
+        assert f'href="fig{n}.html"' in index
+        assert f'src="fig{n}.png"' in index
+        assert (out / f"fig{n}.html").stat().st_size < 4_000_000
+    assert index.index("fig1.png") < index.index("fig3.html") < index.index("fig8.html")
+    assert "wrong by 60°, a = 1 — unstable; the paper: “an unstable response”" in index
+
+
+@pytest.mark.study
+def test_the_pages_of_the_study_load(paper, open_page):
+    """And show how each run ends: its error, and the believed tip elsewhere if the arm is wrong."""
+    out, _ = paper
+    index = open_page(out / "index.html", (640, 480))
+    links = index.eval_on_selector_all("a", "links => links.map((a) => a.href)")
+    assert [link.rsplit("/", 1)[1] for link in links] == [f"fig{n}.html" for n in range(3, 9)]
+    for n, link in enumerate(links, start=3):
+        index.goto(link)
+        index.evaluate("approxjac.pause(); approxjac.seek(1e9)")
+        index.wait_for_timeout(150)
+        assert len(np.unique(pixels(index).reshape(-1, 3), axis=0)) > 300
+        run = aj.Trajectory.load(out / f"fig{n}.npz")
+        tip, believed, error = (
+            np.array(index.evaluate(f"approxjac.column('{name}').at(-1)"))
+            for name in ("tip", "believed_tip", "error")
+        )
+        np.testing.assert_allclose(error, 1e3 * run.error[-1], rtol=1e-5, atol=1e-9)
+        assert (np.linalg.norm(error) < 5.0) == (n != 3)
+        wrong_arm = n >= 6
+        assert (np.linalg.norm(tip - believed) > 0.05) == wrong_arm
+
+
+def test_without_meshcat_the_study_says_that_there_are_no_pages(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "meshcat.geometry", None)
+    main(["paper", "--figures", "6", "--duration", "1", "--out", str(tmp_path)])
+    told = capsys.readouterr().out
+    assert "There are no pages to see in a browser: the browser view needs meshcat" in told
+    assert "pip install 'approxjac[view]'" in told
+    assert not list(tmp_path.glob("*.html"))

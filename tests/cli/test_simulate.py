@@ -1,0 +1,145 @@
+"""`approxjac simulate`: files and options say the same, and what becomes of them."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import approxjac as aj
+from approxjac.cli import main
+from approxjac.scenario import Scenario
+
+HOME = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
+TOML = f"""
+robot = "panda"
+
+[true]
+object = {{ length = 0.3 }}
+
+[believed]
+shifts = {{ panda_joint4 = [0.0, 0.01, 0.0] }}
+
+[controller]
+gravity = "exact"
+
+[loop]
+dt = 0.002
+
+[run]
+start = {HOME}
+target = {{ offset = [0.05, -0.05, 0.05] }}
+duration = 6.0
+"""
+OPTIONS = [
+    "simulate", "panda", "--object-length", "0.3", "--believed.shifts", "panda_joint4", "0",
+    "0.01", "0", "--start", *map(str, HOME), "--target-offset", "0.05", "-0.05", "0.05",
+    "--gravity", "exact", "--duration", "6", "--loop.dt", "0.002",
+]  # fmt: skip
+
+
+def outcome(folder):
+    return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def reach(tmp_path):
+    path = tmp_path / "reach.toml"
+    path.write_text(TOML, encoding="utf-8")
+    return path
+
+
+def test_it_prints_and_writes_what_became_of_it(tmp_path):
+    process = subprocess.run(
+        [sys.executable, "-m", "approxjac", *OPTIONS, "--out", str(tmp_path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert process.returncode == 0, process.stderr
+    assert process.stderr == ""
+    assert "verdict     converged" in process.stdout
+    summary = outcome(tmp_path)
+    assert summary["verdict"] == "converged"
+    assert summary["final_error_m"] < 1e-3
+    for name in ("final_error_m", "settling_time_s", "peak_torque_ratio"):
+        assert isinstance(summary[name], float)
+    picture = Image.open(tmp_path / "run.png")
+    assert len(np.unique(np.asarray(picture.convert("L")))) > 50
+    assert aj.Trajectory.load(tmp_path / "run.npz").t[-1] == pytest.approx(6.0)
+
+
+def test_a_file_says_the_same_as_options_and_options_come_before_it(reach, tmp_path):
+    assert main(["simulate", str(reach), "--out", str(tmp_path / "a")]) == 0
+    assert main([*OPTIONS, "--out", str(tmp_path / "b"), "--save", str(tmp_path / "b.toml")]) == 0
+    assert outcome(tmp_path / "a") == outcome(tmp_path / "b")
+    assert Scenario.load(reach) == Scenario.load(tmp_path / "b.toml")
+    assert Scenario.load(reach) == Scenario.load(tmp_path / "a" / "scenario.toml")
+    words = ["--duration", "0.5", "--out", str(tmp_path / "c")]
+    assert main(["simulate", str(reach), *words]) == 1
+    short = outcome(tmp_path / "c")
+    assert short["scenario"]["run"]["duration"] == 0.5
+    assert short["scenario"]["true"]["object"]["length"] == 0.3
+    assert short["verdict"] == "not converged"
+
+
+def test_a_target_of_the_command_line_takes_the_place_of_that_of_the_file(reach, tmp_path):
+    for words in (["--target", "0.4", "0.1", "0.5"], ["--run.target.at", "0.4", "0.1", "0.5"]):
+        assert main(["simulate", *words, "--duration=0.1", str(reach), "--out", str(tmp_path)]) == 1
+        assert outcome(tmp_path)["target"] == [0.4, 0.1, 0.5]
+
+
+def test_values_that_begin_with_a_minus(tmp_path):
+    words = ["--object-axis=-x", "--duration", "0.1", "--out", str(tmp_path)]
+    assert main(["simulate", "panda", *words]) == 1
+    assert outcome(tmp_path)["scenario"]["true"]["object"]["axis"] == "-x"
+
+
+def test_with_limits_it_says_what_they_did(reach, tmp_path, capsys):
+    words = ["--limits", "0.5", "--limiter", "qp", "--settling-time", "0.5", "--duration", "0.2"]
+    assert main(["simulate", str(reach), *words, "--out", str(tmp_path / "run")]) == 1
+    assert "\nlimiter     qp, 0.5 of the effort limits: " in capsys.readouterr().out
+    assert outcome(tmp_path / "run")["limits"]["steps"] == 101
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("robot = 1", 'must name a robot, such as robot = "panda", got 1'),
+        ("[true]", "must name a robot"),
+        ("robot = ", "cannot be read as TOML"),
+        ('robot = "panda"\n[true]\nobject = { lenght = 0.1 }',
+         "key 'lenght' not in bad.toml [true.object]; did you mean 'length'"),
+        ('robot = "panda"\n[loop]\ndt = "fast"', 'loop.dt must be a number or "continuous", got'),
+        ('robot = "panda"\n[true]\nobject = { mass = "1" }',
+         "true.object.mass must be a number, got '1' in bad.toml"),
+    ],
+)  # fmt: skip
+def test_a_bad_file_is_one_clear_line(tmp_path, capsys, monkeypatch, text, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.toml").write_text(text, encoding="utf-8")
+    assert main(["simulate", "bad.toml"]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["pando"], "robot 'pando' not in the robots known by name; did you mean"),
+        (["panda", "--object-length", "-1"], "true.object.length must be a finite number >= 0"),
+        (["panda", "--true.floor", "0"], "true.floor needs true.engine mujoco"),
+        (["missing.toml"], "missing.toml does not exist"),
+        (["panda", "--limiter", "qp"], "controller.limiter needs controller.limits"),
+        (["panda", "--limits", "-1"], "controller.limits must be a finite number > 0"),
+        (["panda", "--task.kind", "image", "--task.points", "4"], "task.points must be 1, 2 or 3"),
+        (["panda", "--task.kind", "image", "--true.camera.focal-length", "0"],
+         "true.camera.focal_length must be a finite number > 0"),
+    ],
+)  # fmt: skip
+def test_bad_options_are_one_clear_line(tmp_path, capsys, words, message):
+    assert main(["simulate", *words, "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

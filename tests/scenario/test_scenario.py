@@ -1,0 +1,106 @@
+"""`Scenario`: the same from Python, a file and what it prints; wrong keys and values."""
+
+import dataclasses
+import types
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import approxjac as aj
+from approxjac.scenario import Scenario
+from approxjac.scenario.tables import hints
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "scenarios").glob("*.toml"))
+
+
+def values(hint, bounds=None) -> Any:
+    """Strategy for the values of a field."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return st.one_of([values(kind, bounds) for kind in inner])
+    if origin is Literal:
+        return st.sampled_from(inner)
+    if origin is dict:
+        return st.dictionaries(st.text(max_size=5), values(inner[1]), max_size=2)
+    if origin is tuple and inner[-1] is Ellipsis:
+        return st.lists(values(inner[0], bounds), max_size=3).map(tuple)
+    if origin is tuple:
+        return st.tuples(*(values(kind, bounds) for kind in inner))
+    low = 1.0 if bounds else None
+    return {
+        float: st.floats(low, 1e9, allow_nan=False, allow_infinity=False),
+        int: st.integers(20, 10**9),
+        str: st.text(max_size=8),
+        type(None): st.none(),
+    }[hint]
+
+
+def records(record):
+    """Strategy for records of a kind, each field of which may be as it is."""
+    fields = {}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if dataclasses.is_dataclass(value):
+            fields[field.name] = records(value)
+        elif field.name != "robot":
+            made = values(hints(type(record))[field.name], field.metadata)
+            # what is given by default otherwise than by None cannot be none again
+            fields[field.name] = st.one_of(st.just(value), made)
+    return st.builds(lambda **given: dataclasses.replace(record, **given), **fields)
+
+
+@settings(max_examples=25, deadline=None)
+@given(records(Scenario("panda")))
+def test_what_a_scenario_prints_makes_the_same_scenario(tmp_path_factory, scenario):
+    path = scenario.save(tmp_path_factory.getbasetemp() / "scenario.toml")
+    assert Scenario.load(path) == scenario
+
+
+def test_it_prints_what_differs_from_the_defaults():
+    scenario = Scenario(
+        "panda",
+        true={"object": {"length": 0.3}, "shifts": {"panda_joint4": (0, 0.01, 0)}},
+        controller={"kp": 400, "limits": "urdf"},
+        run={"target": {"offset": (0.1, 0, 0)}},
+    )
+    assert str(scenario) == (
+        'robot = "panda"\n\n[true]\nobject = { length = 0.3 }\n'
+        "shifts = { panda_joint4 = [0.0, 0.01, 0.0] }\n\n"
+        '[controller]\nkp = [400.0]\nlimits = "urdf"\n\n'
+        "[run]\ntarget = { offset = [0.1, 0.0, 0.0] }\n"
+    )
+    assert str(Scenario("ur5")) == 'robot = "ur5"\n'
+    assert scenario.true.object.mass == 0.5  # a table changes what it names
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_examples_are_built(path):
+    built = Scenario.load(path).build()
+    assert built.plant.sensor.value(built.q0).shape == built.target.shape
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"tru": {}}, "key 'tru' not in a scenario; did you mean 'true'"),
+        ({"true": {"objct": {}}}, r"key 'objct' not in \[true\]; did you mean 'object'"),
+        ({"true": 3}, "true must be a table of object, shifts, .*, got 3"),
+        ({"run": {"seed": 1.5}}, "run.seed must be a whole number, got 1.5"),
+        ({"run": {"seed": -1}}, "run.seed must be a finite number >= 0, got -1"),
+        ({"run": {"start": "rndom"}}, 'run.start must be a list of numbers or "random", got'),
+        ({"run": {"target": {"offst": (1,)}}}, r"key 'offst' not in \[run.target\]"),
+        ({"controller": {"law": "pid"}}, r"controller.law 'pid' not in \[controller\]; valid are"),
+        ({"controller": {"kp": (1, -1)}}, "controller.kp must be a finite number > 0, got -1"),
+        ({"sensor": {"lost": 3}}, "sensor.lost must be a list of 2 numbers, got 3"),
+        ({"sensor": {"noise": True}}, "sensor.noise must be a number, got True"),
+        ({"believed": {"shifts": {"a": (1, 2)}}}, "believed.shifts must be a table of names, each"),
+        ({"true": {"camera": {"size": (640, "b")}}}, "true.camera.size must be a list of 2 numbe"),
+    ],
+)
+def test_what_is_wrong_is_told_by_its_key(given, text):
+    with pytest.raises(aj.ApproxJacError, match=text) as caught:
+        Scenario("panda", **given) if "tru" not in given else Scenario("panda").with_values(given)
+    assert "\n" not in str(caught.value)
