@@ -34,6 +34,7 @@ from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.scenario.configurations import configuration_of, regular_configuration
 from approxjac.scenario.images import image_scene
+from approxjac.scenario.records import Sensor
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing
@@ -337,7 +338,7 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
     true, delay = scenario.true, scenario.loop.actuator_delay
     options: dict[str, Any] = {
         "coulomb": true.coulomb,
-        "sensing": _sensing(scenario, len(sensor.parts)),
+        "sensing": _sensing(scenario),
         "actuator_delay": delay,
         "torque_limits": motors if np.isfinite(motors).any() else None,
     }
@@ -346,28 +347,21 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
     return Plant(truth, sensor, true.friction, **options)
 
 
-def _sensing(scenario: Scenario, count: int) -> Sensing | None:
-    """Return how measurements of so many parts differ from the truth; None if they do not."""
+def _sensing(scenario: Scenario) -> Sensing | None:
+    """Return how measurements differ from the truth; None if they do not."""
     given = scenario.sensor
-    parts: Any = range(count)
-    if given.lost_part is not None:
-        if given.lost_part > count:
-            raise InvalidInputError(
-                f"sensor.lost_part must be one of the parts of x, 1 to {count}, "
-                f"got {given.lost_part}",
-                given=given.lost_part,
-            )
-        parts = (given.lost_part - 1,)
+    part = () if given.lost_part is None else (given.lost_part - 1,)
+    lost: Any = () if given.lost is None else ((*given.lost, *part),)
     sensing = Sensing(
         x_noise=given.noise,
         x_quantum=given.quantum,
         x_delay=given.delay,
         x_dropout=given.dropout,
         x_rate=given.rate,
-        x_lost=() if given.lost is None else tuple((*given.lost, part) for part in parts),
+        x_lost=lost,
         x_frozen=() if given.frozen is None else (given.frozen,),
         q_noise=given.q_noise,
         q_quantum=given.q_quantum,
         velocity_filter=given.velocity_filter,
     )
-    return None if given == type(given)() else sensing
+    return None if given == Sensor() else sensing

@@ -37,7 +37,7 @@ def require_effect(scenario: Scenario) -> None:
 
 
 def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
-    """What does nothing, or cannot be: key, whether it is so here, what it is for, what there is."""
+    """What does nothing: key, whether it is so here, what it is for, what there is."""
     task, control, true = scenario.task, scenario.controller, scenario.true
     servo, image = control.law == "velocity_servo", task.kind == "image"
     pinhole = image and true.camera.kind == "pinhole"
@@ -92,6 +92,13 @@ def _require_times(scenario: Scenario) -> None:
                 f"sensor.rate must be at most that of control, {1.0 / dt:g} [Hz], got {rate:g}",
                 given=rate,
             )
+    parts = max(scenario.task.points, len(scenario.task.frames))
+    if (scenario.sensor.lost_part or 1) > parts:
+        raise InvalidInputError(
+            f"sensor.lost_part must be one of the parts of x, 1 to {parts}, got "
+            f"{scenario.sensor.lost_part}",
+            given=scenario.sensor.lost_part,
+        )
     for name in ("lost", "frozen"):
         interval = getattr(scenario.sensor, name)
         if interval is not None and not max(0.0, interval[0]) < min(duration, interval[1]):
