@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -35,18 +35,40 @@ class FrameKinematics:
         self.frame = frame
         self._id = robot.frame_id(frame)
         self._model = robot.model
-        self._data = self._model.createData()
-        self._jacobian_of = partial(pin.computeFrameJacobian, self._model, self._data)
-        # live views: reading an attribute of Pinocchio's costs as much as computing
-        self._rotation = self._data.oMf[self._id].rotation
-        self._translation = self._data.oMf[self._id].translation
         # (cos, sin) pairs are looked at each time
         self._shape = (robot.nq,) if robot.nq == robot.nv else None
         self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
         self._all = robot.mimic_joints.model
-        self._all_data = self._data if self._all is self._model else self._all.createData()
-        self._id_in_all = self._all.getFrameId(frame, self._model.frames[self._id].type)
+
+    # Scratch memory is made when it is first needed: of truths that are drawn, many never need it.
+    # Of what Pinocchio holds these are live views, as to read it costs as much as to compute it.
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self._model.createData()
+
+    @cached_property
+    def _jacobian_of(self) -> partial[Array]:
+        return partial(pin.computeFrameJacobian, self._model, self._data)
+
+    @cached_property
+    def _rotation(self) -> Array:
+        rotation: Array = self._data.oMf[self._id].rotation
+        return rotation
+
+    @cached_property
+    def _translation(self) -> Array:
+        translation: Array = self._data.oMf[self._id].translation
+        return translation
+
+    @cached_property
+    def _all_data(self) -> pin.Data:
+        return self._data if self._all is self._model else self._all.createData()
+
+    @cached_property
+    def _id_in_all(self) -> int:
+        return int(self._all.getFrameId(self.frame, self._model.frames[self._id].type))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot, self.frame)  # a copy has scratch memory of its own
