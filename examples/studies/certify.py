@@ -21,8 +21,8 @@ from random_loops import Case, build, cases, damped
 
 import approxjac as aj
 from approxjac import law
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.matrix_form import MatrixForm, Weights
-from approxjac.stability.samples import Sampler
 
 NAMES = {
     "theorem1": "Theorem 1",
@@ -32,7 +32,7 @@ NAMES = {
 }
 TESTS = tuple(NAMES)  # Theorem 1 and the three families of the matrix form ("test 2")
 DAMPINGS = ((1.0, 1.0), (1.0, 4.0), (4.0, 4.0), (4.0, 16.0), (1.0, 0.25), (4.0, 1.0))
-POSTURES, FEW = 500, 120  # that a test looks at
+CONFIGURATIONS, FEW = 500, 120  # that a test looks at
 TIME_CONSTANTS, LONGEST, PIECES, UNSTABLE_RUN = 12.0, 200.0, 3, 10.0  # of a run; [s]
 RECORDS = 300
 CONVERGED = 1e-3  # of the error at the start
@@ -93,7 +93,7 @@ def run_case(case):
     chosen = functions(report)
     rises, unseen = watch(loop, report, pieces, chosen)
     judged = abs(local.decay_rate) > UNDECIDED
-    weakest = np.linalg.svd(report.scenarios.J_hat, compute_uv=False)[:, -1].min()
+    weakest = np.linalg.svd(report.samples.J_hat, compute_uv=False)[:, -1].min()
     return Outcome(
         case,
         loop.radius,
@@ -112,10 +112,10 @@ def run_case(case):
     )
 
 
-def assess(loop, postures=POSTURES):
+def assess(loop, configurations=CONFIGURATIONS):
     """Return what the tests say before anything moves."""
     return aj.stability_report(
-        loop.controller, loop.plant, loop.region, target=loop.target, postures=postures
+        loop.controller, loop.plant, loop.region, target=loop.target, configurations=configurations
     )
 
 
@@ -164,13 +164,13 @@ def watch(loop, report, pieces, chosen):
     """Return the largest rise of each V and the least margin on the way, both in the region."""
     largest, steepest = dict.fromkeys(chosen, 0.0), dict.fromkeys(chosen, 0.0)
     unseen = dict.fromkeys(chosen, math.inf)
-    sampler = Sampler(loop.controller, [loop.plant], loop.region, loop.target)
+    closed = ClosedLoop(loop.controller, loop.plant, loop.region, loop.target)
     setting = report.theorem1.setting
     for piece in pieces if chosen else ():
         kept = np.flatnonzero([loop.region.contains(q) for q in piece.q])
         if not len(kept):
             continue
-        seen = sampler.at(np.zeros(len(kept), dtype=int), piece.q[kept])
+        seen = closed.samples_at(np.zeros(len(kept), dtype=int), piece.q[kept])
         form, follow = MatrixForm(seen, setting), np.diff(kept) == 1
         for name, weights in chosen.items():
             V = lyapunov(loop, seen, setting, weights, piece, kept)
@@ -213,7 +213,7 @@ def near_rate(loop, rate):
 
 def wrong_way(report):
     """Return the share of configurations where J D⁻¹ĴᵀK_p, the slow motion, has unstable modes."""
-    at, setting = report.scenarios, report.theorem1.setting
+    at, setting = report.samples, report.theorem1.setting
     D = law.dissipation(at.J_hat, setting.kv, setting.B)
     flow = at.J @ np.linalg.solve(D, np.swapaxes(at.J_hat, -1, -2)) * setting.kp
     return float((np.linalg.eigvals(flow).real.min(axis=-1) <= 0.0).mean())
@@ -227,7 +227,7 @@ def choose_damping(loop, report):
         return DAMPINGS[0]
     for factors in DAMPINGS[1:]:
         other = damped(loop, *factors)
-        # most fail, and few postures tell
+        # most fail, and few configurations tell
         if certified_by_test_2(assess(other, FEW)) and certified_by_test_2(assess(other)):
             local = aj.local_stability(other.plant, other.controller, other.q_target)
             if move(other, local.decay_rate)[1]:

@@ -13,9 +13,8 @@ from common import head, parser, row, write
 
 import approxjac as aj
 from approxjac import law, paper
-from approxjac.stability.closed_loop import setting_of
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.matrix_form import MatrixForm, best_weights
-from approxjac.stability.samples import Sampler
 from approxjac.stability.theorem1 import theorem1
 
 FIGURES = (3, 4, 5, 6, 7)
@@ -35,7 +34,7 @@ def verdict(figure):
             plant,
             aj.JointBox.around(plant.robot, q, radius),
             target=plant.sensor.value(q),
-            postures=20 if radius == 0.0 else 600,
+            configurations=20 if radius == 0.0 else 600,
         )
         for radius in RADII
     ]
@@ -81,9 +80,9 @@ def passes(test, roll, large_gains):
     plant, controller = paper.build(experiment, setup)
     q = np.array(setup.target)
     region = aj.JointBox.around(plant.robot, q, 0.0)
-    sampler = Sampler(controller, [plant], region, plant.sensor.value(q))
-    at_target = sampler.at(np.zeros(1, dtype=int), q[None])
-    setting = replace(setting_of(controller, plant), large_gains=large_gains)
+    loop = ClosedLoop(controller, plant, region, plant.sensor.value(q))
+    at_target = loop.samples_at(np.zeros(1, dtype=int), q[None])
+    setting = replace(loop.setting, large_gains=large_gains)
     if test == "theorem1":
         first = theorem1(at_target, setting)
         return first.p < (first.allowed_p_large_gains if large_gains else first.allowed_p)

@@ -91,6 +91,19 @@ def as_number(
     return number
 
 
+def as_integer(name: str, value: Any, minimum: int) -> int:
+    """Return `value` if it is an integer >= `minimum`.
+
+    Raises:
+        InvalidInputError: It is not.
+    """
+    if type(value) is not int or value < minimum:
+        raise InvalidInputError(
+            f"{name} must be an integer >= {minimum}, got {value!r}", given=value
+        )
+    return value
+
+
 def as_diagonal(
     name: str, value: Any, size: int, *, unit: str = "", positive: bool = True
 ) -> Array:

@@ -45,12 +45,12 @@ def measured(rounds=ROUNDS):
     region = aj.JointBox.around(arm, CENTRE, 0.3)
     truth = errors.plant([0.2, 0.5])
     drawn = region.sample(POSTURES, np.random.default_rng(0))
-    aj.stability_report(controller, truth, region, postures=100)  # imports SciPy
+    aj.stability_report(controller, truth, region, configurations=100)  # imports SciPy
     axes = np.linspace(0.0, 3.0, 40), np.geomspace(0.5, 50.0, 40)
     return [
         float(np.median([seconds(work) for _ in range(rounds)]))
         for work in (
-            lambda: aj.stability_report(controller, truth, region, postures=POSTURES),
+            lambda: aj.stability_report(controller, truth, region, configurations=POSTURES),
             lambda: aj.stability_map(
                 controller, errors, region, names=("error", "a"), x=axes[0], y=axes[1], coarse=0
             ),

@@ -285,7 +285,7 @@ def test_a_report_of_an_own_saturation_is_that_of_the_librarys():
     own_report, report = (
         aj.stability_report(
             aj.SetpointController(believed, aj.Gains(60.0, 40.0, 1.0), saturation=s),
-            plant, box, postures=50,
+            plant, box, configurations=50,
         )
         for s in (Own(0.1), aj.Tanh(0.1))
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Tests 1 and 2: Theorem 1 and the matrix form, on single postures and over regions."""
+"""Tests 1 and 2: Theorem 1 and the matrix form, on single configurations and over regions."""
 
 import math
 from dataclasses import replace
@@ -11,22 +11,21 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law, paper
-from approxjac.stability.closed_loop import setting_of
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.matrix_form import FAMILIES, MatrixForm, Setting, Weights, best_weights
-from approxjac.stability.samples import Sampler
 from approxjac.stability.theorem1 import theorem1
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 
 
 def at_target(figure):
-    """The scenario at the target of one of the paper's figures, and its setting."""
+    """The sample at the target of one of the paper's figures, and its setting."""
     setup = paper.Setup()
     plant, controller = paper.build(paper.EXPERIMENTS[figure], setup)
     q = np.array(setup.target)
     region = aj.JointBox.around(plant.robot, q, 0.0)
-    sampler = Sampler(controller, [plant], region, plant.sensor.value(q))
-    return sampler.draw(1, np.random.default_rng(0)), setting_of(controller, plant)
+    loop = ClosedLoop(controller, plant, region, plant.sensor.value(q))
+    return loop.draw(1, np.random.default_rng(0)), loop.setting
 
 
 def on_panda(length, damping, radius=0.3, n=300, gains=(400.0, 80.0), target=None):
@@ -34,8 +33,8 @@ def on_panda(length, damping, radius=0.3, n=300, gains=(400.0, 80.0), target=Non
     truth, belief = arm.with_object(length, 0.5), arm.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
     controller = aj.SetpointController(aj.PositionTask(belief), aj.Gains(*gains, damping))
-    sampler = Sampler(controller, [plant], aj.JointBox.around(arm, Q, radius), target)
-    return sampler.draw(n, np.random.default_rng(0)), setting_of(controller, plant)
+    loop = ClosedLoop(controller, plant, aj.JointBox.around(arm, Q, radius), target)
+    return loop.draw(n, np.random.default_rng(0)), loop.setting
 
 
 # -- Theorem 1 ------------------------------------------------------------------------------
@@ -54,8 +53,8 @@ def test_theorem_1_certifies_neither_figure_4_nor_5():
 
 
 def test_theorem_1_holds_for_small_errors_and_says_for_which_alpha():
-    scenarios, setting = on_panda(0.005, 5.0, radius=0.1)
-    found = theorem1(scenarios, setting)
+    samples, setting = on_panda(0.005, 5.0, radius=0.1)
+    found = theorem1(samples, setting)
     assert found.holds
     low, high = found.alpha_range
     assert 0.0 < low < found.alpha < high <= found.alpha_max
@@ -65,16 +64,16 @@ def test_theorem_1_holds_for_small_errors_and_says_for_which_alpha():
 
 
 def test_theorem_1_with_the_alpha_of_an_adaptation_has_no_other():
-    scenarios, setting = on_panda(0.005, 5.0, radius=0.1)
-    free = theorem1(scenarios, setting)
+    samples, setting = on_panda(0.005, 5.0, radius=0.1)
+    free = theorem1(samples, setting)
     low, high = free.alpha_range
     for alpha, holds in ((0.9 * low, False), (1.1 * low, True), (0.9 * high, True)):
-        learnt = theorem1(scenarios, replace(setting, fixed_alpha=alpha))
+        learnt = theorem1(samples, replace(setting, fixed_alpha=alpha))
         assert learnt.alpha == alpha
         assert learnt.holds == holds
         assert_allclose(learnt.alpha_range, [alpha] * 2 if holds else [np.nan] * 2, atol=0.0)
         assert learnt.allowed_p < free.allowed_p  # which is with the best α
-    beyond = theorem1(scenarios, replace(setting, fixed_alpha=1.01 * free.alpha_max))
+    beyond = theorem1(samples, replace(setting, fixed_alpha=1.01 * free.alpha_max))
     assert beyond.allowed_p == 0.0  # (14) does not hold, whatever p is
     assert beyond.margin == -math.inf
 
@@ -82,41 +81,39 @@ def test_theorem_1_with_the_alpha_of_an_adaptation_has_no_other():
 def test_theorem_1_is_weaker_than_its_matrix_form():
     """Where Theorem 1 holds, Q and V are positive for its own α with the paper's weights."""
     for length, damping in ((0.005, 5.0), (0.01, 10.0), (0.03, 20.0)):
-        scenarios, setting = on_panda(length, damping, radius=0.1)
-        found = theorem1(scenarios, setting)
+        samples, setting = on_panda(length, damping, radius=0.1)
+        found = theorem1(samples, setting)
         assert found.holds
-        form = MatrixForm(scenarios, setting)
+        form = MatrixForm(samples, setting)
         for alpha in (found.alpha, *found.alpha_range):
             weights = Weights(alpha * np.eye(3), np.zeros((3, 3)), setting.kp + alpha * setting.kv)
             assert (form.margins(weights) > 0.0).all()
 
 
-def test_constants_are_those_of_their_scenario():
-    scenarios, setting = on_panda(0.1, 5.0)
-    found = theorem1(scenarios, setting)
+def test_constants_are_those_of_their_sample():
+    samples, setting = on_panda(0.1, 5.0)
+    found = theorem1(samples, setting)
     k = found.worst["p"]
-    assert found.p == law.jacobian_error(scenarios.J[k], scenarios.J_hat[k])
+    assert found.p == law.jacobian_error(samples.J[k], samples.J_hat[k])
     k = found.worst["b_J"]
-    assert_allclose(found.b_J, np.linalg.norm(scenarios.J[k], 2))
+    assert_allclose(found.b_J, np.linalg.norm(samples.J[k], 2))
     k = found.worst["lambda_2"]
-    assert_allclose(found.lambda_2, law.lambda_2(scenarios.J_hat[k], setting.B / 80.0))
+    assert_allclose(found.lambda_2, law.lambda_2(samples.J_hat[k], setting.B / 80.0))
     k = found.worst["lambda_m"]
-    pinv = law.right_pinv(scenarios.J_hat[k])
-    assert_allclose(found.lambda_m, np.linalg.eigvalsh(pinv.T @ scenarios.M[k] @ pinv)[-1])
+    pinv = law.right_pinv(samples.J_hat[k])
+    assert_allclose(found.lambda_m, np.linalg.eigvalsh(pinv.T @ samples.M[k] @ pinv)[-1])
 
 
 def test_c0_and_c1_bound_what_eq_15_says(panda):
     """|αs(e)ᵀĴ⁺ᵀ(…)q̇| ≤ αc₀‖q̇‖² + αc₁‖s‖² for random velocities: the last terms of W."""
-    scenarios, setting = on_panda(0.2, 5.0, n=50)
-    found = theorem1(scenarios, setting)
-    G, dG = law.cross_weight_pinv(scenarios.J_hat, scenarios.dJ_hat)
-    N = law.inertial_block(
-        scenarios.M, scenarios.dM, scenarios.J, G, dG, scenarios.s, scenarios.slope
-    )
+    samples, setting = on_panda(0.2, 5.0, n=50)
+    found = theorem1(samples, setting)
+    G, dG = law.cross_weight_pinv(samples.J_hat, samples.dJ_hat)
+    N = law.inertial_block(samples.M, samples.dM, samples.J, G, dG, samples.s, samples.slope)
     rng = np.random.default_rng(0)
     for i in range(50):
         for v in rng.normal(size=(20, 7)) * rng.uniform(0.01, 5.0):
-            s = scenarios.s[i]
+            s = samples.s[i]
             taken = s @ G[i].T @ (setting.B * v) - v @ N[i] @ v
             assert abs(taken) <= found.c0 * v @ v + found.c1 * s @ s
 
@@ -152,8 +149,8 @@ def test_a_larger_family_has_a_larger_margin():
 
 def test_the_margin_is_what_its_name_says():
     """V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + Σc̄wᵢsᵢ²) for random z, and tight."""
-    scenarios, setting = on_panda(0.2, 5.0, n=40)
-    form = MatrixForm(scenarios, setting)
+    samples, setting = on_panda(0.2, 5.0, n=40)
+    form = MatrixForm(samples, setting)
     best = best_weights(form, "wide")
     X, Y = form.pencils(best.weights)
     rng = np.random.default_rng(0)
@@ -169,8 +166,8 @@ def test_the_margin_is_what_its_name_says():
 
 def test_cutting_planes_find_the_optimum_of_a_scan():
     """With one unknown, α, a scan tells the largest margin that there is."""
-    scenarios, setting = on_panda(0.15, 5.0, n=100)
-    form = MatrixForm(scenarios, setting)
+    samples, setting = on_panda(0.15, 5.0, n=100)
+    form = MatrixForm(samples, setting)
     found = best_weights(form, "paper").margins.min()
     scan = max(
         form.margins(
@@ -184,8 +181,8 @@ def test_cutting_planes_find_the_optimum_of_a_scan():
 def test_a_general_optimiser_finds_nothing_better():
     from scipy.optimize import minimize
 
-    scenarios, setting = on_panda(0.2, 5.0, n=60)
-    form = MatrixForm(scenarios, setting)
+    samples, setting = on_panda(0.2, 5.0, n=60)
+    form = MatrixForm(samples, setting)
     found = best_weights(form, "free")
 
     def negative(y):
@@ -210,14 +207,14 @@ def test_no_unstable_target_is_certified(seed):
     J = J_hat + rng.normal(size=(1, m, n)) * 10.0 ** rng.uniform(-2.0, 0.7)
     kp, kv = rng.uniform(1.0, 20.0, (2, m))
     B = 10.0 ** rng.uniform(-1.0, 1.5, n)
-    from approxjac.stability.samples import Scenarios
+    from approxjac.stability.samples import Samples
 
-    scenarios = Scenarios(
+    samples = Samples(
         np.zeros(1, dtype=int), np.zeros((1, n)), np.zeros((1, m)), M[None],
         np.zeros((1, n, n, n)), J, J, J_hat, np.zeros((1, n, m, n)), np.zeros((1, m)),
         np.ones((1, m)),
     )  # fmt: skip
-    form = MatrixForm(scenarios, Setting(kp, kv, B, 0.5))
+    form = MatrixForm(samples, Setting(kp, kv, B, 0.5))
     values = np.linalg.eigvals(law.closed_loop_matrix(M, J[0], J_hat[0], kp, kv, B))
     slowest = np.sort(values.real[np.argsort(np.abs(values))[n - m :]])[-1]
     for family in FAMILIES:
@@ -238,12 +235,12 @@ def test_a_camera_roll_costs_what_theory_says():
         )
         q = np.radians([90.0, 90.0])
         region = aj.JointBox.around(arm, q, 0.0)
-        scenarios = Sampler(controller, [plant], region, plant.sensor.value(q)).draw(
+        samples = ClosedLoop(controller, plant, region, plant.sensor.value(q)).draw(
             1, np.random.default_rng(0)
         )
         kp, kv, _ = controller.diagonals
         setting = Setting(kp, kv, np.zeros(2), 0.5, large_gains=True)
-        return best_weights(MatrixForm(scenarios, setting), family).margins.min() > 0.0
+        return best_weights(MatrixForm(samples, setting), family).margins.min() > 0.0
 
     for degrees, expected in (
         (58.0, {"paper": True, "free": True, "wide": True}),
@@ -264,16 +261,16 @@ def test_learnt_gravity_fixes_alpha():
     controller = aj.SetpointController(
         aj.PositionTask(belief), aj.Gains(400.0, 80.0, 5.0), gravity=gravity
     )
-    setting = setting_of(controller, plant)
+    loop = ClosedLoop(controller, plant, aj.JointBox.around(arm, Q, 0.2))
+    setting = loop.setting
     assert setting.fixed_alpha == setting.alpha == 1.5
     assert setting.families == ("paper", "free")
-    sampler = Sampler(controller, [plant], aj.JointBox.around(arm, Q, 0.2), None)
-    scenarios = sampler.draw(50, np.random.default_rng(0))
-    form = MatrixForm(scenarios, setting)
+    samples = loop.draw(50, np.random.default_rng(0))
+    form = MatrixForm(samples, setting)
     for family in setting.families:
         weights = best_weights(form, family).weights
         assert_allclose(weights.A1, 1.5 * np.eye(3))
-    assert theorem1(scenarios, setting).alpha == 1.5
+    assert theorem1(samples, setting).alpha == 1.5
 
 
 def test_weights_that_are_none_have_no_margin():

@@ -118,7 +118,7 @@ def test_a_target_out_of_view_is_refused(panda, carried, joint, turn, behind):
     q = ON_VIEW + turn * np.eye(7)[joint]
     assert np.isnan(plant.sensor.value(q)).all() == behind
     with pytest.raises(
-        aj.InvalidInputError, match="q_target must be a posture that the sensor sees, or no law"
+        aj.InvalidInputError, match="q_target must be a configuration that the sensor sees, or"
     ):
         aj.local_stability(plant, controller, q)
 
@@ -375,7 +375,7 @@ def controllers_without_a_linearization(robot):
     heavier = robot.with_object(0.1, 0.5, name="more")
     image = aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0))
     return {
-        r"local_stability is for law \(6\), .*got SetpointController\(law \(5\)": (
+        r"those of the laws \(6\) and \(28\) .*got SetpointController\(law \(5\)": (
             aj.SetpointController(task, gains, velocity=aj.DifferentiatedVelocity())
         ),
         r"gravity must be exact near the target .* with NoGravity": (
@@ -384,7 +384,7 @@ def controllers_without_a_linearization(robot):
         r"gravity must be exact near the target .* with ModelGravity": (
             aj.SetpointController(task, gains, gravity=aj.ModelGravity(heavier))
         ),
-        r"local_stability is for controllers without a posture, .*got Posture\(": (
+        r"without a posture torque, got .* posture = Posture\(": (
             aj.SetpointController(
                 aj.PositionTask(robot, axes="x"),
                 aj.Gains(50.0, 20.0, 1.0),

@@ -166,7 +166,7 @@ def test_what_v_and_w_are_not_for_is_refused(adaptive_two_link, two_link):
         aj.lyapunov(plant, controller, *arguments, 0.5)
     with pytest.raises(aj.InvalidInputError, match=r"alpha must be the controller's 0\.5, got"):
         aj.lyapunov(plant, controller, *arguments, 0.4, state=np.zeros(2), theta=np.zeros(2))
-    with pytest.raises(aj.InvalidInputError, match="q must not be a singular posture of the belie"):
+    with pytest.raises(aj.InvalidInputError, match="q must not be a singular configuration of "):
         aj.lyapunov(
             plant, controller, (0.3, 0.0), np.zeros(2), target, 0.5, state=(0, 0), theta=(0, 0)
         )

@@ -31,7 +31,7 @@ def box(tools):
 def found(controller, tools, box):
     return aj.stability_map(
         controller, tools, box, names=("error", "a"), x=(0.0, 1.0, 2.0, 4.0), y=(2.0, 5.0, 20.0),
-        coarse=3, postures=40,
+        coarse=3, configurations=40,
     )  # fmt: skip
 
 
@@ -74,7 +74,7 @@ def test_a_point_is_what_the_local_test_says(found, controller, tools, box):
 def test_it_repeats_bit_by_bit(found, controller, tools, box):
     again = aj.stability_map(
         controller, tools, box, names=("error", "a"), x=(0.0, 1.0, 2.0, 4.0), y=(2.0, 5.0, 20.0),
-        coarse=3, postures=40,
+        coarse=3, configurations=40,
     )  # fmt: skip
     for name in ("decay_rate", "theorem1", "matrix"):
         assert_array_equal(getattr(again, name), getattr(found, name))
@@ -93,7 +93,7 @@ def test_axes_may_be_swapped(found, controller, tools, box):
 def test_any_two_parameters(controller, tools, box):
     damped = aj.stability_map(
         controller, tools, box, names=("damping", "kv"), x=(0.2, 1.0, 5.0), y=(0.5, 2.0),
-        coarse=2, postures=20, runs=1, duration=1.0,
+        coarse=2, configurations=20, runs=1, duration=1.0,
     )  # fmt: skip
     assert set(PARAMETERS) == {"error", "a", "kv", "damping"}
     assert damped.matrix[0, -1] > damped.matrix[0, 0]  # damping certifies more
@@ -104,7 +104,7 @@ def test_progress_grows_to_one(controller, tools, box):
     seen = []
     aj.stability_map(
         controller, tools, box, names=("error", "a"), x=(0.0, 1.0), y=(2.0, 5.0), coarse=2,
-        postures=20, progress=seen.append,
+        configurations=20, progress=seen.append,
     )  # fmt: skip
     assert seen == sorted(seen)
     assert seen[-1] == 1.0

@@ -132,7 +132,7 @@ def test_empty_regions_are_refused(panda):
     with pytest.raises(aj.InvalidInputError, match="radius must be > 0 in every joint, or the reg"):
         aj.stability.Tube(panda, np.array([Q]), 0.0)
     with pytest.raises(
-        aj.InvalidInputError, match=r"postures must be of shape \(N, 7\) with N > 0"
+        aj.InvalidInputError, match=r"configurations must be of shape \(N, 7\) with N > 0"
     ):
         aj.stability.Tube(panda, np.zeros((0, 7)))
     plant = aj.Plant(panda, task)
@@ -154,7 +154,7 @@ def test_bounds_come_together(panda):
 
 def test_they_say_what_they_are(panda):
     found = regions(panda)
-    assert repr(found["tube"]) == "Tube('panda', 20 postures)"
+    assert repr(found["tube"]) == "Tube('panda', 20 configurations)"
     assert repr(found["regular"]).endswith("sigma_min >= 0.2)")
     assert repr(found["sublevel"]).startswith("SublevelSet('panda', V <= ")
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import paper
-from approxjac.stability.inverse_kinematics import attain
+from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.suggestion import Candidate, _relaxations
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
@@ -40,7 +40,7 @@ def controller_of(uncertainty, gains=None, **options):
 
 @pytest.fixture(scope="module")
 def report(tools, box):
-    return aj.stability_report(controller_of(tools), tools, box, postures=400)
+    return aj.stability_report(controller_of(tools), tools, box, configurations=400)
 
 
 def test_report_says_what_each_test_says(report):
@@ -73,10 +73,10 @@ def test_what_was_chosen_is_checked_elsewhere(report):
 
 
 def test_report_repeats_bit_by_bit(tools, box, report):
-    again = aj.stability_report(controller_of(tools), tools, box, postures=400)
+    again = aj.stability_report(controller_of(tools), tools, box, configurations=400)
     assert again.summary() == report.summary()
     assert str(again) == str(report)
-    other = aj.stability_report(controller_of(tools), tools, box, postures=400, seed=1)
+    other = aj.stability_report(controller_of(tools), tools, box, configurations=400, seed=1)
     assert other.summary() != report.summary()
 
 
@@ -91,7 +91,7 @@ def test_summary_is_json_and_complete(report):
 
 
 def test_a_certified_controller_reaches_its_target(tools, box, report):
-    outcome = aj.rollouts(report.controller, tools, box, runs=6, duration=8.0, seed=3)
+    outcome = aj.rollouts(report.loop.controller, tools, box, runs=6, duration=8.0, seed=3)
     assert outcome.n_converged == 6
 
 
@@ -100,7 +100,7 @@ def test_a_single_robot_and_a_plant_say_the_same(weightless):
     controller = aj.SetpointController(aj.PositionTask(belief), aj.Gains(400.0, 80.0, 10.0))
     region = aj.JointBox.around(weightless, Q, 0.2)
     reports = [
-        aj.stability_report(controller, truth=each, region=region, postures=100)
+        aj.stability_report(controller, truth=each, region=region, configurations=100)
         for each in (truth, aj.Plant(truth, aj.PositionTask(truth)))
     ]
     assert reports[0].summary() == reports[1].summary()
@@ -110,29 +110,29 @@ def test_a_single_robot_and_a_plant_say_the_same(weightless):
 def test_default_region_leaves_singular_postures_out(weightless):
     truth, belief = weightless.with_object(0.05), weightless.with_object(0.0)
     controller = aj.SetpointController(aj.PositionTask(belief))
-    found = aj.stability_report(controller, truth, postures=60)
-    values = np.linalg.svd(found.scenarios.J_hat, compute_uv=False)[:, -1]
-    assert values.min() >= found.region.sigma_min > 0.0
+    found = aj.stability_report(controller, truth, configurations=60)
+    values = np.linalg.svd(found.samples.J_hat, compute_uv=False)[:, -1]
+    assert values.min() >= found.loop.region.sigma_min > 0.0
 
 
 def test_a_target_is_looked_at_where_it_is_attained(tools, box):
     controller = controller_of(tools)
     target = tools.plant([0.1, 0.2]).sensor.value(Q)
-    found = aj.stability_report(controller, tools, box, target=target, postures=100)
-    assert_array_equal(found.target, target)
+    found = aj.stability_report(controller, tools, box, target=target, configurations=100)
+    assert_array_equal(found.loop.target, target)
     for t, q in zip(found.local.truth, found.local.q, strict=True):
-        sensor = tools.plant(found.corners[t]).sensor
+        sensor = tools.plant(found.loop.corners[t]).sensor
         assert_allclose(sensor.value(q), target, atol=1e-8)
     assert set(found.local.truth) == {0, 1, 2, 3}
 
 
 def test_pose_task_is_certified_with_its_own_error_jacobian(weightless):
-    """At errors of a rotation, ∂e/∂q is not J; V̇ = −zᵀQz holds with it, see Scenarios.J_e."""
+    """At errors of a rotation, ∂e/∂q is not J; V̇ = −zᵀQz holds with it, see Samples.J_e."""
     truth, belief = weightless.with_object(0.05), weightless.with_object(0.0)
     controller = aj.SetpointController(aj.PoseTask(belief), aj.Gains(400.0, 80.0, 5.0))
     region = aj.JointBox.around(weightless, Q, 0.2)
-    found = aj.stability_report(controller, truth, region, postures=60)
-    assert np.abs(found.scenarios.J - found.scenarios.J_e).max() > 0.01
+    found = aj.stability_report(controller, truth, region, configurations=60)
+    assert np.abs(found.samples.J - found.samples.J_e).max() > 0.01
     assert found.local.stable
 
 
@@ -140,7 +140,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     arm = aj.load_robot("panda")
     tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 0.5))
     region = aj.JointBox.around(arm, Q, 0.1)
-    known = aj.stability_report(controller_of(tools), tools, region, postures=60)
+    known = aj.stability_report(controller_of(tools), tools, region, configurations=60)
     assert not known.gravity_is_exact
     assert known.certified_by is None
     assert "0 gravity" in str(known)
@@ -149,7 +149,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     regressor = aj.GravityRegressor(tools.belief())
     learnt = aj.stability_report(
         controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)),
-        tools, region, postures=60,
+        tools, region, configurations=60,
     )  # fmt: skip
     assert learnt.gravity_is_exact
     assert learnt.certified_by == "matrix"
@@ -160,7 +160,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
 
 
 def test_rollouts_join_the_report(tools, box):
-    found = aj.stability_report(controller_of(tools), tools, box, postures=40, runs=2)
+    found = aj.stability_report(controller_of(tools), tools, box, configurations=40, runs=2)
     assert found.rollouts.n == 2
     assert "4 rollouts" in str(found)
 
@@ -168,10 +168,10 @@ def test_rollouts_join_the_report(tools, box):
 def test_progress_tells_what_is_being_done(tools, box):
     seen = []
     aj.stability_report(
-        controller_of(tools), tools, box, postures=200,
+        controller_of(tools), tools, box, configurations=200,
         progress=lambda what, share: seen.append((what, share)),
     )  # fmt: skip
-    assert {"postures", "matrix form", "local"} <= {what for what, _ in seen}
+    assert {"configurations", "matrix form", "local"} <= {what for what, _ in seen}
     assert all(0.0 <= share <= 1.0 for _, share in seen)
 
 
@@ -179,16 +179,18 @@ def test_bad_input_is_named(tools, box, weightless):
     controller = controller_of(tools)
     far = np.array([5.0, 0.0, 0.0])
     with pytest.raises(aj.InvalidInputError, match="target must be within reach of every true rob"):
-        aj.stability_report(controller, tools, box, target=far, postures=40)
+        aj.stability_report(controller, tools, box, target=far, configurations=40)
     elsewhere = tools.plant([0.1, 0.2]).sensor.value(-Q)
-    with pytest.raises(aj.InvalidInputError, match="target must be attained by a posture of the r"):
-        aj.stability_report(controller, tools, box, target=elsewhere, postures=40)
-    with pytest.raises(aj.InvalidInputError, match="postures must be an integer >= 20, got 3"):
-        aj.stability_report(controller, tools, box, postures=3)
+    with pytest.raises(
+        aj.InvalidInputError, match="target must be attained by a configuration of t"
+    ):
+        aj.stability_report(controller, tools, box, target=elsewhere, configurations=40)
+    with pytest.raises(aj.InvalidInputError, match="configurations must be an integer >= 20, g"):
+        aj.stability_report(controller, tools, box, configurations=3)
     with pytest.raises(aj.InvalidInputError, match="seed must be an integer >= 0, got -1"):
         aj.stability_report(controller, tools, box, seed=-1)
     with pytest.raises(aj.InvalidInputError, match="runs needs truth to be an Uncertainty"):
-        aj.stability_report(controller, weightless.with_object(0.1), box, postures=40, runs=5)
+        aj.stability_report(controller, weightless.with_object(0.1), box, configurations=40, runs=5)
     with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):
         aj.stability_report(controller, tools, region=3)
     with pytest.raises(aj.InvalidInputError, match="truth must be a Plant, a Robot or an Uncert"):
@@ -207,7 +209,7 @@ def test_bad_input_is_named(tools, box, weightless):
 
 @pytest.mark.study
 def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
-    found = aj.tolerance(controller_of(tools), tools, box, postures=200)
+    found = aj.tolerance(controller_of(tools), tools, box, configurations=200)
     scales = [found[test].scale for test in ("theorem1", "matrix", "local")]
     assert 0.05 < scales[0] < 0.3 < 1.5 < scales[1] < scales[2] < 10.0
     for each in found.values():
@@ -225,7 +227,7 @@ def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
     target = errors.believed_task().value(np.radians([90.0, 90.0]))
     found = aj.tolerance(
         controller, errors, aj.JointBox(arm), tests=("local",), target=target,
-        postures=4, precision=0.002, largest=2.9,
+        configurations=4, precision=0.002, largest=2.9,
     )["local"]  # fmt: skip
     angle = found.scale * math.pi / 3
 
@@ -234,7 +236,7 @@ def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
         for sign in (-1.0, 1.0):
             plant = errors.plant([sign * roll])
             starts = aj.JointBox(arm).sample(20, np.random.default_rng(5))
-            postures = [attain(plant.sensor, target, q) for q in starts]
+            postures = [inverse_kinematics(plant.sensor, target, q) for q in starts]
             verdicts += [
                 aj.local_stability(plant, controller, q).stable for q in postures if q is not None
             ]
@@ -262,7 +264,7 @@ def test_tolerance_by_rollouts(weightless):
 
 def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
     errors = aj.Uncertainty(weightless, object_length=(0.0, 0.2), believed_length=0.1)
-    found = aj.tolerance(controller_of(errors), errors, box, tests=("local",), postures=20)
+    found = aj.tolerance(controller_of(errors), errors, box, tests=("local",), configurations=20)
     assert_allclose(found["local"].scale, 1.0, rtol=1e-4)  # a length below 0 is none
     assert found["local"].fails_at == math.inf
     assert "passes up to the largest scale tried" in str(found["local"])
@@ -272,7 +274,7 @@ def test_tolerance_of_a_controller_that_never_passes(tools, box):
     weak = controller_of(tools, aj.Gains(1.0, 80.0, 100.0))  # k_p < c₁, which damping makes large
     shares = []
     found = aj.tolerance(
-        weak, tools, box, tests=("theorem1",), postures=40, progress=shares.append
+        weak, tools, box, tests=("theorem1",), configurations=40, progress=shares.append
     )["theorem1"]
     assert found.scale == 0.0
     assert found.fails_at == 0.0
@@ -300,14 +302,16 @@ def small_box(weightless):
 
 
 def test_suggested_gains_meet_what_was_asked(tools, small_box):
-    found = aj.suggest_gains(tools, small_box, settling_time=2.0, postures=60)
+    found = aj.suggest_gains(tools, small_box, settling_time=2.0, configurations=60)
     assert found.gains is not None
     assert found.relax == ()
     best = found.found
     assert best.margin > 0.0
     assert best.torque_ratio <= 1.0
     assert best.settling_time <= 2.0
-    again = aj.stability_report(controller_of(tools, found.gains), tools, small_box, postures=200)
+    again = aj.stability_report(
+        controller_of(tools, found.gains), tools, small_box, configurations=200
+    )
     assert again.certified_by in ("theorem1", "matrix")
     outcome = aj.rollouts(
         controller_of(tools, found.gains), tools, small_box, runs=4, duration=6.0, tolerance=2e-3
@@ -319,7 +323,7 @@ def test_suggested_gains_meet_what_was_asked(tools, small_box):
 def test_where_no_gains_do_it_says_what_to_relax(tools, small_box):
     shares = []
     found = aj.suggest_gains(
-        tools, small_box, settling_time=0.8, postures=20, torque_limits=8.0, test="local",
+        tools, small_box, settling_time=0.8, configurations=20, torque_limits=8.0, test="local",
         progress=shares.append,
     )  # fmt: skip
     assert found.gains is None
@@ -371,14 +375,14 @@ def test_a_saturated_error_is_looked_at_where_it_is_not():
         errors.believed_task(), aj.Gains(5000.0, 5000.0), saturation=aj.Sine(1e-5)
     )
     region = aj.JointBox.around(arm, (1.57, 1.57), 0.3)
-    found = aj.stability_report(controller, errors, region, postures=400)
-    slopes = found.scenarios.slope
+    found = aj.stability_report(controller, errors, region, configurations=400)
+    slopes = found.samples.slope
     assert (slopes > 0.5).all(axis=1).mean() > 0.25
     assert (slopes == 0.0).all(axis=1).mean() > 0.25
     assert not found.local.stable
     assert found.certified_by is None
     assert not any(test.certified for test in found.matrix.values())
-    scales = aj.tolerance(controller, errors, region, tests=("matrix", "local"), postures=200)
+    scales = aj.tolerance(controller, errors, region, tests=("matrix", "local"), configurations=200)
     assert scales["matrix"].scale < scales["local"].scale
 
 
@@ -388,7 +392,7 @@ def test_pose_gains_that_differ_count_in_theorem_1(weightless):
     kp = (4e4, 4e4, 4e4, 4e4, 4e3, 4e2)
     controller = aj.SetpointController(task, aj.Gains(kp, 8000.0, 20.0))
     region = aj.JointBox.around(weightless, Q, 0.3)
-    found = aj.stability_report(controller, weightless, region, postures=60)
+    found = aj.stability_report(controller, weightless, region, configurations=60)
     assert found.theorem1.p > 0.01
     assert not found.theorem1.holds
 
@@ -398,7 +402,7 @@ def test_tolerance_takes_no_gravity_for_granted():
     tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 1.0))
     region = aj.JointBox.around(arm, Q, 0.1)
     with pytest.raises(aj.InvalidInputError, match="gravity must be compensated exactly or be lea"):
-        aj.tolerance(controller_of(tools), tools, region, postures=20)
+        aj.tolerance(controller_of(tools), tools, region, configurations=20)
 
 
 def test_a_target_that_grown_errors_put_out_of_reach_is_where_tolerance_ends(weightless):
@@ -406,7 +410,7 @@ def test_a_target_that_grown_errors_put_out_of_reach_is_where_tolerance_ends(wei
     region = aj.JointBox.around(weightless, Q, 0.3)
     target = tools.plant([0.02]).sensor.value(Q)
     found = aj.tolerance(
-        controller_of(tools), tools, region, tests=("local",), target=target, postures=4,
+        controller_of(tools), tools, region, tests=("local",), target=target, configurations=4,
         largest=60.0,
     )["local"]  # fmt: skip
     assert 1.0 < found.scale < found.fails_at < 60.0
@@ -422,7 +426,7 @@ def test_every_corner_is_drawn_as_often(weightless):
     shifts = dict.fromkeys(weightless.joint_names[:4], (0.01, 0.0, 0.0))
     many = aj.Uncertainty(weightless, joint_shifts=shifts)
     found = aj.stability_report(
-        controller_of(many), many, aj.JointBox.around(weightless, Q, 0.1), postures=20
+        controller_of(many), many, aj.JointBox.around(weightless, Q, 0.1), configurations=20
     )
-    counts = np.bincount(found.scenarios.truth, minlength=16)
+    counts = np.bincount(found.samples.truth, minlength=16)
     assert counts.min() >= 2

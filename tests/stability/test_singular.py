@@ -28,13 +28,13 @@ def test_an_arm_stands_still_where_the_jacobian_is_singular(straight):
     assert np.abs(run.q - q0).max() < 1e-6
 
 
-@pytest.mark.parametrize("postures", [100, 600])
-def test_so_no_test_certifies_a_region_with_such_a_posture(straight, postures):
+@pytest.mark.parametrize("configurations", [100, 600])
+def test_so_no_test_certifies_a_region_with_such_a_posture(straight, configurations):
     plant, controller, target, q0 = straight
     box = JointBox.around(plant.robot, q0, 0.45)
-    report = stability_report(controller, plant, box, target=target, postures=postures)
+    report = stability_report(controller, plant, box, target=target, configurations=configurations)
     # samples alone do not tell: none is exactly there
-    assert np.linalg.svd(report.scenarios.J_hat)[1][:, -1].min() > 1e-6
+    assert np.linalg.svd(report.samples.J_hat)[1][:, -1].min() > 1e-6
     assert report.singular_q is not None
     assert box.contains(report.singular_q)
     assert report.singular_q[1] == pytest.approx(0.0, abs=1e-3)
@@ -47,7 +47,7 @@ def test_the_regular_part_of_the_region_is_certified(straight):
     plant, controller, target, q0 = straight
     box = JointBox.around(plant.robot, q0, 0.45)
     regular = RegularPart(box, controller.task, 0.05)
-    report = stability_report(controller, plant, regular, target=target, postures=100)
+    report = stability_report(controller, plant, regular, target=target, configurations=100)
     assert report.singular_q is None
     assert report.certified_by is not None
 
@@ -58,7 +58,7 @@ def test_a_redundant_arm_is_singular_in_fewer_postures():
     controller = aj.SetpointController(task, gravity=NoGravity(arm))
     q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.8])
     report = stability_report(
-        controller, arm, JointBox.around(arm, q, 0.2), target=task.value(q), postures=60
+        controller, arm, JointBox.around(arm, q, 0.2), target=task.value(q), configurations=60
     )
     assert report.singular_q is None
 
@@ -71,15 +71,15 @@ def test_nor_does_tolerance_a_map_or_a_suggestion(straight):
     )  # fmt: skip
     box = JointBox.around(plant.robot, q0, 0.45)
     tests = ("theorem1", "matrix")
-    found = aj.tolerance(controller, errors, box, tests=tests, postures=40)
+    found = aj.tolerance(controller, errors, box, tests=tests, configurations=40)
     assert [found[test].scale for test in tests] == [0.0, 0.0]
     drawn = aj.stability_map(
         controller, errors, box, names=("error", "a"), x=(0.0, 1.0), y=(1.0, 2.0), coarse=2,
-        postures=40,
+        configurations=40,
     )  # fmt: skip
     assert (drawn.theorem1 == -1.0).all()
     assert (drawn.matrix == -1.0).all()
-    suggestion = aj.suggest_gains(errors, box, settling_time=5.0, postures=40)
+    suggestion = aj.suggest_gains(errors, box, settling_time=5.0, configurations=40)
     assert suggestion.gains is None
 
 
@@ -87,4 +87,4 @@ def test_a_drawn_posture_where_the_rank_is_lost_is_named(straight):
     plant, controller, _target, q0 = straight
     point = JointBox.around(plant.robot, q0, 0.0)
     with pytest.raises(aj.InvalidInputError, match="where the estimated Jacobian loses rank, got"):
-        stability_report(controller, plant, point, postures=20)
+        stability_report(controller, plant, point, configurations=20)

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import approxjac as aj
-from approxjac.stability.closed_loop import true_plants
-from approxjac.stability.inverse_kinematics import attain
-from approxjac.stability.samples import Sampler
-from approxjac.stability.visibility import SeenPart, UnattainedError, between
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.inverse_kinematics import inverse_kinematics
+from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.tasks.analysis import sees
 
 ARM = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
@@ -40,36 +39,36 @@ def test_half_of_the_region_is_out_of_view(rng):
 
 
 @pytest.mark.parametrize("target", [None, (0.1, 1.2)])
-def test_scenarios_and_targets_are_seen_by_their_own_true_robot(rng, target):
+def test_samples_and_targets_are_seen_by_their_own_true_robot(rng, target):
     controller, errors = loop(distance=(-0.2, 0.2))
-    corners, plants = true_plants(controller, errors)
     x_d = None if target is None else controller.task.value(np.array(target))
-    sampler = Sampler(controller, plants, BOX, x_d)
-    drawn = sampler.draw(60, rng)
-    drawn = drawn.join(sampler.near(drawn, 5, 30, 1.0, rng))
-    assert len(corners) == 4
+    loops = ClosedLoop(controller, errors, BOX, x_d)
+    plants = loops.plants
+    drawn = loops.draw(60, rng)
+    drawn = drawn.join(loops.near(drawn, 5, 30, 1.0, rng))
+    assert len(loops.corners) == 4
     assert all(BOX.contains(q) for q in drawn.q)
     values = [plants[t].sensor.value(q) for t, q in zip(drawn.truth, drawn.q, strict=True)]
     assert seen(plants, drawn.truth, values)
     assert seen(plants, drawn.truth, drawn.x_d)
-    targets = sampler.targets(40, rng)
-    values = [plants[t].sensor.value(q) for t, q in zip(targets.truth, targets.q, strict=True)]
-    assert seen(plants, targets.truth, values)
+    truths, targets = loops.targets(40, rng)
+    values = [plants[t].sensor.value(q) for t, q in zip(truths, targets, strict=True)]
+    assert seen(plants, truths, values)
 
 
 def test_what_is_seen_anyway_is_drawn_as_it_was():
     """Not one random number more: everything with a seed stays what it is."""
-    part = SeenPart(BOX, aj.PositionTask(ARM, axes="xz"))
+    part = VisiblePart(BOX, aj.PositionTask(ARM, axes="xz"))
     ours, plain = np.random.default_rng(3), np.random.default_rng(3)
     assert (part.sample(50, ours) == BOX.sample(50, plain)).all()
     assert (part.near(BOX.center, 0.1, ours) == BOX.near(BOX.center, 0.1, plain)).all()
     assert ours.random() == plain.random()
     some = BOX.sample(50, np.random.default_rng(4))
     task = aj.ImageTask(ARM, CAMERA)
-    others = SeenPart(BOX, task).instead(some, ours)
+    others = VisiblePart(BOX, task).replace_unseen(some, ours)
     kept = [sees(task, q) for q in some]
     assert ((others == some).all(axis=1) == kept).all()
-    assert "SeenPart(JointBox('two_link'" in repr(part)
+    assert "VisiblePart(JointBox('two_link'" in repr(part)
 
 
 def test_the_way_to_a_posture_ends_in_view():
@@ -77,36 +76,37 @@ def test_the_way_to_a_posture_ends_in_view():
     start, out = np.array([-0.2, 1.6]), np.array([-1.4, -1.5])
     assert sees(task, start)
     assert not sees(task, out)
+    part = VisiblePart(BOX, task)
     for share in (0.0, 0.1, 1.0):
-        assert sees(task, between(task, start, out, share))
-    assert (between(task, out, out, 1.0) == out).all()  # nothing is seen: it stays where it is
+        assert sees(task, part.between(start, out, share))
+    assert (part.between(out, out, 1.0) == out).all()  # nothing is seen: it stays where it is
 
 
 def test_a_target_is_not_attained_where_it_is_not_seen():
     """The image beyond the edge, and a search that gets behind the camera, are no postures."""
     task = aj.ImageTask(ARM, CAMERA)
     start = np.array([-0.2, 1.6])
-    assert attain(task, task.value(start + 0.1), start) == pytest.approx(start + 0.1)
-    assert attain(task, np.array([-30.0, 100.0]), start) is None
+    assert inverse_kinematics(task, task.value(start + 0.1), start) == pytest.approx(start + 0.1)
+    assert inverse_kinematics(task, np.array([-30.0, 100.0]), start) is None
     # carried by the second link, with the point behind it
     eye = aj.PinholeCamera(
         300.0, (320, 240), rotation=((0, 0, 1), (1, 0, 0), (0, 1, 0)), mount="link2"
     )
     eye_task = aj.ImageTask(ARM, eye, points=[(-1.0, 0.3, 0.2)])
     assert np.isnan(eye_task.value(np.zeros(2))).all()
-    assert attain(eye_task, np.array([100.0, 100.0]), np.zeros(2)) is None
+    assert inverse_kinematics(eye_task, np.array([100.0, 100.0]), np.zeros(2)) is None
 
 
 def test_a_region_out_of_view_is_refused():
     controller, errors = loop()
     for test in (
-        lambda: aj.stability_report(controller, errors, ELSEWHERE, postures=20),
+        lambda: aj.stability_report(controller, errors, ELSEWHERE, configurations=20),
         lambda: aj.tolerance(controller, errors, ELSEWHERE, tests=("local",)),
-        lambda: aj.suggest_gains(errors, ELSEWHERE, postures=20),
+        lambda: aj.suggest_gains(errors, ELSEWHERE, configurations=20),
     ):
         with pytest.raises(
             aj.InvalidInputError,
-            match=r"the region must hold postures that the true sensor sees: of 1\d+ of Joint",
+            match=r"must hold configurations that the true sensor sees: of 1\d+ of Joint",
         ):
             test()
     with pytest.raises(
@@ -121,10 +121,10 @@ def test_errors_that_turn_the_camera_away_are_errors_that_fail():
     """Grown by ten, the camera stands before or behind the arm; that is no reason to stop."""
     controller, errors = loop(distance=(-0.4, 0.4))
     region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
-    found = aj.tolerance(controller, errors, region, tests=("local",), postures=8)["local"]
+    found = aj.tolerance(controller, errors, region, tests=("local",), configurations=8)["local"]
     assert 1.0 < found.scale < found.fails_at < 6.0
-    with pytest.raises(aj.InvalidInputError, match="the region must hold postures"):
-        aj.tolerance(controller, errors.scaled(5.1), region, tests=("local",), postures=8)
+    with pytest.raises(aj.InvalidInputError, match="the region must hold configurations"):
+        aj.tolerance(controller, errors.scaled(5.1), region, tests=("local",), configurations=8)
     slow = {"runs": 2, "duration": 0.01}  # no run gets there: the first scale fails already
     assert (
         aj.tolerance(controller, errors, region, tests=("rollouts",), **slow)["rollouts"].scale == 0
@@ -169,7 +169,7 @@ def test_a_set_that_v_lets_be_reached_is_in_view(rng):
         assert sees(plant.sensor, q)
     assert not region.contains(np.array([-1.1, 0.5]))
     with pytest.raises(
-        aj.InvalidInputError, match="q0 must be a posture that the sensor sees, got"
+        aj.InvalidInputError, match="q0 must be a configuration that the sensor sees"
     ):
         aj.stability.SublevelSet(plant, controller, target, (-1.1, 0.5), within=BOX)
 
@@ -178,7 +178,7 @@ def test_v_and_w_out_of_view_are_refused():
     controller, errors = loop()
     plant = errors.plant([0.0])
     with pytest.raises(
-        aj.InvalidInputError, match="q must be a posture that the sensor sees, or no"
+        aj.InvalidInputError, match="q must be a configuration that the sensor sees, or no"
     ):
         aj.lyapunov(plant, controller, (-1.4, -1.5), np.zeros(2), np.array([100.0, 100.0]), 1.0)
 
@@ -190,7 +190,9 @@ def test_v_and_w_out_of_view_are_refused():
 def test_a_jacobian_that_uses_x_has_the_local_test_and_rollouts(depth):
     controller, errors = loop(functools.partial(aj.ImageTask, depth=depth))
     region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
-    found = aj.tolerance(controller, errors, region, tests=("local",), postures=8, largest=6.0)
+    found = aj.tolerance(
+        controller, errors, region, tests=("local",), configurations=8, largest=6.0
+    )
     assert 3.0 < found["local"].scale < 0.5 * math.pi / 0.3
     sketch = aj.stability_map(
         controller, errors, region, names=("error", "damping"), x=(0.5, 1.0), y=(1.0, 2.0),
@@ -207,9 +209,9 @@ def test_the_other_tests_refuse_it():
     region, q = aj.JointBox.around(ARM, (0.1, 1.2), 0.1), np.array([0.1, 1.2])
     tests = {
         "the conditions over a region": [
-            lambda: aj.stability_report(controller, errors, region, postures=20),
-            lambda: aj.tolerance(controller, errors, region, tests=("matrix",), postures=20),
-            lambda: aj.suggest_gains(errors, region, postures=20),
+            lambda: aj.stability_report(controller, errors, region, configurations=20),
+            lambda: aj.tolerance(controller, errors, region, tests=("matrix",), configurations=20),
+            lambda: aj.suggest_gains(errors, region, configurations=20),
         ],
         "the Lyapunov function": [
             lambda: aj.lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
@@ -243,14 +245,14 @@ def test_a_panda_before_a_camera(panda):
     controller = aj.SetpointController(
         small.believed_task(), aj.Gains(2e-4, 4e-4, damping=1.0), gravity=aj.NoGravity(arm)
     )
-    report = aj.stability_report(controller, small, tube, postures=24)
+    report = aj.stability_report(controller, small, tube, configurations=24)
     assert report.certified_by is not None
     assert report.local.stable
     assert "camera" in report.describe_truth(0)
     rolled = aj.Uncertainty(arm, camera=camera, roll=(-1.0, 1.0))
     target = controller.task.value(q)
     found = aj.tolerance(
-        controller, rolled, tube, tests=("local",), target=target, postures=4, largest=3.0
+        controller, rolled, tube, tests=("local",), target=target, configurations=4, largest=3.0
     )["local"]
     assert 85.0 < math.degrees(found.scale) < 90.0
     assert "camera roll" in str(found)
@@ -266,4 +268,4 @@ def test_rollouts_take_a_combined_task_with_the_sensor_as_it_is():
     )
     assert found.n_converged == 2
     with pytest.raises(aj.InvalidInputError, match="the coordinates of the plant's sensor"):
-        aj.stability_report(controller, errors, region, postures=20)
+        aj.stability_report(controller, errors, region, configurations=20)

@@ -10,9 +10,8 @@ import pytest
 import random_loops
 
 import approxjac as aj
-from approxjac.stability.closed_loop import setting_of
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.matrix_form import MatrixForm, Weights
-from approxjac.stability.samples import Sampler
 
 pytestmark = pytest.mark.study
 CASES = random_loops.cases(7, seed=1)
@@ -42,10 +41,10 @@ def test_the_lyapunov_function_that_is_watched_falls_as_its_matrix_says(case):
     run = aj.simulate(
         loop.plant, loop.controller, loop.target, loop.q0, 0.5, record_every=0.5 / 2000.0, dt=None
     )
-    setting = setting_of(loop.controller, loop.plant)
+    closed = ClosedLoop(loop.controller, loop.plant, loop.region, loop.target)
+    setting = closed.setting
     kept = np.arange(len(run.t))
-    sampler = Sampler(loop.controller, [loop.plant], loop.region, loop.target)
-    seen = sampler.at(np.zeros(len(kept), dtype=int), run.q)
+    seen = closed.samples_at(np.zeros(len(kept), dtype=int), run.q)
     m = len(setting.kp)
     rng = np.random.default_rng(0)
     weights = Weights(

@@ -100,7 +100,7 @@ def test_camera_of_the_two_link_arm(tmp_path):
         "two_link",
         StabilitySettings(
             camera=(0.05, 3.0, 0.0), roll=(-0.5, 0.5), distance=(2.5, 3.5), kp=(5000.0,),
-            kv=(10000.0,), damping=(1.0,), around=(1.5, 1.5), radius=0.1, postures=40, runs=0,
+            kv=(10000.0,), damping=(1.0,), around=(1.5, 1.5), radius=0.1, configurations=40, runs=0,
             map=("error", "damping"), map_points=2, map_runs=0,
         ),
     )  # fmt: skip
@@ -150,7 +150,7 @@ def test_regions(tmp_path):
         (["--reach-from", *AROUND], "reach_from needs a target, got none"),
         (["--map", "error", "b"], "parameter 'b' not in the map"),
         (["--map-points", "1"], "map_points must be 0 or >= 2, got 1"),
-        (["--postures", "3"], "postures must be an integer >= 20, got 3"),
+        (["--postures", "3"], "configurations must be an integer >= 20, got 3"),
         (["--jobs", "0"], "jobs must be >= 1, got 0"),
         (["--radius", "0"], "radius must be a finite number > 0"),
         (["--roll", "-0.1", "0.1"], "camera"),

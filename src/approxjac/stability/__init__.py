@@ -1,5 +1,6 @@
 """Stability before you run: the paper's conditions for any arm, and sharper tests."""
 
+from approxjac.stability.advice import damping_that_certifies, part_that_certifies
 from approxjac.stability.local import LocalStability, local_stability
 from approxjac.stability.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.map import StabilityMap, stability_map
@@ -25,8 +26,10 @@ __all__ = [
     "Tolerance",
     "Tube",
     "Uncertainty",
+    "damping_that_certifies",
     "local_stability",
     "lyapunov",
+    "part_that_certifies",
     "rollouts",
     "stability_map",
     "stability_report",

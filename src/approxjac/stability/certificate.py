@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.matrix_form import (
     Best,
     Family,
@@ -14,14 +15,15 @@ from approxjac.stability.matrix_form import (
     Setting,
     Weights,
     best_weights,
+    first_that_passes,
 )
 from approxjac.stability.rollouts import clopper_pearson
-from approxjac.stability.samples import Sampler, Scenarios
-from approxjac.stability.theorem1 import CONSTANTS, badness, constants
+from approxjac.stability.samples import Samples
+from approxjac.stability.theorem1 import CONSTANTS, badness, constants, theorem1
 from approxjac.validation import Array
 
-_REFINED = 6  # closer looks at the worst scenario, each from the worst of the last
-_NEAR = 40  # scenarios of a closer look
+_REFINED = 6  # closer looks at the worst sample, each from the worst of the last
+_NEAR = 40  # samples of a closer look
 _CLOSER = 0.15  # of the region's spread
 _NOTABLE = 1e-3  # margin
 _MISSED = 0.05 / 3  # three families share the 5 %
@@ -32,12 +34,12 @@ class MatrixTest:
     """What the matrix form says over a region with one family of Lyapunov functions.
 
     Attributes:
-        family: Which functions were tried.
+        family: The functions that were tried.
         weights: The one with the largest margin.
-        margins: Its margin in each scenario that it was chosen on, shape (N,).
-        checked: In how many further scenarios, drawn independently, it was checked.
-        violations: In how many of them its margin is not positive.
-        independent: Whether postures were drawn independently of each other.
+        margins: Its margin in each sample that it was chosen on, shape (N,).
+        checked: Number of further samples, drawn independently, that it was checked in.
+        violations: Number of these in which its margin is not positive.
+        independent: Whether configurations were drawn independently of each other.
     """
 
     family: Family
@@ -53,30 +55,30 @@ class MatrixTest:
 
     @property
     def margin(self) -> float:
-        """Share of the designed dissipation that is left in the worst scenario, at most 1."""
+        """Share of the designed dissipation that is left in the worst sample, at most 1."""
         return float(self.margins.min())
 
     @property
     def worst(self) -> int:
-        """Index of the worst scenario."""
+        """Index of the worst sample."""
         return int(self.margins.argmin())
 
     @property
     def share(self) -> float:
-        """Share of the scenarios with a positive margin under this one function."""
+        """Share of the samples with a positive margin under this one function."""
         return float((self.margins > 0.0).mean())
 
     @property
     def certified(self) -> bool:
-        """Whether the function passed in every scenario it was chosen or checked on."""
+        """Whether the function passed in every sample it was chosen or checked on."""
         return self.margin > 0.0 and self.violations == 0
 
     @property
     def violating_at_most(self) -> float:
-        """Share of the combinations drawn (posture, target, true robot) that may violate.
+        """Share of the combinations drawn (configuration, target, true robot) that may violate.
 
-        An exact upper bound, at 95 % confidence for all families together; NaN where postures
-        are not drawn independently.
+        An exact upper bound, at 95 % confidence for all families together; NaN where
+        configurations are not drawn independently.
         """
         if not self.independent:
             return math.nan
@@ -84,40 +86,46 @@ class MatrixTest:
         return clopper_pearson(self.violations, self.checked, 1.0 - 2.0 * _MISSED)[1]
 
 
-def refine_constants(
-    sampler: Sampler, scenarios: Scenarios, setting: Setting, rng: np.random.Generator
-) -> Scenarios:
-    """Look closer around the worst scenario of each constant of Theorem 1."""
-    values = constants(scenarios, setting)
+def refine_constants(loop: ClosedLoop, samples: Samples, rng: np.random.Generator) -> Samples:
+    """Look closer around the worst sample of each constant of Theorem 1."""
+    setting = loop.setting
+    values = constants(samples, setting)
     for name in CONSTANTS:
         for _ in range(_REFINED):
             k = int(badness(name, values[name]).argmax())
-            nearby = sampler.near(scenarios, k, _NEAR, _CLOSER, rng)
+            nearby = loop.near(samples, k, _NEAR, _CLOSER, rng)
             found = constants(nearby, setting)
             worst = np.array([badness(name, found[name]).argmax()])
             if badness(name, found[name]).max() <= badness(name, values[name])[k]:
                 break
-            scenarios = scenarios.join(nearby.take(worst))
+            samples = samples.join(nearby.take(worst))
             values = {key: np.append(values[key], found[key][worst]) for key in values}
-    return scenarios
+    return samples
 
 
 def refine_weights(
-    sampler: Sampler, form: MatrixForm, family: Family, rng: np.random.Generator
+    loop: ClosedLoop, form: MatrixForm, family: Family, rng: np.random.Generator
 ) -> tuple[MatrixForm, Best]:
-    """Choose a Lyapunov function, with a closer look around its worst scenario."""
+    """Choose a Lyapunov function, with a closer look around its worst sample."""
     best = best_weights(form, family)
-    worst, k, least = form.scenarios, int(best.margins.argmin()), float(best.margins.min())
-    found = []
+    worst, k, least = form.samples, int(best.margins.argmin()), float(best.margins.min())
+    found: list[Samples] = []
     for _ in range(_REFINED):
-        worst = sampler.near(worst, k, _NEAR, _CLOSER, rng)
-        nearby = MatrixForm(worst, form.setting)
-        margins = nearby.margins(best.weights)
+        worst = loop.near(worst, k, _NEAR, _CLOSER, rng)
+        margins = MatrixForm(worst, form.setting).margins(best.weights)
         k = int(margins.argmin())
         if margins[k] > least - _NOTABLE:
             break
         least = float(margins[k])
-        found.append(nearby.take(np.array([k])))
-    for nearby in found:
-        form = form.join(nearby)
-    return form, best_weights(form, family, best) if found else best
+        found.append(worst.take(np.array([k])))
+    if not found:
+        return form, best
+    form = MatrixForm(form.samples.join(*found), form.setting)
+    return form, best_weights(form, family, best)
+
+
+def margin(test: str, samples: Samples, setting: Setting) -> float:
+    """Return the margin of "theorem1" or "matrix" on samples, without a closer look."""
+    if test == "theorem1":
+        return theorem1(samples, setting).margin
+    return float(first_that_passes(MatrixForm(samples, setting)).margins.min())

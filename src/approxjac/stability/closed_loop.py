@@ -1,28 +1,228 @@
-"""The closed loops that are analysed: one controller on one or several true robots."""
+"""`ClosedLoop`: a controller on one or several true robots, and the samples it is tested on."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+import pinocchio as pin
 
-from approxjac.controllers import SetpointController
+from approxjac.controllers import Gains, SetpointController
+from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
+from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import JointBox, Region, RegularPart
+from approxjac.stability.samples import Indices, Samples, evaluate
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.tasks.analysis import vanishing
 from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5
 """Gravity torque that counts as none [N m or N]."""
-_REGULAR = 0.5  # times a tenth of the typical σ_max, below which postures are left out
+_REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
+_STARTS = 20  # of the search for configurations that attain a target
+_DECADES = 6.0  # of the sizes of small errors
+
+
+class ClosedLoop:
+    """A controller on one or several true robots, with the region and target that are analysed.
+
+    It draws configurations and targets that the true robot's sensor sees.
+
+    Args:
+        controller: The controller, of law (6) or (28).
+        truth: The true robot, as a plant or as a robot on which the controller's own task is
+            measured; or the set of true robots, of which all corners are taken.
+        region: Where configurations are drawn; the joint limits of the believed robot without
+            near-singular configurations by default.
+        target: x_d, shape (n_x,), or None for the values of other configurations of the region.
+
+    Attributes:
+        corners: Values of the uncertain coordinates of each true robot, shape (k, d).
+        plants: The true robots.
+        parts: The region as each true robot's sensor sees it.
+
+    Raises:
+        InvalidInputError: Law (5) or a posture torque, another task than the sensor's, a plant
+            that is not ideal, or arguments of the wrong kind or shape.
+    """
+
+    def __init__(
+        self,
+        controller: SetpointController,
+        truth: Plant | Robot | Uncertainty,
+        region: Region | None = None,
+        target: Sequence[float] | Array | None = None,
+    ) -> None:
+        require_setpoint(controller)
+        require_law(controller)
+        if isinstance(truth, Robot):
+            truth = Plant(truth, controller.task.on(truth))
+        require("truth", truth, (Plant, Uncertainty), "a Plant, a Robot or an Uncertainty")
+        self.controller, self.truth = controller, truth
+        self.corners = truth.corners() if isinstance(truth, Uncertainty) else np.zeros((1, 0))
+        self.plants = [truth] if isinstance(truth, Plant) else [*map(truth.plant, self.corners)]
+        for plant in self.plants:
+            plant.require_task(controller.task)
+            plant.require_ideal("a stability report")
+        if region is None:
+            task = controller.task
+            region = RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))
+        require("region", region, Region, "a Region, such as JointBox(robot)")
+        self.region = region
+        self.target = None if target is None else self.plants[0].sensor.target(target)
+        self.parts = [VisiblePart(region, plant.sensor, k) for k, plant in enumerate(self.plants)]
+        self._attained: list[list[Array]] | None = None
+
+    def scaled(self, factor: float) -> ClosedLoop:
+        """Return the loop with the errors of its `Uncertainty` shrunk or grown."""
+        assert isinstance(self.truth, Uncertainty)
+        return ClosedLoop(self.controller, self.truth.scaled(factor), self.region, self.target)
+
+    @property
+    def setting(self) -> Setting:
+        """Gains and damping, as the conditions need them."""
+        return Setting.of(self.controller, self.plants[0])
+
+    def gravity_error(self, configurations: Array) -> float:
+        """Return the largest gravity torque that is neither compensated nor learnt [N m or N]."""
+        learning, gravity = self.controller.adaptation, self.controller.gravity
+        if learning is None:
+            return max(
+                float(np.abs(gravity.torque(q) - plant.dynamics.g(q)).max())  # type: ignore[union-attr]
+                for plant in self.plants
+                for q in configurations
+            )
+        return max(
+            learning.regressor.fit(plant.robot)[1]
+            * max(float(np.abs(plant.dynamics.g(q)).max()) for q in configurations)
+            for plant in self.plants
+        )
+
+    def require_gravity(self) -> None:
+        """Refuse gravity that is neither exact nor can be learnt.
+
+        Raises:
+            InvalidInputError: It is not.
+        """
+        error = self.gravity_error(self.region.sample(5, np.random.default_rng(0)))
+        if error > EXACT_GRAVITY:
+            raise InvalidInputError(
+                f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} "
+                "N m; AdaptiveGravity learns it, and robots with_gravity((0, 0, 0)) take it as "
+                "compensated",
+                given=self.controller,
+            )
+
+    # -- drawing --------------------------------------------------------------------------
+
+    def draw(
+        self, n: int, rng: np.random.Generator, progress: Callable[[int], None] | None = None
+    ) -> Samples:
+        """Draw n samples, or more to have every true robot as often.
+
+        A third of them have e = 0, where every motion is to end, a third small errors of all
+        sizes, and a third those between two configurations of the region. Without the first two a
+        saturated s(e) would be looked at where it is flat only.
+        """
+        truths, drawn = self._drawn(n, rng)
+        n = len(truths)
+        kinds, sizes = rng.integers(3, size=n), 10.0 ** rng.uniform(-_DECADES, 0.0, n)
+        away = np.choose(kinds, [np.zeros(n), sizes, np.ones(n)])  # as a share of the way
+        if self.target is None:
+            others = self._seen(truths, self.region.sample(n, rng), rng)
+            x_d = []
+            for t, q, other, share in zip(truths, drawn, others, away, strict=True):
+                x_d.append(self.plants[t].sensor.value(self.parts[t].between(q, other, share)))
+            return evaluate(self.controller, self.plants, truths, drawn, np.array(x_d), progress)
+        known, model = self.attained(rng), self.region.robot.model
+        for i, (t, share) in enumerate(zip(truths, away, strict=True)):
+            end = known[t][rng.integers(len(known[t]))]
+            nearer = np.array(pin.interpolate(model, end, drawn[i], share))
+            if self.parts[t].contains(nearer):
+                drawn[i] = nearer
+        return self.samples_at(truths, drawn, progress)
+
+    def targets(self, n: int, rng: np.random.Generator) -> tuple[Indices, Array]:
+        """Return true robots (N,) and configurations (N, nq) that may be targets.
+
+        Those that attain the one target, or n drawn ones.
+        """
+        if self.target is None:
+            return self._drawn(n, rng)
+        known = self.attained(rng)
+        truths = np.repeat(np.arange(len(known)), [len(found) for found in known])
+        return truths, np.concatenate(known)
+
+    def near(
+        self, known: Samples, k: int, n: int, size: float, rng: np.random.Generator
+    ) -> Samples:
+        """Draw n samples near the k-th known one, of its true robot and target."""
+        truth = int(known.truth[k])
+        sizes = size * 10.0 ** rng.uniform(-1.0, 0.5, n)
+        nearby = np.array([self.parts[truth].near(known.q[k], each, rng) for each in sizes])
+        x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
+        return evaluate(self.controller, self.plants, np.full(n, truth), nearby, x_d)
+
+    def samples_at(
+        self,
+        truths: Indices,
+        configurations: Array,
+        progress: Callable[[int], None] | None = None,
+    ) -> Samples:
+        """Evaluate chosen true robots (N,) and configurations (N, nq) with the one target."""
+        x_d = np.repeat(np.asarray(self.target)[None], len(truths), axis=0)
+        return evaluate(self.controller, self.plants, truths, configurations, x_d, progress)
+
+    def attained(self, rng: np.random.Generator) -> list[list[Array]]:
+        """Return configurations of the region that attain the target, for each true robot.
+
+        Raises:
+            UnattainedError: There is none for one of them.
+        """
+        if self._attained is None:
+            self._attained = [self._attaining(index, rng) for index in range(len(self.plants))]
+        return self._attained
+
+    def _attaining(self, index: int, rng: np.random.Generator) -> list[Array]:
+        sensor, target = self.plants[index].sensor, np.asarray(self.target)
+        starts = self.parts[index].sample(_STARTS, rng)
+        ends = [inverse_kinematics(sensor, target, start) for start in starts]
+        attained = [q for q in ends if q is not None]
+        within = [q for q in attained if self.region.contains(q)]
+        if within:
+            return within
+        message = (
+            f"target must be attained by a configuration of the region for every true robot, got "
+            f"{target.tolist()}, which {sensor.robot.name} attains outside {self.region!r} only"
+            if attained
+            else f"target must be within reach of every true robot, got {target.tolist()}, which "
+            f"no configuration of {sensor.robot!r} was found to attain"
+        )
+        raise UnattainedError(message, given=target, truth=index)
+
+    def _drawn(self, n: int, rng: np.random.Generator) -> tuple[Indices, Array]:
+        """At least n true robots in turn, and configurations that they see."""
+        truths = np.arange(-(-n // len(self.plants)) * len(self.plants)) % len(self.plants)
+        return truths, self._seen(truths, self.region.sample(len(truths), rng), rng)
+
+    def _seen(self, truths: Indices, drawn: Array, rng: np.random.Generator) -> Array:
+        """Configurations of the region, with others for those that their true robot misses."""
+        for t, part in enumerate(self.parts):
+            drawn[truths == t] = part.replace_unseen(drawn[truths == t], rng)
+        return drawn
 
 
 def require_law(controller: SetpointController) -> None:
-    """Refuse controllers whose closed loop is neither eq. (9) nor that of (28), (29)."""
+    """Refuse controllers whose closed loop is neither eq. (9) nor that of (28), (29).
+
+    Raises:
+        InvalidInputError: Law (5), or a posture torque.
+    """
     if controller.velocity is not None or controller.posture is not None:
         raise InvalidInputError(
             "the conditions are those of the laws (6) and (28) without a posture torque, got "
@@ -32,65 +232,8 @@ def require_law(controller: SetpointController) -> None:
         )
 
 
-def require_gravity(
-    controller: SetpointController, uncertainty: Uncertainty, region: Region
-) -> None:
-    """Refuse gravity that is neither exact nor can be learnt on the true robots of a set."""
-    _, plants = true_plants(controller, uncertainty)
-    error = gravity_error(controller, plants, region.sample(5, np.random.default_rng(0)))
-    if error > EXACT_GRAVITY:
-        raise InvalidInputError(
-            f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} N m; "
-            "AdaptiveGravity learns it, and robots with_gravity((0, 0, 0)) take it as compensated",
-            given=controller,
-        )
-
-
-def true_plants(
-    controller: SetpointController, truth: Plant | Robot | Uncertainty
-) -> tuple[Array, list[Plant]]:
-    """The corners (k, d) of a set of true robots and their plants; of a single one, that."""
-    if isinstance(truth, Uncertainty):
-        corners = truth.corners()
-        plants = [truth.plant(values) for values in corners]
-        for plant in plants:
-            plant.require_task(controller.task)
-        return corners, plants
-    if isinstance(truth, Robot):
-        truth = Plant(truth, controller.task.on(truth))
-    require("truth", truth, Plant, "a Plant, a Robot or an Uncertainty")
-    return np.zeros((1, 0)), [truth]
-
-
-def default_region(controller: SetpointController) -> Region:
-    """The joint limits of the believed robot, without postures where Ĵ is near singular."""
-    task = controller.task
-    return RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))
-
-
-def setting_of(controller: SetpointController, plant: Plant) -> Setting:
-    """Gains and damping of a closed loop."""
-    kp, kv, damping = controller.diagonals
-    alpha = None if controller.adaptation is None else controller.adaptation.alpha
-    return Setting(kp, kv, damping + plant.friction, controller.saturation.c_bar, alpha)
-
-
-def gravity_error(
-    controller: SetpointController, plants: Sequence[Plant], postures: Array
-) -> float:
-    """Largest gravity torque that the controller does not compensate, nor learn to [N m or N]."""
-    if controller.adaptation is not None:
-        regressor = controller.adaptation.regressor
-        worst = 0.0
-        for plant in plants:
-            residual = regressor.fit(plant.robot)[1]
-            worst = max(
-                worst, residual * max(float(np.abs(plant.dynamics.g(q)).max()) for q in postures)
-            )
-        return worst
-    gravity = controller.gravity
-    return max(
-        float(np.abs(gravity.torque(q) - plant.dynamics.g(q)).max())  # type: ignore[union-attr]
-        for plant in plants
-        for q in postures
+def with_gains(controller: SetpointController, gains: Gains) -> SetpointController:
+    """Return the same controller with other gains."""
+    return SetpointController(
+        controller.task, gains, gravity=controller.gravity, saturation=controller.saturation
     )

@@ -1,4 +1,4 @@
-"""Postures that attain a target: inverse kinematics of a true robot, for analysis only."""
+"""Inverse kinematics of a true robot, for analysis only."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _EXACT = 1e-10  # error that counts as none, relative to the size of the Jacobia
 _LONGEST = 0.3  # step [rad or m]
 
 
-def attain(sensor: Task, x_d: Array, q0: Array) -> Array | None:
-    """A posture that a sensor sees with the value x_d, from a start (nq,) that it sees, or None.
+def inverse_kinematics(sensor: Task, x_d: Array, q0: Array) -> Array | None:
+    """Return a configuration that a sensor sees with the value x_d, or None if none is found.
 
-    Damped Gauss–Newton steps, which also end at rest where the target is out of reach, and where
-    a camera loses its image.
+    Damped Gauss–Newton steps from a visible start q0 (nq,), which also end at rest where the target
+    is out of reach, and where a camera loses its image.
     """
     q = np.array(q0)
     for _ in range(_STEPS):

@@ -74,7 +74,7 @@ class Timing(NamedTuple):
 
 
 def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> LinearLoop:
-    """Return the parts of the loop of a plant and a controller at a posture (nq,).
+    """Return the parts of the loop of a plant and a controller at a configuration (nq,).
 
     Where Ĵ uses the measured x it is taken at that of the target: its change with x is multiplied
     by e and q̇, which are zero there.
@@ -197,7 +197,7 @@ def _held(loop: LinearLoop, dt: float) -> tuple[Array, Array]:
 
 
 def _damped_pinv(task: Task, J_hat: Array) -> Array:
-    """Ĵ⁺ as law (29) is evaluated: damped near singular postures; shape (n_v, m)."""
+    """Ĵ⁺ as law (29) is evaluated: damped near singular configurations; shape (n_v, m)."""
     gram, scale = J_hat @ J_hat.T, vanishing(task)
     columns = [law.damped_gram_solve(gram, unit, scale=scale)[0] for unit in np.eye(task.m)]
     return J_hat.T @ np.array(columns).T

@@ -14,15 +14,15 @@ from approxjac.controllers.gravity import Adaptation
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
+from approxjac.stability.closed_loop import require_law
 from approxjac.stability.linearization import (
-    LinearLoop,
     Timing,
     continuous_matrix,
     equilibria,
     linear_loop,
     sampled_matrix,
 )
-from approxjac.tasks.analysis import sees
+from approxjac.stability.region import require_seen
 from approxjac.validation import Array, as_number, require
 
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
@@ -42,7 +42,7 @@ class LocalStability:
     Attributes:
         eigenvalues: Complex λ [1/s], the slowest first, 2 n_v − (n_v − m) of them for law (6).
             Learnt parameters and delays add to them; −∞ is a mode that is over after one sample.
-        self_motion: Number n_v − m of eigenvalues left out because every posture of the
+        self_motion: Number n_v − m of eigenvalues left out because every configuration of the
             self-motion attains the target.
         unseen_parameters: Number p − rank Z of eigenvalues left out because so many combinations
             of the learnt parameters exert no torque at the target.
@@ -96,7 +96,7 @@ class LocalStability:
         if self.singular:
             return (
                 "undecided: J or Ĵ loses rank at the target, so that more than the self-motion "
-                "is neither held nor driven away; choose another posture or task"
+                "is neither held nor driven away; choose another target or task"
             )
         if self.stable:
             return (
@@ -134,7 +134,7 @@ def local_stability(
     Args:
         plant: The true robot, sensor and friction.
         controller: The controller with its believed robot.
-        q_target: Posture that attains the target, shape (nq,).
+        q_target: Configuration that attains the target, shape (nq,).
         dt: Sampling time [s] for the loop as `simulate` runs it with dt: torque held over dt,
             delays of the torque and of x in whole samples, q̇ filtered, θ̂ in Euler steps, and
             friction and gravity acting all the time. None is the continuous loop.
@@ -152,13 +152,8 @@ def local_stability(
     plant.require_task(controller.task)
     timing = _timing(plant, dt)
     q = plant.robot.configuration(q_target, "q_target")
-    if not sees(plant.sensor, q):
-        raise InvalidInputError(
-            f"q_target must be a posture that the sensor sees, or no law acts there, got "
-            f"{q.tolist()} with {plant.sensor!r}",
-            given=q_target,
-        )
-    _require_law(controller)
+    require_seen("q_target", q, plant.sensor)
+    require_law(controller)
     _require_gravity(plant, controller, q)
     return linearised(plant, controller, q, timing)
 
@@ -166,23 +161,34 @@ def local_stability(
 def linearised(
     plant: Plant, controller: SetpointController, q: Array, timing: Timing | None = None
 ) -> LocalStability:
-    """`local_stability` of what has been checked: gravity is taken as exact, or learnt."""
+    """Return `local_stability` of what has been checked: gravity is taken as exact, or learnt."""
     loop = linear_loop(plant, controller, q)
     unseen = _null_space(loop.Z, float(np.linalg.norm(plant.robot.gravity)))
     still = equilibria(loop, unseen, timing)
-    if timing is None:
-        A, at_rest = continuous_matrix(loop), 0.0
-    else:
-        A, at_rest = sampled_matrix(loop, timing), 1.0
-        _require_finite(A, timing.dt)
-    values, is_manifold = _eigenvalues_across(A, still, at_rest)
-    if timing is not None:
-        values = _rates(values, timing.dt)
+    A = continuous_matrix(loop) if timing is None else sampled_matrix(loop, timing)
+    if (
+        timing is not None and not np.isfinite(A).all()
+    ):  # the arm falls from the target without end in one sample
+        raise InvalidInputError(
+            f"dt must be a sampling time of control, such as 0.001 [s], got {timing.dt:g}: the "
+            "motion within one sample overflows",
+            given=timing.dt,
+        )
+    values, is_manifold = _eigenvalues_across(A, still, 0.0 if timing is None else 1.0)
+    if timing is not None:  # λ = ln(μ)/dt; −∞ for a mode that is over after one sample
+        with np.errstate(divide="ignore"):
+            values.real, values.imag = (
+                np.log(np.abs(values)) / timing.dt,
+                np.angle(values) / timing.dt,
+            )
+    across = np.linalg.svd(loop.J @ np.linalg.solve(loop.M, loop.J_hat.T), compute_uv=False)
+    sizes = np.abs(values[np.isfinite(values)])
+    has_zero = np.min(sizes, initial=np.inf) <= _ZERO * np.max(sizes, initial=0.0)
     return LocalStability(
         values[np.argsort(-values.real)],
         self_motion=plant.robot.nv - plant.sensor.m,
         unseen_parameters=unseen.shape[1],
-        singular=_loses_rank(loop) or not is_manifold or _has_zero(values),
+        singular=bool(across[-1] <= _SINGULAR * across[0] or not is_manifold or has_zero),
         dt=None if timing is None else timing.dt,
         dead_time=0.0 if timing is None else timing.dead_time,
     )
@@ -210,42 +216,16 @@ def _timing(plant: Plant, dt: float | None) -> Timing | None:
     return Timing(dt, round(x_delay / dt), round(plant.actuator_delay / dt), velocity_filter)
 
 
-def _require_finite(A: Array, dt: float) -> None:
-    if not np.isfinite(A).all():  # the arm falls from the target without end in one sample
-        raise InvalidInputError(
-            f"dt must be a sampling time of control, such as 0.001 [s], got {dt:g}: the motion "
-            "within one sample overflows",
-            given=dt,
-        )
-
-
-def _require_law(controller: SetpointController) -> None:
-    if controller.velocity is not None:
-        raise InvalidInputError(
-            "local_stability is for law (6), or (28) where gravity is learnt, with the estimated "
-            f"task velocity, got {controller!r}",
-            given=controller,
-        )
-    if controller.posture is not None:
-        raise InvalidInputError(
-            "local_stability is for controllers without a posture, whose torque is not linearised, "
-            f"got {controller.posture!r}",
-            given=controller,
-        )
-
-
 def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> None:
     """Refuse gravity that is not exact around the target, or cannot be learnt to be so."""
     model = plant.robot.model
     nearby = [q, *(pin.integrate(model, q, _NEAR * unit) for unit in np.eye(plant.robot.nv))]
-    wanted = np.array([plant.dynamics.g(posture) for posture in nearby])
-    learning = controller.adaptation
-    if learning is None:
-        given = np.array([controller.gravity.torque(posture) for posture in nearby])  # type: ignore[union-attr]
-        expected = "exact"
+    wanted = np.array([plant.dynamics.g(at) for at in nearby])
+    if controller.adaptation is None:
+        given = np.array([controller.gravity.torque(at) for at in nearby])  # type: ignore[union-attr]
     else:
-        given = _learnt(learning, nearby, wanted)
-        expected = "learnable"
+        given = _learnt(controller.adaptation, nearby, wanted)
+    expected = "exact" if controller.adaptation is None else "learnable"
     error = float(np.abs(given - wanted).max())
     if error > _EXACT * max(1.0, float(np.abs(wanted).max())):
         raise InvalidInputError(
@@ -257,7 +237,7 @@ def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> 
 
 
 def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
-    """Z θ̂ at the postures, shape (k, n_v), with the θ̂ nearest to the believed one that fits best.
+    """Z θ̂ at configurations, shape (k, n_v), with the θ̂ nearest to the believed that fits best.
 
     Raises:
         InvalidInputError: The law does not learn there: the torque or θ̂ is at a limit.
@@ -269,7 +249,7 @@ def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
             given=learning.torque_limits,
         )
     regressor = learning.regressor
-    Z = np.array([regressor.Z(posture) for posture in nearby])
+    Z = np.array([regressor.Z(at) for at in nearby])
     rows, believed = Z.reshape(-1, regressor.p), regressor.theta
     change = np.linalg.lstsq(rows, wanted.ravel() - rows @ believed, rcond=1e-12)[0]
     theta = believed + change
@@ -316,22 +296,3 @@ def _eigenvalues_across(
     residual = np.abs(A @ along - at_rest * along).max()
     rest = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
     return rest, bool(residual <= 1e-9 * np.abs(A).max())
-
-
-def _rates(multipliers: NDArray[np.complex128], dt: float) -> NDArray[np.complex128]:
-    """λ = ln(μ)/dt; −∞ for a mode that is over after one sample."""
-    rates = np.empty_like(multipliers)
-    with np.errstate(divide="ignore"):
-        rates.real = np.log(np.abs(multipliers)) / dt
-    rates.imag = np.angle(multipliers) / dt
-    return rates
-
-
-def _loses_rank(loop: LinearLoop) -> bool:
-    values = np.linalg.svd(loop.J @ np.linalg.solve(loop.M, loop.J_hat.T), compute_uv=False)
-    return bool(values[-1] <= _SINGULAR * values[0])
-
-
-def _has_zero(eigenvalues: NDArray[np.complex128]) -> bool:
-    size = np.abs(eigenvalues[np.isfinite(eigenvalues)])
-    return bool(np.min(size, initial=np.inf) <= _ZERO * np.max(size, initial=0.0))

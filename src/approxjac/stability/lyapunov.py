@@ -9,7 +9,8 @@ from approxjac.controllers import SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.tasks.analysis import require_jacobian_of_q, sees
+from approxjac.stability.region import require_seen
+from approxjac.tasks.analysis import require_jacobian_of_q
 from approxjac.validation import Array, as_array, as_number, require
 
 
@@ -71,12 +72,7 @@ def lyapunov(
     target = plant.sensor.target(target)
     task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
     require_jacobian_of_q(task, "the Lyapunov function")
-    if not sees(sensor, q):
-        raise InvalidInputError(
-            f"q must be a posture that the sensor sees, or no law acts there, got {q.tolist()} "
-            f"with {sensor!r}",
-            given=q,
-        )
+    require_seen("q", q, sensor)
     kp, kv, damping = controller.diagonals
     e = sensor.error(sensor.value(q), target)
     s = controller.saturation.s(e)
@@ -84,8 +80,8 @@ def lyapunov(
     sigma_min, sigma_max = law.extreme_singular_values(J_hat)
     if sigma_min <= 1e-7 * sigma_max:
         raise InvalidInputError(
-            f"q must not be a singular posture of the believed robot, where Ĵ⁺ does not exist, "
-            f"got {q.tolist()}",
+            "q must not be a singular configuration of the believed robot, where Ĵ⁺ does not "
+            f"exist, got {q.tolist()}",
             given=q,
         )
     J_hat_pinv = law.right_pinv(J_hat)

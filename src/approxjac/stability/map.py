@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -10,22 +12,15 @@ from types import MappingProxyType
 import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
-from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.stability.closed_loop import (
-    default_region,
-    require_gravity,
-    require_law,
-    setting_of,
-    true_plants,
-)
-from approxjac.stability.matrix_form import MatrixForm, first_that_passes
+from approxjac.stability.certificate import margin
+from approxjac.stability.closed_loop import ClosedLoop, with_gains
+from approxjac.stability.local_test import local_test
+from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.samples import Sampler, Scenarios, Targets
-from approxjac.stability.singularity import singular_posture
-from approxjac.stability.targets import local_test
-from approxjac.stability.theorem1 import theorem1
+from approxjac.stability.samples import Indices, Samples
+from approxjac.stability.singularity import singular_configuration
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
 from approxjac.validation import Array, as_array, require
@@ -41,6 +36,7 @@ PARAMETERS: Mapping[str, str] = MappingProxyType(
 """What a map can have along its axes."""
 
 _POOL = 200  # targets that the hard ones are chosen from
+_COSTS = {"local": 1, "theorem1": 1, "matrix": 60, "rollouts": 60}  # roughly, of a point [ms]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,7 +49,7 @@ class StabilityMap:
         y: Values of the second, shape (N_y,).
         decay_rate: Test 3: slowest decay over some targets, hard ones among them, and the true
             robots, shape (N_y, N_x) [1/s].
-        targets: How many targets that were.
+        targets: Number of these targets.
         coarse_x: Values where the tests 2 and 4 were made, shape (n_x,).
         coarse_y: Shape (n_y,).
         theorem1: Test 1: margin, shape (N_y, N_x), at least −1; NaN where it was not made.
@@ -95,7 +91,7 @@ def stability_map(
     target: Sequence[float] | Array | None = None,
     targets: int = 16,
     coarse: int = 8,
-    postures: int = 100,
+    configurations: int = 100,
     runs: int = 0,
     duration: float = 10.0,
     seed: int = 0,
@@ -115,10 +111,10 @@ def stability_map(
         x: Values of the first: numbers that grow, > 0 (≥ 0 of "error").
         y: Values of the second, alike.
         target: x_d, shape (n_x,); see `stability_report`.
-        targets: Postures that test 3 takes as targets, ≥ 2: half of them the worst of 200 with the
-            controller's own gains, the true robots in turn.
+        targets: Configurations that test 3 takes as targets, ≥ 2: half of them the worst of 200
+            with the controller's own gains, the true robots in turn.
         coarse: Values of each parameter where tests 2 and 4 are made, ≥ 2; 0 makes test 3 alone.
-        postures: Postures for tests 1 and 2.
+        configurations: How many to draw for tests 1 and 2.
         runs: Rollouts at each coarse point.
         duration: Of a rollout [s].
         seed: Of all drawing.
@@ -130,162 +126,86 @@ def stability_map(
             parameter, or what `stability_report` refuses.
         UnknownNameError: No such parameter.
     """
-    require_setpoint(controller)
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    require_law(controller)
     for name in names:
         if name not in PARAMETERS:
             raise UnknownNameError("parameter", name, "the map", PARAMETERS)
     if len(set(names)) != 2:
         raise InvalidInputError(f"names must be two different parameters, got {names}", given=names)
-    region = default_region(controller) if region is None else region
-    require("region", region, Region, "a Region, such as JointBox(robot)")
-    require_gravity(controller, uncertainty, region)
-    grid = _Grid(controller, uncertainty, region, target, seed)
+    loop = ClosedLoop(controller, uncertainty, region, target)
+    loop.require_gravity()
     xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
     few_x, few_y = (np.interp(np.linspace(0, 1, coarse), np.linspace(0, 1, len(v)), v)
                     for v in (xs, ys))  # fmt: skip
+    rank_is_lost: list[bool] = []  # whether Ĵ loses rank in the region: no parameter changes that
+
+    # the true robots and what is drawn change with "error" only, which is in the outer loop
+    @functools.lru_cache(maxsize=1)
+    def drawn(scale: float) -> tuple[ClosedLoop, Samples]:
+        scaled = loop.scaled(scale)
+        return scaled, scaled.draw(configurations, np.random.default_rng(seed))
+
+    @functools.lru_cache(maxsize=1)
+    def hard_targets(scale: float) -> tuple[ClosedLoop, Indices, Array]:
+        scaled = loop.scaled(scale)
+        truths, pool = scaled.targets(max(targets, _POOL), np.random.default_rng(seed))
+        rates = local_test(scaled, truths, pool).decay_rates
+        hard = np.argsort(rates, kind="stable")[: targets // 2]
+        others = np.setdiff1d(np.arange(len(rates)), hard)
+        chosen = np.concatenate([hard, others[: targets - targets // 2]])
+        return scaled, truths[chosen], pool[chosen]
+
+    @functools.cache
+    def changed(a: float | None, kv: float, damping: float) -> SetpointController:
+        kp, known_kv, known_damping = controller.diagonals
+        kp = kv * kp if a is None else a * (kv * known_kv)
+        return with_gains(controller, Gains(kp, kv * known_kv, damping * known_damping))
+
+    def result(kind: str, scale: float, a: float | None, kv: float, damping: float) -> float:
+        own = changed(a, kv, damping)
+        if kind == "local":
+            return float(local_test(*hard_targets(scale), own).decay_rates.min())
+        if kind == "rollouts":
+            return rollouts(
+                own, uncertainty.scaled(scale), loop.region, target=loop.target, runs=runs,
+                duration=duration, seed=seed, executor=executor,
+            ).share  # fmt: skip
+        scaled, samples = drawn(scale)
+        if not rank_is_lost:
+            rank_is_lost.append(singular_configuration(scaled, samples) is not None)
+        if rank_is_lost[0]:
+            return -1.0
+        return max(-1.0, margin(kind, samples, Setting.of(own, scaled.plants[0])))
+
     fine = len(xs) * len(ys)
-    costs = {"local": 1, "theorem1": 1, "matrix": 60, "rollouts": 60 * runs}  # roughly, in ms
-    total = fine + (fine + coarse**2 * (costs["matrix"] + costs["rollouts"]) if coarse else 0)
+    total = fine * _COSTS["local"]
+    if coarse:
+        coarse_cost = _COSTS["matrix"] + runs * _COSTS["rollouts"]
+        total += fine * _COSTS["theorem1"] + coarse**2 * coarse_cost
     done = 0
 
-    def over(
-        first: Array, second: Array, kind: str, test: Callable[[Mapping[str, float]], float]
-    ) -> Array:
+    def over(first: Array, second: Array, kind: str) -> Array:
         nonlocal done
         found = np.full((len(second), len(first)), np.nan)
-        # the true robots change with "error" only: keep it in the outer loop
-        for i, j in grid.order(names, len(first), len(second)):
+        points = itertools.product(range(len(second)), range(len(first)))
+        for j, i in sorted(points, key=lambda point: point[names[0] == "error"]):
             at = {names[0]: float(first[i]), names[1]: float(second[j])}
+            scale, a = at.get("error", 1.0), at.get("a")
             try:
-                found[j, i] = test(at)
+                found[j, i] = result(kind, scale, a, at.get("kv", 1.0), at.get("damping", 1.0))
             except UnattainedError:
-                if at.get("error", 1.0) <= 1.0:
+                if scale <= 1.0:
                     raise  # grown errors may put the target out of reach, the given ones not
-            done += costs[kind]
+            done += _COSTS[kind] * (runs if kind == "rollouts" else 1)
             if progress is not None:
                 progress(done / total)
         return found
 
-    decay = over(xs, ys, "local", lambda at: grid.decay_rate(at, targets))
-    first = np.full_like(decay, np.nan)
-    if coarse:
-        first = over(xs, ys, "theorem1", lambda at: grid.theorem1(at, postures))
-    second = over(few_x, few_y, "matrix", lambda at: grid.matrix(at, postures))
-    shares = np.full_like(second, np.nan)
-    if runs:
-        shares = over(
-            few_x, few_y, "rollouts", lambda at: grid.converging(at, runs, duration, executor)
-        )
+    decay = over(xs, ys, "local")
+    first = over(xs, ys, "theorem1") if coarse else np.full_like(decay, np.nan)
+    second = over(few_x, few_y, "matrix")
+    shares = over(few_x, few_y, "rollouts") if runs else np.full_like(second, np.nan)
     return StabilityMap(names, xs, ys, decay, targets, few_x, few_y, first, second, shares)
-
-
-class _Grid:
-    """The closed loops of a map, with the true robots of one scale of the errors kept."""
-
-    def __init__(
-        self,
-        controller: SetpointController,
-        uncertainty: Uncertainty,
-        region: Region,
-        target: Sequence[float] | Array | None,
-        seed: int,
-    ) -> None:
-        self._base, self._errors, self._region, self._seed = controller, uncertainty, region, seed
-        self._target = None if target is None else controller.task.target(target)
-        # those of one scale of the errors, and what they are for
-        self._drawn: tuple[object, Scenarios, Sampler] | None = None
-        self._hard: tuple[object, Targets, Sampler] | None = None
-        self._singular: bool | None = None
-        self._controllers: dict[tuple[float | None, ...], SetpointController] = {}
-
-    def order(self, names: tuple[str, str], nx: int, ny: int) -> list[tuple[int, int]]:
-        """All pairs of indices, those of "error" in the outer loop."""
-        if names[0] == "error":
-            return [(i, j) for i in range(nx) for j in range(ny)]
-        return [(i, j) for j in range(ny) for i in range(nx)]
-
-    def decay_rate(self, at: Mapping[str, float], targets: int) -> float:
-        """The slowest decay over targets and true robots [1/s]."""
-        hard, sampler = self._targets(at, targets)
-        return float(local_test(sampler, hard, self._controller(at)).decay_rates.min())
-
-    def theorem1(self, at: Mapping[str, float], postures: int) -> float:
-        """Margin of test 1, at least −1."""
-        scenarios, sampler = self._scenarios(at, postures)
-        if self._is_singular(scenarios, sampler):
-            return -1.0
-        setting = setting_of(self._controller(at), sampler.plants[0])
-        return max(-1.0, theorem1(scenarios, setting).margin)
-
-    def matrix(self, at: Mapping[str, float], postures: int) -> float:
-        """Margin of test 2, at least −1."""
-        scenarios, sampler = self._scenarios(at, postures)
-        if self._is_singular(scenarios, sampler):
-            return -1.0
-        setting = setting_of(self._controller(at), sampler.plants[0])
-        return max(-1.0, float(first_that_passes(MatrixForm(scenarios, setting)).margins.min()))
-
-    def converging(
-        self, at: Mapping[str, float], runs: int, duration: float, executor: Executor | None
-    ) -> float:
-        """Share of the rollouts that converge."""
-        return rollouts(
-            self._controller(at), self._scaled(at), self._region, target=self._target,
-            runs=runs, duration=duration, seed=self._seed, executor=executor,
-        ).share  # fmt: skip
-
-    def _is_singular(self, scenarios: Scenarios, sampler: Sampler) -> bool:
-        """Whether Ĵ loses rank in the region, which no parameter of the map changes."""
-        if self._singular is None:
-            task = self._base.task
-            self._singular = singular_posture(sampler.parts, task, scenarios) is not None
-        return self._singular
-
-    def _scaled(self, at: Mapping[str, float]) -> Uncertainty:
-        return self._errors.scaled(at.get("error", 1.0))
-
-    def _controller(self, at: Mapping[str, float]) -> SetpointController:
-        key = tuple(at.get(name) for name in ("a", "kv", "damping"))
-        if key not in self._controllers:
-            self._controllers[key] = self._changed(at)
-        return self._controllers[key]
-
-    def _changed(self, at: Mapping[str, float]) -> SetpointController:
-        base = self._base
-        kp, kv, damping = base.diagonals
-        factor = at.get("kv", 1.0)
-        kv = factor * kv
-        kp = at["a"] * kv if "a" in at else factor * kp
-        return SetpointController(
-            base.task, Gains(kp, kv, at.get("damping", 1.0) * damping), gravity=base.gravity,
-            saturation=base.saturation,
-        )  # fmt: skip
-
-    def _scenarios(self, at: Mapping[str, float], n: int) -> tuple[Scenarios, Sampler]:
-        key = (at.get("error", 1.0), n)
-        if self._drawn is None or self._drawn[0] != key:
-            sampler, rng = self._sampler(at)
-            self._drawn = (key, sampler.draw(n, rng), sampler)
-        return self._drawn[1:]
-
-    def _targets(self, at: Mapping[str, float], n: int) -> tuple[Targets, Sampler]:
-        key = (at.get("error", 1.0), n)
-        if self._hard is None or self._hard[0] != key:
-            sampler, rng = self._sampler(at)
-            targets = sampler.targets(max(n, _POOL), rng)
-            rates = local_test(sampler, targets).decay_rates
-            hard = np.argsort(rates, kind="stable")[: n // 2]
-            others = np.setdiff1d(np.arange(len(rates)), hard)
-            chosen = targets.take(np.concatenate([hard, others[: n - n // 2]]))
-            self._hard = (key, chosen, sampler)
-        return self._hard[1:]
-
-    def _sampler(self, at: Mapping[str, float]) -> tuple[Sampler, np.random.Generator]:
-        _, plants = true_plants(self._base, self._scaled(at))
-        sampler = Sampler(self._base, plants, self._region, self._target)
-        return sampler, np.random.default_rng(self._seed)
 
 
 def _values(name: str, given: Sequence[float] | Array) -> Array:

@@ -1,4 +1,4 @@
-"""Test 2: the matrix form with free potential, a linear matrix inequality over many scenarios.
+"""Test 2: the matrix form with free potential, a linear matrix inequality over many samples.
 
 Solved by cutting planes: with a dozen unknowns and thousands of small matrices, an eigenvalue
 decomposition of all of them and a linear program of the few directions that matter (HiGHS, through
@@ -7,19 +7,19 @@ SciPy) take less than a conic solver takes to read the problem.
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from approxjac import law
-from approxjac.stability.samples import Indices, Scenarios
+from approxjac.controllers import SetpointController
+from approxjac.simulation import Plant
+from approxjac.stability.samples import Indices, Samples
 from approxjac.validation import Array
 
 Family = Literal["paper", "free", "wide"]
-"""Which Lyapunov functions are tried.
+"""The Lyapunov functions that are tried.
 
 "paper" is G = αĴ⁺ with w = k_p + αk_v, "free" is G = αĴ⁺ with any w, and "wide" is
 G = Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂ with any m × m matrices A₁ and A₂, and any w. (For m > 3 the matrices are
@@ -27,9 +27,9 @@ diagonal: full ones have so many entries that finding them takes minutes.)
 """
 FAMILIES: tuple[Family, ...] = ("paper", "free", "wide")
 
-_ACTIVE = 60  # scenarios to begin with
+_ACTIVE = 60  # samples to begin with
 _MORE = 40  # and how many of the worst are added at a time
-_CUTS = 10  # a round, from the scenarios that violate most
+_CUTS = 10  # a round, from the samples that violate most
 _ROUNDS = 150
 _STEP = 0.4
 _PRECISION = 5e-3  # of the margin
@@ -38,8 +38,7 @@ _FULL = 3  # task coordinates up to which the matrices of "wide" are full
 _BOX = 30.0  # unknowns are sought within so many times their natural size
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
+class Weights(NamedTuple):
     """A Lyapunov function V = ½q̇ᵀMq̇ + q̇ᵀM(Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂)s + Σ wᵢSᵢ(eᵢ).
 
     Attributes:
@@ -52,10 +51,14 @@ class Weights:
     A2: Array
     w: Array
 
+    def plus(self, share: float, other: Weights) -> Weights:
+        """Return these weights and a share of others."""
+        return Weights(*(mine + share * its for mine, its in zip(self, other, strict=True)))
+
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """The closed loop's part of the conditions, the same in every scenario.
+    """The closed loop's part of the conditions, the same in every sample.
 
     Attributes:
         kp: Diagonal of K_p, shape (m,).
@@ -73,6 +76,13 @@ class Setting:
     fixed_alpha: float | None = None
     large_gains: bool = False
 
+    @classmethod
+    def of(cls, controller: SetpointController, plant: Plant) -> Setting:
+        """Return that of a controller on a plant."""
+        kp, kv, damping = controller.diagonals
+        alpha = None if controller.adaptation is None else controller.adaptation.alpha
+        return cls(kp, kv, damping + plant.friction, controller.saturation.c_bar, alpha)
+
     @property
     def alpha(self) -> float:
         """α, or its natural size where it is free: half the mean rate k_p/k_v [1/s]."""
@@ -82,50 +92,27 @@ class Setting:
 
     @property
     def families(self) -> tuple[Family, ...]:
-        """The families that apply: (29) learns along q̇ + αĴ⁺s(e), which G then has to match."""
+        """Families that apply: (29) learns along q̇ + αĴ⁺s(e), which G then has to match."""
         return FAMILIES if self.fixed_alpha is None else ("paper", "free")
 
 
 class MatrixForm:
-    """What has to be positive for V to be a Lyapunov function, at many scenarios."""
+    """What has to be positive for V to be a Lyapunov function, at many samples."""
 
-    def __init__(self, scenarios: Scenarios, setting: Setting) -> None:
-        self.scenarios, self.setting = scenarios, setting
-        J_hat, dJ_hat, kv = scenarios.J_hat, scenarios.dJ_hat, setting.kv
+    def __init__(self, samples: Samples, setting: Setting) -> None:
+        self.samples, self.setting = samples, setting
+        J_hat, dJ_hat, kv = samples.J_hat, samples.dJ_hat, setting.kv
         self._D = law.dissipation(J_hat, kv, setting.B)
         self._pinv = law.cross_weight_pinv(J_hat, dJ_hat)
         self._damped = law.cross_weight_damped(self._D, J_hat, dJ_hat, kv)
 
-    def take(self, which: Indices) -> MatrixForm:
-        """The same at those scenarios of some indices."""
-        return self._with(self.scenarios.take(which), lambda array, _: array[which], self)
-
-    def join(self, other: MatrixForm) -> MatrixForm:
-        """The same at these scenarios and those of another."""
-        both = self.scenarios.join(other.scenarios)
-        return self._with(both, lambda mine, theirs: np.concatenate([mine, theirs]), other)
-
-    def _with(
-        self,
-        scenarios: Scenarios,
-        combine: Callable[[Array, Array], Array],
-        other: MatrixForm,
-    ) -> MatrixForm:
-        form = copy.copy(self)
-        form.scenarios = scenarios
-        form._D = combine(self._D, other._D)
-        for name in ("_pinv", "_damped"):
-            pairs = zip(getattr(self, name), getattr(other, name), strict=True)
-            setattr(form, name, tuple(combine(mine, theirs) for mine, theirs in pairs))
-        return form
-
     def pencils(self, weights: Weights) -> tuple[Array, Array]:
-        """X and Y with the margin as the largest μ for which X − μY ≥ 0.
+        """Return X and Y with the margin as the largest μ for which X − μY ≥ 0.
 
         X holds Q of V̇ = −zᵀQz and P of V ≥ ½zᵀPz, one after the other, Y the same without their
         cross blocks and inertia; both of shape (2, N, n_v + m, n_v + m) and affine in the weights.
         """
-        at, setting = self.scenarios, self.setting
+        at, setting = self.samples, self.setting
         (G1, dG1), (G2, dG2) = self._pinv, self._damped
         G = G1 @ weights.A1 + G2 @ weights.A2
         N = np.zeros_like(at.M)
@@ -145,12 +132,12 @@ class MatrixForm:
         return X, Y
 
     def margins(self, weights: Weights) -> Array:
-        """Margin of each scenario, at most 1; positive where V is a Lyapunov function; (N,).
+        """Return the margin of each sample, at most 1, positive where V proves stability; (N,).
 
         V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + Σ c̄wᵢsᵢ²) hold there. −∞ where
         sym(K_pĴG) or w is not positive.
         """
-        margins = np.full(len(self.scenarios), -np.inf)
+        margins = np.full(len(self.samples), -np.inf)
         if (weights.w <= 0.0).any():
             return margins
         (Q, P), (Y, _) = self.pencils(weights)
@@ -159,7 +146,7 @@ class MatrixForm:
         factor = np.linalg.inv(np.linalg.cholesky(Y[positive]))
         decrease = np.linalg.eigvalsh(factor @ Q[positive] @ np.swapaxes(factor, -1, -2))[:, 0]
         # of P the margin is 1 less the largest singular value of the whitened cross block
-        cross, M = P[positive, :n, n:], self.scenarios.M[positive]
+        cross, M = P[positive, :n, n:], self.samples.M[positive]
         square = np.swapaxes(cross, -1, -2) @ np.linalg.solve(M, cross)
         roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
         size = np.linalg.eigvalsh(square / np.outer(roots, roots))[:, -1]
@@ -168,51 +155,38 @@ class MatrixForm:
 
 
 class _Unknowns:
-    """The unknowns y of a family, scaled to be of the order of one."""
+    """The unknowns y of a family, scaled to be of the order of one: `fixed` + Σ yₖ `basis`ₖ."""
 
     def __init__(self, family: Family, setting: Setting) -> None:
         m = len(setting.kp)
         one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
         alpha, kp, kv = setting.alpha, setting.kp, setting.kv
-        paper = kp + alpha * kv
-        potentials = [Weights(zero, zero, row) for row in np.diag(paper)]
-        self.fixed = Weights(zero, zero, none)
-        if family == "wide":
-            self.basis, self.start = self._any_matrices(alpha, potentials)
-            return
-        cross = Weights(alpha * one, zero, none)
+        potentials = [Weights(zero, zero, row) for row in np.diag(kp + alpha * kv)]
+        self.fixed, cross, start = (
+            Weights(zero, zero, none),
+            [Weights(alpha * one, zero, none)],
+            [1.0],
+        )
         if family == "paper":
-            cross, potentials = Weights(alpha * one, zero, alpha * kv), []
             self.fixed = Weights(zero, zero, kp)
-        if setting.fixed_alpha is None:
-            self.basis = [cross, *potentials]
-        else:
-            self.fixed, self.basis = _sum(self.fixed, cross), potentials
-        self.start = np.ones(len(self.basis))
-
-    @staticmethod
-    def _any_matrices(alpha: float, potentials: list[Weights]) -> tuple[list[Weights], Array]:
-        """A basis of all A₁, A₂ and w, and αĴ⁺ with the paper's weights in it."""
-        m = len(potentials)
-        one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
-        entries = [(i, j) for i in range(m) for j in range(m) if i == j or m <= _FULL]
-        units = [alpha * np.outer(one[i], one[j]) for i, j in entries]
-        first = [Weights(unit, zero, none) for unit in units]
-        second = [Weights(zero, unit, none) for unit in units]
-        diagonal = [float(i == j) for i, j in entries]
-        start = np.array([*diagonal, *np.zeros(len(units)), *np.ones(m)])
-        return [*first, *second, *potentials], start
+            cross, potentials = [Weights(alpha * one, zero, alpha * kv)], []
+        elif family == "wide":  # any A₁ and A₂, from αĴ⁺ on
+            entries = [(i, j) for i in range(m) for j in range(m) if i == j or m <= _FULL]
+            units = [alpha * np.outer(one[i], one[j]) for i, j in entries]
+            cross = [Weights(unit, zero, none) for unit in units]
+            cross += [Weights(zero, unit, none) for unit in units]
+            start = [float(i == j) for i, j in entries] + [0.0] * len(units)
+        if setting.fixed_alpha is not None:
+            self.fixed, cross, start = self.fixed.plus(1.0, cross[0]), [], []
+        self.basis = [*cross, *potentials]
+        self.start = np.array([*start, *np.ones(len(potentials))])
 
     def weights(self, y: Array) -> Weights:
-        """The Lyapunov function of some unknowns."""
-        names = ("A1", "A2", "w")
-        return Weights(
-            *(
-                getattr(self.fixed, name)
-                + sum(k * getattr(b, name) for k, b in zip(y, self.basis, strict=True))
-                for name in names
-            )
-        )
+        """Return the Lyapunov function of some unknowns."""
+        found = self.fixed
+        for k, part in zip(y, self.basis, strict=True):
+            found = found.plus(k, part)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,8 +195,8 @@ class Best:
 
     Attributes:
         weights: The function.
-        margins: Its margin in every scenario, shape (N,).
-        active: Indices of the scenarios that decided it.
+        margins: Its margin in every sample, shape (N,).
+        active: Indices of the samples that decided it.
         unknowns: The scaled unknowns of `weights`, to start from again.
     """
 
@@ -235,14 +209,14 @@ class Best:
 def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
     """Choose the Lyapunov function of a family whose least margin is largest.
 
-    The worst scenarios are gathered until no other one is worse.
+    The worst samples are gathered until no other one is worse.
 
     Args:
-        form: The conditions at all scenarios.
-        family: Which functions to choose from.
-        known: What was found without the last ones of the scenarios, to go on from.
+        form: The conditions at all samples.
+        family: The functions to choose from.
+        known: What was found without the last ones of the samples, to go on from.
     """
-    unknowns, N = _Unknowns(family, form.setting), len(form.scenarios)
+    unknowns, N = _Unknowns(family, form.setting), len(form.samples)
     active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
     y = unknowns.start
     if known is not None:
@@ -251,7 +225,9 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
     while True:
         inner = np.inf
         if unknowns.basis:
-            y, inner = _cutting_planes(form.take(active), unknowns, y)
+            y, inner = _cutting_planes(
+                MatrixForm(form.samples.take(active), form.setting), unknowns, y
+            )
         weights = unknowns.weights(y)
         margins = form.margins(weights)
         others = np.setdiff1d(np.argsort(margins)[:_MORE], active)
@@ -261,7 +237,7 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
 
 
 def first_that_passes(form: MatrixForm) -> Best:
-    """The function of the smallest family that passes everywhere, or the best of all."""
+    """Return the function of the smallest family that passes everywhere, or the best of all."""
     found = []
     for family in form.setting.families:
         found.append(best_weights(form, family))
@@ -280,10 +256,10 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
 
     d = len(start)
     X0, Y0 = form.pencils(unknowns.fixed)
-    parts = [form.pencils(_sum(unknowns.fixed, part)) for part in unknowns.basis]
+    parts = [form.pencils(unknowns.fixed.plus(1.0, part)) for part in unknowns.basis]
     X1, Y1 = np.stack([X - X0 for X, _ in parts]), np.stack([Y - Y0 for _, Y in parts])
     best, best_margin = start, float(form.margins(unknowns.weights(start)).min())
-    if best_margin == -np.inf:  # found where some of these scenarios were not known yet
+    if best_margin == -np.inf:  # found where some of these samples were not known yet
         best = start = unknowns.start
         best_margin = float(form.margins(unknowns.weights(start)).min())
     mu = max(best_margin, -1.0)
@@ -320,11 +296,7 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
 
 
 def _along(v: Array, A0: Array, A1: Array, which: tuple[Indices, ...]) -> Array:
-    """The affine functions vᵀA(y)v, constants first; shape (number of v, 1 + d)."""
+    """Return the affine functions vᵀA(y)v, constants first; shape (number of v, 1 + d)."""
     constant: Array = np.einsum("ci,cij,cj->c", v, A0[which], v)
     slopes: Array = np.einsum("ci,kcij,cj->ck", v, A1[:, which[0], which[1]], v)
     return np.column_stack([constant, slopes])
-
-
-def _sum(a: Weights, b: Weights) -> Weights:
-    return Weights(a.A1 + b.A1, a.A2 + b.A2, a.w + b.w)

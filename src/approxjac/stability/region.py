@@ -12,6 +12,7 @@ from approxjac import law
 from approxjac.controllers import SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import short
 from approxjac.robots import Robot
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation import Plant
@@ -22,16 +23,16 @@ from approxjac.validation import Array, as_array, as_number, is_scalar, require
 _TRIES = 1000
 _THINNING = 25
 _BURN_IN = 100  # steps until a walk has left its start
-_BETWEEN = 4  # postures along a step that have to be in the set
+_BETWEEN = 4  # configurations along a step that have to be in the set
 
 
 class Region(ABC):
-    """A set of postures that can be drawn from.
+    """A set of configurations that can be drawn from.
 
     Attributes:
-        robot: A robot with the joints that the postures are of.
+        robot: A robot with the joints of the configurations.
         spread: Typical width along each joint, shape (n_v,) [rad or m].
-        independent: Whether postures are drawn independently of each other, uniformly.
+        independent: Whether configurations are drawn independently of each other, uniformly.
     """
 
     robot: Robot
@@ -40,7 +41,7 @@ class Region(ABC):
 
     @abstractmethod
     def sample(self, n: int, rng: np.random.Generator) -> Array:
-        """Draw n postures, shape (n, nq).
+        """Draw n configurations, shape (n, nq).
 
         Raises:
             InvalidInputError: The region is empty, as far as drawing can tell.
@@ -48,10 +49,10 @@ class Region(ABC):
 
     @abstractmethod
     def contains(self, q: Array) -> bool:
-        """Whether a posture (nq,) belongs to the region."""
+        """Return whether a configuration (nq,) belongs to the region."""
 
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
-        """A posture of the region about `size` spreads away from one of its postures q."""
+        """Return a configuration of the region about `size` spreads away from one of its own, q."""
         for _ in range(20):
             motion = size * self.spread * rng.standard_normal(self.robot.nv)
             moved = np.array(pin.integrate(self.robot.model, q, motion))
@@ -61,7 +62,7 @@ class Region(ABC):
 
 
 class JointBox(Region):
-    """Postures between two bounds of every joint.
+    """Configurations between two bounds of every joint.
 
     Args:
         robot: The robot, true or believed.
@@ -70,7 +71,8 @@ class JointBox(Region):
         upper: Largest motion from `center`; by default the upper joint limits. Of a range wider
             than a turn or than 2 m, or without limits, `Robot.random_configuration` tells the part
             that is used.
-        center: Posture that motions are counted from, shape (nq,); all joints at zero by default.
+        center: Configuration that motions are counted from, shape (nq,); all joints at zero by
+            default.
 
     Raises:
         InvalidInputError: Wrong shapes, not finite, or an empty box.
@@ -92,13 +94,11 @@ class JointBox(Region):
                 given=(lower, upper, center),
             )
         self.center = robot.neutral() if center is None else robot.configuration(center, "center")
-        if lower is None:
+        if lower is None or upper is None:
             self.lower, self.upper = robot.usual_range()
         else:
-            self.lower, self.upper = (
-                as_array(name, [bound] * robot.nv if is_scalar(bound) else bound, (robot.nv,))
-                for name, bound in (("lower", lower), ("upper", upper))
-            )
+            self.lower = _per_joint("lower", lower, robot)
+            self.upper = _per_joint("upper", upper, robot)
         if not (self.lower <= self.upper).all():
             raise InvalidInputError(
                 "lower must be at most upper in every joint, or the region is empty, got "
@@ -113,16 +113,12 @@ class JointBox(Region):
 
     @classmethod
     def around(
-        cls,
-        robot: Robot,
-        q: Sequence[float] | Array,
-        radius: float | Sequence[float] | Array,
+        cls, robot: Robot, q: Sequence[float] | Array, radius: float | Sequence[float] | Array
     ) -> JointBox:
-        """Box of all postures whose joints are within `radius` [rad or m] of posture q."""
-        nv = robot.nv
-        radius = as_array("radius", [radius] * nv if is_scalar(radius) else radius, (nv,), "rad")
+        """Return the box of all configurations whose joints are within `radius` [rad or m] of q."""
+        radius = _per_joint("radius", radius, robot, "rad")
         require_radians("q", robot, robot.configuration(q))
-        return cls(robot, -radius + np.zeros(robot.nv), radius + np.zeros(robot.nv), q)
+        return cls(robot, -radius, radius, q)
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         motions = rng.uniform(self.lower, self.upper, (n, self.robot.nv))
@@ -135,39 +131,39 @@ class JointBox(Region):
         return bool((self.lower - 1e-12 <= motion).all() and (motion <= self.upper + 1e-12).all())
 
     def __repr__(self) -> str:
-        bounds = f"{self.robot.name!r}, {_text(self.lower)}, {_text(self.upper)}"
+        bounds = f"{self.robot.name!r}, {short(self.lower)}, {short(self.upper)}"
         away = np.abs(pin.difference(self.robot.model, self.robot.neutral(), self.center)).max()
-        center = f", center={_text(self.center)}" if away > 0.0 else ""
+        center = f", center={short(self.center)}" if away > 0.0 else ""
         return f"JointBox({bounds}{center})"
 
 
 class Tube(Region):
-    """Postures near those of a recorded trajectory.
+    """Configurations near those of a recorded trajectory.
 
     Args:
         robot: The robot, true or believed.
-        postures: Recorded postures, shape (N, nq), such as `Trajectory.q`.
+        configurations: Recorded ones, shape (N, nq), such as `Trajectory.q`.
         radius: How far each joint may be from one of them > 0, a number or shape (n_v,).
 
     Raises:
-        InvalidInputError: Wrong shapes, no posture, or a radius that is not positive.
+        InvalidInputError: Wrong shapes, no configuration, or a radius that is not positive.
     """
 
     def __init__(
-        self, robot: Robot, postures: Array, radius: float | Sequence[float] | Array = 0.05
+        self, robot: Robot, configurations: Array, radius: float | Sequence[float] | Array = 0.05
     ) -> None:
         require("robot", robot, Robot, "a Robot")
         self.robot = robot
-        if np.ndim(postures) != 2 or len(postures) == 0:
+        if np.ndim(configurations) != 2 or len(configurations) == 0:
             raise InvalidInputError(
-                f"postures must be of shape (N, {robot.nq}) with N > 0, got shape "
-                f"{np.shape(postures)}",
-                given=postures,
+                f"configurations must be of shape (N, {robot.nq}) with N > 0, got shape "
+                f"{np.shape(configurations)}",
+                given=configurations,
             )
-        self.postures = np.array([robot.configuration(q, "each posture") for q in postures])
-        self.spread = as_array(
-            "radius", [radius] * robot.nv if is_scalar(radius) else radius, (robot.nv,)
+        self.configurations = np.array(
+            [robot.configuration(q, "each configuration") for q in configurations]
         )
+        self.spread = _per_joint("radius", radius, robot)
         if not (self.spread > 0.0).all():
             raise InvalidInputError(
                 f"radius must be > 0 in every joint, or the region is empty, got {radius!r}",
@@ -176,7 +172,7 @@ class Tube(Region):
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         model = self.robot.model
-        chosen = self.postures[rng.integers(len(self.postures), size=n)]
+        chosen = self.configurations[rng.integers(len(self.configurations), size=n)]
         motions = rng.uniform(-self.spread, self.spread, (n, self.robot.nv))
         return np.array(
             [pin.integrate(model, q, motion) for q, motion in zip(chosen, motions, strict=True)]
@@ -186,20 +182,20 @@ class Tube(Region):
         model = self.robot.model
         return any(
             bool((np.abs(pin.difference(model, known, q)) <= self.spread).all())
-            for known in self.postures
+            for known in self.configurations
         )
 
     def __repr__(self) -> str:
-        return f"Tube({self.robot.name!r}, {len(self.postures)} postures)"
+        return f"Tube({self.robot.name!r}, {len(self.configurations)} configurations)"
 
 
 class SublevelSet(Region):
-    """Postures that V lets the arm reach from a start, {q : V(q, q̇) ≤ V(q₀, 0) for some q̇}.
+    """Configurations that V lets the arm reach from a start, {q : V(q, q̇) ≤ V(q₀, 0) for some q̇}.
 
     With V of eq. (12) and the paper's weights. It is the part connected with the start, drawn from
-    by a random walk, so that its postures are not independent. A motion of this plant that starts
-    at rest in q₀ and along which this V falls stays in it, as long as a camera sees it; another
-    true robot may leave it.
+    by a random walk, so that its configurations are not independent. A motion of this plant that
+    starts at rest in q₀ and along which this V falls stays in it, as long as a camera sees it;
+    another true robot may leave it.
 
     Args:
         plant: The true robot.
@@ -207,7 +203,7 @@ class SublevelSet(Region):
         target: x_d, shape (n_x,).
         q0: Start, shape (nq,).
         alpha: α of V ≥ 0 [1/s].
-        within: Region that the postures must also be in; the joint limits by default.
+        within: Region that the configurations must also be in; the joint limits by default.
 
     Raises:
         InvalidInputError: A start outside `within` or not seen by the sensor, wrong shapes, or an
@@ -239,15 +235,10 @@ class SublevelSet(Region):
                 f"q0 must be in {self.within!r}, or the region is empty, got {self.start.tolist()}",
                 given=q0,
             )
-        if not sees(plant.sensor, self.start):
-            raise InvalidInputError(
-                f"q0 must be a posture that the sensor sees, got {self.start.tolist()} with "
-                f"{plant.sensor!r}",
-                given=q0,
-            )
+        require_seen("q0", self.start, plant.sensor)
         if self.alpha > 0.0:
             require_jacobian_of_q(controller.task, "the set of V with alpha > 0")
-        self.level = self._at_rest(self.start)
+        self.level = self._potential(self.start)
         self.spread = self.within.spread
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
@@ -264,10 +255,10 @@ class SublevelSet(Region):
             return False
         kinetic = 0.0
         if self.alpha > 0.0:
-            s = self._s(q)
+            s = self._controller.saturation.s(self._error(q))
             Gs = self.alpha * law.right_pinv(self._controller.task.jacobian(q)) @ s
             kinetic = 0.5 * float(Gs @ self._plant.dynamics.M(q) @ Gs)
-        return self._at_rest(q) - kinetic <= self.level
+        return self._potential(q) - kinetic <= self.level
 
     def _step(self, q: Array, size: float, rng: np.random.Generator) -> Array:
         motion = size * self.spread * rng.standard_normal(self.robot.nv)
@@ -277,23 +268,21 @@ class SublevelSet(Region):
                 return q
         return moved
 
-    def _at_rest(self, q: Array) -> float:
+    def _error(self, q: Array) -> Array:
+        sensor = self._plant.sensor
+        return sensor.error(sensor.value(q), self._target)
+
+    def _potential(self, q: Array) -> float:
         """V(q, 0)."""
         kp, kv, _ = self._controller.diagonals
-        sensor = self._plant.sensor
-        e = sensor.error(sensor.value(q), self._target)
-        return float((kp + self.alpha * kv) @ self._controller.saturation.S(e))
-
-    def _s(self, q: Array) -> Array:
-        sensor = self._plant.sensor
-        return self._controller.saturation.s(sensor.error(sensor.value(q), self._target))
+        return float((kp + self.alpha * kv) @ self._controller.saturation.S(self._error(q)))
 
     def __repr__(self) -> str:
         return f"SublevelSet({self.robot.name!r}, V <= {self.level:.4g} J)"
 
 
 class RegularPart(Region):
-    """The postures of a region where the believed task is not near singular.
+    """The configurations of a region where the believed task is not near singular.
 
     Args:
         region: The region.
@@ -318,26 +307,43 @@ class RegularPart(Region):
         while len(drawn) < n:
             batch = self.region.sample(max(n - len(drawn), 20), rng)
             tried += len(batch)
-            J = np.array([self.task.jacobian(q) for q in batch])
-            regular = np.linalg.svd(J, compute_uv=False)[:, -1] >= self.sigma_min
-            drawn.extend(batch[regular])
+            drawn.extend(q for q in batch if self._is_regular(q))
             if tried > _TRIES * (len(drawn) + 1):
                 raise InvalidInputError(
-                    f"the region is empty: of {tried} postures of {self.region!r} {len(drawn)} "
-                    f"have sigma_min >= {self.sigma_min:g}; give a smaller bound or another region",
+                    f"the region is empty: of {tried} configurations of {self.region!r} "
+                    f"{len(drawn)} have sigma_min >= {self.sigma_min:g}; give a smaller bound or "
+                    "another region",
                     given=self.sigma_min,
                 )
         return np.array(drawn[:n])
 
     def contains(self, q: Array) -> bool:
-        sigma = np.linalg.svd(self.task.jacobian(q), compute_uv=False)[-1]
-        return bool(sigma >= self.sigma_min) and self.region.contains(q)
+        return self._is_regular(q) and self.region.contains(q)
+
+    def _is_regular(self, q: Array) -> bool:
+        smallest = np.linalg.svd(self.task.jacobian(q), compute_uv=False)[-1]
+        return bool(smallest >= self.sigma_min)
 
     def __repr__(self) -> str:
         return f"RegularPart({self.region!r}, sigma_min >= {self.sigma_min:g})"
 
 
-def _text(values: Array) -> str:
-    """Numbers to four digits, as one only where they are all the same."""
-    shown = [f"{value:.4g}" for value in values]
-    return shown[0] if len(set(shown)) == 1 else f"[{', '.join(shown)}]"
+def _per_joint(
+    name: str, value: float | Sequence[float] | Array, robot: Robot, unit: str = ""
+) -> Array:
+    """Return a number, or one number a joint, as shape (n_v,)."""
+    return as_array(name, [value] * robot.nv if is_scalar(value) else value, (robot.nv,), unit)
+
+
+def require_seen(name: str, q: Array, sensor: Task) -> None:
+    """Refuse a configuration (nq,) out of the view of a sensor.
+
+    Raises:
+        InvalidInputError: A camera does not see it.
+    """
+    if not sees(sensor, q):
+        raise InvalidInputError(
+            f"{name} must be a configuration that the sensor sees, or no law acts there, got "
+            f"{q.tolist()} with {sensor!r}",
+            given=q,
+        )

@@ -14,12 +14,12 @@ import numpy as np
 from approxjac.errors import InvalidInputError, SimulationError
 from approxjac.formatting import joined
 from approxjac.interface import Controller
-from approxjac.simulation import Trajectory, simulate
+from approxjac.simulation import simulate
 from approxjac.simulation.sampled_loop import require_fit
 from approxjac.stability.region import Region
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.stability.visibility import SeenPart, UnattainedError
-from approxjac.validation import Array, as_number, require
+from approxjac.stability.visibility import UnattainedError, VisiblePart
+from approxjac.validation import Array, as_integer, as_number, require
 
 _RECORDS = 500  # of a run: 50 in its last tenth
 _CHUNKS = 64  # that runs are handed to an executor in, at most
@@ -40,7 +40,7 @@ class Rollout:
             recorded instant [s]; NaN if it is not at the end.
         converged: Whether it is at every recorded instant of the last tenth.
         diverged: Whether the simulation could not be carried to its end.
-        stayed: Whether all recorded postures are in the region; False if the run diverged.
+        stayed: Whether all recorded configurations are in the region; False if the run diverged.
     """
 
     index: int
@@ -150,9 +150,9 @@ def rollouts(
     """Simulate the sampled closed loop from random starts, with random true robots.
 
     Starts and targets are those that the true robot's sensor sees. Run k draws from a generator
-    of its own, `numpy.random.default_rng([seed, k])`: the true values, the start, and the posture
-    that attains the target. So the result is the same whatever carries out the runs, and more runs
-    of the same seed begin with the same ones.
+    of its own, `numpy.random.default_rng([seed, k])`: the true values, the start, and the
+    configuration that attains the target. So the result is the same whatever carries out the runs,
+    and more runs of the same seed begin with the same ones.
 
     Args:
         controller: The controller with its believed robot: anything with the interface of
@@ -160,7 +160,7 @@ def rollouts(
         uncertainty: How the true robot may differ.
         region: Where starts, at rest, and targets are drawn.
         target: x_d of all runs, shape (n_x,) [unit of the task]; by default, what the sensor of
-            the true robot measures in another posture of the region.
+            the true robot measures in another configuration of the region.
         runs: ≥ 1.
         duration: Of a run, a whole number of dt [s].
         dt: Sampling time [s].
@@ -181,27 +181,23 @@ def rollouts(
             region of which a true camera sees nothing, or something that cannot be sent to the
             processes of an executor.
     """
-    _require_arguments(controller, uncertainty, region, dt, executor, progress)
-    for name, value, least in (("runs", runs, 1), ("seed", seed, 0)):
-        if type(value) is not int or value < least:
-            raise InvalidInputError(
-                f"{name} must be an integer >= {least}, got {value!r}", given=value
-            )
+    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
     dt = as_number("dt", dt, unit="s", above=0.0)
+    require_fit(uncertainty.plant(uncertainty.believed), controller, dt)
+    require("region", region, Region, "a Region, such as JointBox(robot)")
+    if executor is not None:
+        require("executor", executor, Executor, "an executor of concurrent.futures or None")
+    if progress is not None and not callable(progress):
+        raise InvalidInputError(
+            f"progress must be a function of the number of runs done, got {progress!r}",
+            given=progress,
+        )
+    runs, seed = as_integer("runs", runs, 1), as_integer("seed", seed, 0)
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)
     confidence = _as_confidence(confidence)
-    sensor = uncertainty.believed_task()
-    job = _Job(
-        controller=controller,
-        uncertainty=uncertainty,
-        region=region,
-        target=None if target is None else sensor.target(target),
-        duration=duration,
-        dt=dt,
-        tolerance=tolerance,
-        seed=seed,
-    )
+    x_d = None if target is None else uncertainty.believed_task().target(target)
+    job = _Job(controller, uncertainty, region, x_d, duration, dt, tolerance, seed)
     done: list[Rollout] = []
     portions = _here(job, runs) if executor is None else _elsewhere(job, runs, executor)
     for portion in portions:
@@ -242,7 +238,7 @@ def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tupl
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """What is the same for all runs."""
+    """All that is the same for every run."""
 
     controller: Controller
     uncertainty: Uncertainty
@@ -258,10 +254,10 @@ class _Job:
         rng = np.random.default_rng([self.seed, index])
         values = self.uncertainty.sample(rng)
         plant = self.uncertainty.plant(values)
-        seen, target = SeenPart(self.region, plant.sensor), self.target
+        seen, target = VisiblePart(self.region, plant.sensor), self.target
         try:
             q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
-            q0 = seen.instead(q0[None], rng)[0]
+            q0 = seen.replace_unseen(q0[None], rng)[0]
             if target is None:
                 target = plant.sensor.value(seen.sample(1, rng)[0])
         except UnattainedError as error:
@@ -271,35 +267,21 @@ class _Job:
         every = max(1, round(self.duration / self.dt / _RECORDS)) * self.dt
         try:
             record = simulate(
-                plant,
-                self.controller,
-                target,
-                q0,
-                self.duration,
-                dt=self.dt,
-                record_every=every,
+                plant, self.controller, target, q0, self.duration, dt=self.dt, record_every=every,
                 integrator="semi_implicit_euler",
-            )
+            )  # fmt: skip
         except SimulationError:
             return Rollout(index, values, q0, target, math.inf, math.nan, False, True, False)
-        settling, converged = _judged(record, self.tolerance)
-        final_error = float(record.error_norm[-1])
-        return Rollout(
-            index,
-            values,
-            q0,
-            target,
-            final_error=math.inf if math.isnan(final_error) else final_error,
-            settling_time=settling,
-            converged=converged,
-            diverged=False,
-            stayed=all(bool(self.region.contains(q)) for q in record.q),
-        )
+        settling, converged = _judged(record.t, record.error_norm, self.tolerance)
+        final = float(record.error_norm[-1])
+        final = math.inf if math.isnan(final) else final
+        stayed = all(bool(self.region.contains(q)) for q in record.q)
+        return Rollout(index, values, q0, target, final, settling, converged, False, stayed)
 
 
-def _judged(record: Trajectory, tolerance: float) -> tuple[float, bool]:
+def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
     """Settling time, and whether the error was below the tolerance in all of the last tenth."""
-    t, below = record.t, record.error_norm < tolerance
+    below = error < tolerance
     last_tenth = t >= (0.9 - 1e-9) * t[-1]
     above = np.flatnonzero(~below)
     first = 0 if len(above) == 0 else int(above[-1]) + 1
@@ -330,27 +312,6 @@ def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollou
 def _portion(job: _Job, indices: range) -> list[Rollout]:
     own = copy.deepcopy(job)  # tasks and controllers have scratch memory: one instance a thread
     return [own.run(index) for index in indices]
-
-
-def _require_arguments(
-    controller: Controller,
-    uncertainty: Uncertainty,
-    region: Region,
-    dt: float,
-    executor: Executor | None,
-    progress: Callable[[int], None] | None,
-) -> None:
-    require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    dt = as_number("dt", dt, unit="s", above=0.0)
-    require_fit(uncertainty.plant(uncertainty.believed), controller, dt)
-    require("region", region, Region, "a Region, such as JointBox(robot)")
-    if executor is not None:
-        require("executor", executor, Executor, "an executor of concurrent.futures or None")
-    if progress is not None and not callable(progress):
-        raise InvalidInputError(
-            f"progress must be a function of the number of runs done, got {progress!r}",
-            given=progress,
-        )
 
 
 def _require_picklable(job: _Job, executor: Executor) -> None:

@@ -12,15 +12,13 @@ from approxjac.controllers import Gains, NoGravity, SetpointController, default_
 from approxjac.controllers.tuning import position_gains
 from approxjac.errors import UnknownNameError
 from approxjac.law import Saturation
-from approxjac.simulation import Plant
-from approxjac.stability.closed_loop import default_region, setting_of, true_plants
+from approxjac.stability.certificate import margin
+from approxjac.stability.closed_loop import ClosedLoop, with_gains
 from approxjac.stability.linearization import Timing
 from approxjac.stability.local import linearised
-from approxjac.stability.matrix_form import MatrixForm, first_that_passes
+from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import Region
-from approxjac.stability.samples import Sampler, Scenarios
-from approxjac.stability.singularity import singular_posture
-from approxjac.stability.theorem1 import theorem1
+from approxjac.stability.singularity import singular_configuration
 from approxjac.stability.tolerance import TESTS, Test, tolerance
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array, as_limits, as_number, require
@@ -28,7 +26,7 @@ from approxjac.validation import Array, as_limits, as_number, require
 _RATES = (1.0, 1.5, 2.5, 4.0)  # of the position gain, times what settles the believed arm
 _STIFFNESS = (1.0, 0.5, 2.0, 4.0)  # of K_v, times the default
 _DAMPING = (1.0, 2.0, 4.0, 8.0, 16.0)  # of B_c, times the default
-_TARGETS = 40  # postures that the settling time is taken over
+_TARGETS = 40  # configurations that the settling time is taken over
 _SETTLED = 4.0  # time constants until 2 % are left
 
 
@@ -50,8 +48,18 @@ class Candidate:
     torque_ratio: float
     settling_time: float
 
+    def met(self, settling_time: float) -> tuple[bool, bool, bool]:
+        """Return whether the test, the torque and the time [s] are as demanded."""
+        return self.margin > 0.0, self.torque_ratio <= 1.0, self.settling_time <= settling_time
+
     def __repr__(self) -> str:
-        return f"Candidate({_in_words(self)})"
+        return f"Candidate({self})"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.gains!r}: starts with {self.torque_ratio:.2g} of the torque limits, "
+            f"settles in {self.settling_time:.3g} s"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,7 +90,7 @@ class Suggestion:
     def __str__(self) -> str:
         if self.found is None:
             return "\n".join(["no gains meet all demands:", *(f"- {line}" for line in self.relax)])
-        return f"{_in_words(self.found)} ({self.test} passes with margin {self.found.margin:.3g})"
+        return f"{self.found} ({self.test} passes with margin {self.found.margin:.3g})"
 
 
 def suggest_gains(
@@ -95,17 +103,17 @@ def suggest_gains(
     torque_limits: float | Sequence[float] | Array | None = None,
     saturation: Saturation | None = None,
     dt: float = 1e-3,
-    postures: int = 200,
+    configurations: int = 200,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Suggestion:
     """Find gains of law (6) that pass a test for a set of errors.
 
-    Three demands: the test passes for every corner of the set and every posture drawn; the
-    torque of a start at rest, gravity compensated, is within the limits; and a small error
-    settles to 2 % in the wanted time with every true robot, sampled at dt. Tried are the default
-    gains and multiples of them, from gentle to strong, K_p along with K_v and the damping so that
-    the believed arm settles in time.
+    Three demands: the test passes for every corner of the set and every configuration drawn; the
+    torque of a start at rest, gravity compensated, is within the limits; and a small error settles
+    to 2 % in the wanted time with every true robot, sampled at dt. Tried are the default gains and
+    multiples of them, from gentle to strong, K_p along with K_v and the damping so that the
+    believed arm settles in time.
 
     Args:
         uncertainty: The errors.
@@ -117,7 +125,7 @@ def suggest_gains(
             arm's effort limits by default.
         saturation: s(e); s(e) = e by default.
         dt: Sampling time > 0 [s].
-        postures: How many to draw.
+        configurations: How many to draw.
         seed: Of the drawing.
         progress: Called with the share that is done.
 
@@ -136,58 +144,52 @@ def suggest_gains(
     task = uncertainty.believed_task()
     limits = task.robot.effort_limits if torque_limits is None else torque_limits
     limits = as_limits("torque_limits", limits, task.robot.nv, unit="N m or N")
-
-    def controller_with(gains: Gains) -> SetpointController:
-        return SetpointController(task, gains, gravity=NoGravity(task.robot), saturation=saturation)
-
-    first = controller_with(default_gains(task, settling_time, 1.0 / dt))
-    region = default_region(first) if region is None else region
-    _, plants = true_plants(first, uncertainty)
-    x_d = None if target is None else plants[0].sensor.target(target)
+    base = default_gains(task, settling_time, 1.0 / dt)
+    first = SetpointController(task, base, gravity=NoGravity(task.robot), saturation=saturation)
+    loop = ClosedLoop(first, uncertainty, region, target)
     rng = np.random.default_rng(seed)
-    require("region", region, Region, "a Region, such as JointBox(robot)")
-    sampler = Sampler(first, plants, region, x_d)
-    scenarios, targets = sampler.draw(postures, rng), sampler.targets(_TARGETS, rng)
-    singular = singular_posture(sampler.parts, task, scenarios) is not None
-    _, weighing = true_plants(first, heavy)
+    samples, targets = loop.draw(configurations, rng), loop.targets(_TARGETS, rng)
+    singular = singular_configuration(loop, samples) is not None
+    weighing = [heavy.plant(values) for values in loop.corners]
     weight = np.array(
-        [weighing[t].dynamics.g(q) for t, q in zip(scenarios.truth, scenarios.q, strict=True)]
+        [weighing[t].dynamics.g(q) for t, q in zip(samples.truth, samples.q, strict=True)]
     )
 
     def demands(gains: Gains) -> Candidate:
-        controller = controller_with(gains)
-        kp, _, _ = controller.diagonals
-        force = np.swapaxes(scenarios.J_hat, -1, -2) @ (kp * scenarios.s)[..., None]
+        controller = with_gains(first, gains)
+        force = (
+            np.swapaxes(samples.J_hat, -1, -2) @ (controller.diagonals.kp * samples.s)[..., None]
+        )
         ratio = float((np.abs(weight - force[..., 0]) / limits).max())
         sampled = [
-            linearised(plants[t], controller, q, Timing(dt))
-            for t, q in zip(targets.truth, targets.q, strict=True)
+            linearised(loop.plants[t], controller, q, Timing(dt))
+            for t, q in zip(*targets, strict=True)
         ]
         slowest = min(0.0 if each.singular else each.decay_rate for each in sampled)
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
-        margin = np.nan  # of no use where both of the others are missed
+        left = np.nan  # of no use where both of the others are missed
         if test != "local" and singular:
-            margin = -np.inf  # whatever the gains: the arm may stand still there
+            left = -np.inf  # whatever the gains: the arm may stand still there
         elif ratio <= 1.0 or time <= settling_time:
-            margin = _margin(controller, plants[0], scenarios, test, slowest)
-        return Candidate(gains, margin, ratio, time)
+            setting = Setting.of(controller, loop.plants[0])
+            left = slowest if test == "local" else margin(test, samples, setting)
+        return Candidate(gains, left, ratio, time)
 
     tried: list[Candidate] = []
     grid = sorted(itertools.product(_RATES, _STIFFNESS, _DAMPING), key=_strength)
-    base = first.gains
     for k, (rate, stiffness, damping) in enumerate(grid):
         kv, added = stiffness * np.asarray(base.kv), damping * np.asarray(base.damping)
         kp = rate * position_gains(task, kv, added, settling_time)
         tried.append(demands(Gains(kp, kv, added)))
         if progress is not None:
             progress((k + 1) / len(grid))
-        if _met(tried[-1], settling_time) == (True, True, True):
+        if all(tried[-1].met(settling_time)):
             return Suggestion(test, tried[-1], (), tuple(tried))
 
     def tolerated(gains: Gains) -> float:
         found = tolerance(
-            controller_with(gains), uncertainty, region,
-            tests=(test,), target=target, largest=1.0, postures=postures, seed=seed,
+            with_gains(first, gains), uncertainty, loop.region, tests=(test,), target=target,
+            largest=1.0, configurations=configurations, seed=seed,
         )  # fmt: skip
         return found[test].scale
 
@@ -200,56 +202,23 @@ def _strength(factors: tuple[float, float, float]) -> tuple[float, float]:
     return rate * max(stiffness, 1.0 / stiffness) * damping**0.5, rate
 
 
-def _margin(
-    controller: SetpointController,
-    plant: Plant,
-    scenarios: Scenarios,
-    test: Test,
-    slowest: float,
-) -> float:
-    if test == "local":
-        return slowest
-    setting = setting_of(controller, plant)
-    if test == "theorem1":
-        return theorem1(scenarios, setting).margin
-    return float(first_that_passes(MatrixForm(scenarios, setting)).margins.min())
-
-
-def _met(candidate: Candidate, settling_time: float) -> tuple[bool, bool, bool]:
-    """Whether the test, the torque and the time are as demanded."""
-    return (
-        candidate.margin > 0.0,
-        candidate.torque_ratio <= 1.0,
-        candidate.settling_time <= settling_time,
-    )
-
-
 def _relaxations(
     tried: list[Candidate], settling_time: float, tolerated: Callable[[Gains], float]
 ) -> tuple[str, ...]:
     """For each demand what it would have to be if the two others are kept."""
-    met = [(_met(candidate, settling_time), candidate) for candidate in tried]
-    strict = {
-        index: [c for which, c in met if all(ok for i, ok in enumerate(which) if i != index)]
-        for index in range(3)
-    }
+
+    def others_met(demand: int) -> list[Candidate]:
+        kept = [index for index in range(3) if index != demand]
+        return [c for c in tried if all(c.met(settling_time)[index] for index in kept)]
+
     lines = []
-    if strict[0]:
-        best = max(strict[0], key=lambda c: c.margin)
-        lines.append(f"the errors: {tolerated(best.gains):.2g} of them pass with {_in_words(best)}")
-    if strict[1]:
-        best = min(strict[1], key=lambda c: c.torque_ratio)
-        lines.append(f"the torque limits: {best.torque_ratio:.3g} times them: {_in_words(best)}")
-    if strict[2]:
-        best = min(strict[2], key=lambda c: c.settling_time)
-        lines.append(f"the settling time: {best.settling_time:.3g} s: {_in_words(best)}")
-    if not lines:
-        lines.append("at least two of them: no gains tried meet any two demands together")
-    return tuple(lines)
-
-
-def _in_words(candidate: Candidate) -> str:
-    return (
-        f"{candidate.gains!r}: starts with {candidate.torque_ratio:.2g} of the torque limits, "
-        f"settles in {candidate.settling_time:.3g} s"
-    )
+    if known := others_met(0):
+        best = max(known, key=lambda c: c.margin)
+        lines.append(f"the errors: {tolerated(best.gains):.2g} of them pass with {best}")
+    if known := others_met(1):
+        best = min(known, key=lambda c: c.torque_ratio)
+        lines.append(f"the torque limits: {best.torque_ratio:.3g} times them: {best}")
+    if known := others_met(2):
+        best = min(known, key=lambda c: c.settling_time)
+        lines.append(f"the settling time: {best.settling_time:.3g} s: {best}")
+    return tuple(lines) or ("at least two of them: no gains tried meet any two demands together",)

@@ -1,4 +1,4 @@
-"""Test 1: Theorem 1 of the paper, with its constants taken over scenarios."""
+"""Test 1: Theorem 1 of the paper, with its constants taken over samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.stability.matrix_form import Setting
-from approxjac.stability.samples import Scenarios
+from approxjac.stability.samples import Samples
 from approxjac.validation import Array
 
 
@@ -27,7 +27,7 @@ class Theorem1:
         c0: c₀ of eq. (15); it mixes units as (18) does.
         c1: c₁ of eq. (15).
         setting: Gains and damping.
-        worst: Which scenario each constant comes from, by its name.
+        worst: Index of the sample that each constant comes from, by its name.
     """
 
     p: float
@@ -107,20 +107,18 @@ _BELOW = 0.999  # (14) is strict
 _SMALLEST = ("lambda_1", "lambda_2")
 
 
-def constants(scenarios: Scenarios, setting: Setting) -> dict[str, Array]:
-    """What each constant would be for each scenario alone; arrays of shape (N,) by name."""
-    J, J_hat, kv, B = scenarios.J, scenarios.J_hat, setting.kv, setting.B
+def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
+    """Return what each constant would be for each sample alone, shape (N,), by name."""
+    J, J_hat, kv, B = samples.J, samples.J_hat, setting.kv, setting.B
     D = law.dissipation(J_hat, kv, B)
-    G, dG = law.cross_weight_pinv(J_hat, scenarios.dJ_hat)
-    N = law.inertial_block(
-        scenarios.M, scenarios.dM, scenarios.J_e, G, dG, scenarios.s, scenarios.slope
-    )
-    metric = np.swapaxes(G, -1, -2) @ scenarios.M @ G
+    G, dG = law.cross_weight_pinv(J_hat, samples.dJ_hat)
+    N = law.inertial_block(samples.M, samples.dM, samples.J_e, G, dG, samples.s, samples.slope)
+    metric = np.swapaxes(G, -1, -2) @ samples.M @ G
     # the damping's αs(e)ᵀĴ⁺ᵀBq̇ is shared out by (18)
     c1 = 0.5 * _norm(B[:, None] * G)
     uniform = law.dissipation(J_hat, np.ones_like(kv), B / float(kv.max()))
     return {
-        "p": _norm(scenarios.J_e - J_hat),
+        "p": _norm(samples.J_e - J_hat),
         "b_J": _norm(J),
         "lambda_m": np.linalg.eigvalsh(metric)[:, -1],
         "lambda_1": np.maximum(np.linalg.eigvalsh(D)[:, 0], 0.0) / float(kv.max()),
@@ -131,13 +129,13 @@ def constants(scenarios: Scenarios, setting: Setting) -> dict[str, Array]:
 
 
 def badness(name: str, values: Array) -> Array:
-    """Large where a constant is unfavourable."""
+    """Return values that are large where a constant is unfavourable."""
     return -values if name in _SMALLEST else values
 
 
-def theorem1(scenarios: Scenarios, setting: Setting) -> Theorem1:
-    """Take the constants of Theorem 1 over all scenarios."""
-    found = constants(scenarios, setting)
+def theorem1(samples: Samples, setting: Setting) -> Theorem1:
+    """Take the constants of Theorem 1 over all samples."""
+    found = constants(samples, setting)
     worst = {name: int(np.argmax(badness(name, values))) for name, values in found.items()}
     return Theorem1(
         **{name: float(found[name][k]) for name, k in worst.items()}, setting=setting, worst=worst
@@ -145,5 +143,5 @@ def theorem1(scenarios: Scenarios, setting: Setting) -> Theorem1:
 
 
 def _norm(A: Array) -> Array:
-    """Spectral norm of each matrix."""
+    """Return the spectral norm of each matrix."""
     return np.asarray(np.linalg.svd(A, compute_uv=False)[..., 0], dtype=np.float64)

@@ -9,22 +9,14 @@ from typing import Literal, get_args
 import numpy as np
 
 from approxjac.controllers import SetpointController
-from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificate import refine_constants, refine_weights
-from approxjac.stability.closed_loop import (
-    default_region,
-    require_gravity,
-    require_law,
-    setting_of,
-    true_plants,
-)
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.local_test import local_test
 from approxjac.stability.matrix_form import MatrixForm
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.samples import Sampler
-from approxjac.stability.singularity import singular_posture
-from approxjac.stability.targets import local_test
+from approxjac.stability.singularity import singular_configuration
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
@@ -41,7 +33,7 @@ class Tolerance:
     """How far a set of errors may be scaled while a test passes.
 
     Attributes:
-        test: Which test.
+        test: The test.
         scale: The largest scale at which it passed, with the test passing at all the smaller
             ones that bisection tried; 0 if it does not even pass without errors.
         fails_at: The smallest scale at which it failed; infinite if it never did.
@@ -81,7 +73,7 @@ def tolerance(
     target: Sequence[float] | Array | None = None,
     largest: float = 10.0,
     precision: float = 0.02,
-    postures: int = 400,
+    configurations: int = 400,
     runs: int = 20,
     duration: float = 10.0,
     seed: int = 0,
@@ -89,22 +81,23 @@ def tolerance(
 ) -> dict[Test, Tolerance]:
     """Find the largest scaling of a set of errors for which each test still passes.
 
-    A region with a posture where Ĵ loses rank passes neither of the first two tests, at any scale.
+    A region with a configuration where Ĵ loses rank passes neither of the first two tests, at any
+    scale.
 
-    By bisection, with the same postures at every scale. Sets grow with their scale, so for the
-    first two tests whatever passes at one scale passes at all smaller ones (as far as corners and
-    postures tell). The local test looks at corners and might pass again beyond a gap.
+    By bisection, with the same configurations at every scale. Sets grow with their scale, so for
+    the first two tests whatever passes at one scale passes at all smaller ones (as far as corners
+    and configurations tell). The local test looks at corners and might pass again beyond a gap.
 
     Args:
         controller: The controller.
         uncertainty: The errors at scale 1.
         region: Where to look; see `stability_report`.
-        tests: Which tests: "theorem1", "matrix", "local", and "rollouts", which passes if all
-            runs converge. The first two are not for a task whose Jacobian uses the measured x.
+        tests: "theorem1", "matrix", "local", or "rollouts", which passes if all runs converge. The
+            first two are not for a task whose Jacobian uses the measured x.
         target: x_d, shape (n_x,); see `stability_report`.
         largest: Scale at most > 0; less where robots beyond it cannot exist.
         precision: Of the scale, relative, > 0.
-        postures: How many to draw.
+        configurations: How many to draw.
         runs: Rollouts at each scale, if they are asked for.
         duration: Of a rollout [s].
         seed: Of the drawing.
@@ -115,8 +108,7 @@ def tolerance(
         UnknownNameError: No such test.
     """
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
-    require_setpoint(controller)
-    require_law(controller)
+    loop = ClosedLoop(controller, uncertainty, region, target)
     if uncertainty.d == 0:
         raise InvalidInputError(
             f"uncertainty must have a range to scale, got {uncertainty!r}", given=uncertainty
@@ -126,29 +118,23 @@ def tolerance(
             raise UnknownNameError("test", test, "the tests", get_args(Test))
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
-    region = default_region(controller) if region is None else region
-    require("region", region, Region, "a Region, such as JointBox(robot)")
-    require_gravity(controller, uncertainty, region)
+    loop.require_gravity()
+
+    def failing(test: Test, scale: float) -> Array | None:
+        """The true values with which a test fails at a scale, or None if it passes."""
+        scaled = loop.scaled(scale)
+        try:
+            if test == "rollouts":
+                return _diverting(scaled, runs, duration, seed)
+            return _failing(scaled, test, configurations, np.random.default_rng(seed))
+        except UnattainedError as error:
+            if scale <= 1.0:
+                raise
+            # grown errors have put the target out of reach, or have a camera look elsewhere
+            return np.array(error.given if test == "rollouts" else scaled.corners[error.truth])
+
     found: dict[Test, Tolerance] = {}
     for k, test in enumerate(tests):
-
-        def failing(scale: float, test: Test = test) -> Array | None:
-            errors = uncertainty.scaled(scale)
-            if test == "rollouts":
-                try:
-                    outcome = rollouts(
-                        controller, errors, region, target=target, runs=runs, duration=duration,
-                        seed=seed,
-                    )  # fmt: skip
-                except UnattainedError as error:
-                    if scale <= 1.0:
-                        raise
-                    return np.array(error.given)  # grown errors: a camera that looks elsewhere
-                failed = [run for run in outcome.runs if not run.converged]
-                return max(failed, key=lambda run: run.final_error).values if failed else None
-            return _failing(
-                controller, errors, region, test, target, postures, seed, uncertainty.factor
-            )
 
         def tell(share: float, k: int = k) -> None:
             if progress is not None:
@@ -160,13 +146,13 @@ def tolerance(
 
 def _bisect(
     test: Test,
-    failing: Callable[[float], Array | None],
+    failing: Callable[[Test, float], Array | None],
     uncertainty: Uncertainty,
     largest: float,
     precision: float,
     tell: Callable[[float], None],
 ) -> Tolerance:
-    passes, fails, worst = 0.0, np.inf, failing(0.0)
+    passes, fails, worst = 0.0, np.inf, failing(test, 0.0)
     if worst is not None:
         fails = 0.0
     scale = min(1.0, largest)
@@ -174,7 +160,7 @@ def _bisect(
         if passes == largest or (np.isfinite(fails) and fails - passes <= precision * fails):
             break
         tell(step / _STEPS)
-        culprit = failing(scale)
+        culprit = failing(test, scale)
         if culprit is None:
             passes = scale
         else:
@@ -187,41 +173,35 @@ def _bisect(
 
 
 def _failing(
-    controller: SetpointController,
-    uncertainty: Uncertainty,
-    region: Region,
-    test: Test,
-    target: Sequence[float] | Array | None,
-    postures: int,
-    seed: int,
-    least_factor: float,
+    loop: ClosedLoop, test: Test, configurations: int, rng: np.random.Generator
 ) -> Array | None:
-    """The true values with which a test fails on a set, or None if it passes."""
-    corners, plants = true_plants(controller, uncertainty)
-    rng = np.random.default_rng(seed)
-    x_d = None if target is None else plants[0].sensor.target(target)
-    sampler = Sampler(controller, plants, region, x_d)
-    try:
-        if test == "local":
-            local = local_test(sampler, sampler.targets(postures, rng))
-            return None if local.stable else np.array(corners[local.truth[local.worst]])
-        scenarios = sampler.draw(postures, rng)
-    except UnattainedError as error:
-        if uncertainty.factor <= least_factor:
-            raise
-        return np.array(corners[error.truth])  # grown errors have put the target out of reach
-    if singular_posture(sampler.parts, controller.task, scenarios) is not None:
-        return np.array(corners[0])  # whatever the errors: the arm may stand still there
-    setting = setting_of(controller, plants[0])
+    """The corner with which a test without simulation fails, or None if it passes."""
+    corners: list[Array] = list(loop.corners)
+    if test == "local":
+        local = local_test(loop, *loop.targets(configurations, rng))
+        return None if local.stable else corners[local.truth[local.worst]]
+    samples = loop.draw(configurations, rng)
+    if singular_configuration(loop, samples) is not None:
+        return corners[0]  # whatever the errors: the arm may stand still there
     if test == "theorem1":
-        scenarios = refine_constants(sampler, scenarios, setting, rng)
-        first = theorem1(scenarios, setting)
-        culprit = None if first.holds else scenarios.truth[first.worst["p"]]
-    else:
-        form = MatrixForm(scenarios, setting)
-        for family in setting.families:
-            form, best = refine_weights(sampler, form, family, rng)
-            if best.margins.min() > 0.0:
-                return None
-        culprit = form.scenarios.truth[best.margins.argmin()]
-    return None if culprit is None else corners[int(culprit)]
+        samples = refine_constants(loop, samples, rng)
+        first = theorem1(samples, loop.setting)
+        return None if first.holds else corners[samples.truth[first.worst["p"]]]
+    form = MatrixForm(samples, loop.setting)
+    for family in form.setting.families:
+        form, best = refine_weights(loop, form, family, rng)
+        if best.margins.min() > 0.0:
+            return None
+    return corners[int(form.samples.truth[best.margins.argmin()])]
+
+
+def _diverting(loop: ClosedLoop, runs: int, duration: float, seed: int) -> Array | None:
+    """The true values of the worst run that does not converge, or None if all do."""
+    assert isinstance(loop.truth, Uncertainty)
+    outcome = rollouts(
+        loop.controller, loop.truth, loop.region, target=loop.target, runs=runs,
+        duration=duration, seed=seed,
+    )  # fmt: skip
+    failed = [run for run in outcome.runs if not run.converged]
+    worst = max(failed, key=lambda run: run.final_error, default=None)
+    return None if worst is None else worst.values

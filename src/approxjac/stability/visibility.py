@@ -11,7 +11,7 @@ from approxjac.tasks import Task
 from approxjac.tasks.analysis import sees
 from approxjac.validation import Array
 
-_TRIES = 1000  # for each posture that is seen
+_TRIES = 1000  # for each configuration that is seen
 _NEARBY = 20  # tries
 _HALVINGS = 30  # of the way out of the view
 
@@ -28,8 +28,8 @@ class UnattainedError(InvalidInputError):
         self.truth = truth
 
 
-class SeenPart:
-    """The postures of a region that a sensor sees: all of them, but for cameras.
+class VisiblePart:
+    """The configurations of a region that a sensor sees: all of them, but for cameras.
 
     Args:
         region: The region.
@@ -41,11 +41,11 @@ class SeenPart:
         self.region, self.sensor, self.truth = region, sensor, truth
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
-        """Draw n postures that are seen, shape (n, nq)."""
-        return self.instead(self.region.sample(n, rng), rng)
+        """Draw n configurations that are seen, shape (n, nq)."""
+        return self.replace_unseen(self.region.sample(n, rng), rng)
 
-    def instead(self, drawn: Array, rng: np.random.Generator) -> Array:
-        """Postures (n, nq) of the region, with others drawn for those that are not seen.
+    def replace_unseen(self, drawn: Array, rng: np.random.Generator) -> Array:
+        """Return configurations (n, nq) of the region, with others for those that are not seen.
 
         Raises:
             UnattainedError: Hardly any is seen, as far as drawing can tell.
@@ -60,7 +60,7 @@ class SeenPart:
                     kept[missing.pop()] = q
             if missing and tried > _TRIES * (1 + len(drawn) - len(missing)):
                 raise UnattainedError(
-                    f"the region must hold postures that the true sensor sees: of {tried} of "
+                    f"the region must hold configurations that the true sensor sees: of {tried} of "
                     f"{self.region!r} it sees {len(drawn) - len(missing)}, got {self.sensor!r}",
                     given=self.sensor,
                     truth=self.truth,
@@ -68,27 +68,25 @@ class SeenPart:
         return kept
 
     def contains(self, q: Array) -> bool:
-        """Whether a posture (nq,) belongs to the region and is seen."""
+        """Return whether a configuration (nq,) belongs to the region and is seen."""
         return self.region.contains(q) and sees(self.sensor, q)
 
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
-        """A posture that is seen, about `size` spreads of the region away from such a q (nq,)."""
+        """Return a visible configuration about `size` spreads of the region away from such a q."""
         for _ in range(_NEARBY):
             moved = self.region.near(q, size, rng)
             if sees(self.sensor, moved):
                 return moved
         return q
 
+    def between(self, seen: Array, other: Array, share: float) -> Array:
+        """Return a share of the way from a visible configuration, halved until it is visible."""
+        for _ in range(_HALVINGS):
+            q = np.array(pin.interpolate(self.sensor.robot.model, seen, other, share))
+            if sees(self.sensor, q):
+                return q
+            share *= 0.5
+        return np.array(seen)
+
     def __repr__(self) -> str:
-        return f"SeenPart({self.region!r}, {self.sensor!r})"
-
-
-def between(sensor: Task, seen: Array, other: Array, share: float) -> Array:
-    """A share of the way from a posture that is seen to another; halved until that is seen too."""
-    model = sensor.robot.model
-    for _ in range(_HALVINGS):
-        q = np.array(pin.interpolate(model, seen, other, share))
-        if sees(sensor, q):
-            return q
-        share *= 0.5
-    return np.array(seen)
+        return f"VisiblePart({self.region!r}, {self.sensor!r})"

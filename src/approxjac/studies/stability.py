@@ -31,18 +31,17 @@ from approxjac.stability import (
     Tolerance,
     Tube,
     Uncertainty,
+    damping_that_certifies,
+    part_that_certifies,
     stability_map,
     stability_report,
     tolerance,
 )
-from approxjac.stability.closed_loop import default_region
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.map import PARAMETERS
 from approxjac.stability.tolerance import Test
 from approxjac.tasks import PlanarCamera, PositionTask
 from approxjac.validation import Array, as_number
-
-_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of what `tolerance` finds, that is certified in full
-_RAISED = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)  # damping that is tried as advice
 
 Progress = Callable[[str, float], None]
 
@@ -210,7 +209,7 @@ def run(
     settings, tell = case.settings, progress or (lambda what, share: None)
     report = stability_report(
         case.controller, case.uncertainty, case.region, target=case.target,
-        seed=settings.seed, postures=settings.postures, runs=settings.runs,
+        seed=settings.seed, configurations=settings.postures, runs=settings.runs,
         executor=executor, progress=tell,
     )  # fmt: skip
     found(report)
@@ -222,8 +221,17 @@ def run(
             seed=settings.seed, progress=lambda share: tell("tolerance", share),
         )  # fmt: skip
         if report.certified_by is None:
-            raised = _raised_damping(case, tell)
-            part = _certified_part(case, min(1.0, tolerances["matrix"].scale), tell)
+            raised = damping_that_certifies(
+                case.controller, case.uncertainty, case.region, target=case.target,
+                configurations=settings.postures, seed=settings.seed,
+                progress=lambda share: tell("more damping", share),
+            )  # fmt: skip
+            part = part_that_certifies(
+                case.controller, case.uncertainty, case.region, target=case.target,
+                largest=min(1.0, tolerances["matrix"].scale),
+                configurations=settings.postures, seed=settings.seed,
+                progress=lambda share: tell("smaller errors", share),
+            )  # fmt: skip
         if settings.map_points:
             drawn = _map(case, executor, tell)
     return StabilityResult(case, report, tolerances, raised, part, drawn)
@@ -304,7 +312,7 @@ def _region(
         start = _posture(belief, settings.reach_from)
         region = SublevelSet(nominal, controller, target, start)
     elif settings.sigma_min is None:
-        return default_region(controller)
+        return ClosedLoop(controller, uncertainty).region
     else:
         region = JointBox(belief)
     if settings.sigma_min is None:
@@ -316,38 +324,6 @@ def _posture(robot: Robot, joints: tuple[float, ...]) -> Array:
     """Configuration from one number a joint."""
     point = JointBox(robot, joints, joints)
     return np.array(point.sample(1, np.random.default_rng(0))[0])
-
-
-def _raised_damping(case: Case, tell: Progress) -> float | None:
-    """The smallest factor of the damping tried with which a report certifies the errors."""
-    kp, kv, damping = case.controller.diagonals
-    for k, factor in enumerate(_RAISED):
-        tell("more damping", k / len(_RAISED))
-        controller = SetpointController(
-            case.controller.task, Gains(kp, kv, factor * damping),
-            gravity=case.controller.gravity, saturation=case.controller.saturation,
-        )  # fmt: skip
-        if _certified(case, controller, case.uncertainty):
-            return factor
-    return None
-
-
-def _certified_part(case: Case, largest: float, tell: Progress) -> Uncertainty | None:
-    """The errors up to a scale that a report certifies: more than `tolerance` asks for."""
-    for k, share in enumerate(_SHARES):
-        tell("smaller errors", k / len(_SHARES))
-        errors = case.uncertainty.scaled(share * largest)
-        if largest > 0.0 and _certified(case, case.controller, errors):
-            return errors
-    return None
-
-
-def _certified(case: Case, controller: SetpointController, errors: Uncertainty) -> bool:
-    report = stability_report(
-        controller, errors, case.region, target=case.target,
-        postures=case.settings.postures, seed=case.settings.seed,
-    )  # fmt: skip
-    return report.certified_by is not None
 
 
 def _map(case: Case, executor: Executor | None, tell: Progress) -> StabilityMap:

@@ -109,7 +109,7 @@ def draw_workspace(result: StabilityResult) -> Figure:
     best = max(report.matrix.values(), key=lambda test: test.margin)
     robot = result.case.controller.task.robot
     tip = FrameKinematics(robot, robot.tip_or(None))
-    positions = np.array([tip.position(q) for q in report.scenarios.q[: len(best.margins)]])
+    positions = np.array([tip.position(q) for q in report.samples.q[: len(best.margins)]])
     planes = [name for name in ("xz", "xy") if _spreads(positions, name)] or ["xz"]
     between = " " if len(planes) > 1 else "\n"
     figure, axes = new_figure(
