@@ -49,11 +49,18 @@ pytest_collect_file = Sybil(
 ).pytest()
 
 
-# Files that take half a minute or more. A worker gets whole files: these come first, so that in the
-# end both have something to do.
-LONG = ("docs", "README.md", "test_long_run.py", "test_examples.py", "test_cli.py", "browser")
+# Pages whose code runs without a marker; that of all others is for CI, with `study`.
+QUICK_PAGES = ("README.md", "docs/start.md")
+# Files that take long. A worker gets whole files: these come first, so that in the end both have
+# something to do.
+LONG = ("README.md", "test_long_run.py", "test_examples.py", "test_cli.py", "browser", "docs")
 
 
+@pytest.hookimpl(tryfirst=True)  # before tests are deselected by their markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests of long files first."""
+    """Put the tests of long files first, and mark the code of pages."""
+    for item in items:
+        path = item.path.relative_to(ROOT).as_posix()
+        if path.endswith(".md") and path not in QUICK_PAGES:
+            item.add_marker(pytest.mark.study)
     items.sort(key=lambda item: not set(LONG) & set(item.path.relative_to(ROOT).parts))

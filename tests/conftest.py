@@ -9,8 +9,10 @@ from hypothesis import Phase, settings
 
 import approxjac as aj
 
-settings.register_profile("default", deadline=None, derandomize=bool(os.environ.get("CI")))
+IN_CI = bool(os.environ.get("CI"))
+settings.register_profile("default", deadline=None, derandomize=IN_CI, max_examples=20)
 settings.load_profile("default")
+settings.register_profile("many", deadline=None, derandomize=IN_CI, max_examples=200)  # for CI
 # For mutants: that a test fails is all that counts, so the example need not become small.
 settings.register_profile(
     "mutants",

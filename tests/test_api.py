@@ -108,6 +108,7 @@ PROGRAM = """
 """
 
 
+@pytest.mark.study
 def test_type_checkers_know_the_names(tmp_path):
     pytest.importorskip("mypy")
     path = tmp_path / "program.py"

@@ -1,8 +1,11 @@
 """Every example runs as a user runs it, and makes the pictures and pages it says it makes."""
 
 import ast
+import functools
+import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -18,29 +21,30 @@ PAGES = {
 }
 
 
-SLOW = ("07", "12")
-
-
-@pytest.fixture(
-    scope="module",
-    params=[
-        pytest.param(path, marks=[pytest.mark.study] if path.stem[:2] in SLOW else [], id=path.stem)
-        for path in EXAMPLES
-    ],
-)
-def example(request, tmp_path_factory):
-    """An example that was run: its path, its folder and the process."""
-    path, out = request.param, tmp_path_factory.mktemp(request.param.stem)
+@functools.cache
+def ran(path):
+    """Run an example; return its path, its folder and the process."""
+    results = os.environ.get("APPROXJAC_RESULTS")  # for docs/_ext/gallery.py
+    out = Path(results or tempfile.mkdtemp(), "examples", path.stem)
+    out.mkdir(parents=True)
     process = subprocess.run(
         [sys.executable, str(path), "--out", str(out)], capture_output=True, text=True
     )
+    out.with_suffix(".txt").write_text(process.stdout, encoding="utf-8")
     return path, out, process
+
+
+@pytest.fixture(params=EXAMPLES, ids=lambda path: path.stem)
+def example(request):
+    """An example that was run."""
+    return ran(request.param)
 
 
 def pages_of(example):
     return [example[1] / f"{name}.html" for name in PAGES.get(example[0].stem[:2], [])]
 
 
+@pytest.mark.study
 def test_an_example_runs_and_makes_its_files(example):
     _, out, process = example
     assert process.returncode == 0, process.stderr
@@ -58,11 +62,12 @@ def test_an_example_runs_and_makes_its_files(example):
         assert f'href="{page.name}"' in (out / "index.html").read_text(encoding="utf-8")
 
 
-def test_its_pages_show_that_the_true_tip_arrives(example, request):
-    pages = pages_of(example)
-    assert all(page.exists() for page in pages)
-    for path in pages:
-        page = request.getfixturevalue("open_page")(path, (640, 480))
+@pytest.mark.parametrize(
+    "path", [path for path in EXAMPLES if path.stem[:2] in PAGES], ids=lambda path: path.stem
+)
+def test_its_pages_show_that_the_true_tip_arrives(path, open_page):
+    for file in pages_of(ran(path)):
+        page = open_page(file, (640, 480))
         page.evaluate("approxjac.pause(); approxjac.seek(1e9)")
         page.wait_for_timeout(200)
         assert len(np.unique(pixels(page).reshape(-1, 3), axis=0)) > 500
@@ -99,14 +104,15 @@ def test_the_readme_shows_the_first_example():
     assert f"examples/{EXAMPLES[0].name}" in readme
 
 
-@pytest.mark.parametrize("example", EXAMPLES[:1], indirect=True, ids=lambda p: p.stem)
-def test_the_picture_of_the_readme_is_what_the_first_example_draws(example):
+@pytest.mark.study
+def test_the_picture_of_the_readme_is_what_the_first_example_draws():
     """Up to how a machine draws letters and edges."""
     from PIL import Image
 
     name = "panda_unknown_tool.png"
     kept, made = (
-        Image.open(folder / name).convert("L") for folder in (ROOT / "docs" / "images", example[1])
+        Image.open(folder / name).convert("L")
+        for folder in (ROOT / "docs" / "images", ran(EXAMPLES[0])[1])
     )
     assert kept.size == made.size
     size = (kept.width // 4, kept.height // 4)

@@ -15,17 +15,8 @@ def test_every_page_with_code_is_collected():
         for path in [*pages, Path("README.md")]
         if {"```python", "```console"} & set((ROOT / path).read_text("utf-8").splitlines())
     }
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-n",
-        "0",
-        "--collect-only",
-        "-q",
-        "docs",
-        "README.md",
-    ]
+    options = ["-n", "0", "-m", "", "--collect-only", "-q"]
+    command = [sys.executable, "-m", "pytest", *options, "docs", "README.md"]
     listed = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
     collected = {line.partition("::")[0] for line in listed.splitlines() if "::" in line}
     assert "docs/how_to/tool_length.md" in with_code

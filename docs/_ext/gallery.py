@@ -1,10 +1,13 @@
 """Runs the examples when the site is built, and makes a page of each and a gallery of them all.
 
+With APPROXJAC_RESULTS in the environment, what they left in that folder is shown instead.
+
 Nothing is listed by hand: what is said of an example is its own header, what is shown are the files
 that it says it made.
 """
 
 import ast
+import os
 import shutil
 import subprocess
 import sys
@@ -70,6 +73,14 @@ def run(path, out):
     if process.returncode != 0:
         raise RuntimeError(f"{path.name} ended with {process.returncode}:\n{process.stderr}")
     return story(path, process.stdout)
+
+
+def left(path, folder, out):
+    """Copy what an example left in a folder of its own, beside the text that it printed."""
+    out.mkdir(parents=True, exist_ok=True)
+    for file in (folder / path.stem).iterdir():
+        shutil.copy(file, out)
+    return story(path, (folder / f"{path.stem}.txt").read_text(encoding="utf-8"))
 
 
 def story(path, printed):
@@ -167,7 +178,10 @@ def make(app):
     docs = Path(app.srcdir)
     out = docs / "_generated" / "examples"
     shutil.rmtree(out, ignore_errors=True)
-    write(docs, [run(path, out) for path in examples()])
+    results = os.environ.get("APPROXJAC_RESULTS")
+    folder = Path(results, "examples") if results else None
+    stories = [left(path, folder, out) if folder else run(path, out) for path in examples()]
+    write(docs, stories)
     gather(out, docs / "_generated" / "site" / "runs" / "examples")
 
 

@@ -1,12 +1,11 @@
 """`HeldMeasurement`: between images, without them, and with a camera that hangs."""
 
 import copy
-import math
 import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -38,55 +37,52 @@ def controllers(task):
         "known gravity": law,
         "learnt gravity": aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)),
         "law (5)": aj.SetpointController(task, velocity=aj.DifferentiatedVelocity(0.1)),
-        "limited": aj.TorqueLimited(law, limits, dt=DT),
-        "clipped": aj.TorqueClipped(law, dt=DT),
+        "limited": aj.TorqueLimited(law, limits),
+        "clipped": aj.TorqueClipped(law),
     }
 
 
 PANDA = aj.load_robot("panda")
 INSIDE = controllers(aj.PositionTask(PANDA))
-PLANE_LAW = aj.SetpointController(
-    aj.PositionTask(aj.load_robot("two_link"), axes="xz"), aj.Gains(60.0, 20.0)
-)
 LAW = INSIDE["known gravity"]
 KINDS = ["known gravity", "learnt gravity", "law (5)", "limited", "clipped"]
 
 
 class Loop:
-    """A controller evaluated step by step, its state carried along as a robot does."""
+    """A controller that is stepped as a robot does, its state carried along."""
 
     def __init__(self, held, x, target, q=START, v=V):
         self.held, self.target = held, np.array(target)
         self.q, self.v = q, v
         self.state = held.initial_state(self.measured(x))
+        self.inner = len(held.controller.initial_state(self.measured(x)))
         self.before = self.state
 
-    def measured(self, x):
-        return aj.Measurement(0.0, self.q, self.v, np.array(x, dtype=float))
+    def measured(self, x, t_x=None):
+        return aj.Measurement(0.0, self.q, self.v, np.array(x, dtype=float), t_x)
 
-    def step(self, x):
-        answer = self.held.evaluate(self.state, self.measured(x), self.target)
-        self.before, self.state = self.state, self.state + self.held.dt * answer.state_rate
+    def step(self, x, t_x=None):
+        self.before = self.state
+        self.state, answer = self.held.step(self.state, self.measured(x, t_x), self.target, DT)
         assert np.isfinite(answer.torque).all()
-        assert np.isfinite(answer.state_rate).all()
         assert np.isfinite(self.state).all()
         return answer
 
     def alone(self, x):
-        """What the controller by itself answers in the step that was taken last."""
-        inner = self.held.controller
-        return inner.evaluate(self.before[: inner.n_state], self.measured(x), self.target)
+        """Return what the controller by itself answers in the step that was taken last."""
+        inner = self.before[: self.inner]
+        after, answer = self.held.controller.step(inner, self.measured(x), self.target, DT)
+        assert_array_equal(self.state[: self.inner], after)
+        return answer
 
 
 def assert_same(answer, other):
-    """The same answer, but for the status and the state of the one that holds."""
-    assert_allclose(answer.torque, other.torque, rtol=1e-9, atol=1e-9)
-    assert_allclose(answer.e, other.e, rtol=1e-12, atol=1e-12)
-    rates = other.state_rate
-    assert_allclose(answer.state_rate[: len(rates)], rates, rtol=1e-7, atol=1e-7)
+    """Check that two answers are the same, but for their status."""
+    assert_array_equal(answer.torque, other.torque)
+    assert_array_equal(answer.e, other.e)
     assert_array_equal(answer.J_hat, other.J_hat)
     assert answer.limit_status is other.limit_status
-    assert_allclose(answer.slack, other.slack, rtol=1e-6)
+    assert answer.slack == other.slack
 
 
 # -- one step -----------------------------------------------------------------------------------
@@ -157,26 +153,24 @@ def test_what_counts_is_the_net_displacement(task):
 
 
 def test_the_state_is_that_of_the_controller_the_last_x_the_displacement_and_what_was_seen(pair):
-    law = aj.SetpointController(pair, gravity=aj.AdaptiveGravity(aj.GravityRegressor(pair.robot)))
-    held = aj.HeldMeasurement(law, np.inf)
-    assert held.n_state == law.n_state + 4 + 4 + 2
+    law = aj.SetpointController(pair, gravity=aj.AdaptiveGravity(pair.robot))
     x = pair.value(START)
-    loop = Loop(held, x, x + 0.05)
-    assert_array_equal(loop.state[: law.n_state], law.initial_state(loop.measured(x)))
-    assert_array_equal(loop.state[law.n_state :], np.zeros(10))
+    loop = Loop(aj.HeldMeasurement(law, np.inf), x, x + 0.05)
+    p_hat = len(law.adaptation.theta0)
+    assert len(loop.state) == p_hat + 4 + 1 + 4 + 2
+    assert_array_equal(loop.state[p_hat:], np.zeros(11))
     first = loop.step([*x[:3], np.nan])
-    last, p, seen = np.split(loop.state[law.n_state :], [4, 8])
+    last, _, p, seen = np.split(loop.state[p_hat:], [4, 5, 9])
     moved = DT * first.J_hat @ V
-    assert_allclose(last, [*x[:3], 0.0], rtol=1e-12)
+    assert_array_equal(last, [*x[:3], 0.0])
     assert_allclose(p, [*moved[:3], 0.0], rtol=1e-12)  # of what was never seen it is not known
-    assert_allclose(seen, [1.0, 0.0])
+    assert_array_equal(seen, [1.0, 0.0])
     loop.step(x)
-    last, p, seen = np.split(loop.state[law.n_state :], [4, 8])
-    assert_allclose(last, x, rtol=1e-12)
-    assert_allclose(p, [*2.0 * moved[:3], moved[3]], rtol=1e-9)
-    assert_allclose(seen, 1.0)
-    theta = law.theta_hat(loop.state[: law.n_state])
-    assert len(theta) == law.n_state
+    last, _, p, seen = np.split(loop.state[p_hat:], [4, 5, 9])
+    assert_array_equal(last, x)
+    assert_allclose(p, [*2.0 * moved[:3], moved[3]], rtol=1e-12)
+    assert_array_equal(seen, 1.0)
+    assert_array_equal(loop.held.learnt(loop.state), loop.state[:p_hat])
 
 
 @pytest.mark.parametrize("unseen", [0.01, np.inf])
@@ -251,33 +245,18 @@ def test_poses_and_continuous_joints(rng):
     assert loop.step(np.full(7, np.nan)).status is Status.MEASUREMENT_LOST
 
 
-@settings(max_examples=100)
-@given(
-    st.lists(st.floats(-1e6, 1e6, allow_subnormal=False), min_size=2, max_size=6),
-    st.sampled_from([1e-3, 1 / 3000, 0.002, 0.0123]),
-)
-def test_an_image_that_is_repeated_is_never_new_for_long(values, dt):
-    """A state goes through old + dt·(new − old)/dt, which rounds; that is no new image.
-
-    Only that of an old x which was a thousand times larger is, for the steps that it takes to die
-    out: each divides it by some 1e16.
-    """
-    held = aj.HeldMeasurement(PLANE_LAW, np.inf, dt)
-    loop = Loop(held, np.zeros(2), np.zeros(2), np.array([0.3, 0.8]), np.zeros(2))
-    for x in zip(values, values[::-1], strict=True):
-        before = loop.state[:2]
-        loop.step(np.array(x))
-        if np.abs(before).max() > 1e3 * np.abs(x).max():
-            for _ in range(25):
-                loop.step(np.array(x))
-        for _ in range(3):
-            assert loop.step(np.array(x)).status is not Status.OK
+def test_the_time_of_an_x_says_whether_it_is_new(task):
+    x = task.value(START)
+    loop = Loop(aj.HeldMeasurement(LAW, 0.1), x, x + 0.05)
+    assert loop.step(x, 0.0).status is Status.OK
+    assert loop.step(x, 0.0).status is Status.MEASUREMENT_HELD
+    assert loop.step(x, 0.1).status is Status.OK  # the same numbers, and yet a new image
+    assert loop.step(x + 1e-3, 0.1).status is Status.MEASUREMENT_HELD
 
 
 ENTRY = st.sampled_from([0.5, 0.6, 1e-9, -0.0, 1e5, np.nan, np.inf, -np.inf])
 
 
-@settings(max_examples=80)
 @given(
     st.sampled_from(KINDS),
     st.sampled_from([1e-6, 0.01, np.inf]),
@@ -367,9 +346,9 @@ def test_at_rest_an_image_that_does_not_change_is_no_fault(task):
     A force that no longer follows x lets it creep, here by less than 1 mm/s: that counts.
     """
     held = aj.HeldMeasurement(aj.SetpointController(task), 0.02)
-    frozen = aj.Sensing(x_rate=30.0, x_frozen=[(6.0, 9.0)])
-    run = reach(held, frozen, 8.0, (0.02, 0.02, 0.02), truth=PANDA.with_gravity((0.2, 0.0, -9.5)))
-    at_rest = run.t > 6.0
+    frozen = aj.Sensing(x_rate=30.0, x_frozen=[(4.0, 9.0)])
+    run = reach(held, frozen, 5.0, (0.02, 0.02, 0.02), truth=PANDA.with_gravity((0.2, 0.0, -9.5)))
+    at_rest = run.t > 4.0
     assert run.error_norm[-1] > 3e-3
     assert set(run.status[at_rest]) == {Status.MEASUREMENT_HELD}
     assert np.ptp(run.x[at_rest], axis=0).max() < 2e-3
@@ -377,15 +356,15 @@ def test_at_rest_an_image_that_does_not_change_is_no_fault(task):
 
 
 def test_noise_of_encoders_does_not_add_up(task):
-    """q̇ from differences of q with 0.1 mrad of noise, for 20 s in front of a frozen image.
+    """q̇ from differences of q with 0.1 mrad of noise, for 4 s in front of a frozen image.
 
-    Its absolute value would add up to some metres.
+    Its absolute value would add up to half a metre.
     """
     held = aj.HeldMeasurement(aj.SetpointController(task), 2e-3)
     sensing = aj.Sensing(q_noise=1e-4, velocity_filter=5e-3, x_frozen=[(0.0, 30.0)])
-    run = reach(held, sensing, 20.0, (0.0, 0.0, 0.0))
+    run = reach(held, sensing, 4.0, (0.0, 0.0, 0.0))
     assert set(run.status[1:]) == {Status.MEASUREMENT_HELD}
-    assert np.abs(run.state[:, 3:6]).max() < 1e-3
+    assert np.abs(run.state[:, 4:7]).max() < 1e-3
 
 
 @pytest.mark.parametrize("kind", ["learnt gravity", "law (5)", "limited"])
@@ -393,8 +372,8 @@ def test_targets_are_reached_with_a_camera_at_30_hz(task, kind):
     controller = INSIDE[kind]
     held = aj.HeldMeasurement(controller, 0.1)
     sensing = aj.Sensing(x_rate=30.0, x_delay=0.03, x_noise=2e-4, x_dropout=0.1)
-    run = reach(held, sensing, 5.0, seed=1)
-    assert run.error_norm[run.t > 4.0].max() < 2e-3
+    run = reach(held, sensing, 4.0, seed=1)
+    assert run.error_norm[run.t > 3.5].max() < 2e-3
     assert np.isnan(run.x_measured).any(axis=1).mean() == pytest.approx(0.1, abs=0.06)
     assert np.isfinite(run.state).all()
     counts = run.status_counts()
@@ -404,9 +383,7 @@ def test_targets_are_reached_with_a_camera_at_30_hz(task, kind):
         assert (np.abs(np.diff(run.tau, axis=0)) <= 500.0 * DT + 1e-9).all()
         assert set(run.limit_status_counts()) - {aj.LimitStatus.UNLIMITED}
     if kind == "learnt gravity":  # what is learnt is where it was
-        theta = controller.theta_hat(run.state[:, : controller.n_state])
-        assert theta.shape == (len(run.t), controller.n_state)
-        assert np.abs(theta[-1]).max() > 0.1
+        assert np.abs(held.learnt(run.state)[-1]).max() > 0.1
 
 
 def test_nothing_is_learnt_from_what_is_too_old(task):
@@ -415,7 +392,7 @@ def test_nothing_is_learnt_from_what_is_too_old(task):
     run = reach(aj.HeldMeasurement(law, 0.02), sensing, 1.0)
     lost = np.flatnonzero(run.status == Status.MEASUREMENT_LOST)
     assert len(lost) > 100
-    theta = law.theta_hat(run.state[lost, : law.n_state])
+    theta = law.learnt(run.state[lost, : len(law.adaptation.theta0)])
     gaps = np.flatnonzero(np.diff(lost) > 1)
     for stretch in np.split(theta, gaps + 1):
         assert_array_equal(stretch, np.tile(stretch[0], (len(stretch), 1)))
@@ -431,122 +408,72 @@ def test_copies(task, kind, copied):
     other = copied(held)
     assert repr(other) == repr(held)
     assert other.controller is not held.controller
-    assert other.dt == held.dt
     x = task.value(START)
     loops = [Loop(each, x, x + 0.05) for each in (held, other)]
     for measured in (x, LOST, x + 1e-3):
         first, second = (loop.step(measured) for loop in loops)
         assert_array_equal(first.torque, second.torque)
-        assert_array_equal(first.state_rate, second.state_rate)
+        assert_array_equal(loops[0].state, loops[1].state)
         assert first.status is second.status
 
 
-def test_what_it_says_of_itself(task):
-    law = aj.SetpointController(task)
-    held = aj.HeldMeasurement(law, 0.1)
-    assert repr(held) == f"HeldMeasurement({law!r}, unseen=[0.1, 0.1, 0.1], dt=0.001)"
-    assert held.controller is law
-    assert held.task is task
-    with pytest.raises(ValueError, match="read-only"):
-        held.unseen[0] = 1.0
-
-
-class Alone:
+class Alone(aj.ContinuousController):
     """A controller without a Jacobian."""
 
-    n_state = 0
-
     def __init__(self, task):
-        self.task = task
+        self._task = task
 
-    def initial_state(self, measurement):
-        return np.zeros(0)
+    @property
+    def task(self):
+        return self._task
 
     def evaluate(self, state, measurement, target):
-        return aj.Evaluation(np.zeros(7), state, Status.OK, measurement.x - target)
+        return aj.Evaluation(np.zeros(7), np.zeros(0), Status.OK, measurement.x - target)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "text"),
+    "arguments",
     [
-        ((None, 0.1), r"controller must be a controller with a task, such as Setp.*, got None"),
-        ((aj.SetpointController, 0.1), r"controller must be a controller .* got <class"),
-        ((aj.PositionTask(PANDA), 0.1), r"controller must be a controller .* got PositionTask\("),
-        ((Alone(None), 0.1), r"controller must be a controller with a task"),
-        (
-            (LAW, 0.0),
-            r"unseen must be numbers > 0 \[m\], one or 3, infin.*, got 0.0",
-        ),
-        (
-            (LAW, (1.0, -1.0, 1.0)),
-            r"unseen must be numbers > 0 \[m\], one or 3",
-        ),
-        ((LAW, (1.0, 1.0)), r"unseen must be numbers > 0 \[m\], one or 3"),
-        ((LAW, np.nan), r"unseen must be numbers > 0 \[m\], one or 3"),
-        ((LAW, None), r"unseen must be numbers > 0 \[m\], one or 3"),
-        ((LAW, 0.1, 0.0), r"dt must be a finite number > 0 \[s\], got 0.0"),
-        ((LAW, 0.1, None), r"dt must be a finite number > 0 \[s\], got None"),
-        (
-            (INSIDE["limited"], 0.1, 2e-3),
-            r"dt must be that of the controller, 0.001 \[s\], got 0.0",
-        ),
+        (None, 0.1),
+        (aj.SetpointController, 0.1),
+        (aj.PositionTask(PANDA), 0.1),
+        (aj.HeldMeasurement(LAW, 0.1), 0.1),
+        *((LAW, unseen) for unseen in (0.0, (1.0, -1.0, 1.0), (1.0, 1.0), np.nan, None)),
     ],
 )
-def test_bad_arguments_are_refused(arguments, text):
-    with pytest.raises(aj.InvalidInputError, match=text):
+def test_bad_arguments_are_refused(arguments):
+    with pytest.raises(aj.InvalidInputError):
         aj.HeldMeasurement(*arguments)
 
 
-def test_what_is_held_is_not_held_again(task):
-    once = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
-    with pytest.raises(aj.InvalidInputError, match=r"must be one that is not held yet, got Held"):
-        aj.HeldMeasurement(once, 0.1)
-
-
 @pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"x": np.zeros(2)}, r"x must be an array of float64 of shape \(3,\), got float64 \(2,\)"),
-        ({"x": [0.0, 0.0, 0.0]}, r"x must be an array of float64 of shape \(3,\), got \[0.0, 0.0"),
-        ({"x": np.zeros(3, int)}, r"x must be an array of float64 of shape \(3,\), got int64 \(3"),
-        ({"q": np.zeros(6)}, r"q must be an array of shape \(7,\) for PositionTask"),
-    ],
+    "changes",
+    [{"x": np.zeros(2)}, {"x": [0.0, 0.0, 0.0]}, {"x": np.zeros(3, int)}, {"q": np.zeros(6)}],
 )
-def test_a_bad_measurement_is_refused(task, changes, text):
-    loop = Loop(aj.HeldMeasurement(aj.SetpointController(task), 0.1), np.zeros(3), np.zeros(3))
+def test_a_bad_measurement_is_refused(task, changes):
+    loop = Loop(aj.HeldMeasurement(LAW, 0.1), np.zeros(3), np.zeros(3))
     measurement = loop.measured(np.zeros(3))._replace(**changes)
-    with pytest.raises(aj.InvalidInputError, match=text):
-        loop.held.evaluate(loop.state, measurement, loop.target)
+    with pytest.raises(aj.InvalidInputError):
+        loop.held.step(loop.state, measurement, loop.target, DT)
 
 
 def test_bad_states_and_things_that_are_no_measurement_are_refused(task):
-    held = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
+    held = aj.HeldMeasurement(LAW, 0.1)
     loop = Loop(held, np.zeros(3), np.zeros(3))
     good = loop.measured(np.zeros(3))
-    for state, text in (
-        (np.zeros(3), r"state must be an array of float64 of shape \(7,\), got float64 \(3,\)"),
-        (None, r"state must be an array of float64 of shape \(7,\), got None"),
-        (np.full(7, np.nan), r"state must be finite, got \[nan"),
-    ):
-        with pytest.raises(aj.InvalidInputError, match=text):
-            held.evaluate(state, good, loop.target)
+    for state in (np.zeros(3), None, np.full(8, np.nan)):
+        with pytest.raises(aj.InvalidInputError, match="state must"):
+            held.step(state, good, loop.target, DT)
     with pytest.raises(aj.InvalidInputError, match=r"measurement must be Measurement\(t, q, v, x"):
-        held.evaluate(loop.state, None, loop.target)
+        held.step(loop.state, None, loop.target, DT)
     with pytest.raises(aj.MeasurementError, match="q must be finite"):
-        held.evaluate(loop.state, good._replace(q=np.full(7, np.nan)), loop.target)
+        held.step(loop.state, good._replace(q=np.full(7, np.nan)), loop.target, DT)
 
 
 def test_a_controller_without_a_jacobian_is_refused_when_it_answers(task):
     loop = Loop(aj.HeldMeasurement(Alone(task), 0.1), np.zeros(3), np.zeros(3))
     with pytest.raises(aj.InvalidInputError, match="controller must answer with J_hat, which says"):
         loop.step(np.zeros(3))
-
-
-@pytest.mark.parametrize("dt", [None, 2e-3])
-def test_a_run_has_the_sampling_time_that_it_counts_with(task, dt):
-    held = aj.HeldMeasurement(aj.SetpointController(task), 0.1)
-    with pytest.raises(aj.InvalidInputError, match=r"dt must be that of the controller, 0\.001"):
-        aj.simulate(aj.Plant(PANDA, task), held, task.value(START), START, 0.1, dt=dt)
 
 
 def two_points(panda, **options):
@@ -561,10 +488,9 @@ def test_of_combined_points_one_is_new_while_the_other_is_lost(panda, rng):
     held = aj.HeldMeasurement(aj.SetpointController(task), unseen=40.0)
     x = image.value(START)
     first = aj.Measurement(0.0, START, np.zeros(7), x)
-    state = held.initial_state(first)
-    state = state + DT * held.evaluate(state, first, x).state_rate
+    state, _ = held.step(held.initial_state(first), first, x, DT)
     later = x + [np.nan, np.nan, 10.0, 5.0]
-    answer = held.evaluate(state, aj.Measurement(DT, START, np.zeros(7), later), x)
+    _, answer = held.step(state, aj.Measurement(DT, START, np.zeros(7), later), x, DT)
     assert_allclose(answer.e, task.error(x + [0.0, 0.0, 10.0, 5.0], x), rtol=1e-9)
     assert answer.status is not Status.MEASUREMENT_HELD
 
@@ -579,10 +505,9 @@ def test_absurd_images_have_a_finite_answer_or_a_named_error(panda, rng, combine
     seen = image.value(START)
     measurement = aj.Measurement(0.0, START, V, np.array([x, -x, x, seen[3]]))
     state = held.initial_state(measurement)
-    if abs(x) > 1e303 and math.isfinite(x):  # x / dt is beyond what floats can be
-        with pytest.raises(aj.MeasurementError, match="overflows"):
-            held.evaluate(state, measurement, seen)
+    try:
+        state, answer = held.step(state, measurement, seen, DT)
+    except aj.MeasurementError:
         return
-    answer = held.evaluate(state, measurement, seen)
     assert np.isfinite(answer.torque).all()
-    assert np.isfinite(answer.state_rate).all()
+    assert np.isfinite(state).all()
