@@ -20,7 +20,7 @@ def ten_lines(name):
     belief = arm.with_object(length=0.0)
     plant = aj.Plant(truth)
     controller = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
-    start = plant.sensor.value(plant.ready_posture())
+    start = plant.sensor.value(plant.ready_configuration())
     target = start + OFFSET * np.array([1.0, -1.0, 1.0])[: len(start)]
     return aj.simulate(plant, controller, target)
 
@@ -40,32 +40,32 @@ def test_the_ten_lines_on_every_other_arm(name):
 
 
 @pytest.mark.parametrize("name", aj.robot_names())
-def test_the_ready_posture_is_regular_held_and_within_the_limits(name):
+def test_the_ready_configuration_is_regular_held_and_within_the_limits(name):
     length, mass = carried_object(name)
     plant = aj.Plant(aj.load_robot(name).with_object(length, mass))
-    q = plant.ready_posture()
-    assert_array_equal(q, plant.ready_posture())
+    q = plant.ready_configuration()
+    assert_array_equal(q, plant.ready_configuration())
     assert (np.abs(plant.dynamics.g(q)) <= 0.7 * plant.robot.effort_limits).all()
     values = np.linalg.svd(plant.sensor.jacobian(q), compute_uv=False)
     assert values[-1] > 0.1 * values[0]
     assert plant.sensor.value(q).shape == (min(3, plant.robot.nv),)
 
 
-def test_the_ready_posture_is_one_that_the_motors_hold(panda):
-    q = aj.Plant(panda).ready_posture()
+def test_the_ready_configuration_is_one_that_the_motors_hold(panda):
+    q = aj.Plant(panda).ready_configuration()
     weak = aj.Plant(panda, torque_limits=20.0)
     assert (np.abs(weak.dynamics.g(q)) > 14.0).any()
-    assert (np.abs(weak.dynamics.g(weak.ready_posture())) <= 14.0).all()
+    assert (np.abs(weak.dynamics.g(weak.ready_configuration())) <= 14.0).all()
     with pytest.raises(aj.InvalidInputError, match="q0 must be given for panda: no posture was f"):
-        aj.Plant(panda, torque_limits=1e-3).ready_posture()
+        aj.Plant(panda, torque_limits=1e-3).ready_configuration()
 
 
-def test_the_ready_posture_is_one_that_the_camera_sees(panda):
+def test_the_ready_configuration_is_one_that_the_camera_sees(panda):
     looks = aj.PinholeCamera(
         800.0, (640, 480), (1.5, 0.0, 0.5), [[0, 0, -1], [1, 0, 0], [0, -1, 0]]
     )
     plant = aj.Plant(panda, aj.ImageTask(panda, looks))
-    assert sees(plant.sensor, plant.ready_posture())
+    assert sees(plant.sensor, plant.ready_configuration())
 
 
 def test_the_sensor_is_by_default_the_position_of_the_tip(panda):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any, Self
 
@@ -220,7 +221,12 @@ class Immutable:
     def _remember(self, arguments: dict[str, Any]) -> None:
         """Keep the arguments of the constructor, its `locals()` at the beginning."""
         own = ("self", "__class__")
-        self._arguments = {name: value for name, value in arguments.items() if name not in own}
+        self._arguments = {
+            # what a user may change afterwards is kept as it was
+            name: copy.copy(value) if isinstance(value, list | dict | np.ndarray) else value
+            for name, value in arguments.items()
+            if name not in own
+        }
 
     def _rebuilt(self, **changes: Any) -> Self:
         """Return an object built from the same arguments but for some."""

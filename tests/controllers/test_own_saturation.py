@@ -316,4 +316,4 @@ def test_a_saturation_that_fails_on_the_way_is_an_error_and_no_torque(kind):
         controller.evaluate(state, measurement, x - 0.0123)
     limited = aj.TorqueLimited(aj.SetpointController(task, saturation=Gap(0.1)))
     with pytest.raises(aj.MeasurementError, match="the torque overflows or is no number"):
-        limited.evaluate(limited.initial_state(measurement), measurement, x - 0.0123)
+        limited.step(limited.initial_state(measurement), measurement, x - 0.0123, 1e-3)

@@ -116,7 +116,7 @@ def test_adaptation_is_eq_29(panda, rng):
         dense = np.diag(np.full(12, L)) if np.ndim(L) == 0 else np.diag(L) if np.ndim(L) == 1 else L
         assert_allclose(answer.state_rate, -dense @ regressor.Z(measurement.q).T @ y)
         assert_allclose(answer.sigma_min, np.linalg.svd(J_hat, compute_uv=False)[-1])
-        assert_allclose(controller.theta_hat(np.arange(12.0)), np.arange(12.0))
+        assert_allclose(controller.learnt(np.arange(12.0)), np.arange(12.0))
 
 
 def test_a_singular_pose_is_reported_and_the_rate_stays_bounded(two_link):
@@ -282,7 +282,7 @@ def test_a_lost_measurement_leaves_damping_and_gravity(controller, value, rng):
     answer = controller.evaluate(state, lost, TARGET)
     assert answer.status is aj.Status.MEASUREMENT_LOST
     assert "adaptation frozen" in answer.status.message
-    assert np.array_equal(controller.theta_hat(answer.state_rate), controller.theta_hat(0 * state))
+    assert np.array_equal(controller.learnt(answer.state_rate), controller.learnt(0 * state))
     # the same as at the target with no measured velocity
     _, kv, damping = controller.diagonals
     J_hat = controller.task.jacobian(measurement.q)

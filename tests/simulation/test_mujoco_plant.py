@@ -351,12 +351,12 @@ def test_without_mujoco(monkeypatch):
         aj.MujocoPlant(TRUTH, SENSOR)
 
 
-def test_the_ready_posture_is_above_the_floor():
+def test_the_ready_configuration_is_above_the_floor():
     """UR5's, without a floor, has its tip 10 cm below 0."""
     truth = aj.load_robot("ur5").with_object(0.2, 0.5, axis="x")
     anywhere, above = aj.MujocoPlant(truth), aj.MujocoPlant(truth, floor=0.0)
-    assert above.dynamics.touches(anywhere.ready_posture())
-    q = above.ready_posture()
+    assert above.dynamics.touches(anywhere.ready_configuration())
+    q = above.ready_configuration()
     assert not above.dynamics.touches(q)
     rest = np.zeros(6)
     free = anywhere.acceleration(q, rest, rest)
