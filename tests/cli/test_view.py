@@ -44,13 +44,13 @@ def test_a_run_becomes_a_page(reached, tmp_path, capsys):
 def test_a_page_beside_its_run_is_opened(reached, capsys, monkeypatch):
     opened = []
     monkeypatch.setattr(
-        "approxjac.view.browser.opening.open_browser", lambda url: opened.append(url) or True
+        "approxjac.view.browser.page.open_browser", lambda url: opened.append(url) or True
     )
     assert main(["view", str(reached)]) == 0
     page = reached / "run.html"
     assert opened == [page.resolve().as_uri()]
     assert capsys.readouterr().out == f"{page}\n"
-    monkeypatch.setattr("approxjac.view.browser.opening.open_browser", lambda url: False)
+    monkeypatch.setattr("approxjac.view.browser.page.open_browser", lambda url: False)
     assert main(["view", str(reached)]) == 0
     assert "No browser could be opened here: open it in yours" in capsys.readouterr().out
 

@@ -26,13 +26,13 @@ def view(
     """
     from approxjac.simulation import Trajectory
     from approxjac.view import save_page
-    from approxjac.view.browser.opening import open_browser
+    from approxjac.view.browser.page import open_browser
 
     path = _run_file(run)
     beside = path.with_name(path.name.removesuffix(".npz") + ".html")
-    page = save_page(Trajectory.load(path), out or beside, title=title)
+    page = save_page(Trajectory.load(path), out or beside, title)
     print(page)
-    if out is None and not open_browser(Path(page).resolve().as_uri()):
+    if out is None and not open_browser(page.resolve().as_uri()):
         print("No browser could be opened here: open it in yours")
     return 0
 

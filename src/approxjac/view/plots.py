@@ -16,7 +16,7 @@ from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array, as_vector, axis_rows, require
-from approxjac.view.style import COLORS, SERIES, new_figure, styled
+from approxjac.view.style import COLORS, SERIES, display_unit, new_figure, styled
 
 _STATUS_COLORS = dict(
     zip(LimitStatus, ("#BBBBBB", *(SERIES[i] for i in (2, 3, 5, 1, 6, 4))), strict=True)
@@ -39,8 +39,7 @@ def plot_error(
     """
     _require_run(run)
     with styled(ax) as ax:
-        scales = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi)}
-        units = [scales.get(unit, (unit, 1.0)) for unit in run.task_units]
+        units = [display_unit(unit) for unit in run.task_units]
         ax.axhline(0.0, color=COLORS["neutral"], linewidth=0.8)
         for i, (label, (_, factor)) in enumerate(zip(run.task_labels, units, strict=True)):
             ax.plot(run.t, factor * run.error[:, i], color=SERIES[i % len(SERIES)], label=label)

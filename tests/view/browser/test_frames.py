@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.simulation.scene import Scene
-from approxjac.view.browser import Frames, Stage
+from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.stage import Stage
 
 TARGET = np.array([0.5, -0.1, 0.6])
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

@@ -15,8 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import view
-from approxjac.view.browser import page
-from approxjac.view.browser.html import _peaks, _thinned
+from approxjac.view.browser.page import _peaks, _thinned, page
 
 
 @pytest.fixture(scope="module")

@@ -72,8 +72,11 @@ class Running:
         self._loop = loop
         self.live(loop)
 
-    def close(self):
-        self.live.close()
+    def __enter__(self):
+        return self.live.__enter__()
+
+    def __exit__(self, *error):
+        self.live.__exit__(*error)
 
     def _run(self, arm, duration):
         try:
@@ -272,10 +275,9 @@ def test_a_view_changes_no_bit(panda, engine, controller_of, sensing):
         return aj.simulate(plant, controller, target, START, 0.25, dt=1e-3, observer=observer)
 
     alone, shown = run(), run(view.LiveView(speed=np.inf, patience=0.0))
-    for field in dataclasses.fields(alone):
-        if field.name != "scene":
-            a, b = getattr(alone, field.name), getattr(shown, field.name)
-            assert_array_equal(a, b)
+    names = [f.name for f in dataclasses.fields(alone) if f.name not in ("scene", "derived")]
+    for name in (*names, "V", "task_torque"):
+        assert_array_equal(getattr(alone, name), getattr(shown, name), err_msg=name)
     assert_allclose(np.diff(shown.t), 1e-3, rtol=1e-9)
 
 
@@ -327,18 +329,15 @@ def test_it_ends_cleanly(panda):
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_it_ends_with_a_run_that_is_broken_off(panda, error):
-    live = view.LiveView(speed=np.inf, patience=0.0)
-
-    class Breaking:
+    class Breaking(view.LiveView):
         def __call__(self, loop):
-            live(loop)
-            assert is_served(live.url)
+            super().__call__(loop)
+            assert is_served(self.url)
             raise error
 
-        close = live.close
-
+    live = Breaking(speed=np.inf, patience=0.0)
     with pytest.raises(error):
-        simulate(panda, Breaking())
+        simulate(panda, live)
     assert not is_served(live.url)
     assert pages_served() == []
 
@@ -383,16 +382,21 @@ def test_what_cannot_be_is_refused(panda, options, message):
 
 
 def test_a_controller_that_cannot_believe_anything_else_is_refused(panda):
+    plant, own, target = parts(panda)
+
     class Nothing:
-        n_state = 0
+        task, dt = own.task, None
 
         def initial_state(self, measurement):
             return np.zeros(0)
 
-        def evaluate(self, state, measurement, target):
-            return aj.Evaluation(np.zeros(7), np.zeros(0), aj.Status.OK, measurement.x - target)
+        def step(self, state, measurement, target, dt):
+            e = measurement.x - target
+            return state, aj.Evaluation(np.zeros(7), np.zeros(0), aj.Status.OK, e)
 
-    plant, _, target = parts(panda)
+        def learnt(self, state):
+            return state
+
     live = view.LiveView(believe=believing(panda), patience=0.0)
     with pytest.raises(aj.InvalidInputError, match="controller must be able to take another task"):
         aj.simulate(plant, Nothing(), target, START, 0.01, dt=1e-3, observer=live)

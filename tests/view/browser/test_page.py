@@ -14,7 +14,9 @@ from approxjac import paper, view
 from approxjac.simulation.scene import Scene
 from approxjac.studies import servo
 from approxjac.tasks import FrameKinematics
-from approxjac.view.browser import Frames, Stage, document, page_data
+from approxjac.view.browser.document import document, page_data
+from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.stage import Stage
 from approxjac.view.style import COLORS, SERIES
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -342,9 +344,10 @@ def test_without_webgl_there_are_the_plots(drawn, browser, tmp_path):
 # -- pages of runs that go on ------------------------------------------------------------------
 
 
-def live_page(scene, row):
-    empty = {name: column[:0] for name, column in Frames(scene).columns(**row).items()}
-    return document(page_data(Stage(scene), empty, title="live", live=True))
+def live_page(scene, row, *scripts):
+    """A page of one instant that waits for more."""
+    columns = Frames(scene).columns(**row)
+    return document(page_data(Stage(scene), columns, row["q"], "live", live=True), *scripts)
 
 
 def rows_of(run, every=100):
@@ -359,9 +362,9 @@ def test_instants_come_in_and_the_target_is_dragged(reach, open_page, tmp_path):
     path = tmp_path / "live.html"
     path.write_text(live_page(scene, rows[0]), encoding="utf-8")
     page = open_page(path)
-    assert state(page) == {"t": 0, "index": 0, "playing": False, "length": 0}
+    assert state(page) == {"t": 0, "index": 0, "playing": False, "length": 1}
     frames = Frames(scene)
-    for row in rows:
+    for row in rows[1:]:
         instant = {name: column[0].tolist() for name, column in frames.columns(**row).items()}
         page.evaluate("row => approxjac.append(row)", instant)
     page.wait_for_timeout(200)
@@ -393,11 +396,9 @@ def test_instants_come_in_and_the_target_is_dragged(reach, open_page, tmp_path):
 
 
 def test_a_target_in_the_image_is_dragged(watched, open_page, tmp_path):
-    row = rows_of(watched)[0]
-    stage = Stage(watched.scene)
-    data = page_data(stage, Frames(watched.scene).columns(**row), title="live", live=True)
+    listening = "approxjac.onpixel = (...x) => { window.moved = x; };"
     path = tmp_path / "live.html"
-    path.write_text(document(data, ["approxjac.onpixel = (...x) => { window.moved = x; };"]))
+    path.write_text(live_page(watched.scene, rows_of(watched)[0], listening), encoding="utf-8")
     page = open_page(path)
     drawn_anew(page)
     target = watched.target[:2]

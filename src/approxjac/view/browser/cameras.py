@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from approxjac.tasks import Camera, PinholeCamera, PlanarCamera
+from approxjac.tasks import Camera, PinholeCamera, PlanarCamera, Task
+from approxjac.tasks.analysis import features
 from approxjac.tasks.feature import Feature
 from approxjac.validation import Array, axis_rows
 
@@ -15,14 +17,19 @@ _IN_HAND = 0.12  # the same of a camera on the arm, of the arm's size
 _BEYOND = 1.3  # how far lines of sight are drawn, of the same way
 
 
-def camera_view(feature: Feature | None, size: float, middle: Array) -> dict[str, Any] | None:
-    """How a camera is drawn, in the axes of what it is fixed to.
+def image_feature(task: Task | None) -> Feature | None:
+    """Return the first part of a task that a camera sees."""
+    return next((feature for feature in features(task) if feature.camera is not None), None)
+
+
+def camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any] | None:
+    """Return how the camera of a task is drawn, in the axes of what it is fixed to, if it has one.
 
     The image coordinates X are at `corner` + a `right` + b `down` with (a, b) = (X − low)/(high −
     low). Lens distortion is left out of the drawing.
 
     Args:
-        feature: What sees it, and what it sees; None, or one without a camera, gives None.
+        task: A task with a camera, or another one.
         size: Of the arm [m].
         middle: Of the arm, in the world, shape (3,) [m].
 
@@ -30,44 +37,46 @@ def camera_view(feature: Feature | None, size: float, middle: Array) -> dict[str
         "apex", "corner", "right", "down" (3,) [m]; "low", "high" (2,) [unit of the image];
         "reach", how far lines of sight go, in distances of the image; "mount", a frame or None.
     """
+    feature = image_feature(task)
     camera = None if feature is None else feature.camera
     if isinstance(camera, PinholeCamera):
-        return _pinhole(camera, size, middle)
-    if isinstance(camera, PlanarCamera):
-        return _planar(camera, size)
-    return None
-
-
-def _pinhole(camera: PinholeCamera, size: float, middle: Array) -> dict[str, Any]:
-    R, p = camera.placement()
-    f, c = np.array(camera.focal_length), np.array(camera.center, dtype=float)
-    away = float(np.linalg.norm(middle - p)) if camera.mount is None else np.inf
-    depth = min(_NEAR * away, _IN_HAND * size) if camera.mount else _NEAR * away
-    low = np.array([-0.5, -0.5])
-    high = np.array(camera.size) - 0.5
-
-    def at(u: float, v: float) -> Array:
-        ray = np.append((np.array([u, v]) - c) / f, 1.0)
-        return np.asarray(R @ (depth * ray) + p)
-
-    corner = at(low[0], low[1])
-    reach = (_BEYOND * away if camera.mount is None else 0.5 * size) / depth
+        apex, at, low, high, reach = _pinhole(camera, size, middle)
+    elif isinstance(camera, PlanarCamera):
+        apex, at, low, high, reach = _planar(camera, size)
+    else:
+        return None
+    corner = at(low)
     return {
-        "apex": p, "corner": corner, "right": at(high[0], low[1]) - corner,
-        "down": at(low[0], high[1]) - corner, "low": low, "high": high, "reach": reach,
-        "mount": camera.mount,
+        "apex": apex, "corner": corner, "right": at(np.array([high[0], low[1]])) - corner,
+        "down": at(np.array([low[0], high[1]])) - corner, "low": low, "high": high,
+        "reach": reach, "mount": camera.mount,
     }  # fmt: skip
 
 
-def _planar(camera: PlanarCamera, size: float) -> dict[str, Any]:
-    """The paper's camera sees without end: it is drawn with an image as large as the arm.
+_Drawn = tuple[Array, Callable[[Array], Array], Array, Array, float]
+
+
+def _pinhole(camera: PinholeCamera, size: float, middle: Array) -> _Drawn:
+    R, p = camera.placement()
+    f, c = np.array(camera.focal_length), np.array(camera.center, dtype=float)
+    away = float(np.linalg.norm(middle - p))
+    depth = _NEAR * away if camera.mount is None else _IN_HAND * size
+    reach = (_BEYOND * away if camera.mount is None else 0.5 * size) / depth
+
+    def at(x: Array) -> Array:
+        return np.asarray(R @ (depth * np.append((x - c) / f, 1.0)) + p)
+
+    return p, at, np.array([-0.5, -0.5]), np.array(camera.size) - 0.5, reach
+
+
+def _planar(camera: PlanarCamera, size: float) -> _Drawn:
+    """Draw the paper's camera, which sees without end, with an image as large as the arm.
 
     It stands over the middle of its image, at the depth z − f of the equal pinhole camera.
     """
     rows = axis_rows("plane", camera.plane)
     J = camera.interaction(np.zeros(3))[:, rows]
     half = 1.05 * size * camera.magnification
-    low, high = np.array([-half, half]), np.array([half, -half])  # y_s points up
 
     def in_plane(x: Array) -> Array:
         point = np.zeros(3)
@@ -76,30 +85,20 @@ def _planar(camera: PlanarCamera, size: float) -> dict[str, Any]:
 
     normal = np.cross(*np.eye(3)[rows])
     apex = in_plane(np.zeros(2)) + (camera.distance - camera.focal_length) * normal
-    share = _NEAR
 
     def at(x: Array) -> Array:
-        return np.asarray(apex + share * (in_plane(x) - apex))
+        return np.asarray(apex + _NEAR * (in_plane(x) - apex))
 
-    corner = at(low)
-    return {
-        "apex": apex, "corner": corner, "right": at(np.array([high[0], low[1]])) - corner,
-        "down": at(np.array([low[0], high[1]])) - corner, "low": low, "high": high,
-        "reach": _BEYOND / share, "mount": None,
-    }  # fmt: skip
+    # y_s points up
+    return apex, at, np.array([-half, half]), np.array([half, -half]), _BEYOND / _NEAR
 
 
 def image_axes(camera: Camera) -> dict[str, Any]:
-    """Names, unit and borders of the image's coordinates, as they are plotted."""
+    """Return names, unit and borders of the image's coordinates, as they are plotted."""
     unit, scale = ("mm", 1e3) if camera.unit == "m" else (camera.unit, 1.0)
     border = None
     if isinstance(camera, PinholeCamera):
-        width, height = camera.size
-        border = [-0.5, -0.5, width - 0.5, height - 0.5]
-    return {
-        "labels": list(camera.labels),
-        "unit": unit,
-        "scale": scale,
-        "border": border,
-        "down": border is not None,  # v of a pinhole camera points down
-    }
+        border = [-0.5, -0.5, camera.size[0] - 0.5, camera.size[1] - 0.5]
+    down = border is not None  # v of a pinhole camera points down
+    labels = list(camera.labels)
+    return {"labels": labels, "unit": unit, "scale": scale, "border": border, "down": down}

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import math
 import signal
-import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,10 @@ from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
-from approxjac.validation import Array, as_number
+from approxjac.validation import as_number
+from approxjac.view.browser.document import live_page
 from approxjac.view.browser.frames import Frames
-from approxjac.view.browser.html import live_page, recorded
-from approxjac.view.browser.opening import open_browser
+from approxjac.view.browser.page import open_browser
 from approxjac.view.browser.server import PageServer
 from approxjac.view.browser.stage import Stage
 from approxjac.view.browser.wishes import Typed, number, numbers, with_pixel, with_point
@@ -31,10 +30,11 @@ _STALL = 0.5  # behind its time, after which a run does not catch up [s]
 _NAP = 0.02  # between looks at what the user wants, while waiting [s]
 _KEPT = 1500  # instants that a page gets when it is opened late
 _HELP = "target X Y Z (as the task has it) | length L | speed S | pause | go | stop"
+_COMMANDS = f"Commands: {_HELP}"
 
 
 class LiveView:
-    """Shows a run in the browser while it goes on, in real time or at another speed.
+    """A view of a run in the browser while it goes on, in real time or at another speed.
 
     An observer for `simulate`, for one run: `aj.simulate(..., observer=view.LiveView())`. The
     target is moved in the page (with the mouse, or as numbers); so is the believed length where
@@ -67,20 +67,15 @@ class LiveView:
         self._port = port
         self._believe = believe
         self._length = as_number("believed_length", believed_length, unit="m", minimum=0.0)
-        self._terminal = terminal
-        self._typed = Typed()
+        self._typed = Typed() if terminal else None
         self._patience = as_number("patience", patience, unit="s", minimum=0.0)
-        self._paused = False
-        self._rows: list[str] = []
-        self._every = 1  # of the rows that were made, the one that is kept
-        self._made = 0
-        self._shown = -1  # step that was shown last
-        self._kept_last = False
+        self._rows: dict[int, str] = {}  # the last one in each so many steps
+        self._every = 1
         self._stage: Stage | None = None
-        self._text: tuple[Stage | None, str] = (None, "")
-        self._changed = False
-        self._server: Any = None
-        self._closed = self._ended = self._interrupted = False
+        self._pages: dict[Stage, str] = {}
+        self._server: PageServer | None = None
+        self._paused = self._changed = self._interrupted = self._ended = self._closed = False
+        self._origin = self._next = 0.0
         self._before: Any = None  # what Ctrl-C did before
 
     def __call__(self, loop: SampledLoop) -> None:
@@ -97,29 +92,32 @@ class LiveView:
             self._show(loop)
         self._wait(loop)
         if loop.ended:
-            self._end(loop)
+            self._ended = True
+            self._tell(ended=f"The run has ended at {loop.t:g} s.")
 
     @property
     def url(self) -> str | None:
         """Where the page is, once the run has begun."""
-        return None if self._server is None else str(self._server.url)
+        return None if self._server is None else self._server.url
 
     def __enter__(self) -> LiveView:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self.close(error)
 
-    def close(self) -> None:
+    def close(self, error: BaseException | None = None) -> None:
         """Stop serving the page; pages that are open keep what they have been shown.
 
         `simulate` does so at the end of a run, however it ends.
+
+        Args:
+            error: What broke the run off, if anything did.
         """
         if self._server is not None and not self._closed:
             if not self._ended:
-                error = sys.exc_info()[1]  # `simulate` closes while it is being raised
                 why = "" if error is None else f" {type(error).__name__}: {error}"
-                self._server.send(_message(ended=f"The run was broken off.{why}"))
+                self._tell(ended=f"The run was broken off.{why}")
             self._server.close()
             if self._before is not None:
                 signal.signal(signal.SIGINT, self._before)
@@ -130,33 +128,26 @@ class LiveView:
     def _start(self, loop: SampledLoop) -> None:
         if self._believe is not None:
             with_task(loop.controller, loop.controller.task)  # or there is no changing the belief
-        self._origin, self._next = 0.0, 0.0
         self._look(loop)
-        self._record_instant(loop)
-        self._server = PageServer(self._page, self._greeting, self._port)
-        url = self._server.url
-        taken = self._server.taken
-        other = "" if taken is None else f" (port {taken} is taken)"
-        if open_browser(url):
-            print(f"The run is shown at {url}{other}", flush=True)
-        else:
-            print(f"No browser could be opened here: open {url} on this machine{other}", flush=True)
-        if self._terminal:
+        self._row(loop)
+        self._server = server = PageServer(self._page, self._greeting, self._port)
+        other = "" if server.taken is None else f" (port {server.taken} is taken)"
+        told = f"The run is shown at {server.url}{other}"
+        if not open_browser(server.url):
+            told = f"No browser could be opened here: open {server.url} on this machine{other}"
+        print(told, flush=True)
+        if self._typed is not None:
             if threading.current_thread() is threading.main_thread():
                 self._before = signal.signal(signal.SIGINT, self._interrupt)
-            print(f"Commands: {_HELP} (Ctrl-C stops, too)", flush=True)
-        self._await_page()
-        self._begin(loop)
-
-    def _await_page(self) -> None:
-        """Wait for somebody to look, but not for ever."""
+            print(f"{_COMMANDS} (Ctrl-C stops, too)", flush=True)
         until = time.monotonic() + self._patience
-        while not self._server.opened.wait(_NAP) and not self._interrupted:
+        while not server.opened.wait(_NAP) and not self._interrupted:
             if time.monotonic() > until:
                 if self._patience > 0.0:
                     told = f"Nobody has opened the page in {self._patience:g} s: the run starts"
                     print(told, flush=True)
-                return
+                break
+        self._begin(loop)
 
     def _interrupt(self, *_: Any) -> None:
         """At Ctrl-C, stop the run, and keep what there is of it; a second one breaks it off."""
@@ -165,22 +156,21 @@ class LiveView:
 
     def _look(self, loop: SampledLoop) -> Stage:
         """See anew who takes part."""
-        self._scene = scene_of(loop.plant, loop.controller)
-        self._frames = Frames(self._scene)
-        self._stage = stage = Stage(self._scene, self._stage)
+        scene = scene_of(loop.plant, loop.controller)
+        self._frames = Frames(scene)
+        self._stage = stage = Stage(scene, self._stage)
         return stage
 
     def _page(self) -> str:
-        """The page, made when it is asked for: meshes take a second."""
-        stage, (made_of, text) = self._stage, self._text
+        """Return the page, made when it is asked for: meshes take a second."""
+        stage = self._stage
         assert stage is not None  # it is there before the server
-        if made_of is not stage:
-            text = live_page(stage, self._columns, self._q)
-            self._text = stage, text
-        return text
+        if stage not in self._pages:
+            self._pages = {stage: live_page(stage, self._columns, self._q)}
+        return self._pages[stage]
 
     def _controls(self) -> dict[str, Any]:
-        """What the user may do, and how it is now."""
+        """Return what the user may do, and how it is now."""
         return {
             "speed": self._speed if math.isfinite(self._speed) else None,
             "paused": self._paused,
@@ -188,44 +178,42 @@ class LiveView:
         }
 
     def _greeting(self) -> list[str]:
-        """What a page gets first; it may have been made before the belief changed."""
-        messages = [f'{{"rows": [{", ".join(self._rows)}]}}', _message(controls=self._controls())]
-        stage = self._stage
-        if self._changed and stage is not None:
-            messages.insert(0, _message(redraw=stage.data("believed")))
+        """Return what a page gets first; it may have been made before the belief changed."""
+        rows = f'{{"rows": [{", ".join(list(self._rows.values()))}]}}'
+        messages = [rows, json.dumps({"controls": self._controls()})]
+        if self._changed and self._stage is not None:
+            messages.insert(0, json.dumps({"redraw": self._stage.data("believed")}))
         return messages
+
+    def _tell(self, **parts: Any) -> None:
+        """Send a message to all pages."""
+        assert self._server is not None  # there is no run without it
+        self._server.send(json.dumps(parts))
 
     def _show(self, loop: SampledLoop) -> None:
         self._next = time.perf_counter() + _FRAME
-        row = json.dumps(_row(self._record_instant(loop)))
-        self._server.send(f'{{"rows": [{row}]}}')
-        if loop.step == self._shown:  # the same instant, with another target
-            if self._kept_last:
-                self._rows[-1] = row
-            return
-        self._shown = loop.step
-        self._kept_last = self._made % self._every == 0
-        if self._kept_last:
-            self._rows.append(row)
-            if len(self._rows) > _KEPT:
-                self._rows, self._every = self._rows[::2], 2 * self._every
-                self._kept_last = False  # it may be gone
-        self._made += 1
+        row = self._row(loop)
+        self._tell(rows=[row])
+        # the same instant with another target takes the place of the one before
+        self._rows[loop.step // self._every] = json.dumps(row)
+        if len(self._rows) > _KEPT:
+            self._every *= 2
+            self._rows = {key // 2: kept for key, kept in self._rows.items()}
 
-    def _record_instant(self, loop: SampledLoop) -> dict[str, Array]:
-        """What the page shows of this step."""
+    def _row(self, loop: SampledLoop) -> dict[str, Any]:
+        """Return what the page shows of this step, as JSON can have it."""
         record = Record(loop.plant)
         record.add(
-                loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target,
-                loop.controller,
-            )  # fmt: skip
+            loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target, loop.controller
+        )
         run = record.trajectory()
-        self._columns, self._q = self._frames.columns(*recorded(run)), run.q
-        return self._columns
-
-    def _end(self, loop: SampledLoop) -> None:
-        self._server.send(_message(ended=f"The run has ended at {loop.t:g} s."))
-        self._ended = True
+        self._q, self._columns = (
+            run.q,
+            self._frames.columns(
+                run.t, run.q, run.x_measured, run.x_d, run.error, run.tau, run.task_torque, run.V
+            ),
+        )
+        return {name: _plain(values[-1]) for name, values in self._columns.items()}
 
     # -- time ---------------------------------------------------------------------------
 
@@ -255,34 +243,32 @@ class LiveView:
 
     def _obey(self, loop: SampledLoop) -> bool:
         """Do what pages and the terminal ask for, say what cannot be done; was there anything?"""
+        assert self._server is not None  # there is no run without it
         asked = False
         if self._interrupted:
             loop.stop()
         for told in self._server.received():
             for wish, value in told.items():
                 asked = True
-                self._server.send(_message(**self._try(loop, wish, value)))
-        for line in self._typed.lines() if self._terminal else ():
+                note = self._try(loop, wish, value)
+                self._tell(controls=self._controls(), **({"note": note} if note else {}))
+        for line in [] if self._typed is None else self._typed.lines():
             asked = True
             wish, *words = line.split()
-            if wish == "help":
-                print(f"Commands: {_HELP}", flush=True)
-                continue
-            said = self._try(loop, wish, words)
-            self._server.send(_message(controls=self._controls()))
-            print(said.get("note", f"done: {line.strip()}"), flush=True)
+            note = _COMMANDS if wish == "help" else self._try(loop, wish, words)
+            self._tell(controls=self._controls())
+            print(note or f"done: {line.strip()}", flush=True)
         return asked
 
-    def _try(self, loop: SampledLoop, wish: str, value: Any) -> dict[str, Any]:
-        """Do something; returns how things are then, and what to say of it."""
-        found = {}
+    def _try(self, loop: SampledLoop, wish: str, value: Any) -> str:
+        """Do something; return why it cannot be done, or nothing."""
         try:
             self._do(loop, wish, value)
         except ApproxJacError as error:
-            found["note"] = str(error)
+            return str(error)
         except Exception as error:  # of the user's own `believe`: it is no reason to lose the run
-            found["note"] = f"{wish}: {type(error).__name__}: {error}"
-        return {"controls": self._controls(), **found}
+            return f"{wish}: {type(error).__name__}: {error}"
+        return ""
 
     def _do(self, loop: SampledLoop, wish: str, value: Any) -> None:
         if wish == "target":
@@ -292,7 +278,11 @@ class LiveView:
         elif wish == "pixel":
             loop.aim_at(with_pixel(loop, numbers("pixel", value)))
         elif wish == "length" and self._believe is not None:
-            self._change_belief(loop, number("length", value))
+            length = as_number("length", number("length", value), unit="m", minimum=0.0)
+            task = loop.controller.task.on(self._believe(length))
+            loop.exchange(with_task(loop.controller, task))
+            self._length, self._changed = length, True
+            self._tell(redraw=self._look(loop).data("believed"))
         elif wish == "speed":
             self._speed = _speed(number("speed", value))
             self._begin(loop)
@@ -304,31 +294,13 @@ class LiveView:
         else:
             raise InvalidInputError(f"commands are: {_HELP}; got {wish!r}", given=wish)
 
-    def _change_belief(self, loop: SampledLoop, length: float) -> None:
-        controller = loop.controller
-        assert self._believe is not None  # else there is no such command
-        robot = self._believe(as_number("length", length, unit="m", minimum=0.0))
-        loop.exchange(with_task(controller, controller.task.on(robot)))
-        self._length, self._changed = length, True
-        self._server.send(_message(redraw=self._look(loop).data("believed")))
-
-
-def _row(columns: Mapping[str, Array]) -> dict[str, Any]:
-    """One instant as JSON can have it: rounded, and None for what is not known."""
-    return {name: _plain(values[-1]) for name, values in columns.items()}
-
 
 def _plain(value: Any) -> Any:
+    """Return numbers as JSON can have them: rounded, and None for what is not known."""
     if np.ndim(value) > 0:
         return [_plain(entry) for entry in value]
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
-def _message(**parts: Any) -> str:
-    return json.dumps(parts)
-
-
 def _speed(value: float) -> float:
-    if value == math.inf:
-        return math.inf
-    return as_number("speed", value, above=0.0)
+    return math.inf if value == math.inf else as_number("speed", value, above=0.0)

@@ -1,4 +1,4 @@
-"""What a user wants of a run that goes on, as pages and people put it."""
+"""Wishes of a user for a run that goes on, as pages and people put them."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from approxjac.errors import InvalidInputError
 from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.tasks.analysis import features
 from approxjac.validation import Array, as_array
+from approxjac.view.browser.cameras import image_feature
 
 _LONG = 80  # characters of what was given, in errors
 
 
 def with_point(loop: SampledLoop, point: Array) -> Array:
-    """The target with the position of what is followed moved to a point of the world (3,) [m]."""
+    """Return the target with the position of what is followed moved to a point (3,) [m]."""
     place = as_array("point", point, (3,), "m")
     for feature in features(loop.plant.sensor):
         if feature.axes:
             target = np.array(loop.target)
-            for i, axis in enumerate(feature.axes):
-                target[feature.entries.start + i] = place["xyz".index(axis)]
+            start = feature.entries.start
+            rows = ["xyz".index(axis) for axis in feature.axes]
+            target[start : start + len(rows)] = place[rows]
             return target
     raise InvalidInputError("the target is no position, which a point could be", given=point)
 
 
 def with_pixel(loop: SampledLoop, pixel: Array) -> Array:
-    """The target with the image of point i moved to (u, v); `pixel` is (i, u, v)."""
+    """Return the target with the image of point i moved to (u, v); `pixel` is (i, u, v)."""
     i, u, v = as_array("pixel", pixel, (3,))
-    for feature in features(loop.plant.sensor):
-        if feature.camera is not None:
-            stride = (feature.entries.stop - feature.entries.start) // len(feature.points)
-            if i != int(i) or not 0 <= i < len(feature.points):
-                break
-            target = np.array(loop.target)
-            start = feature.entries.start + stride * int(i)
-            target[start : start + 2] = u, v
-            return target
-    raise InvalidInputError(f"there is no point {i:g} in an image", given=pixel)
+    feature = image_feature(loop.plant.sensor)
+    if feature is None or i not in range(len(feature.points)):
+        raise InvalidInputError(f"there is no point {i:g} in an image", given=pixel)
+    stride = (feature.entries.stop - feature.entries.start) // len(feature.points)
+    start = feature.entries.start + stride * int(i)
+    target = np.array(loop.target)
+    target[start : start + 2] = u, v
+    return target
 
 
 def numbers(name: str, value: Any) -> Array:
-    """Numbers that a page or a person gave.
+    """Return numbers that a page or a person gave.
 
     Raises:
         InvalidInputError: Anything else.
@@ -56,23 +56,22 @@ def numbers(name: str, value: Any) -> Array:
             return np.array([float(entry) for entry in entries])
     except (TypeError, ValueError, OverflowError):
         pass
-    raise InvalidInputError(f"{name} must be numbers, got {short(value)}", given=value)
+    raise InvalidInputError(f"{name} must be numbers, got {_short(value)}", given=value)
 
 
 def number(name: str, value: Any) -> float:
-    """One number that a page or a person gave.
+    """Return one number that a page or a person gave.
 
     Raises:
         InvalidInputError: Anything else.
     """
     found = numbers(name, value)
     if len(found) != 1:
-        raise InvalidInputError(f"{name} must be one number, got {short(value)}", given=value)
+        raise InvalidInputError(f"{name} must be one number, got {_short(value)}", given=value)
     return float(found[0])
 
 
-def short(value: Any) -> str:
-    """What was given, or how it begins."""
+def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= _LONG else f"{text[:_LONG]}…"
 
@@ -88,7 +87,7 @@ class Typed:
             self._file = None
 
     def lines(self) -> list[str]:
-        """Those that were ended since this was asked for last, but for empty ones."""
+        """Return those that were ended since this was asked for last, but for empty ones."""
         file = self._file
         # what reads from a terminal in the background is halted
         if file is not None and os.isatty(file) and os.tcgetpgrp(file) != os.getpgrp():

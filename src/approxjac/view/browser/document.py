@@ -1,0 +1,220 @@
+"""The page itself: one HTML file with all that it needs inside."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from approxjac.robots import Robot
+from approxjac.simulation.scene import Scene
+from approxjac.tasks.analysis import features
+from approxjac.validation import Array
+from approxjac.view.browser.cameras import image_axes, image_feature
+from approxjac.view.browser.stage import Stage, grid, held_objects
+from approxjac.view.browser.viewpoint import link_points, viewpoint
+from approxjac.view.packages import view_package
+from approxjac.view.style import COLORS, SERIES, display_unit
+from approxjac.view.tree import robot_joints
+
+_BACKGROUND = (np.array([[253, 253, 254], [241, 243, 245]]) / 255.0).tolist()  # top, bottom
+_SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
+_LICENCES = (
+    "LICENSE",
+    "dist/main.min.js.LICENSE.txt",
+    "dist/main.min.js.THIRD_PARTY_LICENSES.json",
+)
+_ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
+
+
+def title_of(scene: Scene) -> str:
+    """Return what a page is of."""
+    believed = "" if scene.belief is None else ", and what its controller believes of it"
+    return scene.truth.name + believed
+
+
+def belief_facts(scene: Scene) -> list[tuple[str, str]]:
+    """Return in which lengths of held objects the controller is wrong, each a name and a text."""
+    if scene.belief is None:
+        return []
+    true, believed = _object_lengths(scene.truth), _object_lengths(scene.belief)
+    pairs = {name: (true.get(name, 0.0), believed.get(name, 0.0)) for name in true | believed}
+    return [
+        (name, f"{length:.3g} m long, believed {wrong:.3g} m")
+        for name, (length, wrong) in pairs.items()
+        if abs(length - wrong) > 1e-6
+    ]
+
+
+def _object_lengths(robot: Robot) -> dict[str, float]:
+    lengths = {j.name: float(np.linalg.norm(j.origin[:3, 3])) for j in robot_joints(robot)}
+    ending = "_tip_joint"
+    return {n.removesuffix(ending): length for n, length in lengths.items() if n.endswith(ending)}
+
+
+def live_page(stage: Stage, columns: Mapping[str, Array], q: Array) -> str:
+    """Return a page of a scene that is told over a WebSocket what there is to show.
+
+    Args:
+        stage: The scene, drawn.
+        columns: What `Frames.columns` returned of one instant.
+        q: The configuration then, shape (1, nq).
+    """
+    scene = stage.scene
+    data = page_data(stage, columns, q, title_of(scene), belief_facts(scene), live=True)
+    return document(data, _asset("live.js"))
+
+
+def page_data(
+    stage: Stage,
+    columns: Mapping[str, Array],
+    q: Array,
+    title: str,
+    facts: Sequence[tuple[str, str]] = (),
+    task_labels: Sequence[str] = (),
+    task_units: Sequence[str] = (),
+    *,
+    live: bool = False,
+) -> dict[str, Any]:
+    """Return what a page is made of, for `document`.
+
+    Args:
+        stage: The scene, drawn.
+        columns: What `Frames.columns` returned, of any number of instants.
+        q: Configurations of the same instants, shape (N, nq), to look at the right place.
+        title: Of the page.
+        facts: What to say above it, each a name and a text.
+        task_labels: Names of the error's coordinates; those of the sensor by default.
+        task_units: Their units; those of the sensor by default.
+        live: Whether instants come in while the page is open, and targets can be dragged.
+    """
+    scene = stage.scene
+    if scene.sensor is not None:
+        task_labels = task_labels or scene.sensor.labels
+        task_units = task_units or scene.sensor.units
+    image = image_feature(scene.sensor)
+    ends = [columns[name][[0, -1]] for name in ("tip", "target", "believed_tip")]
+    moving = np.concatenate([*ends, columns["tip"]])
+    points = [link_points(scene.truth, q, stage.boxes["true"])]
+    if scene.belief is not None:
+        points.append(link_points(scene.belief, q, stage.boxes["believed"]))
+    points += [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
+    points.append(moving[np.isfinite(moving).all(axis=1)])
+    if live:
+        around = _ROOM * stage.size * np.concatenate([np.eye(3), -np.eye(3)])
+        points.append(columns["tip"][-1:] + around)
+    view = viewpoint(scene.truth, moving, np.concatenate(points), stage.cameras)
+    data = stage.data()
+    data["commands"] += grid(view["normal"], np.concatenate(points))
+    axes = None
+    if image is not None and image.camera is not None:
+        axes = image_axes(image.camera) | {"points": len(image.points)}
+    return data | {
+        "title": title,
+        "facts": [list(fact) for fact in facts],
+        "legend": _legend(scene, axes is not None),
+        "live": live,
+        "colours": COLORS,
+        "background": _BACKGROUND,
+        "size": stage.size,
+        "view": {
+            "direction": view["direction"].tolist(),
+            "points": np.round(view["points"], 4).tolist(),
+        },
+        "image": axes,
+        "plots": _plots(scene, list(task_labels), list(task_units)),
+        "jointNames": list(scene.truth.joint_names),
+        "columns": {name: _packed(column) for name, column in columns.items()},
+        "shapes": {name: list(np.shape(column)[1:]) for name, column in columns.items()},
+    }
+
+
+def document(data: Mapping[str, Any], *scripts: str) -> str:
+    """Return the HTML of a page.
+
+    Args:
+        data: What `page_data` returned.
+        scripts: JavaScript to run after the page's own.
+    """
+    view_package("meshcat")  # for its error
+    viewer = resources.files("meshcat") / "viewer"
+    code = [(viewer / "dist" / "main.min.js").read_text(encoding="utf-8")]
+    code += [*map(_asset, _SCRIPTS), *scripts]
+    licences = ["uPlot:\n\n" + _asset("uPlot.LICENSE")]  # which ask to be handed on
+    for name in _LICENCES:
+        if (viewer / name).is_file():
+            text = (viewer / name).read_text(encoding="utf-8")
+            licences.append(f"MeshCat, {name}:\n\n{text}")
+    # "</script" would end the element that it stands in, and "<!--" change how it is read
+    values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    ended = [part.replace("</script", "<\\/script") for part in code]
+    parts = {
+        "title": html.escape(str(data["title"])),
+        "description": html.escape("; ".join(f"{name}: {said}" for name, said in data["facts"])),
+        "css": _asset("uPlot.min.css") + _asset("page.css"),
+        "data": values,
+        "licences": "\n\n".join(licences).replace("<", "(").replace(">", ")"),
+        "scripts": "\n".join(f"<script>{part}</script>" for part in ended),
+    }
+    # all at once: what is put in is not looked at again
+    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _asset("page.html"))
+
+
+def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
+    """Return what the colours mean: colour, kind of mark ("" is a dot) and words."""
+    held, told = bool(held_objects(scene.truth)), scene.belief is not None
+    ghost = "arm and camera as the controller believes them"
+    ghost = ghost if image else "the arm as the controller believes it"
+    entries = (
+        (True, "arm", "bar", "the arm as it is"),
+        (held, "object", "bar", "object that it holds"),
+        (told, "believed", "bar", ghost),
+        (told, "believed", "", "believed tip"),
+        (True, "true", "", "true tip and its path"),
+        (any(feature.axes for feature in features(scene.sensor)),
+         "measured", "", "measured tip, where it differs"),
+        (True, "target", "", "target, line of sight" if image else "target"),
+        (scene.task is not None, "force", "dash", "force that the control means to exert"),
+        (np.isfinite(scene.torque_limits).any(),
+         "saturated", "bar", "link whose torque is at its limit"),
+        (np.isfinite(np.array(scene.truth.position_limits)).any(),
+         "at_limit", "bar", "link whose joint is at a position limit"),
+    )  # fmt: skip
+    return [(COLORS[role], mark, words) for shown, role, mark, words in entries if shown]
+
+
+def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, Any]]:
+    """Return the plots beside the scene; names, units and colours as in `approxjac.view`."""
+    shown = " or ".join(dict.fromkeys(display_unit(unit)[0] for unit in units))
+    known = bool(np.isfinite(scene.torque_limits).any())
+    kinds = [unit for unit in ("rad", "m") if unit in scene.truth.joint_units]
+    torque = " or ".join({"rad": "N m", "m": "N"}[kind] for kind in kinds)
+    joints = list(scene.truth.joint_names)
+    first = joints[0].partition("_")[0] + "_"
+    if len(joints) > 1 and all(name.startswith(first) for name in joints):
+        # panda_joint1 is joint1 here, where there is little room
+        joints = [name.removeprefix(first) for name in joints]
+    plots = [
+        ("error", "Task error of each coordinate", f"x − x_d [{shown}]", labels, [0.0]),
+        ("torque", "Torque of each joint", "τ / limit" if known else f"τ [{torque}]", joints,
+         [-1.0, 1.0] if known else []),
+        ("V", "Lyapunov function", "V [J]", ["V"], []),
+    ]  # fmt: skip
+    names = ("column", "title", "unit", "labels", "lines")
+    return [dict(zip(names, plot, strict=True)) | {"colours": SERIES} for plot in plots]
+
+
+def _asset(name: str) -> str:
+    folder = resources.files("approxjac.view.browser") / "assets"
+    return (folder / name).read_text(encoding="utf-8")
+
+
+def _packed(column: Array) -> str:
+    """Return numbers as base64 of little-endian float32, which the page reads without parsing."""
+    return base64.b64encode(np.ascontiguousarray(column, dtype="<f4").tobytes()).decode()

@@ -1,0 +1,161 @@
+"""Runs as pages: what a page of a run shows and says; saving it, and opening it."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import webbrowser
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError
+from approxjac.interface import LimitStatus, Status
+from approxjac.simulation import Trajectory
+from approxjac.validation import Array, require
+from approxjac.view.browser.document import belief_facts, document, page_data, title_of
+from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.stage import Stage
+from approxjac.view.style import display_unit
+
+_USUAL = (Status.OK, Status.MEASUREMENT_HELD, LimitStatus.UNLIMITED, LimitStatus.FREE)
+_RATE = 60.0  # frames of a second, at most
+_FRAMES = 1000  # of a run, at most
+
+
+def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Path:
+    """Write a run as a page for a web browser: the arm in motion and its plots.
+
+    The page is one file that needs nothing else, no network either. It shows at most 60 instants a
+    second and 1000 in all, the first and the last among them; torques and shares of limits are the
+    largest since the instant shown before.
+
+    Args:
+        run: The run.
+        path: File to write.
+        title: Of the page; says whose arm it is by default.
+
+    Returns:
+        The path written.
+
+    Raises:
+        InvalidInputError: A run without `scene`, or a file that cannot be written.
+        MissingPackageError: The package meshcat is not installed.
+    """
+    require("path", path, (str, Path), "the name of a file")
+    path, text = Path(path), page(run, title)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise InvalidInputError(
+            f"path must be a file that can be written, got {path}: {error}", given=path
+        ) from error
+    return path
+
+
+def show(run: Trajectory, title: str | None = None) -> Path:
+    """Open a run's page (`save_page`) in a web browser.
+
+    Where there is none, a line is printed that says where the page is.
+
+    Args:
+        run: The run.
+        title: Of the page.
+
+    Returns:
+        The temporary file that holds the page.
+
+    Raises:
+        InvalidInputError: A run without `scene`.
+        MissingPackageError: The package meshcat is not installed.
+    """
+    text = page(run, title)
+    with tempfile.NamedTemporaryFile(
+        "w", encoding="utf-8", prefix="approxjac-", suffix=".html", delete=False
+    ) as file:
+        file.write(text)
+    path = Path(file.name)
+    if not open_browser(path.as_uri()):
+        print(f"No browser could be opened here: the page is {path}")
+    return path
+
+
+def page(run: Trajectory, title: str | None = None) -> str:
+    """Return the text of a run's page, as `save_page` writes it."""
+    require("run", run, Trajectory, "a Trajectory, as simulate returns it")
+    if run.scene is None:
+        raise InvalidInputError(
+            "run must have a scene, to know which robots to draw: take one that "
+            "approxjac.simulate returned, or give dataclasses.replace(run, scene=Scene(...))",
+            given=run,
+        )
+    kept, stage = _thinned(run.t), Stage(run.scene)
+    columns = Frames(run.scene, run.task_units).columns(
+        run.t[kept], run.q[kept], run.x_measured[kept], run.x_d[kept], run.error[kept],
+        _peaks(run.tau, kept), run.task_torque[kept], run.V[kept],
+    )  # fmt: skip
+    title = title or title_of(run.scene)
+    facts = [*belief_facts(run.scene), *_facts(run)]
+    labels = run.task_labels, run.task_units
+    return document(page_data(stage, columns, run.q[kept], title, facts, *labels))
+
+
+def open_browser(url: str) -> bool:
+    """Open a page in the user's browser; return whether there is one."""
+    # without a screen, `webbrowser` would take a browser for terminals and wait until it is left
+    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+        return False
+    try:
+        return webbrowser.open(url)
+    except webbrowser.Error:
+        return False
+
+
+def _thinned(t: Array) -> Any:
+    """Return indices of the instants that the page shows, the first and the last among them."""
+    duration = float(t[-1] - t[0])
+    count = min(len(t), _FRAMES, max(2, round(duration * _RATE) + 1))
+    if count == len(t):
+        return np.arange(len(t))
+    nearest = np.searchsorted(0.5 * (t[1:] + t[:-1]), np.linspace(t[0], t[-1], count))
+    return np.unique(np.concatenate([[0], nearest, [len(t) - 1]]))
+
+
+def _peaks(tau: Array, kept: Any) -> Array:
+    """Return each joint's largest |τ| since the instant kept before, with its sign, (n, n_v)."""
+    found = tau[kept]
+    for i, (first, last) in enumerate(pairwise(kept), start=1):
+        part = tau[first + 1 : last + 1]
+        found[i] = part[np.abs(part).argmax(axis=0), np.arange(tau.shape[1])]
+    return np.asarray(found)
+
+
+def _facts(run: Trajectory) -> list[tuple[str, str]]:
+    """Return what came out, each a name and a text."""
+    units = [display_unit(unit) for unit in run.task_units]
+    facts = []
+    for unit in dict.fromkeys(name for name, _ in units):
+        rows = [i for i, (name, _) in enumerate(units) if name == unit]
+        scaled = run.error[:, rows] * [units[i][1] for i in rows]
+        first, last = (float(np.linalg.norm(scaled[k])) for k in (0, -1))
+        share = f" ({_short(100.0 * last / first)} % is left)" if first > 0.0 else ""
+        facts.append(("error", f"{_short(first)} → {_short(last)} {unit}{share}"))
+    counts = {"not measured": int((~np.isfinite(run.x_measured).all(axis=1)).sum())}
+    for status, count in (*run.status_counts().items(), *run.limit_status_counts().items()):
+        if status not in _USUAL:
+            name = status.name.lower().replace("_", " ")
+            if isinstance(status, LimitStatus) and status is not LimitStatus.LIMITED:
+                name = f"limited, {name}"  # where it was not, the proof holds as well
+            counts[name] = count
+    shares = {name: 100.0 * count / len(run.t) for name, count in counts.items() if count}
+    return [*facts, *((name, f"{share:.2g} % of the time") for name, share in shares.items())]
+
+
+def _short(value: float) -> str:
+    """Return a number ≥ 0 as people read it: three digits, and no powers of ten."""
+    if 0.0 < value < 1e-3:
+        return "below 0.001"
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
