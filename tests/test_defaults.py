@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from common import carried_object
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.robots.catalog import NAMED, urdf_path
-from approxjac.studies.arms import carried_object
 from approxjac.tasks import best_axes
 from approxjac.tasks.analysis import sees
 

@@ -13,10 +13,10 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-from approxjac.scenario import Scenario
 from common import carried_object, head, parser, row, run_all, write
 
 import approxjac as aj
+from approxjac.scenario import Scenario
 
 WANTED = 0.95  # share of the runs with known gravity that has to converge
 
@@ -45,14 +45,17 @@ class Outcome(NamedTuple):
 def run_case(case):
     """Run one case; what cannot run is an outcome too."""
     length, mass = carried_object(case.robot)
-    scenario = Scenario(
-        case.robot,
-        true={"object": {"length": length, "mass": mass}},
-        controller={"gravity": case.gravity},
-        run={"start": "random", "duration": case.duration, "seed": case.seed},
-    )
     try:
-        result = scenario.build().run()
+        result = (
+            Scenario(
+                case.robot,
+                true={"object": {"length": length, "mass": mass}},
+                controller={"gravity": case.gravity},
+                run={"start": "random", "duration": case.duration, "seed": case.seed},
+            )
+            .build()
+            .run()
+        )
     except aj.ApproxJacError as error:
         return Outcome(case, reason=f"{error}")
     norm = result.run.error_norm

@@ -19,13 +19,13 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from approxjac.scenario import Scenario
-from approxjac.scenario.configurations import regular_configuration
 from common import carried_object, head, parser, row, run_all, write
 from lyapunov_decrease import Decrease, decrease
 
 import approxjac as aj
 from approxjac import view
+from approxjac.scenario import Scenario
+from approxjac.scenario.configurations import regular_configuration
 
 ROBOTS = ("panda", "xarm7", "two_link")
 SCALES = (1.0, 0.7, 0.5, 0.35, 0.25)

@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from approxjac.scenario import Scenario
-from approxjac.scenario.images import image_scene
 from common import head, parser, row, run_all, write
 
 import approxjac as aj
 from approxjac import view
+from approxjac.scenario import Scenario
+from approxjac.scenario.images import image_scene
 
 ROLLS = tuple(10.0 * i for i in range(13))  # [deg]
 RATIOS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # k_p / k_v [1/s]
@@ -227,7 +227,7 @@ def table(cells):
     lines += ["", "Tolerated roll in degrees, the smallest and the largest over the goals:", ""]
     kinds = [f"{name}: {kind}" for name in LOOPS.values() for kind in ("test", "simulation")]
     lines += head("a = k_p / k_v", *kinds)
-    for ratio in RATIOS:
+    for ratio in sorted({cell.ratio for cell in cells}):
         mine = [[c for c in cells if (c.loop, c.ratio) == (loop, ratio)] for loop in LOOPS]
         lines.append(row(f"{ratio:g} 1/s", *(text for group in mine for text in tolerated(group))))
     found = [c for c in cells if c.predicted != c.verdict or c.verdict == "undecided"]

@@ -15,13 +15,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from approxjac.scenario import Scenario
 from common import head, parser, row, run_all, write
 from velocity_servo import VelocityServo
 
 import approxjac as aj
 from approxjac import view
 from approxjac.controllers.tuning import position_gains
+from approxjac.scenario import Scenario
 
 WANTED = 0.95  # share of the starts whose path stays in view that has to converge
 ROLL, FOCAL, DEPTH = math.radians(30.0), 0.3, 0.5  # how wrong the believed camera is

@@ -40,7 +40,9 @@ def test_a_run_that_cannot_be_is_an_outcome(tmp_path, monkeypatch):
         raise aj.SimulationError("it exploded")
 
     monkeypatch.setattr(every_arm, "Scenario", explode)
-    monkeypatch.setattr(every_arm, "run_all", lambda run, cases, jobs: [run(case) for case in cases])
+    monkeypatch.setattr(
+        every_arm, "run_all", lambda run, cases, jobs: [run(case) for case in cases]
+    )
     assert every_arm.main(["--robots", "ur5", "--starts", "1", "--out", str(tmp_path)]) == 1
     text = (tmp_path / "every_arm.md").read_text(encoding="utf-8")
     assert "- ur5, gravity known, seed 0: it exploded" in text

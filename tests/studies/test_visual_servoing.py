@@ -87,7 +87,11 @@ def cell(roll, rate, verdict, loop="ideal"):
 
 
 def test_the_tolerated_roll_is_where_the_rate_and_the_runs_change():
-    cells = [cell(0.0, 0.5, "converges"), cell(10.0, 0.1, "converges"), cell(20.0, -0.1, "diverges")]
+    cells = [
+        cell(0.0, 0.5, "converges"),
+        cell(10.0, 0.1, "converges"),
+        cell(20.0, -0.1, "diverges"),
+    ]
     assert roll_map.tolerated(cells) == ("15", "10")
     assert roll_map.tolerated(cells[:2]) == ("all", "10")
     assert roll_map.tolerated(cells[2:]) == ("none", "none")

@@ -17,12 +17,10 @@ from approxjac.cli.paper import paper
 from approxjac.cli.robots import robots
 from approxjac.cli.simulate import simulate
 from approxjac.cli.view import view
-from approxjac.cli_studies import arms, limiters, servo, servo_study, stability
+from approxjac.cli_studies import servo, stability
 from approxjac.errors import ApproxJacError, UnknownNameError
 
-_COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, view)} | {
-    each.__name__.replace("_", "-"): each for each in (servo, arms, limiters, servo_study)
-}
+_COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, view, servo)}
 _DESCRIPTION = (
     "Torque control of any URDF arm whose kinematics are not exactly known. "
     "COMMAND --help says more of each command, with examples; --version prints the version; "
