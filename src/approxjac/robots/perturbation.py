@@ -70,10 +70,11 @@ class Perturbation:
         """
         if self._given[1] is not None:
             object_size(length, mass, OBJECT_RADIUS)
-        robot = PerturbedRobot.like(self.base)
-        robot.__dict__.pop("tree", None)  # that of `base`, if it is perturbed itself
-        robot._outward = self._outward
-        robot.perturbation, robot.values = self, (length, mass, shifts, rotations)
+        values = (length, mass, shifts, rotations)
+        robot = PerturbedRobot.like(
+            self.base, _outward=self._outward, perturbation=self, values=values
+        )
+        robot.__dict__.pop("tree", None)  # that of `base`
         turns = np.array([pin.exp3(turn) for turn in rotations]).reshape(-1, 3, 3)
         for model, parts in zip(robot.models, self._parts, strict=True):
             parts.change(model, length, mass, shifts, turns)
@@ -99,7 +100,7 @@ class PerturbedRobot(Robot):
     values: tuple[float, float, Array, Array]
 
     @functools.cached_property
-    def tree(self) -> Urdf:
+    def tree(self) -> Urdf:  # type: ignore[override]
         """The URDF as a tree. Read-only."""
         return self.perturbation.tree(*self.values)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -12,16 +11,15 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import meshes, urdf_edit
-from approxjac.robots.mimic_joints import MimicJoints
 from approxjac.robots.model import build_model, outward_axis, own_joints
 from approxjac.robots.urdf import Urdf
-from approxjac.validation import Array, as_array, as_number, as_vector, require, shape_of
+from approxjac.validation import Array, Immutable, as_array, as_number, as_vector, require, shape_of
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 
-class Robot:
-    """A fixed-base arm: its URDF text and the Pinocchio model built from it.
+class Robot(Immutable):
+    """A fixed-base arm: its URDF and the Pinocchio model built from it.
 
     Immutable: every change returns a new robot. Two robots are equal when their URDF text and
     gravity are. Meshes are never needed. A mimic joint is no degree of freedom: it moves with the
@@ -37,6 +35,17 @@ class Robot:
         name: What to call the robot; its name in the URDF by default.
         outward: Axis of the tip, such as "z", along which the arm leads on; by default the one that
             the last three joints say. Robots made from this one keep it.
+
+    Attributes:
+        name: The name that it was loaded by, or else its name in the URDF.
+        tree: The URDF as a tree. Read-only.
+        urdf_dir: Folder that mesh names are relative to, or None.
+        gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
+        tip: End-effector frame used where none is named, or None where it is not clear.
+        model: Pinocchio model. Read-only; call `model.copy()` to change it.
+        mimic_joints: How mimic joints move with the others.
+        nq: Length of a configuration q; larger than `nv` where joints are continuous.
+        nv: Number of degrees of freedom n_v.
 
     Raises:
         UrdfError: Malformed, no moving joint, joints of more than one degree of freedom,
@@ -56,34 +65,31 @@ class Robot:
         outward: str | None = None,
     ) -> None:
         require("urdf", urdf, (str, Urdf), "URDF text")
-        self._tree = urdf if isinstance(urdf, Urdf) else Urdf.parse(urdf, source)
-        self._gravity = as_array("gravity", gravity, (3,), "m/s^2")
-        self._urdf_dir = urdf_dir
-        self._name = self._tree.name if name is None else name
-        self._model, self._mimic_joints = build_model(self._tree)
-        self._joints = own_joints(self._model)
+        gravity = as_array("gravity", gravity, (3,), "m/s^2")
+        self._remember(locals())
+        self.tree = urdf if isinstance(urdf, Urdf) else Urdf.parse(urdf, source)
+        self.gravity = gravity
+        self.urdf_dir = urdf_dir
+        self.name = self.tree.name if name is None else name
+        self.model, self.mimic_joints = build_model(self.tree)
+        self.nq, self.nv = int(self.model.nq), int(self.model.nv)
+        self._joints = own_joints(self.model)
         for model in self.models:
-            model.gravity.linear = self._gravity
+            model.gravity.linear = self.gravity
         # A body and a joint may share a name; the body's frame is the one people mean.
         frames = sorted(
             (frame.type == pin.FrameType.BODY, index, frame.name)
-            for index, frame in enumerate(self._model.frames)
+            for index, frame in enumerate(self.model.frames)
         )
         self._frames = {name: index for _, index, name in frames if name != "universe"}
-        self._links = self._tree.links
-        parents = {joint.parent for joint in self._tree.joints.values()}
-        leaves = [link for link in self._links if link not in parents]
-        self._tip = tip if tip is not None else (leaves[0] if len(leaves) == 1 else None)
+        parents = {joint.parent for joint in self.tree.joints.values()}
+        leaves = [link for link in self.tree.links if link not in parents]
+        self.tip = tip if tip is not None else (leaves[0] if len(leaves) == 1 else None)
         self._outward = outward
-        if self._tip is not None:
-            self.frame_id(self._tip)
+        if self.tip is not None:
+            self.frame_id(self.tip)
 
     # -- what it is ---------------------------------------------------------------------
-
-    @property
-    def name(self) -> str:
-        """The name that it was loaded by, or else its name in the URDF."""
-        return self._name
 
     @property
     def urdf(self) -> str:
@@ -91,50 +97,10 @@ class Robot:
         return self.tree.text
 
     @property
-    def tree(self) -> Urdf:
-        """The URDF as a tree. Read-only."""
-        return self._tree
-
-    @property
-    def urdf_dir(self) -> Path | None:
-        """Folder that mesh names are relative to, or None."""
-        return self._urdf_dir
-
-    @property
-    def gravity(self) -> Array:
-        """Acceleration of gravity in the world frame, shape (3,) [m/s²]."""
-        return self._gravity
-
-    @property
-    def tip(self) -> str | None:
-        """End-effector frame used where none is named, or None where it is not clear."""
-        return self._tip
-
-    @property
-    def model(self) -> pin.Model:
-        """Pinocchio model. Treat it as read-only; call `model.copy()` to change it."""
-        return self._model
-
-    @property
     def models(self) -> tuple[pin.Model, ...]:
         """`model`, and where mimic joints move the one in which they move on their own."""
-        coupled = self._mimic_joints.G is not None
-        return (self._model, self._mimic_joints.model) if coupled else (self._model,)
-
-    @property
-    def mimic_joints(self) -> MimicJoints:
-        """How mimic joints move with the others."""
-        return self._mimic_joints
-
-    @property
-    def nq(self) -> int:
-        """Length of a configuration q; larger than `nv` where joints are continuous."""
-        return int(self._model.nq)
-
-    @property
-    def nv(self) -> int:
-        """Number of degrees of freedom n_v."""
-        return int(self._model.nv)
+        coupled = self.mimic_joints.G is not None
+        return (self.model, self.mimic_joints.model) if coupled else (self.model,)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -155,14 +121,14 @@ class Robot:
     @property
     def effort_limits(self) -> Array:
         """Torque or force limits, shape (n_v,) [N m or N]; infinite where none is known."""
-        limits = np.array(self._model.upperEffortLimit, dtype=np.float64)
+        limits = np.array(self.model.upperEffortLimit, dtype=np.float64)
         limits[limits <= 0.0] = np.inf  # 0 in a URDF means that nobody filled it in
         return limits
 
     @property
     def velocity_limits(self) -> Array:
         """Speed limits, shape (n_v,) [rad/s or m/s]; infinite where none is known."""
-        limits = np.array(self._model.upperVelocityLimit, dtype=np.float64)
+        limits = np.array(self.model.upperVelocityLimit, dtype=np.float64)
         limits[limits <= 0.0] = np.inf
         return limits
 
@@ -175,15 +141,15 @@ class Robot:
         """
         lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
         for joint in self._joints.values():
-            low = float(self._model.lowerPositionLimit[joint.idx_q])
-            high = float(self._model.upperPositionLimit[joint.idx_q])
+            low = float(self.model.lowerPositionLimit[joint.idx_q])
+            high = float(self.model.upperPositionLimit[joint.idx_q])
             if joint.nq == 1 and low < high:
                 lower[joint.idx_v], upper[joint.idx_v] = low, high
         return lower, upper
 
     def neutral(self) -> Array:
         """Configuration with every joint at zero, shape (nq,)."""
-        return np.array(pin.neutral(self._model))
+        return np.array(pin.neutral(self.model))
 
     def usual_range(self) -> tuple[Array, Array]:
         """Range of each joint that is drawn from, as two motions from zero, shape (n_v,) each.
@@ -203,7 +169,7 @@ class Robot:
     def random_configuration(self, rng: np.random.Generator) -> Array:
         """Uniform configuration within `usual_range`, shape (nq,) [rad or m]."""
         motion = rng.uniform(*self.usual_range())
-        return np.array(pin.integrate(self._model, self.neutral(), motion))
+        return np.array(pin.integrate(self.model, self.neutral(), motion))
 
     def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:
         """Return `q` as a float array of shape (nq,), itself if it is one already.
@@ -214,16 +180,16 @@ class Robot:
         """
         if self.nq != self.nv and shape_of(q) == (self.nv,):
             raise InvalidInputError(
-                f"{name} must have shape ({self.nq},) for {self._name}, whose continuous joints "
+                f"{name} must have shape ({self.nq},) for {self.name}, whose continuous joints "
                 f"take (cos, sin), got {self.nv} numbers; pinocchio.integrate(robot.model, "
                 "robot.neutral(), angles) makes it of angles",
                 given=q,
             )
         vector = as_vector(name, q, self.nq)
-        if self.nq != self.nv and not pin.isNormalized(self._model, vector, 1e-3):
+        if self.nq != self.nv and not pin.isNormalized(self.model, vector, 1e-3):
             raise InvalidInputError(
                 f"{name} must have cos^2 + sin^2 = 1 in the pairs of continuous joints of "
-                f"{self._name}, got {vector.tolist()}; neutral() is a valid configuration",
+                f"{self.name}, got {vector.tolist()}; neutral() is a valid configuration",
                 given=q,
             )
         return vector
@@ -237,7 +203,7 @@ class Robot:
         try:
             return self._frames[frame]
         except (KeyError, TypeError):
-            raise UnknownNameError("frame", frame, self._name, self._links) from None
+            raise UnknownNameError("frame", frame, self.name, self.tree.links) from None
 
     def tip_or(self, frame: str | None) -> str:
         """Return `frame` if it exists, or the robot's own tip where it is None.
@@ -247,14 +213,14 @@ class Robot:
             InvalidInputError: None was given and the robot has more than one end.
         """
         if frame is None:
-            if self._tip is None:
+            if self.tip is None:
                 raise InvalidInputError(
-                    f"a frame must be named: {self._name} has more than one end; name its tip "
+                    f"a frame must be named: {self.name} has more than one end; name its tip "
                     "once, load_robot(path, tip=...), or --tip on the command line; links are "
-                    f"{', '.join(self._links)}",
+                    f"{', '.join(self.tree.links)}",
                     given=None,
                 )
-            return self._tip
+            return self.tip
         self.frame_id(frame)
         return frame
 
@@ -292,10 +258,10 @@ class Robot:
         """
         length, mass, radius = urdf_edit.object_size(length, mass, radius)
         parent = self.tip_or(parent)
-        if parent not in self._links:
-            raise UnknownNameError("link", parent, self._name, self._links)
+        if parent not in self.tree.links:
+            raise UnknownNameError("link", parent, self.name, self.tree.links)
         direction = urdf_edit.direction(self.outward_axis(parent) if axis is None else axis)
-        urdf_edit.require_new(name, set(self._frames) | {"universe"}, self._name)
+        urdf_edit.require_new(name, set(self._frames) | {"universe"}, self.name)
         size = {"length": length, "mass": mass, "radius": radius}
         urdf = urdf_edit.with_object(self.tree, name=name, parent=parent, axis=direction, **size)
         outward = self.outward_axis(parent)  # the tip is turned as its parent is
@@ -304,9 +270,9 @@ class Robot:
     def outward_axis(self, frame: str | None = None) -> str:
         """Axis of a frame, the tip by default, along which the arm leads on, such as "-z"."""
         frame = self.tip_or(frame)
-        if frame == self._tip and self._outward is not None:
+        if frame == self.tip and self._outward is not None:
             return self._outward
-        return outward_axis(self._model, self.frame_id(frame))
+        return outward_axis(self.model, self.frame_id(frame))
 
     def with_kinematic_error(
         self,
@@ -331,7 +297,7 @@ class Robot:
         errors = {}
         for joint in dict.fromkeys([*shifts, *rotations]):
             if joint not in self.tree.joints:
-                raise UnknownNameError("joint", joint, self._name, self.tree.joints)
+                raise UnknownNameError("joint", joint, self.name, self.tree.joints)
             shift = as_array(f"shift of {joint}", shifts.get(joint, none), (3,), "m")
             turn = as_array(f"rotation of {joint}", rotations.get(joint, none), (3,), "rad")
             errors[joint] = shift, pin.exp3(turn)
@@ -349,19 +315,19 @@ class Robot:
             InvalidInputError: A position that is not finite.
         """
         require("positions", positions, Mapping, "a mapping from joint names to positions")
-        moving = list(self._mimic_joints.model.names)[1:]
+        moving = list(self.mimic_joints.model.names)[1:]
         locked: dict[str, float] = {}
         for joint, position in positions.items():
             if joint not in moving:
-                raise UnknownNameError("moving joint", joint, self._name, moving)
+                raise UnknownNameError("moving joint", joint, self.name, moving)
             locked[joint] = as_number(f"position of {joint}", position, unit="rad or m")
         return self._changed(urdf_edit.with_locked_joints(self.tree, locked))
 
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
         gravity = as_array("gravity", gravity, (3,), "m/s^2")
-        robot = type(self).like(self)
-        robot._gravity = gravity
+        options = self._arguments | {"gravity": gravity}
+        robot = type(self).like(self, gravity=gravity, _arguments=options)
         for model in robot.models:
             model.gravity.linear = gravity
         return robot
@@ -385,7 +351,7 @@ class Robot:
         require("path", path, (str, Path), "a file to write")
         path = Path(path)
         urdf = self.tree.copy()
-        meshes.for_other_tools(urdf.root, self._urdf_dir, path)
+        meshes.for_other_tools(urdf.root, self.urdf_dir, path)
         try:
             path.write_text(urdf.text, encoding="utf-8")
         except OSError as error:
@@ -397,38 +363,27 @@ class Robot:
     # -- Python -------------------------------------------------------------------------
 
     def _changed(self, urdf: Urdf, **changes: Any) -> Robot:
-        return Robot(urdf, **self._options() | changes)
+        outward = None if self.tip is None else self.outward_axis()
+        return Robot(**self._arguments | {"urdf": urdf, "outward": outward} | changes)
 
     @classmethod
-    def like(cls, robot: Robot) -> Self:
+    def like(cls, robot: Robot, **changes: Any) -> Self:
         """Return the same robot with models of its own, which may be changed at once."""
-        new = cls.__new__(cls)
-        new.__dict__.update(robot.__dict__)
-        new._model = pin.Model(robot._model)
-        new._mimic_joints = robot._mimic_joints.of(new._model)
+        new, model = cls.__new__(cls), pin.Model(robot.model)
+        mimic_joints = robot.mimic_joints.of(model)
+        new.__dict__.update(robot.__dict__, model=model, mimic_joints=mimic_joints, **changes)
         return new
-
-    def _options(self) -> dict[str, Any]:
-        """The arguments besides the URDF."""
-        return {
-            "gravity": tuple(self._gravity),
-            "tip": self._tip,
-            "urdf_dir": self._urdf_dir,
-            "source": self.tree.source,
-            "name": self._name,
-            "outward": None if self._tip is None else self.outward_axis(),
-        }
 
     def __repr__(self) -> str:
         return (
-            f"Robot({self._name!r}: {self.nv} joints {', '.join(self.joint_names)}; "
-            f"tip {self._tip!r}; {self.mass:.4g} kg)"
+            f"Robot({self.name!r}: {self.nv} joints {', '.join(self.joint_names)}; "
+            f"tip {self.tip!r}; {self.mass:.4g} kg)"
         )
 
     @property
     def mass(self) -> float:
         """Mass of everything that moves [kg]."""
-        return float(sum(inertia.mass for inertia in list(self._model.inertias)[1:]))
+        return float(sum(inertia.mass for inertia in list(self.model.inertias)[1:]))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Robot):
@@ -439,10 +394,7 @@ class Robot:
         return hash(self._key())
 
     def _key(self) -> tuple[Any, ...]:
-        return (self.urdf, tuple(self._gravity))
+        return (self.urdf, tuple(self.gravity))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
         return self  # it never changes
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return functools.partial(Robot, **self._options()), (self.urdf,)

@@ -90,6 +90,9 @@ class Urdf:
             raise UrdfError(f"{source} is not a valid URDF: {fault}", given=source)
         return cls(root, source, text)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Urdf.parse, (self.text, self.source)
+
     @property
     def name(self) -> str:
         """Name of the robot."""

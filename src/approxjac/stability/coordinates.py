@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from approxjac.errors import InvalidInputError
-from approxjac.validation import as_array, is_scalar
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.robots import Robot
+from approxjac.tasks import Camera
+from approxjac.validation import as_array, is_scalar, require
 
 
 class Coordinate(NamedTuple):
@@ -28,32 +31,108 @@ class Coordinate(NamedTuple):
         return self._replace(low=min(low, believed), high=max(high, believed))
 
 
-def as_range(field_name: str, name: str, given: Any, believed: float, unit: str) -> Coordinate:
-    """A coordinate whose range was given as (low, high).
+def as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -> list[Coordinate]:
+    """Return the coordinate whose range was given as (low, high); none where none was given.
+
+    Args:
+        name: What the range is called.
+        given: The range, or None.
+        believed: What is believed.
+        unit: Of all three.
+        of: What it is of, which the coordinate's name begins with.
 
     Raises:
         InvalidInputError: Not two finite numbers, reversed, or without what is believed in it.
     """
+    if given is None:
+        return []
     if is_scalar(given):
         raise InvalidInputError(
-            f"{field_name} must be (smallest, largest) [{unit}], such as (0.0, {given!r}), "
-            f"got {given!r}",
+            f"{name} must be (smallest, largest) [{unit}], such as (0.0, {given!r}), got {given!r}",
             given=given,
         )
-    low, high = as_array(field_name, given, (2,), unit).tolist()
+    low, high = as_array(name, given, (2,), unit).tolist()
     if low > high:
         raise InvalidInputError(
-            f"{field_name} must be (smallest, largest) [{unit}], got {(low, high)}; "
+            f"{name} must be (smallest, largest) [{unit}], got {(low, high)}; "
             f"{(high, low)} is such a range",
             given=given,
         )
     if not low <= believed <= high:
         raise InvalidInputError(
-            f"{field_name} must hold what is believed, {believed:g} [{unit}], got {(low, high)}; "
+            f"{name} must hold what is believed, {believed:g} [{unit}], got {(low, high)}; "
             f"{(min(low, believed), max(high, believed))} does",
             given=given,
         )
-    return Coordinate(name, unit, float(believed), low, high)
+    return [Coordinate(of + name, unit, float(believed), low, high)]
+
+
+def as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[float, ...]]:
+    """Return how far joints may be off to either side, checked, as a new dictionary.
+
+    Args:
+        name: "joint_shifts" or "joint_rotations".
+        given: Joint name → bounds along x, y, z, shape (3,).
+        arm: The arm that has the joints.
+        unit: Of the bounds.
+
+    Raises:
+        InvalidInputError: No mapping, wrong shapes, not finite or negative.
+        UnknownNameError: No such joint.
+    """
+    require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
+    bounds = {}
+    for joint in given:
+        if joint not in arm.tree.joints:
+            raise UnknownNameError("joint", joint, arm.name, arm.tree.joints)
+    for joint, bound in given.items():
+        array = as_array(f"{name} of {joint}", bound, (3,), unit)
+        if (array < 0.0).any():
+            raise InvalidInputError(
+                f"{name} of {joint} must be >= 0 [{unit}], as they are to either side, "
+                f"got {array.tolist()}",
+                given=bound,
+            )
+        bounds[joint] = tuple(array.tolist())
+    return bounds
+
+
+def joint_coordinates(
+    joints: Sequence[str], shifts: Mapping[str, Any], rotations: Mapping[str, Any]
+) -> list[Coordinate]:
+    """Return the coordinates of joints whose origins may be off; bounds of 0 make none."""
+    kinds = (("shift", "m", shifts), ("rotation", "rad", rotations))
+    return [
+        Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
+        for joint in joints
+        for kind, unit, bounds in kinds
+        for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
+        if bound > 0.0
+    ]
+
+
+def camera_coordinates(camera: Camera | None, ranges: Mapping[str, Any]) -> list[Coordinate]:
+    """Return the coordinates of a camera's calibration of which a range is given.
+
+    Raises:
+        InvalidInputError: A range without a camera, or that is none.
+        UnknownNameError: One that the camera's calibration does not have.
+    """
+    found: list[Coordinate] = []
+    for name, given in ranges.items():
+        if given is None:
+            continue
+        if camera is None:
+            raise InvalidInputError(
+                f"{name} is that of a camera, got {given!r} without one: give the believed "
+                "camera as camera, such as PlanarCamera(f, z)",
+                given=given,
+            )
+        if name not in camera.calibration:
+            where = f"the calibration of {type(camera).__name__}"
+            raise UnknownNameError("range", name, where, camera.calibration)
+        found += as_range(name, given, *camera.calibration[name], of="camera ")
+    return found
 
 
 def in_words(name: str, value: float, unit: str) -> str:

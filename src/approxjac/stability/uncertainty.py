@@ -13,10 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError
 from approxjac.robots import Perturbation, Robot
 from approxjac.simulation import Plant
-from approxjac.stability.coordinates import Coordinate, as_range, in_words
+from approxjac.stability.coordinates import (
+    Coordinate,
+    as_bounds,
+    as_range,
+    camera_coordinates,
+    in_words,
+    joint_coordinates,
+)
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
 from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
@@ -106,14 +113,20 @@ class Uncertainty:
         as_number("believed_mass", self.believed_mass, unit="kg", minimum=0.0)
         as_number("factor", self.factor, minimum=0.0)
         # copies, so that nobody changes them later
-        for name, unit in (("joint_shifts", "m"), ("joint_rotations", "rad")):
-            self._set(name, self._bounds(name, unit))
+        self._set("joint_shifts", as_bounds("joint_shifts", self.joint_shifts, self.arm, "m"))
+        turned = as_bounds("joint_rotations", self.joint_rotations, self.arm, "rad")
+        self._set("joint_rotations", turned)
         if not is_scalar(self.friction):
             self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
-        given = [*self._object_ranges(), *self._joint_ranges(), *self._camera_ranges()]
+        joints = tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
+        given = [
+            *as_range("object_length", self.object_length, self.believed_length, "m"),
+            *as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
+            *joint_coordinates(joints, self.joint_shifts, self.joint_rotations),
+            *camera_coordinates(self.camera, {name: getattr(self, name) for name in _CALIBRATION}),
+        ]
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
-        joints = tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
         self._set("_perturbation", self._perturbed(joints))
         self._set("_places", self._places_of(joints))
         if self.task is None and self.camera is None:
@@ -219,6 +232,16 @@ class Uncertainty:
         """Return a new task of the believed robot, for a controller."""
         return self._task_of(self.belief(), self.camera)
 
+    def robot(self, values: Sequence[float] | Array) -> Robot:
+        """Return the true robot at some values, the believed one itself where nothing is wrong."""
+        at = self._by_name(values)
+        length = at.get("object_length", self.believed_length)
+        mass = at.get("object_mass", self.believed_mass)
+        errors = np.array([*at.values(), 0.0])[self._places]
+        if (length, mass) == (self.believed_length, self.believed_mass) and not errors.any():
+            return self.belief()
+        return self._perturbation.robot(length, mass, *errors)
+
     def plant(self, values: Sequence[float] | Array) -> Plant:
         """Return the true robot at some values, with its sensor and friction.
 
@@ -228,9 +251,8 @@ class Uncertainty:
         Raises:
             InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.
         """
-        at = self._by_name(values)
-        robot = self._true_robot(at)
-        return Plant(robot, self._task_of(robot, self._true_camera(at)), self.friction)
+        robot = self.robot(values)
+        return Plant(robot, self._task_of(robot, self._true_camera(values)), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Return values (d,) in words, such as "object_length 0.300 m, camera roll 0.349 rad"."""
@@ -263,15 +285,6 @@ class Uncertainty:
         array = as_array("values", values, (self.d,), self._in_units)
         return dict(zip(self.names, array.tolist(), strict=True))
 
-    def _true_robot(self, at: Mapping[str, float]) -> Robot:
-        """The robot at some values; the believed one itself where nothing is wrong with it."""
-        length = at.get("object_length", self.believed_length)
-        mass = at.get("object_mass", self.believed_mass)
-        errors = np.array([*at.values(), 0.0])[self._places]
-        if (length, mass) == (self.believed_length, self.believed_mass) and not errors.any():
-            return self.belief()
-        return self._perturbation.robot(length, mass, *errors)
-
     def _perturbed(self, joints: tuple[str, ...]) -> Perturbation:
         """What the truth may be, about the belief."""
         given = self.object_length is not None or self.object_mass is not None
@@ -296,10 +309,11 @@ class Uncertainty:
         found = [places.get(name, self.d) for name in names]
         return np.array(found, dtype=np.intp).reshape(2, len(joints), 3)
 
-    def _true_camera(self, at: Mapping[str, float]) -> Camera | None:
+    def _true_camera(self, values: Sequence[float] | Array) -> Camera | None:
         """The camera at some values; the believed one itself where nothing is wrong with it."""
         if self.camera is None:
             return None
+        at = self._by_name(values)
         wrong = {
             name: at[f"camera {name}"]
             for name, known in self.camera.calibration.items()
@@ -333,97 +347,34 @@ class Uncertainty:
                 f"task must be a function {wanted}, got {self.task!r}", given=self.task
             )
 
-    def _bounds(self, name: str, unit: str) -> dict[str, tuple[float, ...]]:
-        """`joint_shifts` or `joint_rotations`, checked, as a new dictionary."""
-        given = getattr(self, name)
-        require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
-        joints = self.arm.tree.joints
-        for joint in given:
-            if joint not in joints:
-                raise UnknownNameError("joint", joint, self.arm.name, joints)
-        bounds = {
-            joint: as_array(f"{name} of {joint}", bound, (3,), unit)
-            for joint, bound in given.items()
-        }
-        for joint, bound in bounds.items():
-            if (bound < 0.0).any():
-                raise InvalidInputError(
-                    f"{name} of {joint} must be >= 0 [{unit}], as they are to either side, "
-                    f"got {bound.tolist()}",
-                    given=given[joint],
-                )
-        return {joint: tuple(bound.tolist()) for joint, bound in bounds.items()}
-
-    def _object_ranges(self) -> list[Coordinate]:
-        known = (
-            ("object_length", self.object_length, self.believed_length, "m"),
-            ("object_mass", self.object_mass, self.believed_mass, "kg"),
-        )
-        return [
-            as_range(name, name, given, believed, unit)
-            for name, given, believed, unit in known
-            if given is not None
-        ]
-
-    def _joint_ranges(self) -> list[Coordinate]:
-        joints = dict.fromkeys([*self.joint_shifts, *self.joint_rotations])
-        kinds = (("shift", "m", self.joint_shifts), ("rotation", "rad", self.joint_rotations))
-        return [
-            Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
-            for joint in joints
-            for kind, unit, bounds in kinds
-            for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
-            if bound > 0.0
-        ]
-
-    def _camera_ranges(self) -> list[Coordinate]:
-        ranges = []
-        for name in _CALIBRATION:
-            given = getattr(self, name)
-            if given is None:
-                continue
-            if self.camera is None:
-                raise InvalidInputError(
-                    f"{name} is that of a camera, got {given!r} without one: give the believed "
-                    "camera as camera, such as PlanarCamera(f, z)",
-                    given=given,
-                )
-            calibration = self.camera.calibration
-            if name not in calibration:
-                where = f"the calibration of {type(self.camera).__name__}"
-                raise UnknownNameError("range", name, where, calibration)
-            believed, unit = calibration[name]
-            ranges.append(as_range(name, f"camera {name}", given, believed, unit))
-        return ranges
-
     def _require_physical(self) -> None:
         """Refuse a box that holds robots or cameras that cannot exist."""
+        grown = "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
         for known in self._coordinates:
-            if known.name in ("object_length", "object_mass") and known.low < 0.0:
-                raise self._unphysical(known)
-        # a camera knows itself what it cannot be, and is that in a corner first
-        box = [known for known in self._coordinates if known.name.startswith("camera ")]
-        for corner in itertools.product(*((known.low, known.high) for known in box)):
-            at = {known.name: value for known, value in zip(box, corner, strict=True)}
-            try:
-                self._true_camera(at)
-            except InvalidInputError as error:
-                shown = ", ".join(in_words(known.name, at[known.name], known.unit) for known in box)
+            if known.name.startswith("object_") and known.low < 0.0:
                 raise InvalidInputError(
-                    f"a camera must exist everywhere in the set, got {shown}{self._grown}: {error}",
-                    given=at,
+                    f"{known.name} must be >= 0 in the whole set [{known.unit}], "
+                    f"got {known.low:.4g} to {known.high:.4g}{grown}",
+                    given=(known.low, known.high),
+                )
+        # a camera knows itself what it cannot be, and is that in a corner first
+        ends = [
+            (known.low, known.high) if known.name.startswith("camera ") else (known.believed,)
+            for known in self._coordinates
+        ]
+        for corner in itertools.product(*ends):
+            try:
+                self._true_camera(corner)
+            except InvalidInputError as error:
+                shown = ", ".join(
+                    in_words(known.name, value, known.unit)
+                    for known, value in zip(self._coordinates, corner, strict=True)
+                    if known.name.startswith("camera ")
+                )
+                raise InvalidInputError(
+                    f"a camera must exist everywhere in the set, got {shown}{grown}: {error}",
+                    given=corner,
                 ) from error
-
-    def _unphysical(self, known: Coordinate) -> InvalidInputError:
-        return InvalidInputError(
-            f"{known.name} must be >= 0 in the whole set [{known.unit}], "
-            f"got {known.low:.4g} to {known.high:.4g}{self._grown}",
-            given=(known.low, known.high),
-        )
-
-    @property
-    def _grown(self) -> str:
-        return "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
 
     def __repr__(self) -> str:
         shown = [
