@@ -149,7 +149,7 @@ def move(loop, rate):
                 loop.plant, loop.controller, loop.target, q, length, v0=v, dt=None,
                 record_every=length / RECORDS,
             )  # fmt: skip
-        except aj.SimulationError:
+        except aj.errors.SimulationError:
             return pieces, False, False
         pieces.append(piece)
         q, v = piece.q[-1], piece.v[-1]

@@ -106,7 +106,9 @@ def failure(outcome):
 def main(arguments=None):
     """Run the study; return the exit code."""
     options = parser(__doc__, "results/every_arm")
-    options.add_argument("--robots", nargs="+", default=aj.robot_names(), help="all by default")
+    options.add_argument(
+        "--robots", nargs="+", default=aj.robots.robot_names(), help="all by default"
+    )
     options.add_argument("--starts", type=int, default=20, help="for each arm and gravity")
     options.add_argument("--duration", type=float, default=30.0, help="of each run [s]")
     given = options.parse_args(arguments)

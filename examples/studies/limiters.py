@@ -115,7 +115,7 @@ def full_limits(truth):
     An effort limit that is not known is twice the largest gravity torque of the joint over 2000
     seeded configurations of the true arm, a speed limit 3 rad/s.
     """
-    dynamics, rng = aj.Dynamics(truth), np.random.default_rng(0)
+    dynamics, rng = aj.robots.Dynamics(truth), np.random.default_rng(0)
     weights = [np.abs(dynamics.g(truth.random_configuration(rng))) for _ in range(2000)]
     effort, velocity = truth.effort_limits, truth.velocity_limits
     return aj.Limits(
@@ -129,9 +129,9 @@ def limiter(name, built):
     """Return a limiter by its name."""
     law, limits = built.law, built.limits
     if name == "clip":
-        return aj.TorqueClipped(law, limits)
+        return aj.controllers.TorqueClipped(law, limits)
     if name == "scale":
-        return aj.TaskTorqueScaled(law, limits)
+        return aj.controllers.TaskTorqueScaled(law, limits)
     if name == "qp-torque":
         limits = aj.Limits(limits.effort)
     return aj.TorqueLimited(law, limits)

@@ -77,9 +77,11 @@ def excess(plant, controller, alpha, q, v, tau, target):
 
     def V(t):
         there = pin.integrate(plant.robot.model, q, t * v)
-        return aj.lyapunov(plant, controller, there, v + t * acceleration, target, alpha).V
+        return aj.stability.lyapunov(
+            plant, controller, there, v + t * acceleration, target, alpha
+        ).V
 
-    here = aj.lyapunov(plant, controller, q, v, target, alpha)
+    here = aj.stability.lyapunov(plant, controller, q, v, target, alpha)
     scale = max(1.0, float(np.abs(v).max()))
     pace = max(float(np.abs(v).max()), float(np.abs(acceleration).max()) / scale)
     step, best = min(LONGEST, TURN / max(pace, 1e-300)), (math.nan, math.inf)

@@ -34,7 +34,7 @@ class Loop(NamedTuple):
 def camera(size, rng):
     """Return the paper's arm and camera, with camera and lengths wrong."""
     roll, focal, distance = size * rng.uniform(-1.0, 1.0, 3)
-    believed = aj.PlanarCamera(
+    believed = aj.tasks.PlanarCamera(
         focal_length=paper.CAMERA.focal_length * math.exp(0.7 * focal),
         distance=paper.CAMERA.distance * math.exp(0.4 * distance),
         roll=math.radians(90.0) * roll,
@@ -101,7 +101,7 @@ def build(case):
     # s(e) bends within or near the region in a third of the cases
     size = radius * float(np.linalg.norm(task.jacobian(q), 2))
     gamma = size * 10.0 ** rng.uniform(-1.0, 0.5)
-    saturation = aj.Sine(gamma) if rng.random() < 1.0 / 3.0 else aj.Linear()
+    saturation = aj.law.Sine(gamma) if rng.random() < 1.0 / 3.0 else aj.law.Linear()
     q_target, share = q, rng.uniform(0.2, 1.0)
     if rng.random() < 0.5:
         q_target = aj.JointBox.around(robot, q, 0.5 * radius).sample(1, rng)[0]

@@ -143,7 +143,7 @@ def simulate(loop, built, law, watch, q0, seed):
             plant, controller, watch.target, q0, LONGEST, dt=DT, record_every=1.0,
             integrator="semi_implicit_euler", seed=seed, observer=watch,
         )  # fmt: skip
-    except aj.SimulationError:
+    except aj.errors.SimulationError:
         watch.verdict = "diverges"
 
 

@@ -36,7 +36,7 @@ class VelocityServo(ContinuousController):
     def __init__(self, task, rate, gravity, inner_bandwidth=50.0):
         self.task, self.rate, self.gravity, self.bandwidth = task, rate, gravity, inner_bandwidth
         # gravity is what the controller takes it for, which may be none
-        self.dynamics = aj.Dynamics(task.robot.with_gravity((0.0, 0.0, 0.0)))
+        self.dynamics = aj.robots.Dynamics(task.robot.with_gravity((0.0, 0.0, 0.0)))
         self.scale = vanishing(task)  # of a Jacobian that counts as singular as a whole
 
     def evaluate(self, state, measurement, target):

@@ -37,7 +37,7 @@ def test_every_failure_is_named():
 
 def test_a_run_that_cannot_be_is_an_outcome(tmp_path, monkeypatch):
     def explode(*_, **__):
-        raise aj.SimulationError("it exploded")
+        raise aj.errors.SimulationError("it exploded")
 
     monkeypatch.setattr(every_arm, "Scenario", explode)
     monkeypatch.setattr(
