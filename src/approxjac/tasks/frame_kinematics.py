@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from functools import cached_property, partial
+from math import hypot, inf
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy import ndarray
 
 from approxjac.robots import Robot
 from approxjac.validation import Array, as_vector
@@ -35,8 +36,8 @@ class FrameKinematics:
         self.frame = frame
         self._id = robot.frame_id(frame)
         self._model = robot.model
-        # (cos, sin) pairs are looked at each time
-        self._shape = (robot.nq,) if robot.nq == robot.nv else None
+        # below it a norm of q is finite; nothing is where (cos, sin) pairs have to be looked at
+        self._most = inf if robot.nq == robot.nv else 0.0
         self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
         self._all = robot.mimic_joints.model
@@ -88,14 +89,13 @@ class FrameKinematics:
 
     def jacobian(self, q: Array) -> Array:
         """Return the Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, (6, n_v)."""
-        if not (  # as Robot.configuration, in the time that a control step has
-            type(q) is np.ndarray
-            and q.dtype is _FLOAT
-            and q.shape == self._shape
-            and math.isfinite(math.hypot(*q.tolist()))
-        ):
-            q = self.robot.configuration(q)
-        J: Array = self._jacobian_of(q, self._id, _LWA)
+        try:  # in the time that a control step has; Pinocchio looks at the length
+            usual = type(q) is ndarray and q.dtype is _FLOAT and hypot(*q.tolist()) < self._most
+            J: Array = self._jacobian_of(q, self._id, _LWA)
+        except (TypeError, ValueError):
+            usual = False
+        if not usual:
+            J = self._jacobian_of(self.robot.configuration(q), self._id, _LWA)
         return J if self._many else J.reshape(6, 1)
 
     def motion(self, q: Array) -> tuple[Array, Array, Array]:
