@@ -133,10 +133,9 @@ def test_looking_at_puts_the_target_in_the_middle_and_up_upwards():
     assert R[2, 0] == pytest.approx(0.0)  # the horizon is level
 
 
-def test_the_field_of_view_and_what_is_seen():
+def test_what_is_within_the_image_is_seen():
     cam = aj.PinholeCamera(500.0, (640, 480))
     assert cam.center == (319.5, 239.5)
-    assert_allclose(cam.field_of_view, (2 * np.arctan(320 / 500), 2 * np.arctan(240 / 500)))
     for x, inside in (
         ((-0.5, 0.0), True), ((-0.6, 0.0), False), ((639.5, 479.5), True), ((0.0, 479.6), False),
         ((np.nan, 0.0), False), ((np.inf, 0.0), False),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +16,7 @@ _FAR = 1e12  # a fold beyond this ρ is none
 
 
 class RadialDistortion:
-    """Where a lens shows a ray: p (1 + k₁ρ + k₂ρ² + k₃ρ³), ρ = ‖p‖².
+    """The radial distortion of a lens, which shows a ray p at p (1 + k₁ρ + k₂ρ² + k₃ρ³), ρ = ‖p‖².
 
     p = (X/Z, Y/Z) is the ray in the camera's axes. Of OpenCV's five coefficients
     (k₁, k₂, p₁, p₂, k₃) these are the radial ones.
@@ -29,21 +28,17 @@ class RadialDistortion:
     def __init__(self, coefficients: Sequence[float]) -> None:
         self._k = (*coefficients, 0.0, 0.0, 0.0)[:3]
         self._none = not any(self._k)
-        self._fold = self._largest_radius()
+        # ‖p‖ from which on the image folds back; infinite where it never does
+        self.largest_radius = self._largest_radius()
 
     def _factors(self, rho: float) -> tuple[float, float, float]:
-        """1 + k₁ρ + k₂ρ² + k₃ρ³ and its first two derivatives by ρ."""
+        """Return 1 + k₁ρ + k₂ρ² + k₃ρ³ and its first two derivatives by ρ."""
         k1, k2, k3 = self._k
         return (
             1.0 + rho * (k1 + rho * (k2 + rho * k3)),
             k1 + rho * (2.0 * k2 + rho * 3.0 * k3),
             2.0 * k2 + 6.0 * k3 * rho,
         )
-
-    @cached_property  # each projection asks for it
-    def largest_radius(self) -> float:
-        """‖p‖ from which on the image folds back; infinite where it never does."""
-        return self._fold
 
     def _largest_radius(self) -> float:
         k1, k2, k3 = self._k
@@ -57,11 +52,11 @@ class RadialDistortion:
         return math.sqrt(min(turns)) if turns else math.inf
 
     def distorted(self, p: Array) -> Array:
-        """Where the lens shows a ray p (2,), shape (2,)."""
+        """Return where the lens shows a ray p (2,), shape (2,)."""
         return p if self._none else p * self._factors(float(p @ p))[0]
 
     def slopes(self, x: float, y: float) -> tuple[float, float, float]:
-        """∂(distorted)/∂p at p = (x, y), a symmetric matrix: its entries 11, 12 and 22."""
+        """Return ∂(distorted)/∂p at p = (x, y), a symmetric matrix: its entries 11, 12 and 22."""
         if self._none:
             return 1.0, 0.0, 1.0
         factor, slope, _ = self._factors(x * x + y * y)
@@ -69,7 +64,7 @@ class RadialDistortion:
         return factor + twice * x * x, twice * x * y, factor + twice * y * y
 
     def slopes_dot(self, p: Array, p_dot: Array) -> Array:
-        """d/dt of the matrix of `slopes` for a ray that moves with ṗ (2,), shape (2, 2)."""
+        """Return d/dt of the matrix of `slopes` for a ray that moves with ṗ (2,), shape (2, 2)."""
         rho_dot = 2.0 * float(p @ p_dot)
         _, slope, curve = self._factors(float(p @ p))
         turned = np.outer(p_dot, p)
@@ -77,7 +72,7 @@ class RadialDistortion:
         return J_dot + 2.0 * curve * rho_dot * np.outer(p, p)
 
     def undistorted(self, shown: Array) -> Array:
-        """Ray (2,) that the lens shows at `shown` (2,); the last one before the fold, beyond it."""
+        """Return the ray (2,) that the lens shows at `shown` (2,); beyond the fold, the last one."""
         wanted = math.hypot(*shown.tolist())
         if self._none or wanted == 0.0:
             return shown

@@ -176,7 +176,7 @@ class ImageTask(Task):
         return np.vstack(
             [
                 camera.interaction_dot(r, r_dot) @ J + camera.interaction(r) @ J_dot
-                for r, J, r_dot, J_dot in zip(*motion, strict=True)
+                for r, r_dot, J, J_dot in zip(*motion, strict=True)
             ]
         )
 

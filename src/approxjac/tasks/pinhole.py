@@ -62,8 +62,6 @@ class PinholeCamera(Camera):
     _c: Array = field(init=False, repr=False, compare=False)
     _R: Array = field(init=False, repr=False, compare=False)
     _p: Array = field(init=False, repr=False, compare=False)
-    _low: Array = field(init=False, repr=False, compare=False)
-    _high: Array = field(init=False, repr=False, compare=False)
     # the same as floats and in the order that a control step needs, a thousand times a second
     _R_t: Array = field(init=False, repr=False, compare=False)
     _focal: tuple[float, float] = field(init=False, repr=False, compare=False)
@@ -103,24 +101,16 @@ class PinholeCamera(Camera):
                 f"mount must be the name of a frame, or None for the world, got {self.mount!r}",
                 given=self.mount,
             )
-        self._set("focal_length", tuple(f.tolist()))
-        self._set("size", (int(size[0]), int(size[1])))
-        self._set("position", tuple(p.tolist()))
-        self._set("rotation", tuple(map(tuple, R.tolist())))
-        self._set("center", tuple(c.tolist()))
-        self._set("distortion", k)
-        self._set("_f", f)
-        self._set("_c", c)
-        self._set("_p", p)
-        self._set("_R", R)
-        self._set("_R_t", R.T.copy())
-        self._set("_focal", tuple(f.tolist()))
-        self._set("_lens", RadialDistortion(k))
+        own = vars(self)  # frozen once it is built
+        own.update(focal_length=tuple(f.tolist()), size=(int(size[0]), int(size[1])))
+        own.update(position=tuple(p.tolist()), rotation=tuple(map(tuple, R.tolist())))
+        own.update(center=tuple(c.tolist()), distortion=k)
+        own.update(_f=f, _c=c, _p=p, _R=R, _R_t=R.T.copy(), _focal=tuple(f.tolist()))
+        own.update(_lens=RadialDistortion(k))
         self._require_unfolded()
-        border = np.array([self.ray(x) for x in self._border()])
-        self._set("_low", border.min(axis=0))
-        self._set("_high", border.max(axis=0))
-        self._set("_edges", tuple(zip(self._low.tolist(), self._high.tolist(), strict=True)))
+        rays = np.array([self.ray(x) for x in self._border()])
+        edges = zip(rays.min(axis=0).tolist(), rays.max(axis=0).tolist(), strict=True)
+        own.update(_edges=tuple(edges))
 
     @classmethod
     def looking_at(
@@ -142,7 +132,7 @@ class PinholeCamera(Camera):
             position: Of the camera, shape (3,) [m].
             focal_length: See `PinholeCamera`.
             size: See `PinholeCamera`.
-            up: What is up in the image, shape (3,).
+            up: Direction that is up in the image, shape (3,).
             center: See `PinholeCamera`.
             distortion: See `PinholeCamera`.
             mount: See `PinholeCamera`.
@@ -211,8 +201,6 @@ class PinholeCamera(Camera):
             distortion=tuple(five[[0, 1, 4]].tolist()), mount=mount,
         )  # fmt: skip
 
-    # -- what it is ---------------------------------------------------------------------
-
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the image coordinates: u to the right, v down."""
@@ -223,28 +211,17 @@ class PinholeCamera(Camera):
         """Pixels."""
         return "px"
 
-    @property
-    def field_of_view(self) -> tuple[float, float]:
-        """Angles that the image is wide and high [rad]."""
-        (left, right), (top, bottom) = self._edges
-        return (
-            math.atan(right) - math.atan(left),
-            math.atan(bottom) - math.atan(top),
-        )
-
     def placement(self) -> tuple[Array, Array]:
-        """Rotation (3, 3) and position (3,) [m] in the frame that it is fixed to."""
+        """Return rotation (3, 3) and position (3,) [m] in the frame that it is fixed to."""
         return self._R.copy(), self._p.copy()
 
-    # -- images -------------------------------------------------------------------------
-
     def in_camera(self, r: Array) -> Array:
-        """A point r (3,) in the camera's own axes, shape (3,); its third entry is the depth Z."""
+        """Return a point r (3,) in the camera's own axes, (3,); its third entry is the depth Z."""
         own: Array = self._R_t @ (r - self._p)
         return own
 
     def project(self, r: Array) -> Array:
-        """Image of a point at r (3,), shape (2,) [px], also beyond the edges of the image.
+        """Return the image (2,) [px] of a point at r (3,), also beyond the edges of the image.
 
         NaN for a point behind the camera or nearer than `near`, and where the lens folds back.
         """
@@ -258,28 +235,28 @@ class PinholeCamera(Camera):
         return image
 
     def seen(self, x: Array) -> Array:
-        """Image coordinates x (2,) if they are within the image, and NaN otherwise."""
+        """Return image coordinates x (2,) if they are within the image, and NaN otherwise."""
         (u, v), (width, height) = x.tolist(), self.size
         inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
         return x if inside else np.full(2, np.nan)
 
     def nearest(self, x: Array) -> Array:
-        """Image coordinates within the image that are nearest to x (2,); shape (2,)."""
+        """Return the image coordinates within the image that are nearest to x (2,); (2,)."""
         (u, v), (width, height) = x.tolist(), self.size
         return np.array([min(max(u, -0.5), width - 0.5), min(max(v, -0.5), height - 0.5)])
 
     def ray(self, x: Array) -> Array:
-        """Ray (X/Z, Y/Z) whose image is x (2,) [px]; shape (2,)."""
+        """Return the ray (X/Z, Y/Z) whose image is x (2,) [px]; shape (2,)."""
         return self._lens.undistorted((x - self._c) / self._f)
 
     def locate(self, x: Array, depth: float) -> Array:
-        """The point at a depth Z [m] whose image is x (2,) [px]; its position, shape (3,)."""
+        """Return the position (3,) of the point at a depth Z [m] whose image is x (2,) [px]."""
         X, Y = self.ray(x).tolist()
         located: Array = self._R @ np.array([depth * X, depth * Y, depth]) + self._p
         return located
 
     def interaction(self, r: Array) -> Array:
-        """Image Jacobian J_I = ∂X/∂r, shape (2, 3) [px/m].
+        """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3) [px/m].
 
         With [−I, [r_c]ₓ] behind it, r_c the point and both in the camera's axes, it is the
         interaction matrix (2, 6) of the camera's own velocity in the literature.
@@ -294,12 +271,13 @@ class PinholeCamera(Camera):
         return np.asarray(J @ self._R_t)
 
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        """d/dt of `interaction` for a point that moves with ṙ (3,), shape (2, 3)."""
+        """Return d/dt of `interaction` for a point that moves with ṙ (3,), shape (2, 3)."""
         own, own_dot = self.in_camera(r), self._R_t @ r_dot
         x, y, Z = self._within(own)
         p = np.array([x, y])
         Z_dot = float(own_dot[2]) if own[2] > self.near else 0.0
-        free = (p > self._low) & (p < self._high)  # at an edge a ray stands still
+        low, high = np.transpose(self._edges)
+        free = (p > low) & (p < high)  # at an edge a ray stands still
         p_dot = np.where(free, (own_dot[:2] - p * Z_dot) / Z, 0.0)
         a, b, d = self._lens.slopes(x, y)
         lens, lens_dot = np.array([[a, b], [b, d]]), self._lens.slopes_dot(p, p_dot)
@@ -310,13 +288,11 @@ class PinholeCamera(Camera):
         return np.asarray(J_dot @ self._R_t)
 
     def _within(self, own: Array) -> tuple[float, float, float]:
-        """Ray (x, y) and depth of a point in the camera's axes, moved into what it can see."""
+        """Return ray (x, y) and depth of a point in the camera's axes, moved into its view."""
         X, Y, Z = own.tolist()
         Z = max(Z, self.near)
         (left, right), (top, bottom) = self._edges
         return min(max(X / Z, left), right), min(max(Y / Z, top), bottom), Z
-
-    # -- calibration --------------------------------------------------------------------
 
     def with_error(
         self,
@@ -377,7 +353,7 @@ class PinholeCamera(Camera):
         return f"PinholeCamera({', '.join(shown)})"
 
     def _border(self) -> list[Array]:
-        """Corners of the image, and with a lens points of its edges that are close enough [px].
+        """Return the corners of the image, and with a lens points along its edges [px].
 
         Rays may reach farthest anywhere on an edge, mostly where it is nearest to the axis.
         """
@@ -406,9 +382,6 @@ class PinholeCamera(Camera):
                 given=self.distortion,
             )
 
-    def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)  # frozen once it is built
-
 
 def _rotation(value: object) -> Array:
     R = as_array("rotation", value, (3, 3))
@@ -423,5 +396,5 @@ def _rotation(value: object) -> Array:
 
 
 def _short(values: Any) -> str:
-    """Numbers to four digits, in brackets."""
+    """Return numbers to four digits, in brackets."""
     return f"({', '.join(f'{value:.4g}' for value in np.ravel(values))})"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from approxjac.robots import Robot
@@ -16,22 +14,6 @@ _CROSS = np.array([
     [0, 0, 1, 0, 0, 0, -1, 0, 0],
     [0, -1, 0, 1, 0, 0, 0, 0, 0],
 ], dtype=float)  # fmt: skip
-
-
-class PointMotion(NamedTuple):
-    """Positions of k points, and how they change with q; seen from where the camera is fixed.
-
-    Attributes:
-        r: Positions, shape (k, 3) [m].
-        J: ∂r/∂q, shape (k, 3, n_v) [m/rad].
-        r_dot: ṙ along q̇, shape (k, 3) [m/s].
-        J_dot: d/dt of J along q̇, shape (k, 3, n_v).
-    """
-
-    r: Array
-    J: Array
-    r_dot: Array
-    J_dot: Array
 
 
 class PointKinematics:
@@ -92,8 +74,11 @@ class PointKinematics:
         arms = self.points @ R.T
         return arms + o, J[:3] - _skews(arms) @ J[3:]
 
-    def motion(self, q: Array, v: Array) -> PointMotion:
-        """Return all of it, with time derivatives along q̇.
+    def motion(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the motion of the points along q̇, as seen from the mount.
+
+        Returns:
+            r (k, 3) [m], ṙ (k, 3) [m/s], J = ∂r/∂q (k, 3, n_v) and J̇ (k, 3, n_v).
 
         Raises:
             InvalidInputError: A q or v of the wrong length or not finite.
@@ -109,7 +94,7 @@ class PointKinematics:
             arms_dot = np.cross(swing, arms)
             moved_dot = J_dot[:3] - _skews(arms_dot) @ J[3:] - _skews(arms) @ J_dot[3:]
         if self._mount is None:
-            return PointMotion(r, A, r_dot, moved_dot)
+            return r, r_dot, A, moved_dot
         J, R, _ = self._mount.motion(q)
         J, R_t = J.copy(), R.T.copy()
         J_dot = self._mount.jacobian_dot(q, v)
@@ -122,7 +107,7 @@ class PointKinematics:
             + _skews(r_dot) @ own
             + _skews(r) @ own_dot
         )
-        return PointMotion(r, A, r_dot, A_dot)
+        return r, r_dot, A, A_dot
 
 
 def _chosen(r: Array, at: Array | None) -> Array:
