@@ -72,7 +72,7 @@ class RadialDistortion:
         return J_dot + 2.0 * curve * rho_dot * np.outer(p, p)
 
     def undistorted(self, shown: Array) -> Array:
-        """Return the ray (2,) that the lens shows at `shown` (2,); beyond the fold, the last one."""
+        """Return the ray (2,) shown at `shown` (2,) by the lens; beyond the fold, the last one."""
         wanted = math.hypot(*shown.tolist())
         if self._none or wanted == 0.0:
             return shown
