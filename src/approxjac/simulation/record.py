@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,18 +15,22 @@ from approxjac.simulation.scene import Scene
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array
 
+_NO_RATE = np.zeros(0)
+
 
 class Record:
     """Collects instants of a run of a plant, and makes a `Trajectory` of them.
 
     Args:
         plant: The plant that runs.
+        capacity: Number of instants that there will be at most, ≥ 1.
     """
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plant: Plant, capacity: int) -> None:
         self._plant = plant
-        # a list for each column: arrays, unlike tuples of them, cost no garbage collection
-        self._columns: tuple[list[Any], ...] = tuple([] for _ in range(14))
+        self._capacity = capacity
+        self._count = 0
+        self._columns: tuple[Array, ...] = ()
         self._controllers: list[tuple[int, Controller]] = []
 
     def add(
@@ -51,22 +54,27 @@ class Record:
         """
         t, q, v, x, _ = truth
         torque, rate, status, e, J_hat, _, limit_status, slack = answer
+        if J_hat is None:
+            J_hat = np.full((len(e), len(v)), np.nan)
+        row = (
+            t, q, v, x, x_measured, target, torque, state, status, limit_status, slack, e, J_hat,
+            _NO_RATE if rate is None else rate,
+        )  # fmt: skip
+        if not self._columns:
+            self._columns = tuple(np.empty((self._capacity, *np.shape(value))) for value in row)
         if not self._controllers or self._controllers[-1][1] is not controller:
-            self._controllers.append((len(self._columns[0]), controller))
-        for column, value in zip(
-            self._columns,
-            (t, q, v, x, x_measured, target, torque, state, status, limit_status, slack,
-             e, J_hat, rate),
-            strict=True,
-        ):  # fmt: skip
-            column.append(value)
+            self._controllers.append((self._count, controller))
+        for column, value in zip(self._columns, row, strict=True):
+            column[self._count] = value
+        self._count += 1
 
     def trajectory(self) -> Trajectory:
         """Return all that was kept, as arrays with time as their first axis."""
         plant = self._plant
         robot, sensor = plant.robot, plant.sensor
-        t, q, v, x, x_measured, x_d, tau, state = map(np.array, self._columns[:8])
-        status, limit_status, slack, e, J_hat, rate = self._columns[8:]
+        t, q, v, x, x_measured, x_d, tau, state, status, limit_status, slack, *answers = (
+            column[: self._count] for column in self._columns
+        )
         for k in np.flatnonzero(~np.isfinite(x).all(axis=1)):  # a record has what no sensor sees
             x[k] = sensor.value(q[k])
         if sensor._subtracts:
@@ -83,16 +91,16 @@ class Record:
             error=error,
             tau=tau,
             state=state,
-            status=np.array(status, dtype=np.int64),
-            limit_status=np.array(limit_status, dtype=np.int64),
-            slack=np.array(slack),
+            status=status.astype(np.int64),
+            limit_status=limit_status.astype(np.int64),
+            slack=slack,
             robot_name=robot.name,
             joint_names=robot.joint_names,
             joint_units=robot.joint_units,
             task_labels=sensor.labels,
             task_units=sensor.units,
             scene=scene_of(plant, self._controllers[-1][1]),
-            derived=_Derivation(plant, self._controllers, e, J_hat, rate),
+            derived=_Derivation(plant, self._controllers, *answers),
         )
 
 
@@ -102,61 +110,54 @@ class _Derivation:
     Args:
         plant: The plant.
         controllers: The controllers, each with its first instant.
-        e: Task errors that they had, each of shape (m,).
-        J_hat: Their estimated Jacobians, None from one that has none.
-        rate: Rates of their states.
+        e: Task errors that they had, shape (N, m).
+        J_hat: Their estimated Jacobians, NaN of one that has none, shape (N, m, n_v).
+        rate: Rates of their states, shape (N, n_state).
     """
 
     def __init__(
         self,
         plant: Plant,
         controllers: Sequence[tuple[int, Controller]],
-        e: Sequence[Array],
-        J_hat: Sequence[Array | None],
-        rate: Sequence[Array | None],
+        e: Array,
+        J_hat: Array,
+        rate: Array,
     ) -> None:
         self._plant = plant
-        self._parts: list[_Part] = []
+        self._e, self._J_hat, self._rate = e, J_hat, rate
+        self._laws: list[tuple[slice, SetpointController]] = []
         ends = [start for start, _ in controllers[1:]] + [len(e)]
         for (start, controller), end in zip(controllers, ends, strict=True):
-            which, law = slice(start, end), law_of(controller)
-            if not isinstance(law, SetpointController):
-                law = None
-            has_jacobian = all(J is not None for J in J_hat[which])
-            jacobians = np.array(J_hat[which]) if has_jacobian else None
-            differentiates = law is not None and law.velocity is not None
-            rates = np.array(rate[which]) if differentiates else np.zeros((end - start, 0))
-            self._parts.append(_Part(which, law, np.array(e[which]), jacobians, rates))
+            law = law_of(controller)
+            if isinstance(law, SetpointController):
+                self._laws.append((slice(start, end), law))
 
     def sigma_min(self, run: Trajectory) -> Array:
         """Return the smallest singular value of Ĵ, NaN without one, shape (N,)."""
         found = np.full(len(run.t), np.nan)
-        for which, _, _, J_hat, _ in self._parts:
-            if J_hat is not None:
-                found[which] = np.linalg.svd(J_hat, compute_uv=False)[:, -1]
+        known = np.isfinite(self._J_hat).all(axis=(1, 2))
+        found[known] = np.linalg.svd(self._J_hat[known], compute_uv=False)[:, -1]
         return found
 
     def task_torque(self, run: Trajectory) -> Array:
         """Return the part of the law's torque that acts on the task, shape (N, n_v)."""
         found = np.full(run.v.shape, np.nan)
-        for which, law, e, J_hat, rate in self._parts:
-            if law is not None and J_hat is not None:
-                found[which] = law.task_torque(e, run.v[which], J_hat, rate)
+        for which, law in self._laws:
+            parts = self._e[which], run.v[which], self._J_hat[which], self._rate[which]
+            found[which] = law.task_torque(*parts)
         return found
 
     def V(self, run: Trajectory) -> Array:
         """Return V of the true arm, shape (N,)."""
         found = np.full(len(run.t), np.nan)
-        for which, law, _, J_hat, _ in self._parts:
-            if law is None or J_hat is None:
-                continue
-            theta_error: Sequence[Array | None] = [None] * len(J_hat)
+        for which, law in self._laws:
+            theta_error: Sequence[Array | None] = [None] * len(run.t[which])
             if law.adaptation is not None:
                 theta = _true_parameters(law.adaptation.regressor, self._plant.robot)
                 theta_error = list(theta - law.learnt(run.state[which]))
             each = zip(
-                run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error,
-                strict=True,
+                run.x[which], run.x_d[which], run.q[which], run.v[which], self._J_hat[which],
+                theta_error, strict=True,
             )  # fmt: skip
             found[which] = [
                 law.lyapunov_value(
@@ -165,16 +166,6 @@ class _Derivation:
                 for x, x_d, q, v, J, off in each
             ]
         return found
-
-
-class _Part(NamedTuple):
-    """Instants with the same controller: the set-point law inside of it, and what it answered."""
-
-    which: slice
-    law: SetpointController | None
-    e: Array
-    J_hat: Array | None
-    rate: Array
 
 
 @lru_cache(maxsize=4)

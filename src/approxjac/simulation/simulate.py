@@ -221,7 +221,7 @@ def _continuous(
             if progress is not None:
                 progress(solver.t)
     records[-1] = solver.y
-    kept = Record(plant)
+    kept = Record(plant, len(times))
     for t, z in zip(times, records, strict=True):
         truth = plant.measure(t, pin.integrate(model, q0, z[:n]), z[n : 2 * n])
         state, target = z[2 * n :].copy(), target_at(wanted, t)
@@ -235,7 +235,7 @@ def _sampled(
     loop: SampledLoop, stride: int, observer: Observer | None, progress: Progress | None
 ) -> Trajectory:
     """Run a sampled loop to its end, and record every so many steps."""
-    record = Record(loop.plant)
+    record = Record(loop.plant, loop.steps // stride + 2)
     with observer if isinstance(observer, AbstractContextManager) else nullcontext():
         while True:
             # as they are before an observer changes them

@@ -202,7 +202,7 @@ class LiveView:
 
     def _row(self, loop: SampledLoop) -> dict[str, Any]:
         """Return what the page shows of this step, as JSON can have it."""
-        record = Record(loop.plant)
+        record = Record(loop.plant, 1)
         record.add(
             loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target, loop.controller
         )
