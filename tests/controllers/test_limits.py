@@ -100,12 +100,6 @@ def test_acceleration_rows_predict_the_acceleration(panda, rng):
         assert_allclose(low - A @ torque, bounds[0] - q_dd, atol=1e-8 * np.abs(q_dd).max())
 
 
-def test_the_proofs_row_is_the_power_of_the_change(rng):
-    torque, y, tau = rng.normal(size=(3, 7))
-    row, bound = rows.proof_row(torque, y)
-    assert row @ tau - bound == pytest.approx(y @ (tau - torque))
-
-
 def test_forward_dynamics_invert_the_inverse_ones(arm, rng):
     dynamics = aj.Dynamics(arm)
     q, v = arm.random_configuration(rng), rng.normal(size=arm.nv)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from approxjac.controllers.gravity import AdaptiveGravity
-from approxjac.controllers.limits import Limits, effort_bounds, rate_bounds
+from approxjac.controllers.limits import Limits, rate_bounds
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.task_controller import TaskController
 from approxjac.controllers.wrapper import ControllerWrapper
@@ -81,7 +81,8 @@ class Limiter(ControllerWrapper):
             always = controller.adaptation._replace(torque_limits=np.full(robot.nv, np.inf))
             self._law = controller.with_gravity(AdaptiveGravity(*always))
             self._p = always.regressor.p
-        self._lower, self._upper = effort_bounds(np.asarray(self.limits.effort))
+        self._upper = np.asarray(self.limits.effort)
+        self._lower = -self._upper
         self._rate = np.asarray(self.limits.rate)
         self._has_rate = bool(np.isfinite(self._rate).any())
         self._looks_ahead = False  # whether a torque within its limits may be limited too

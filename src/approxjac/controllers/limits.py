@@ -88,11 +88,6 @@ class Limits:
         return Limits(position=(ranges[0], ranges[1]), **filled)
 
 
-def effort_bounds(effort: Array) -> tuple[Array, Array]:
-    """Smallest and largest torques that the motors deliver, shape (n_v,) each [N m or N]."""
-    return -effort, effort
-
-
 def rate_bounds(
     before: Array, rate: Array, dt: float, lower: Array, upper: Array
 ) -> tuple[Array, Array]:
@@ -106,11 +101,6 @@ def rate_bounds(
         upper: Largest torques, shape (n_v,).
     """
     return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
-
-
-def velocity_bounds(velocity: Array) -> tuple[Array, Array]:
-    """Smallest and largest speeds, shape (n_v,) each [rad/s or m/s]."""
-    return -velocity, velocity
 
 
 def position_bounds(motion: Array, position: Array, approach: float | Array) -> Array:
@@ -168,16 +158,6 @@ def acceleration_rows(
     """
     lower, upper = accelerations - drift
     return M_inv, lower, upper
-
-
-def proof_row(torque: Array, y: Array) -> tuple[Array, float]:
-    """Row a and bound b with aᵀτ ≤ b + σ where yᵀ(τ − τ*) ≤ σ, so that V̇ ≤ −W + σ.
-
-    Args:
-        torque: τ* of the law, shape (n_v,).
-        y: Passive output, eq. (10), shape (n_v,).
-    """
-    return y, float(y.dot(torque))
 
 
 def _range(position: object) -> tuple[Array, Array]:

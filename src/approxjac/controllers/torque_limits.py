@@ -16,8 +16,6 @@ from approxjac.controllers.limits import (
     acceleration_bounds,
     acceleration_rows,
     position_bounds,
-    proof_row,
-    velocity_bounds,
 )
 from approxjac.controllers.qp_solvers import as_solver
 from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
@@ -135,7 +133,8 @@ class TorqueLimited(Limiter):
         self._braking, self._approach = np.array(self.braking), np.array(self.approach)
         self._alpha = np.array(self.alpha)
         self._position = np.array(self.limits.position)
-        self._slowest, self._fastest = velocity_bounds(np.asarray(self.limits.velocity))
+        self._fastest = np.asarray(self.limits.velocity)
+        self._slowest = -self._fastest
         moving = np.isfinite(self._fastest).any()
         self._per_speed = 1.0 / self._fastest if moving else None
         bounds = (*self._position, self._slowest, self._fastest)
@@ -231,16 +230,16 @@ class TorqueLimited(Limiter):
         f = -R.dot(wanted)
         if not self.proof:
             return self._solver.solve(QuadraticProgram(R, f, lower, upper, *rows))
-        row, bound = proof_row(wanted, y)
-        size = math.hypot(*row.tolist()) or 1.0  # of length one, solvers do better
-        A = np.concatenate([rows[0], (row / size)[np.newaxis]])
+        # yᵀτ ≤ yᵀτ* + σ, so that V̇ ≤ −W + σ; of length one, solvers do better
+        size = math.hypot(*y.tolist()) or 1.0
+        A = np.concatenate([rows[0], (y / size)[np.newaxis]])
         row_lower = np.concatenate([rows[1], _NO_LOWER])
         row_upper = np.concatenate([rows[2], _NO_UPPER])
         problem = QuadraticProgram(R, f + rho * y, lower, upper, A, row_lower, row_upper)
         dearest, verdict = self._solver.solve(problem)
         if dearest is None or float(y.dot(dearest - wanted)) >= 0.0:
             return dearest, verdict
-        row_upper[-1] = bound / size - _MARGIN  # what a solver may be off
+        row_upper[-1] = float(y.dot(wanted)) / size - _MARGIN  # what a solver may be off
         found, _ = self._solver.solve(problem._replace(f=f))
         # without it, there is one that keeps the proof at a higher cost
         return (dearest if found is None else found), Verdict.SOLVED
