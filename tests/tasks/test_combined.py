@@ -122,14 +122,14 @@ def test_held_measurements_count_in_pixels(image):
         held = aj.HeldMeasurement(aj.SetpointController(task), unseen=20.0)
         measured = aj.Measurement(0.0, Q, v, x_d + 50.0)
         state = held.initial_state(measured)
-        bridged = 0
-        while held.evaluate(state, measured, x_d).status is not aj.Status.MEASUREMENT_LOST:
-            state = state + 1e-3 * held.evaluate(state, measured, x_d).state_rate
-            bridged += 1
+        bridged, status = -1, aj.Status.OK
+        while status is not aj.Status.MEASUREMENT_LOST:
+            state, answer = held.step(state, measured, x_d, 1e-3)
+            bridged, status = bridged + 1, answer.status
         expected = 20.0 / np.abs(image.jacobian(Q) @ v).max() / 1e-3
         assert bridged == pytest.approx(expected, abs=2)
         lost = measured._replace(x=np.array([np.nan, np.nan, *x_d[2:]]))
-        fresh = held.evaluate(held.initial_state(lost), lost, x_d)
+        _, fresh = held.step(held.initial_state(lost), lost, x_d, 1e-3)
         assert fresh.status is aj.Status.MEASUREMENT_LOST
 
 

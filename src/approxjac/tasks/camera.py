@@ -45,18 +45,18 @@ class Camera(ABC):
 
     @abstractmethod
     def project(self, r: Array) -> Array:
-        """Image of a point at r (3,), shape (2,); NaN where it has none."""
+        """Return the image of a point at r (3,), shape (2,); NaN where it has none."""
 
     @abstractmethod
     def interaction(self, r: Array) -> Array:
-        """Image Jacobian J_I = ∂X/∂r, shape (2, 3)."""
+        """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3)."""
 
     @abstractmethod
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        """d/dt of `interaction` for a point that moves with ṙ, shape (2, 3)."""
+        """Return d/dt of `interaction` for a point that moves with ṙ, shape (2, 3)."""
 
     def seen(self, x: Array) -> Array:
-        """Image coordinates x (2,) if they are in the field of view, and NaN otherwise."""
+        """Return image coordinates x (2,) if they are in the field of view, and NaN otherwise."""
         return x
 
     def _saved(self) -> dict[str, Any] | None:
@@ -75,17 +75,21 @@ class Camera(ABC):
             InvalidInputError: A camera without calibration, or numbers that no camera has.
             UnknownNameError: A name that is not in its calibration.
         """
-        raise InvalidInputError(
-            f"{type(self).__name__} has no calibration to change, got {dict(values)}",
-            given=values,
-        )
-
-    def _require_calibrated(self, values: Mapping[str, float]) -> None:
-        """Refuse names that are not in the calibration."""
+        kind = type(self).__name__
+        if not self.calibration:
+            raise InvalidInputError(
+                f"{kind} has no calibration to change, got {dict(values)}", given=values
+            )
         for name in values:
             if name not in self.calibration:
-                where = f"the calibration of {type(self).__name__}"
-                raise UnknownNameError("value", name, where, self.calibration)
+                raise UnknownNameError(
+                    "value", name, f"the calibration of {kind}", self.calibration
+                )
+        return self._recalibrated(values)
+
+    def _recalibrated(self, values: Mapping[str, float]) -> Camera:
+        """Return this camera with values that its calibration has."""
+        return self
 
 
 def fields_of(camera: Any, kind: type[Camera]) -> dict[str, Any] | None:
@@ -163,15 +167,15 @@ class PlanarCamera(Camera):
         return "m"
 
     def project(self, r: Array) -> Array:
-        """Image of a point at world position r (3,), shape (2,) [m]."""
+        """Return the image of a point at world position r (3,), shape (2,) [m]."""
         return self._J @ r + self._d
 
     def interaction(self, r: Array) -> Array:
-        """Image Jacobian, the same for every r, shape (2, 3) [m/m]."""
+        """Return the image Jacobian, the same for every r, shape (2, 3) [m/m]."""
         return self._J.copy()
 
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        """Zero: the image Jacobian does not depend on r, shape (2, 3)."""
+        """Return zero: the image Jacobian does not depend on r, shape (2, 3)."""
         return np.zeros((2, 3))
 
     @property
@@ -183,8 +187,6 @@ class PlanarCamera(Camera):
             "roll": Calibrated(self.roll, "rad"),
         }
 
-    def recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
-        """Return this camera with other values of its calibration."""
-        self._require_calibrated(values)
+    def _recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
         changed: dict[str, Any] = {**values}
         return replace(self, **changed)

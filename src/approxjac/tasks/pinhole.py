@@ -331,9 +331,8 @@ class PinholeCamera(Camera):
             "roll": Calibrated(0.0, "rad"),
         }
 
-    def recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
+    def _recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
         """Return this camera with another f_x (f_y along with it), farther back, or rolled."""
-        self._require_calibrated(values)
         back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
         f = as_number("focal_length", values.get("focal_length", self._f[0]), unit="px", above=0.0)
         return self.with_error(
