@@ -177,7 +177,7 @@ def _number(ax: Axes, points: Array, color: str, offset: tuple[int, int]) -> Non
 
 
 def _images(camera: Camera, points: Array) -> Array:
-    """Images of points of the world, shape (2, N); NaN for those that have none."""
+    """Return images of points of the world, shape (2, N); NaN for those that have none."""
     return np.array([camera.project(r) for r in points]).T
 
 

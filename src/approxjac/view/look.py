@@ -24,7 +24,7 @@ _AROUND = 32  # sides of what is round; a multiple of 4, so that it reaches its 
 
 
 class Look(NamedTuple):
-    """What a robot looks like.
+    """Shapes of the links of a robot.
 
     Attributes:
         shapes: Link → its meshes, in the frame of the link [m], not to be changed; none of links

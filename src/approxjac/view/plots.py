@@ -223,13 +223,13 @@ def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
 
 
 def _tips(run: Trajectory, robot: Robot, frame: str) -> Array:
-    """World positions of a frame in all configurations of a run, shape (N, 3)."""
+    """Return world positions of a frame in all configurations of a run, shape (N, 3)."""
     kinematics = FrameKinematics(robot, frame)
     return np.array([kinematics.position(q) for q in run.q])
 
 
 def skeleton(robot: Robot, frame: str, q: Array) -> Array:
-    """World positions of all joints and fixed frames from the base to a frame, shape (N, 3)."""
+    """Return world positions of all joints and fixed frames from base to frame, shape (N, 3)."""
     model = robot.model
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)

@@ -31,7 +31,7 @@ COLORS: Mapping[str, str] = {
     "arm": "#C9CED4",  # in the browser: a grey that leaves the other colours their meaning
     "object": "#8C97A3",  # that the arm holds
 }
-"""What a colour means, in every figure and page. Lines that mean none of this take `SERIES`."""
+"""Colours by their meaning, in figures and pages. Lines that mean none of this take `SERIES`."""
 
 _DPI = 130
 _LEGEND = 36.0  # below the axes, under their ticks and their label [pt]

@@ -1,6 +1,7 @@
 """What the page shows at an instant, against kinematics computed directly."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ def columns(scene, q, x, x_d, **given):
         "t": np.arange(n, dtype=float), "error": x[:, :3] * 0.0, "tau": np.zeros((n, nv)),
         "task_torque": np.zeros((n, nv)), "V": np.zeros(n),
     }  # fmt: skip
-    return Frames(scene).columns(q=q, x_measured=x, x_d=x_d, **(rest | given))
+    run = SimpleNamespace(q=q, x_measured=x, x_d=x_d, **(rest | given))
+    return Frames(scene).columns(run)
 
 
 @pytest.fixture
@@ -159,7 +161,7 @@ def test_a_moment_is_no_force(panda):
     q = START + 0.1
     J = task.jacobian(q)
     for wrench in (np.array([3.0, -2.0, 5.0, 0.0, 0.0, 0.0]), np.array([0, 0, 0, 2.0, 0.0, -20.0])):
-        force = Frames(scene).columns(*instant(task, q, J.T @ wrench))["force"][0]
+        force = Frames(scene).columns(instant(task, q, J.T @ wrench))["force"][0]
         assert_allclose(force, wrench[:3], atol=1e-9)
 
 
@@ -170,30 +172,31 @@ def test_of_several_tasks_the_position_is_followed(panda, first):
     order = [first, *(name for name in tasks if name != first)]
     task = aj.StackedTask(*(tasks[name] for name in order))
     scene = Scene(panda, panda, task, task, panda.effort_limits)
-    found = Frames(scene).columns(*instant(task, START, np.zeros(7)))
+    found = Frames(scene).columns(instant(task, START, np.zeros(7)))
     tip = aj.PositionTask(panda).value(START)
     assert_allclose(found["target"][0], tip, atol=1e-12)
     assert_allclose(found["measured"][0], tip, atol=1e-12)
     assert_allclose(found["pixels"][0, 0], tasks["image"].value(START))
-    none = [column[:0] for column in instant(task, START, np.zeros(7))]
-    assert {name: len(column) for name, column in Frames(scene).columns(*none).items()} == (
-        dict.fromkeys(found, 0)
-    )
+    none = Frames(scene).columns(instant(task, START, np.zeros(7)), np.arange(0))
+    assert {name: len(column) for name, column in none.items()} == dict.fromkeys(found, 0)
 
 
 def test_a_frame_that_the_belief_does_not_have_is_left_out(panda):
     truth = panda.with_object(0.2)
     sensor = aj.PositionTask(truth)
     scene = Scene(truth, panda, sensor, None, panda.effort_limits)  # the task was of its own kind
-    found = Frames(scene).columns(*instant(sensor, START, np.zeros(7)))
+    found = Frames(scene).columns(instant(sensor, START, np.zeros(7)))
     hand = aj.PositionTask(panda).value(START)
     assert_allclose(found["believed_tip"][0], hand, atol=1e-12)
 
 
 def instant(task, q, task_torque):
     x = task.value(q)
-    rows = (q, x, x, np.zeros(task.m), np.zeros(7), task_torque)
-    return (np.zeros(1), *(row[np.newaxis] for row in rows), np.zeros(1))
+    rows = {
+        "q": q, "x_measured": x, "x_d": x, "error": np.zeros(task.m), "tau": np.zeros(7),
+        "task_torque": task_torque, "t": np.zeros(()), "V": np.zeros(()),
+    }  # fmt: skip
+    return SimpleNamespace(**{name: row[np.newaxis] for name, row in rows.items()})
 
 
 def test_no_link_has_the_name_of_a_shape(panda):

@@ -15,7 +15,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import view
-from approxjac.view.browser.page import _peaks, _thinned, page
+from approxjac.view.browser.frames import _peaks
+from approxjac.view.browser.page import _thinned, page
 
 
 @pytest.fixture(scope="module")

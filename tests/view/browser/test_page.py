@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -315,9 +316,10 @@ def test_lost_measurements_are_gaps(reach, show):
 def test_a_controller_that_tells_no_belief(reach, show):
     scene = dataclasses.replace(reach.scene, belief=None, task=None)
     nothing = np.full_like(reach.task_torque, np.nan)
-    page = show(dataclasses.replace(
-        reach, scene=scene, task_torque=nothing, V=np.full_like(reach.V, np.nan)
-    ))  # fmt: skip
+    unknown = SimpleNamespace(
+        task_torque=lambda run: nothing, V=lambda run: nothing[:, 0], sigma_min=lambda run: 0.0
+    )
+    page = show(dataclasses.replace(reach, scene=scene, derived=unknown))
     seek(page, reach.t[-1])
     titles = page.locator(".plot h2").all_inner_texts()
     assert titles == ["Task error of each coordinate", "Torque of each joint"]
@@ -346,14 +348,15 @@ def test_without_webgl_there_are_the_plots(drawn, browser, tmp_path):
 
 def live_page(scene, row, *scripts):
     """A page of one instant that waits for more."""
-    columns = Frames(scene).columns(**row)
-    return document(page_data(Stage(scene), columns, row["q"], "live", live=True), *scripts)
+    columns = Frames(scene).columns(row)
+    return document(page_data(Stage(scene), columns, row.q, "live", live=True), *scripts)
 
 
 def rows_of(run, every=100):
     names = ("t", "q", "x_measured", "x_d", "error", "tau", "task_torque", "V")
     return [
-        {name: getattr(run, name)[i : i + 1] for name in names} for i in range(0, len(run.t), every)
+        SimpleNamespace(**{name: getattr(run, name)[i : i + 1] for name in names})
+        for i in range(0, len(run.t), every)
     ]
 
 
@@ -365,7 +368,7 @@ def test_instants_come_in_and_the_target_is_dragged(reach, open_page, tmp_path):
     assert state(page) == {"t": 0, "index": 0, "playing": False, "length": 1}
     frames = Frames(scene)
     for row in rows[1:]:
-        instant = {name: column[0].tolist() for name, column in frames.columns(**row).items()}
+        instant = {name: column[0].tolist() for name, column in frames.columns(row).items()}
         page.evaluate("row => approxjac.append(row)", instant)
     page.wait_for_timeout(200)
     assert state(page)["length"] == len(rows)

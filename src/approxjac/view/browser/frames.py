@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 
 from approxjac.robots import Robot
 from approxjac.robots.model import own_joints
+from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import FrameKinematics, Task
 from approxjac.tasks.analysis import features
@@ -47,28 +51,13 @@ class Frames:
         limited = [joint for joint in own_joints(scene.truth.model).values() if joint.nq == 1]
         self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
 
-    def columns(
-        self,
-        t: Array,
-        q: Array,
-        x_measured: Array,
-        x_d: Array,
-        error: Array,
-        tau: Array,
-        task_torque: Array,
-        V: Array,
-    ) -> dict[str, Array]:
+    def columns(self, run: Trajectory, kept: Any = None) -> dict[str, Array]:
         """Return all that the page shows; first axis time, also where there is but one instant.
 
         Args:
-            t: Time, shape (N,) [s].
-            q: Configuration of the true robot, shape (N, nq).
-            x_measured: Measured task value, NaN where it was lost, shape (N, n_x).
-            x_d: Target, shape (N, n_x).
-            error: Task error, shape (N, m).
-            tau: Torque, shape (N, n_v).
-            task_torque: Its part that acts on the task, shape (N, n_v).
-            V: Lyapunov function, shape (N,) [J].
+            run: A run of the scene.
+            kept: Indices of the instants to show, shape (N,); all by default. Torques are the
+                largest since the instant kept before.
 
         Returns:
             t, V [J]; error in display units (N, m); torque, as a share of its limit (NaN of those
@@ -78,13 +67,15 @@ class Frames:
             such position; force at the believed tip that the task torque stands for (N, 3) [N].
             Of images: pixels, measured_pixels, believed_pixels and target_pixels (N, k, 2).
         """
-        limits = self.scene.torque_limits
+        kept = np.arange(len(run.t)) if kept is None else kept
+        q, x_measured, x_d = run.q[kept], run.x_measured[kept], run.x_d[kept]
+        error, tau, limits = run.error[kept], _peaks(run.tau, kept), self.scene.torque_limits
         share = tau / np.where(np.isfinite(limits), limits, np.nan)
         tip = np.array([self._true.positions(row)[0] for row in q]).reshape(-1, 3)
-        believed_tip, force = self._believed_tip(q, task_torque)
+        believed_tip, force = self._believed_tip(q, run.task_torque[kept])
         return {
-            "t": t,
-            "V": V,
+            "t": run.t[kept],
+            "V": run.V[kept],
             "error": error * self._scale if len(self._scale) else error,
             "torque": share if np.isfinite(limits).any() else tau,
             "load": np.abs(share),
@@ -151,6 +142,15 @@ class Frames:
             else _pixels(believed, _values(self.scene.task, q)),
             "target_pixels": _pixels(image, x_d),
         }
+
+
+def _peaks(tau: Array, kept: Any) -> Array:
+    """Return each joint's largest |τ| since the instant kept before, with its sign, (n, n_v)."""
+    found = tau[kept]
+    for i, (first, last) in enumerate(pairwise(kept), start=1):
+        part = tau[first + 1 : last + 1]
+        found[i] = part[np.abs(part).argmax(axis=0), np.arange(tau.shape[1])]
+    return np.asarray(found)
 
 
 def _first(followed: tuple[Feature, ...]) -> Feature | None:

@@ -97,7 +97,7 @@ def write_index(
 
 
 def _entry(path: Path, head: str) -> str:
-    """A link to a page, with its title and what it says of itself."""
+    """Return a link to a page, with its title and what it says of itself."""
     title = _found(r"<title>(.*?)</title>", head) or path.stem
     text = _found(r'<meta name="description" content="(.*?)">', head)
     image = path.with_suffix(".png")
@@ -107,7 +107,7 @@ def _entry(path: Path, head: str) -> str:
 
 
 def _shown(folder: Path, name: str, title: str) -> str:
-    """A picture without a page."""
+    """Return a picture without a page."""
     texts = isinstance(name, str) and isinstance(title, str)
     if not texts or Path(name).name != name or not (folder / name).is_file():
         raise InvalidInputError(
@@ -123,7 +123,7 @@ def _found(pattern: str, text: str) -> str:
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """Sorts fig10 after fig9."""
+    """Return a key that sorts fig10 after fig9."""
     return [
         (int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)
     ]

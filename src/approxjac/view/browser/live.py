@@ -97,7 +97,7 @@ class LiveView:
 
     @property
     def url(self) -> str | None:
-        """Where the page is, once the run has begun."""
+        """Address of the page, once the run has begun."""
         return None if self._server is None else self._server.url
 
     def __enter__(self) -> LiveView:
@@ -207,12 +207,7 @@ class LiveView:
             loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target, loop.controller
         )
         run = record.trajectory()
-        self._q, self._columns = (
-            run.q,
-            self._frames.columns(
-                run.t, run.q, run.x_measured, run.x_d, run.error, run.tau, run.task_torque, run.V
-            ),
-        )
+        self._q, self._columns = run.q, self._frames.columns(run)
         return {name: _plain(values[-1]) for name, values in self._columns.items()}
 
     # -- time ---------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import os
 import sys
 import tempfile
 import webbrowser
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -92,11 +91,9 @@ def page(run: Trajectory, title: str | None = None) -> str:
             "approxjac.simulate returned, or give dataclasses.replace(run, scene=Scene(...))",
             given=run,
         )
-    kept, stage = _thinned(run.t), Stage(run.scene)
-    columns = Frames(run.scene, run.task_units).columns(
-        run.t[kept], run.q[kept], run.x_measured[kept], run.x_d[kept], run.error[kept],
-        _peaks(run.tau, kept), run.task_torque[kept], run.V[kept],
-    )  # fmt: skip
+    stage = Stage(run.scene)
+    kept = _thinned(run.t)
+    columns = Frames(run.scene, run.task_units).columns(run, kept)
     title = title or title_of(run.scene)
     facts = [*belief_facts(run.scene), *_facts(run)]
     labels = run.task_labels, run.task_units
@@ -122,15 +119,6 @@ def _thinned(t: Array) -> Any:
         return np.arange(len(t))
     nearest = np.searchsorted(0.5 * (t[1:] + t[:-1]), np.linspace(t[0], t[-1], count))
     return np.unique(np.concatenate([[0], nearest, [len(t) - 1]]))
-
-
-def _peaks(tau: Array, kept: Any) -> Array:
-    """Return each joint's largest |τ| since the instant kept before, with its sign, (n, n_v)."""
-    found = tau[kept]
-    for i, (first, last) in enumerate(pairwise(kept), start=1):
-        part = tau[first + 1 : last + 1]
-        found[i] = part[np.abs(part).argmax(axis=0), np.arange(tau.shape[1])]
-    return np.asarray(found)
 
 
 def _facts(run: Trajectory) -> list[tuple[str, str]]:

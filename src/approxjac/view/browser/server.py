@@ -14,6 +14,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.view.packages import view_package
 
 _HOST = "127.0.0.1"  # nobody else on the network gets to move an arm
+_HOSTS = r"(127\.0\.0\.1|localhost)"
 _PORT = 7007
 _BEHIND = 900  # messages that a page has not taken yet
 _CLOSING = 2.0  # for what was sent to arrive [s]
@@ -65,11 +66,8 @@ class PageServer:
             self._loop.call_soon_threadsafe(self._broadcast, message)
 
     def received(self) -> list[Mapping[str, Any]]:
-        """What pages sent since this was asked for last; what is no JSON object is dropped."""
-        found = []
-        while not self._received.empty():
-            found.append(self._received.get())
-        return found
+        """Return what pages sent since this was asked for last, each a JSON object."""
+        return [self._received.get() for _ in range(self._received.qsize())]
 
     def close(self) -> None:
         """Stop serving, after what was sent has left."""
@@ -87,24 +85,12 @@ class PageServer:
     async def _until_closed(self) -> None:
         outer = self
 
-        def require_here(handler: Any) -> None:
-            """Refuse pages of other sites that had their name point to this machine."""
-            host = handler.request.host.rsplit(":", 1)[0]
-            if host not in (_HOST, "localhost"):
-                raise outer._web.HTTPError(403)
-
         class Page(self._web.RequestHandler):  # type: ignore[misc, name-defined]
-            def prepare(self) -> None:
-                require_here(self)
-
             def get(self) -> None:
                 self.set_header("Cache-Control", "no-store")
                 self.finish(outer._page())
 
         class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
-            def prepare(self) -> None:
-                require_here(self)
-
             def open(self, *_: str) -> None:
                 self.waiting = 0
                 for message in outer._greeting():
@@ -123,7 +109,9 @@ class PageServer:
             def on_close(self) -> None:
                 outer._pages.discard(self)
 
-        application = self._web.Application([("/", Page), ("/socket", Socket)])
+        application = self._web.Application()
+        # not to pages of other sites that had their name point to this machine
+        application.add_handlers(_HOSTS, [("/", Page), ("/socket", Socket)])
         server = view_package("tornado.httpserver").HTTPServer(application)
         server.add_socket(self._socket)
         await self._closing.wait()
@@ -157,7 +145,7 @@ class PageServer:
 
 
 def _bound(port: int | None) -> socket.socket:
-    """A socket that listens at a port; at the usual one, or any free one, where None is given."""
+    """Return a socket that listens at a port; at the usual one or any free one without a port."""
     if port is not None and not (type(port) is int and 0 < port < 65536):
         raise InvalidInputError(f"port must be a number from 1 to 65535, got {port!r}", given=port)
     for wanted in (_PORT, 0) if port is None else (port,):
