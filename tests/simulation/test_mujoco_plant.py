@@ -43,19 +43,14 @@ def above_floor():
     return aj.MujocoPlant(TRUTH, SENSOR, floor=0.0)
 
 
-class Retargeted:
-    """A controller that gets another target from some time on."""
+class ThereAndBack:
+    """A target that from some time on is another one."""
 
-    def __init__(self, controller, t, target):
-        self.controller, self.t, self.target = controller, t, np.asarray(target, dtype=float)
-        self.n_state = controller.n_state
+    def __init__(self, first, then, t):
+        self.first, self.then, self.t = np.array(first), np.array(then), t
 
-    def initial_state(self, measurement):
-        return self.controller.initial_state(measurement)
-
-    def evaluate(self, state, measurement, target):
-        now = target if measurement.t < self.t else self.target
-        return self.controller.evaluate(state, measurement, now)
+    def at(self, t):
+        return aj.Target(self.first if t < self.t else self.then)
 
 
 def plants(robot, friction=0.0):
@@ -210,9 +205,9 @@ def beyond_limits(run):
 
 def pressed(plant, controller, target, duration=10.0, back=X0, dt=2e-3):
     """Four seconds towards a target, then back."""
-    controller = Retargeted(controller, 4.0, back)
+    path = ThereAndBack(target, back, 4.0)
     return aj.simulate(
-        plant, controller, target, Q0, duration, dt=dt, integrator="semi_implicit_euler"
+        plant, controller, path, Q0, duration, dt=dt, integrator="semi_implicit_euler"
     )
 
 

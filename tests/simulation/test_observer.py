@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from own_controller import OwnController
 
 import approxjac as aj
 
@@ -163,9 +164,10 @@ def test_a_target_that_overflows_is_refused(panda):
 def test_a_target_that_is_moved_leaves_the_torque_of_its_step(panda):
     """Also where a controller uses one buffer for all its torques."""
 
-    class Buffered:
+    class Buffered(OwnController):
         def __init__(self, controller):
-            self.controller, self.task, self.n_state = controller, controller.task, 0
+            super().__init__(controller.task)
+            self.controller = controller
             self.buffer = np.zeros(7)
 
         def initial_state(self, measurement):

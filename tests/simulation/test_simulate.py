@@ -4,21 +4,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
+from own_controller import OwnController
 from scipy.integrate import cumulative_simpson
 
 import approxjac as aj
 
 
-class ConstantTorque:
+class ConstantTorque(OwnController):
     """The simplest thing with the interface of a controller."""
 
-    n_state = 0
-
-    def __init__(self, torque):
+    def __init__(self, task, torque):
+        super().__init__(task)
         self.torque = np.asarray(torque, dtype=float)
-
-    def initial_state(self, measurement):
-        return np.zeros(0)
 
     def evaluate(self, state, measurement, target):
         e = measurement.x - target
@@ -30,15 +27,18 @@ def plant_of(robot, friction=0.0):
     return aj.Plant(robot, aj.PositionTask(robot, axes=axes), friction=friction)
 
 
+PLANE = plant_of(aj.load_robot("two_link")).sensor
+
+
 def released(robot, tau, duration, friction=0.0, **options):
     """A run under a constant torque from a fixed start."""
     plant = plant_of(robot, friction)
     rng = np.random.default_rng(1)
     q0 = robot.random_configuration(rng)
     v0 = rng.uniform(-1, 1, robot.nv)
-    target = np.zeros(plant.sensor.m)
-    options = {"dt": None, "v0": v0, **options}
-    run = aj.simulate(plant, ConstantTorque(tau), target, q0, duration, **options)
+    options = {"dt": None, "v0": v0, "q0": q0, "duration": duration, **options}
+    controller = ConstantTorque(plant.sensor, tau)
+    run = aj.simulate(plant, controller, np.zeros(plant.sensor.m), **options)
     return plant, run
 
 
@@ -118,10 +118,10 @@ def test_gravity_direction_is_the_plants():
     robot = aj.load_robot("two_link")
     q0 = np.array([0.3, 0.4])
     still = plant_of(robot.with_gravity((0.0, 0.0, 0.0)))
-    run = aj.simulate(still, ConstantTorque((0.0, 0.0)), (0.0, 0.0), q0, 0.5, dt=None)
+    run = aj.simulate(still, ConstantTorque(still.sensor, (0.0, 0.0)), (0.0, 0.0), q0, 0.5, dt=None)
     assert_allclose(run.q, np.tile(q0, (len(run.t), 1)), atol=1e-12)
     sideways = plant_of(robot.with_gravity((0.0, -9.81, 0.0)))  # across the arm's plane
-    run = aj.simulate(sideways, ConstantTorque((0.0, 0.0)), (0.0, 0.0), q0, 0.5, dt=None)
+    run = aj.simulate(sideways, ConstantTorque(PLANE, (0.0, 0.0)), (0.0, 0.0), q0, 0.5, dt=None)
     assert_allclose(run.q[-1], q0, atol=1e-12)
 
 
@@ -312,15 +312,13 @@ def test_bad_arguments_are_refused(changes, error, text):
     robot = aj.load_robot("two_link")
     arguments = {"target": (0.5, 1.2), "q0": (0.3, 0.8), "duration": 1.0, "dt": None, **changes}
     with pytest.raises(error, match=text):
-        aj.simulate(plant_of(robot), ConstantTorque((0.0, 0.0)), **arguments)
+        aj.simulate(plant_of(robot), ConstantTorque(PLANE, (0.0, 0.0)), **arguments)
 
 
 def test_a_configuration_off_the_circle_is_refused():
     robot = aj.load_robot("kinova")
     with pytest.raises(aj.InvalidInputError, match=r"q0 must have cos\^2 \+ sin\^2 = 1"):
-        aj.simulate(
-            plant_of(robot), ConstantTorque(np.zeros(6)), np.zeros(3), np.zeros(9), 1.0, dt=None
-        )
+        released(robot, np.zeros(6), 1.0, q0=np.zeros(9))
 
 
 def test_a_sensor_of_another_robot_is_refused(two_link, panda):
@@ -352,7 +350,7 @@ def test_a_run_that_explodes_is_a_named_error(dt, text):
     plant = plant_of(aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0)))
     with pytest.raises(aj.SimulationError, match=text):
         aj.simulate(
-            plant, Explosive((0.0, 0.0)), (0.0, 0.0), (0.3, 0.8), 100.0, v0=(1.0, 1.0), dt=dt
+            plant, Explosive(PLANE, (0.0, 0.0)), (0.0, 0.0), (0.3, 0.8), 100.0, v0=(1.0, 1.0), dt=dt
         )
 
 
@@ -384,7 +382,7 @@ class Faulty(ConstantTorque):
     """A controller that answers something else than it should."""
 
     def __init__(self, **changes):
-        super().__init__((0.0, 0.0))
+        super().__init__(PLANE, (0.0, 0.0))
         self.changes = changes
 
     def evaluate(self, state, measurement, target):
@@ -416,7 +414,7 @@ def test_a_controller_may_use_one_buffer_for_all_torques():
             return super().evaluate(state, measurement, target)
 
     plant = plant_of(aj.load_robot("two_link"))
-    run = aj.simulate(plant, Counting((0.0, 0.0)), (0.5, 1.2), (0.3, 0.8), 0.5, dt=0.1)
+    run = aj.simulate(plant, Counting(PLANE, (0.0, 0.0)), (0.5, 1.2), (0.3, 0.8), 0.5, dt=0.1)
     assert_allclose(run.tau[:, 0], run.t)
 
 
@@ -433,7 +431,7 @@ def test_absurdly_many_steps_are_refused(changes):
     with pytest.raises(aj.InvalidInputError, match="must be at least 1e-9 of duration = 1"):
         aj.simulate(
             plant,
-            ConstantTorque((0.0, 0.0)),
+            ConstantTorque(PLANE, (0.0, 0.0)),
             (0.5, 1.2),
             (0.3, 0.8),
             1.0,

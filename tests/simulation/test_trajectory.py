@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from own_controller import OwnController
 
 import approxjac as aj
 from approxjac import law
@@ -67,30 +68,23 @@ def test_limiters_show_the_torque_that_the_law_wants(panda):
 
 
 def test_laws_without_a_task_force_or_V_have_none(panda):
-    class Nothing:
-        n_state = 0
-
-        def initial_state(self, measurement):
-            return np.zeros(0)
-
+    class Nothing(OwnController):
         def evaluate(self, state, measurement, target):
             e = measurement.x - target
             return aj.Evaluation(np.zeros(7), np.zeros(0), aj.Status.OK, e)
 
-    _, _, run = reach(panda, lambda task: Nothing())
+    _, _, run = reach(panda, Nothing)
     assert np.isnan(run.task_torque).all()
     assert np.isnan(run.V).all()
-    assert run.scene.belief is run.scene.task is None
 
 
 def test_a_wrapper_of_ones_own_may_have_any_state(panda):
     """What it records of V, it would have to know whose state comes first."""
 
-    class Own:
+    class Own(OwnController):
         def __init__(self, task):
+            super().__init__(task)
             self.controller = setpoint(task)
-            self.task = task
-            self.n_state = 1 + self.controller.n_state
 
         def initial_state(self, measurement):
             return np.append(7.0, self.controller.initial_state(measurement))
@@ -111,12 +105,12 @@ def test_V_of_a_law_that_is_limited_or_held_is_its_own(panda, wrapped):
 
     kinds = {"limited": limited, "held": lambda task: aj.HeldMeasurement(limited(task), 0.3)}
     plant, controller, run = reach(panda, kinds[wrapped])
-    law_ = controller.law
+    law_ = aj.law_of(controller)
     theta = law_.adaptation.regressor.fit(plant.robot)[0]
     for k in (0, 5, 10):
         V, _ = aj.lyapunov(
             plant, law_, run.q[k], run.v[k], run.target, law_.alpha,
-            state=run.state[k][: law_.n_state], theta=theta,
+            state=run.state[k][: len(law_.adaptation.theta0)], theta=theta,
         )  # fmt: skip
         assert_allclose(run.V[k], V, rtol=1e-9)
 
