@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from arms import ARMS
 from common import carried_object
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -39,7 +40,7 @@ def test_the_ten_lines_on_every_other_arm(name):
     assert ten_lines(name).error_norm[-1] < 1e-3
 
 
-@pytest.mark.parametrize("name", aj.robot_names())
+@pytest.mark.parametrize("name", ARMS)
 def test_the_ready_configuration_is_regular_held_and_within_the_limits(name):
     length, mass = carried_object(name)
     plant = aj.Plant(aj.load_robot(name).with_object(length, mass))

@@ -215,7 +215,8 @@ def test_files_that_are_no_runs_are_refused(tmp_path):
     ],
 )
 def test_files_whose_arrays_do_not_fit_are_refused(short_run, tmp_path, name, value):
-    path = dataclasses.replace(short_run, **{name: value}).save(tmp_path / "bad.npz")
+    read = aj.Trajectory.load(short_run.save(tmp_path / "good.npz"))
+    path = dataclasses.replace(read, **{name: value}).save(tmp_path / "bad.npz")
     with pytest.raises(aj.TrajectoryFileError, match=r"bad.npz is not a trajectory written by"):
         aj.Trajectory.load(path)
 

@@ -9,7 +9,14 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError
 from approxjac.formatting import joined
-from approxjac.interface import Controller, Evaluation, Measurement, Target, TargetPath
+from approxjac.interface import (
+    ContinuousController,
+    Controller,
+    Evaluation,
+    Measurement,
+    Target,
+    TargetPath,
+)
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.sensing import SensorReadings
@@ -229,6 +236,8 @@ def first_state(
     require("the controller's answer", answer, Evaluation, "an Evaluation")
     as_array("the controller's torque", answer.torque, (plant.robot.nv,), "N m or N")
     as_array("the controller's state", after, state.shape)
+    if isinstance(controller, ContinuousController):
+        as_array("the controller's state_rate", answer.state_rate, state.shape)
     if np.isfinite(measurement.x).all():  # a lost x has no error
         as_array("the controller's e", answer.e, (plant.sensor.m,), joined(plant.sensor.units))
     return state
