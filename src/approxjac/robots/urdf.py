@@ -29,22 +29,38 @@ class UrdfJoint(NamedTuple):
     """A <joint>.
 
     Attributes:
+        element: It in the XML.
         name: Its name.
         type: "revolute", "continuous", "prismatic", "fixed", "floating" or "planar".
         parent: Link that carries it.
         child: Link that it carries.
-        origin: Placement of the child in the parent at zero, shape (4, 4).
         axis: Axis in the child's frame, shape (3,), of any length.
         limits: Lower and upper limit [rad or m]; 0 where none is given.
     """
 
+    element: Any
     name: str
     type: str
     parent: str
     child: str
-    origin: Array
     axis: Array
     limits: tuple[float, float]
+
+    @property
+    def origin(self) -> Array:
+        """Placement of the child in the parent at zero, shape (4, 4)."""
+        matrix, origin = np.eye(4), self.element.find("origin")
+        if origin is None:
+            return matrix
+        sin, cos = (f(_floats(origin.get("rpy", "0 0 0"))) for f in (np.sin, np.cos))
+        (si, sj, sk), (ci, cj, ck) = sin, cos  # of roll, pitch and yaw about fixed axes x, y, z
+        matrix[:3, :3] = [
+            [cj * ck, sj * (si * ck) - ci * sk, sj * (ci * ck) + si * sk],
+            [cj * sk, sj * (si * sk) + ci * ck, sj * (ci * sk) - si * ck],
+            [-sj, cj * si, cj * ci],
+        ]
+        matrix[:3, 3] = _floats(origin.get("xyz", "0 0 0"))
+        return matrix + 0.0  # no -0, which would turn half a turn round when it is written again
 
 
 class Urdf:
@@ -160,32 +176,17 @@ def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
 
 
 def _joint(element: Any) -> UrdfJoint:
-    origin, axis, limit = (element.find(tag) for tag in ("origin", "axis", "limit"))
+    axis, limit = element.find("axis"), element.find("limit")
+    lower, upper = (0.0 if limit is None else float(limit.get(k, 0.0)) for k in ("lower", "upper"))
     return UrdfJoint(
+        element,
         element.get("name"),
         element.get("type"),
         element.find("parent").get("link"),
         element.find("child").get("link"),
-        np.eye(4) if origin is None else _placement(origin),
         np.array(_floats("1 0 0" if axis is None else axis.get("xyz"))),
-        (0.0, 0.0)
-        if limit is None
-        else (float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))),
+        (lower, upper),
     )
-
-
-def _placement(origin: Any) -> Array:
-    """Homogeneous matrix (4, 4) of an <origin>: roll, pitch and yaw about fixed axes x, y, z."""
-    sin, cos = (f(_floats(origin.get("rpy", "0 0 0"))) for f in (np.sin, np.cos))
-    (si, sj, sk), (ci, cj, ck) = sin, cos
-    matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [cj * ck, sj * (si * ck) - ci * sk, sj * (ci * ck) + si * sk],
-        [cj * sk, sj * (si * sk) + ci * ck, sj * (ci * sk) - si * ck],
-        [-sj, cj * si, cj * ci],
-    ]
-    matrix[:3, 3] = _floats(origin.get("xyz", "0 0 0"))
-    return matrix + 0.0  # no -0, which would turn half a turn round when it is written again
 
 
 # -- what is checked --------------------------------------------------------------------
@@ -215,24 +216,23 @@ def _floats(text: str | None) -> list[float]:
     words = (text or "").split()
     if len(words) == 1:
         words = [text or ""]  # blanks around a single number are among what it cannot read
-    if not all(_NUMBER.fullmatch(word) for word in words):
+    if not all(map(_NUMBER.fullmatch, words)):
         return []
     numbers = [float(word) for word in words]
-    return numbers if all(math.isfinite(number) for number in numbers) else []
+    return numbers if all(map(math.isfinite, numbers)) else []
 
 
 def _faults(root: Any) -> Iterator[str]:
-    """What is wrong with a URDF, in words; Pinocchio's parser would only say that it is."""
+    """Say what is wrong with a URDF; Pinocchio's parser would only say that it is."""
     yield from _attribute_faults(root)  # without which the rest cannot be looked at
-    elements = list(root.iterfind("joint"))
-    joints = [_joint(element) for element in elements]
+    joints = [_joint(element) for element in root.iterfind("joint")]
     links = [link.get("name") for link in root.iterfind("link")]
     for kind, names in (("link", links), ("joint", [joint.name for joint in joints])):
         for name, count in Counter(names).items():
             if count > 1:
                 yield f"two {kind}s are called {name!r}"
-    for joint, element in zip(joints, elements, strict=True):
-        yield from _joint_faults(joint, element.find("limit"), links)
+    for joint in joints:
+        yield from _joint_faults(joint, links)
     yield from _tree_faults(joints, set(links))
 
 
@@ -269,8 +269,8 @@ def _attribute_faults(root: Any) -> Iterator[str]:
                     )
 
 
-def _joint_faults(joint: UrdfJoint, limit: Any, links: list[str]) -> Iterator[str]:
-    """What is wrong with one joint and its <limit>."""
+def _joint_faults(joint: UrdfJoint, links: list[str]) -> Iterator[str]:
+    """Say what is wrong with one joint and its <limit>."""
     for link in (joint.parent, joint.child):
         if link not in links:
             yield f"joint {joint.name!r} refers to link {link!r}, which does not exist"
@@ -283,6 +283,7 @@ def _joint_faults(joint: UrdfJoint, limit: Any, links: list[str]) -> Iterator[st
         return
     if not np.linalg.norm(joint.axis) > 0.0:
         yield f"the axis of joint {joint.name!r} is zero"
+    limit = joint.element.find("limit")
     if limit is None:
         if joint.type != "continuous":
             yield (
