@@ -1,15 +1,22 @@
-"""One uncertain coordinate: what is believed of it, the range that it may be in, its words."""
+"""Uncertain coordinates: what is believed of each, the range that it may be in, its words."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.tasks import Camera
-from approxjac.validation import as_array, is_scalar, require
+from approxjac.validation import Array, as_array, is_scalar, require
+
+_CALIBRATION = ("focal_length", "distance", "roll")  # of a camera
+_KINDS = ("shift", "rotation")  # of the origins of joints
 
 
 class Coordinate(NamedTuple):
@@ -101,25 +108,38 @@ def joint_coordinates(
     joints: Sequence[str], shifts: Mapping[str, Any], rotations: Mapping[str, Any]
 ) -> list[Coordinate]:
     """Return the coordinates of joints whose origins may be off; bounds of 0 make none."""
-    kinds = (("shift", "m", shifts), ("rotation", "rad", rotations))
+    kinds = zip(_KINDS, ("m", "rad"), (shifts, rotations), strict=True)
     return [
         Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
-        for joint in joints
-        for kind, unit, bounds in kinds
+        for joint, (kind, unit, bounds) in itertools.product(joints, kinds)
         for axis, bound in zip("xyz", bounds.get(joint, (0.0,) * 3), strict=True)
         if bound > 0.0
     ]
 
 
-def camera_coordinates(camera: Camera | None, ranges: Mapping[str, Any]) -> list[Coordinate]:
+def joint_places(names: Sequence[str], joints: Sequence[str]) -> NDArray[np.intp]:
+    """Return where shifts and rotations of joints are among coordinates, shape (2, k, 3).
+
+    Those that are no coordinates, as they are certain, are after all of them.
+    """
+    wanted = [f"{joint} {kind} {axis}" for kind in _KINDS for joint in joints for axis in "xyz"]
+    found = [names.index(name) if name in names else len(names) for name in wanted]
+    return np.array(found, dtype=np.intp).reshape(2, len(joints), 3)
+
+
+def camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]:
     """Return the coordinates of a camera's calibration of which a range is given.
+
+    Args:
+        camera: The believed camera, or None.
+        ranges: Of its focal length, distance and roll, or None.
 
     Raises:
         InvalidInputError: A range without a camera, or that is none.
         UnknownNameError: One that the camera's calibration does not have.
     """
     found: list[Coordinate] = []
-    for name, given in ranges.items():
+    for name, given in zip(_CALIBRATION, ranges, strict=True):
         if given is None:
             continue
         if camera is None:
@@ -133,6 +153,23 @@ def camera_coordinates(camera: Camera | None, ranges: Mapping[str, Any]) -> list
             raise UnknownNameError("range", name, where, camera.calibration)
         found += as_range(name, given, *camera.calibration[name], of="camera ")
     return found
+
+
+def corners(box: Sequence[Coordinate], limit: int) -> Array:
+    """Return the corners of a box, or a selection of at most a number, as `Uncertainty.corners`."""
+    if type(limit) is not int or limit < 1:
+        raise InvalidInputError(f"limit must be an integer >= 1, got {limit!r}", given=limit)
+    ends = [tuple(dict.fromkeys((known.low, known.high))) for known in box]
+    if math.prod(map(len, ends)) <= limit:
+        return np.array(list(itertools.product(*ends)), dtype=float)
+    believed = tuple(known.believed for known in box)
+    chosen = {
+        (*believed[:i], end, *believed[i + 1 :]): None for i in range(len(box)) for end in ends[i]
+    }
+    rng = np.random.default_rng(0)
+    while len(chosen) < limit:
+        chosen[tuple(each[rng.integers(len(each))] for each in ends)] = None
+    return np.array(list(chosen))
 
 
 def in_words(name: str, value: float, unit: str) -> str:

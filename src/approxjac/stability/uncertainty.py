@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import itertools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
@@ -21,16 +20,15 @@ from approxjac.stability.coordinates import (
     as_bounds,
     as_range,
     camera_coordinates,
+    corners,
     in_words,
     joint_coordinates,
+    joint_places,
 )
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
 from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
-_CORNER_SEED = 0
 _HALVINGS = 20
-_KINDS = ("shift", "rotation")
-_CALIBRATION = ("focal_length", "distance", "roll")  # of a camera, in this order
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,9 +111,8 @@ class Uncertainty:
         as_number("believed_mass", self.believed_mass, unit="kg", minimum=0.0)
         as_number("factor", self.factor, minimum=0.0)
         # copies, so that nobody changes them later
-        self._set("joint_shifts", as_bounds("joint_shifts", self.joint_shifts, self.arm, "m"))
-        turned = as_bounds("joint_rotations", self.joint_rotations, self.arm, "rad")
-        self._set("joint_rotations", turned)
+        for name, unit in (("joint_shifts", "m"), ("joint_rotations", "rad")):
+            self._set(name, as_bounds(name, getattr(self, name), self.arm, unit))
         if not is_scalar(self.friction):
             self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
         joints = tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
@@ -123,12 +120,12 @@ class Uncertainty:
             *as_range("object_length", self.object_length, self.believed_length, "m"),
             *as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
             *joint_coordinates(joints, self.joint_shifts, self.joint_rotations),
-            *camera_coordinates(self.camera, {name: getattr(self, name) for name in _CALIBRATION}),
+            *camera_coordinates(self.camera, self.focal_length, self.distance, self.roll),
         ]
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
         self._set("_perturbation", self._perturbed(joints))
-        self._set("_places", self._places_of(joints))
+        self._set("_places", joint_places(self.names, joints))
         if self.task is None and self.camera is None:
             self._set("_axes", best_axes(self.belief()))
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
@@ -203,24 +200,14 @@ class Uncertainty:
         Raises:
             InvalidInputError: A limit that is no integer ≥ 1.
         """
-        if type(limit) is not int or limit < 1:
-            raise InvalidInputError(f"limit must be an integer >= 1, got {limit!r}", given=limit)
-        ends = [tuple(dict.fromkeys((known.low, known.high))) for known in self._coordinates]
-        if math.prod(map(len, ends)) <= limit:
-            return np.array(list(itertools.product(*ends)), dtype=float)
-        believed = tuple(self.believed.tolist())
-        chosen = {
-            (*believed[:i], end, *believed[i + 1 :]): None for i in range(self.d) for end in ends[i]
-        }
-        rng = np.random.default_rng(_CORNER_SEED)
-        while len(chosen) < limit:
-            chosen[tuple(each[rng.integers(len(each))] for each in ends)] = None
-        return np.array(list(chosen))
+        return corners(self._coordinates, limit)
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
-        low, width = self._range
-        return low + width * rng.random(self.d)  # as rng.uniform does, which takes its time
+        low = self.low
+        return low + (self.high - low) * rng.random(
+            self.d
+        )  # as rng.uniform does, which takes its time
 
     # -- the robots ---------------------------------------------------------------------
 
@@ -256,33 +243,19 @@ class Uncertainty:
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Return values (d,) in words, such as "object_length 0.300 m, camera roll 0.349 rad"."""
-        shown = [
-            in_words(name, value, unit)
-            for (name, value), unit in zip(self._by_name(values).items(), self.units, strict=True)
-        ]
-        return ", ".join(shown) or "no error"
+        at = self._by_name(values)
+        return ", ".join(map(in_words, at, at.values(), self.units)) or "no error"
 
     def describe_box(self) -> str:
         """Return the ranges in words, such as "object_length 0.00 m to 0.300 m"."""
-        if self.d == 0:
-            return "no error"
-        lows, highs = self.describe(self.low).split(", "), self.describe(self.high).split(", ")
         shown = [
-            f"{low} to {high.removeprefix(name).strip()}"
-            for name, low, high in zip(self.names, lows, highs, strict=True)
+            f"{in_words(name, low, unit)} to {in_words('', high, unit).strip()}"
+            for name, unit, _, low, high in self._coordinates
         ]
-        return ", ".join(shown)
-
-    @cached_property
-    def _in_units(self) -> str:
-        return ", ".join(self.units)
-
-    @cached_property
-    def _range(self) -> tuple[Array, Array]:
-        return self.low, self.high - self.low
+        return ", ".join(shown) or "no error"
 
     def _by_name(self, values: Sequence[float] | Array) -> dict[str, float]:
-        array = as_array("values", values, (self.d,), self._in_units)
+        array = as_array("values", values, (self.d,), ", ".join(self.units))
         return dict(zip(self.names, array.tolist(), strict=True))
 
     def _perturbed(self, joints: tuple[str, ...]) -> Perturbation:
@@ -298,16 +271,6 @@ class Uncertainty:
             )
         held = self.believed_length, self.believed_mass
         return Perturbation(self.arm, held, self.object_axis, joints)
-
-    def _places_of(self, joints: tuple[str, ...]) -> NDArray[np.intp]:
-        """Where shifts and rotations of joints are among the values, shape (2, k, 3).
-
-        What is certain is at the end, after all of them.
-        """
-        places = {known: i for i, known in enumerate(self.names)}
-        names = [f"{joint} {kind} {axis}" for kind in _KINDS for joint in joints for axis in "xyz"]
-        found = [places.get(name, self.d) for name in names]
-        return np.array(found, dtype=np.intp).reshape(2, len(joints), 3)
 
     def _true_camera(self, values: Sequence[float] | Array) -> Camera | None:
         """The camera at some values; the believed one itself where nothing is wrong with it."""
@@ -336,16 +299,21 @@ class Uncertainty:
         object.__setattr__(self, name, value)  # frozen once it is built
 
     def _require_task(self) -> None:
-        of: list[Robot | Camera] = [self.arm]
+        of: tuple[Robot | Camera, ...] = (self.arm,)
         wanted = "from a robot to its task, such as PositionTask"
         if self.camera is not None:
             require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
-            of.append(self.camera)
+            of = self.arm, self.camera
             wanted = "of a robot and a camera, such as ImageTask"
-        if self.task is not None and not _takes(self.task, of):
+        try:
+            if self.task is not None:
+                inspect.signature(self.task).bind(*of)
+        except ValueError:
+            pass  # builtins do not tell
+        except TypeError:
             raise InvalidInputError(
                 f"task must be a function {wanted}, got {self.task!r}", given=self.task
-            )
+            ) from None
 
     def _require_physical(self) -> None:
         """Refuse a box that holds robots or cameras that cannot exist."""
@@ -383,16 +351,3 @@ class Uncertainty:
             for known in self._coordinates
         ]
         return f"Uncertainty({self.arm.name!r}: {', '.join(shown) or 'no error'})"
-
-
-def _takes(function: object, arguments: Sequence[object]) -> bool:
-    """Whether something can be called with so many arguments."""
-    if not callable(function):
-        return False
-    try:
-        inspect.signature(function).bind(*arguments)
-    except TypeError:
-        return False
-    except ValueError:  # builtins do not tell
-        return True
-    return True
