@@ -26,7 +26,9 @@ ALLOWED = {
         "controllers", "simulation", "law", "tasks", "robots", "interface", "formatting",
         "validation", "errors",
     },
-    "view": {"simulation", "controllers", "law", "tasks", "robots", "interface", "validation", "errors"},
+    "view": {
+        "simulation", "controllers", "law", "tasks", "robots", "interface", "validation", "errors",
+    },
     "paper": {
         "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "validation",
         "errors",
