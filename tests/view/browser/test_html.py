@@ -6,7 +6,6 @@ import importlib.resources
 import json
 import re
 import sys
-import time
 import webbrowser
 
 import numpy as np
@@ -114,7 +113,7 @@ def test_what_the_page_says_of_the_run(run):
     assert facts["not measured"] == "10 % of the time"
 
 
-def test_a_page_of_a_panda_is_small(panda, capsys):
+def test_a_page_of_a_panda_is_small(panda):
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
     regressor = aj.GravityRegressor(belief)
@@ -124,12 +123,8 @@ def test_a_page_of_a_panda_is_small(panda, capsys):
     start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     target = plant.sensor.value(start) + [0.1, -0.15, 0.16]
     run = aj.simulate(plant, controller, target, start, 10.0, dt=2e-3)
-    before = time.perf_counter()
     text = page(run)
-    seconds = time.perf_counter() - before
     data = data_of(text)
-    with capsys.disabled():
-        print(f"a Panda's page: {len(text.encode()) / 1e6:.2f} MB in {seconds:.2f} s")
     assert len(text.encode()) < 4e6
     assert len(column(data, "t")) == 601
     # what both arms have in common is sent once: all but the object
