@@ -45,7 +45,6 @@ def controllers():
     panda, kinova, slider = aj.load_robot("panda"), aj.load_robot("kinova"), prismatic_arm()
     task, gains = aj.PositionTask(panda), aj.Gains(400.0, (80.0, 70.0, 60.0), 1.0)
     regressor = aj.GravityRegressor(panda)
-    sliding, coupled = aj.GravityRegressor(slider), aj.load_robot("panda", free="all")
     kinova_task, tool = aj.PositionTask(kinova), aj.PositionTask(slider)
     two = aj.StackedTask(
         aj.PositionTask(panda, axes="xz"), aj.PositionTask(panda, "panda_link4", axes="yz")
@@ -96,6 +95,19 @@ def controllers():
         "prismatic, nonsingular": aj.SetpointController(
             aj.NonsingularTask(tool, {"slide": 0.3}), aj.Gains(100.0, 20.0, 1.0)
         ),
+    }
+
+
+@functools.cache
+def compiled_controllers():
+    """Compiled controllers by name; to build them takes long in a fresh clone."""
+    panda, kinova, slider = aj.load_robot("panda"), aj.load_robot("kinova"), prismatic_arm()
+    task, gains = aj.PositionTask(panda), aj.Gains(400.0, (80.0, 70.0, 60.0), 1.0)
+    regressor, sliding = aj.GravityRegressor(panda), aj.GravityRegressor(slider)
+    bounded = aj.AdaptiveGravity(regressor, bounds=(regressor.theta - 1.0, regressor.theta + 1.0))
+    kinova_task, tool = aj.PositionTask(kinova), aj.PositionTask(slider)
+    coupled, two = aj.load_robot("panda", free="all"), controllers()["stacked"].task
+    return {
         "compiled": aj.CompiledSetpointController(task, gains),
         "compiled, tanh": aj.CompiledSetpointController(
             task, gains, saturation=aj.Tanh((0.05, 0.1, 1e-6))
@@ -132,9 +144,12 @@ NAMES = (
     "(6)", "(6), default gains", "(6), sine", "(6), tanh", "(6), no gravity", "(6), theta", "(28)",
     "(28), bounds", "(28), unlimited", "(5)", "(5), learnt", "posture", "nonsingular", "pose",
     "pose, learnt", "stacked", "continuous joints", "continuous joints, pose", "prismatic",
-    "prismatic, learnt", "prismatic, nonsingular", "compiled", "compiled, tanh",
-    "compiled, learnt", "compiled, posture", "compiled, stacked", "compiled, continuous joints",
-    "compiled, prismatic, theta", "compiled, mimic joints", "compiled, prismatic, nonsingular",
+    "prismatic, learnt", "prismatic, nonsingular",
+)  # fmt: skip
+COMPILED = (
+    "compiled", "compiled, tanh", "compiled, learnt", "compiled, posture", "compiled, stacked",
+    "compiled, continuous joints", "compiled, prismatic, theta", "compiled, mimic joints",
+    "compiled, prismatic, nonsingular",
 )  # fmt: skip
 EXTREMES = (
     np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, -5e-324, 2.2e-308, 1e-200, 1e16, -1e49, 1e50,
@@ -237,9 +252,12 @@ def torque_bound(controller, state, measurement, answer):
     return g + J * (kp.max() * s + kv.max() * x_dot) + damping.max() * np.linalg.norm(v)
 
 
-@pytest.fixture(params=NAMES)
+@pytest.fixture(
+    params=[*NAMES, *(pytest.param(name, marks=pytest.mark.study) for name in COMPILED)]
+)
 def controller(request):
-    return controllers()[request.param]
+    every = compiled_controllers() if request.param in COMPILED else controllers()
+    return every[request.param]
 
 
 # few examples by default, many in CI: pytest --hypothesis-profile=many tests/test_fuzz.py
@@ -251,6 +269,11 @@ FUZZ = settings(
 
 def test_every_controller_is_fuzzed():
     assert tuple(controllers()) == NAMES
+
+
+@pytest.mark.study
+def test_every_compiled_controller_is_fuzzed():
+    assert tuple(compiled_controllers()) == COMPILED
 
 
 @FUZZ

@@ -14,6 +14,7 @@ import approxjac as aj
 from approxjac.controllers import compiled, machine_code
 from approxjac.law import products
 
+pytestmark = pytest.mark.study  # compiling takes its time in a fresh clone
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
 NAMES = ("torque", "state_rate", "status", "e", "J_hat", "limit_status", "slack")
 
@@ -520,7 +521,6 @@ def test_a_damaged_file_is_no_obstacle(tmp_path):
             path.write_bytes(b"")
 
 
-@pytest.mark.study
 def test_an_equation_that_was_changed_is_compiled_anew(tmp_path):
     """What Numba keeps on disk is not used for other equations than those it was made from."""
     package = Path(aj.__file__).parent

@@ -264,7 +264,6 @@ def test_a_lost_measurement_brings_the_arm_to_rest(panda, rng):
 
 
 FUZZ = settings(
-    max_examples=80,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
