@@ -177,14 +177,14 @@ def test_a_run_that_is_too_short_says_so():
 
 def test_figure_1_bounds_figure_4():
     bound = paper.jacobian_bound(paper.Setup())
-    assert bound.largest == pytest.approx(0.0113, abs=5e-5)
-    assert bound.p == pytest.approx(0.0381, abs=5e-5)
-    assert bound.alpha == pytest.approx(math.sqrt(bound.lambda2))
+    assert bound.largest_allowed_p == pytest.approx(0.0113, abs=5e-5)
+    assert bound.p_of_figure_4 == pytest.approx(0.0381, abs=5e-5)
+    assert bound.alpha == pytest.approx(math.sqrt(bound.lambda_2))
     # at a = 0.5, the best over all α is found by trying them
     alphas = np.geomspace(1e-6, 1.0, 20001)
-    tried = np.minimum(2 * bound.lambda2 / (0.5 + alphas), 2 * 0.5 * alphas / (0.5 + alphas))
-    assert bound.at_own_a == pytest.approx(tried.max(), rel=1e-3)
-    assert bound.at_own_a < bound.largest < bound.p
+    tried = np.minimum(2 * bound.lambda_2 / (0.5 + alphas), 2 * 0.5 * alphas / (0.5 + alphas))
+    assert bound.allowed_p_at_a_of_figure_4 == pytest.approx(tried.max(), rel=1e-3)
+    assert bound.allowed_p_at_a_of_figure_4 < bound.largest_allowed_p < bound.p_of_figure_4
     assert not bound.condition_23_met
 
 
@@ -200,7 +200,7 @@ def test_a_singular_target_is_never_called_stable_by_the_linearization(elbow):
     assert result.local.singular
     assert not result.local.stable
     assert "singular configuration" in result.reason
-    assert paper.jacobian_bound(setup).lambda2 == pytest.approx(0.0, abs=1e-12)
+    assert paper.jacobian_bound(setup).lambda_2 == pytest.approx(0.0, abs=1e-12)
 
 
 def test_error_ratios_do_not_depend_on_the_duration():

@@ -6,13 +6,11 @@ from approxjac.paper.experiments import (
     EXPERIMENTS,
     LEARNING_GAIN,
     LENGTHS,
-    OBJECT_MASS,
-    Experiment,
     Setup,
     build,
     build_arm,
 )
-from approxjac.paper.jacobian_bound import JacobianBound, jacobian_bound
+from approxjac.paper.jacobian_bound import jacobian_bound
 from approxjac.paper.result import REPORT_TIMES, Result, run_experiment
 
 __all__ = [
@@ -21,10 +19,7 @@ __all__ = [
     "EXPERIMENTS",
     "LEARNING_GAIN",
     "LENGTHS",
-    "OBJECT_MASS",
     "REPORT_TIMES",
-    "Experiment",
-    "JacobianBound",
     "Result",
     "Setup",
     "build",

@@ -8,17 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from approxjac.errors import MissingPackageError
-from approxjac.paper import (
-    ALPHA,
-    CAMERA,
-    LEARNING_GAIN,
-    LENGTHS,
-    OBJECT_MASS,
-    Experiment,
-    JacobianBound,
-    Result,
-    Setup,
-)
+from approxjac.paper.experiments import ALPHA, CAMERA, LEARNING_GAIN, LENGTHS, OBJECT_MASS, Setup
+from approxjac.paper.jacobian_bound import JacobianBound
+from approxjac.paper.result import Result
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.tasks import PlanarCamera
 from approxjac.view import (
@@ -35,9 +27,6 @@ from approxjac.view import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-_BOUND = "Figure 1: how wrong Theorem 1 lets the Jacobian be, and how wrong that of Figure 4 is"
 
 
 def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
@@ -61,12 +50,9 @@ def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
 def draw_bound(bound: JacobianBound) -> Figure:
     """Return Figure 1: the allowed p against a, its two curves and their crossing."""
     figure, (ax,) = new_figure(size=(6.5, 4.8))
+    label = "‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target"
     plot_allowed_error(
-        bound.lambda2,
-        bound.p,
-        unit="m/rad on the sensor",
-        p_label="‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target",
-        ax=ax,
+        bound.lambda_2, bound.p_of_figure_4, unit="m/rad on the sensor", p_label=label, ax=ax
     )
     return figure
 
@@ -76,49 +62,33 @@ def summary(results: Sequence[Result], bound: JacobianBound | None, setup: Setup
     figures: dict[str, Any] = {}
     if bound is not None:
         figures["fig1"] = {
-            "lambda_2": bound.lambda2,
-            "alpha": bound.alpha,
-            "largest_allowed_p": bound.largest,
-            "p_of_figure_4": bound.p,
-            "allowed_p_at_a_of_figure_4": bound.at_own_a,
+            **dataclasses.asdict(bound),
             "condition_23_met_by_figure_4": bound.condition_23_met,
         }
     for result in results:
+        experiment = result.experiment
+        believed = {"lengths": experiment.lengths, "camera": _camera(experiment.camera)}
+        learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
         entry: dict[str, Any] = {
-            "title": result.experiment.title,
-            **_settings(result.experiment),
+            "title": experiment.title,
+            "kp": experiment.kp,
+            "kv": experiment.kv,
+            "believed": believed,
+            "gravity": learnt if experiment.learn_gravity else "known",
             "max_real_eigenvalue": result.local.max_real_eigenvalue,
             "error_ratio": {f"{t:g}": ratio for t, ratio in result.error_ratios.items()},
             "verdict": result.verdict,
             "reason": result.reason,
             "evidence_agrees": result.evidence_agrees,
-            "paper": result.experiment.paper_says,
+            "paper": experiment.paper_says,
             "agrees_with_paper": result.agrees_with_paper,
         }
         if result.theta_hat is not None:
             entry["theta_hat"] = result.theta_hat.tolist()
-        figures[f"fig{result.experiment.figure}"] = entry
-    return {
-        "study": "paper",
-        "setup": dataclasses.asdict(setup),
-        "truth": {
-            "lengths": LENGTHS,
-            "object_mass": OBJECT_MASS,
-            "camera": _camera(CAMERA),
-        },
-        "figures": figures,
-    }
-
-
-def _settings(experiment: Experiment) -> dict[str, Any]:
-    """Return the paper's numbers of one experiment: gains, believed arm, believed camera."""
-    learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
-    return {
-        "kp": experiment.kp,
-        "kv": experiment.kv,
-        "believed": {"lengths": experiment.lengths, "camera": _camera(experiment.camera)},
-        "gravity": learnt if experiment.learn_gravity else "known",
-    }
+        figures[f"fig{experiment.figure}"] = entry
+    truth = {"lengths": LENGTHS, "object_mass": OBJECT_MASS, "camera": _camera(CAMERA)}
+    setting = dataclasses.asdict(setup)
+    return {"study": "paper", "setup": setting, "truth": truth, "figures": figures}
 
 
 def _camera(camera: PlanarCamera) -> dict[str, float]:
@@ -135,9 +105,9 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
             else "Theorem 1 does not cover it"
         )
         lines += [
-            f"Figure 1: at the target, (25) allows p < {bound.largest:.4f}, and (23) allows "
-            f"p < {bound.at_own_a:.4f} with the",
-            f"gain ratio a of Figure 4, which has p = {bound.p:.4f}: {verdict}.",
+            f"Figure 1: at the target, (25) allows p < {bound.largest_allowed_p:.4f}, and (23) "
+            f"allows p < {bound.allowed_p_at_a_of_figure_4:.4f} with the",
+            f"gain ratio a of Figure 4, which has p = {bound.p_of_figure_4:.4f}: {verdict}.",
             "",
         ]
     if results:
@@ -177,10 +147,11 @@ def write_pages(results: Sequence[Result], out: Path) -> str:
             )
         except MissingPackageError as error:
             return f"There are no pages to see in a browser: {error}"
+    bound = "Figure 1: how wrong Theorem 1 lets the Jacobian be, and how wrong that of Figure 4 is"
     index = write_index(
         out,
         "The paper's two-link study: the arm as it is, and as it is believed",
-        pictures={"fig1.png": _BOUND} if (out / "fig1.png").is_file() else {},
+        pictures={"fig1.png": bound} if (out / "fig1.png").is_file() else {},
     )
     return f"See them move: {index}"
 
