@@ -51,6 +51,7 @@ def test_the_operational_space_torque_is_the_one_by_pinocchio(benchmark):
         assert_allclose(step(q, v, x)[0], expected, atol=1e-6)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["two_link", "panda"])
 def test_steps_leave_no_memory_behind(name, benchmark):
     control_step, memory = benchmark("control_step"), benchmark("memory")
