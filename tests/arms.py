@@ -6,7 +6,14 @@ from approxjac.robots.catalog import NAMED
 
 # planar; seven joints; six, outwards in another frame; continuous joints; joints that mimic others
 REPRESENTATIVE = ("two_link", "panda", "ur5", "kinova", "tiago_arm")
-ARMS = [
-    pytest.param(name, marks=[] if name in REPRESENTATIVE else pytest.mark.every_arm, id=name)
-    for name in sorted(NAMED)
-]
+
+
+def among(*names):
+    """Return parameters of a test for these arms; all but the representative have a marker."""
+    return [
+        pytest.param(name, marks=[] if name in REPRESENTATIVE else pytest.mark.every_arm, id=name)
+        for name in names
+    ]
+
+
+ARMS = among(*sorted(NAMED))

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import among
 from numpy.testing import assert_allclose
 
 import approxjac as aj
@@ -17,7 +18,7 @@ POSTURE = {
 }
 
 
-@pytest.mark.parametrize("name", ["panda", "xarm7", "pr2_left_arm"])
+@pytest.mark.parametrize("name", among("panda", "xarm7", "pr2_left_arm"))
 @pytest.mark.parametrize("stiffness", [7.0, np.linspace(1.0, 9.0, 7)])
 def test_the_torque_is_that_of_the_law_and_n_tau_0(name, stiffness, rng):
     """With N = I − Ĵ⁺Ĵ from NumPy's pinv, to 1e-9 N m; of pr2_left_arm some joints go round."""
@@ -61,7 +62,7 @@ def test_a_lost_measurement_leaves_the_posture(panda, rng):
     assert_allclose(torques[1] - torques[0], N @ (5.0 * (POSTURE["panda"] - lost.q)), atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["panda", "xarm7"])
+@pytest.mark.parametrize("name", among("panda", "xarm7"))
 def test_the_task_is_reached_exactly_and_the_self_motion_comes_to_rest(name):
     """Unknown 15 cm, 0.5 kg tool: e < 1e-6 m all the same, and N (q ⊖ q_posture) → 0."""
     robot = aj.load_robot(name)
