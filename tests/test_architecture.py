@@ -33,17 +33,12 @@ ALLOWED = {
         "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "validation",
         "errors",
     },
-    "studies": {
-        "paper", "view", "stability", "controllers", "simulation", "law", "tasks", "robots",
-        "interface", "formatting", "validation", "errors",
-    },
     "scenario": {
         "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "interface",
         "formatting", "validation", "errors",
     },
-    "cli_studies": {"cli", "studies", "view", "errors"},
     "cli": {
-        "cli_studies", "scenario", "paper", "view", "stability", "simulation", "robots", "errors",
+        "scenario", "paper", "view", "stability", "simulation", "robots", "errors",
         "__init__",
     },
     "__main__": {"cli"},

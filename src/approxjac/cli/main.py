@@ -16,11 +16,11 @@ from approxjac.cli import options
 from approxjac.cli.paper import paper
 from approxjac.cli.robots import robots
 from approxjac.cli.simulate import simulate
+from approxjac.cli.stability import stability
 from approxjac.cli.view import view
-from approxjac.cli_studies import servo, stability
 from approxjac.errors import ApproxJacError, UnknownNameError
 
-_COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, view, servo)}
+_COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, view)}
 _DESCRIPTION = (
     "Torque control of any URDF arm whose kinematics are not exactly known. "
     "COMMAND --help says more of each command, with examples; --version prints the version; "
@@ -57,7 +57,7 @@ def _run(arguments: list[str]) -> int:
     scenario, arguments = options.from_file(arguments)
     for name, command in _COMMANDS.items():
         line = str(command.__doc__).split("\n")[0]
-        taking = options.with_options(command, scenario) if name == "simulate" else command
+        taking = options.with_options(command, scenario) if name in options.SHORT else command
         app.command(name=name, help=None if name == chosen else line)(taking)
     return int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
 

@@ -14,6 +14,13 @@ from approxjac.scenario import Scenario
 from approxjac.scenario.records import Goal
 from approxjac.scenario.tables import hints
 
+# A report is about errors that are given as ranges, and takes gravity as compensated exactly.
+_USUAL = {
+    "simulate": Scenario(""),
+    "stability": Scenario(
+        "", true={"object": {"length": 0.0, "mass": 0.0}}, controller={"gravity": "exact"}
+    ),
+}
 _ROBOT = Annotated[
     tyro.conf.Positional[str],
     tyro.conf.arg(
@@ -76,7 +83,7 @@ def with_options(
         command: A function with an argument `scenario`.
         default: What options say that are not given; the usual by default.
     """
-    default = Scenario("") if default is None else default
+    default = _USUAL[command.__name__] if default is None else default
     short: dict[str, list[str]] = {}
     for option, key in SHORT[command.__name__].items():
         short.setdefault(key, []).append(option)

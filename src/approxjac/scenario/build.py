@@ -109,13 +109,17 @@ class BuiltScenario:
 
 def build(scenario: Scenario) -> BuiltScenario:
     """Build the truth, the belief and what stands between them, as `Scenario.build` does."""
-    require_effect(scenario)
-    arm = load_robot(scenario.robot, tip=scenario.tip, base=scenario.base, free=scenario.free)
-    return build_with(arm, scenario)
+    return build_with(loaded_arm(scenario), scenario)
+
+
+def loaded_arm(scenario: Scenario) -> Robot:
+    """Return the arm of a scenario without an object."""
+    return load_robot(scenario.robot, tip=scenario.tip, base=scenario.base, free=scenario.free)
 
 
 def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
     """Build a scenario whose arm, without an object, is loaded already."""
+    require_effect(scenario)
     truth = true_robot(arm, scenario)
     believe = functools.partial(believed_robot, arm, scenario)
     belief = believe(scenario.believed.object.length)

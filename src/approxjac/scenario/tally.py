@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any
 
 import numpy as np
 
@@ -44,11 +46,14 @@ class Tally:
         if self._observer is not None:
             self._observer(loop)
 
-    def close(self) -> None:
-        """Close the other observer."""
-        close = getattr(self._observer, "close", None)
-        if close is not None:
-            close()
+    def __enter__(self) -> Tally:
+        if isinstance(self._observer, AbstractContextManager):
+            self._observer.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if isinstance(self._observer, AbstractContextManager):
+            self._observer.__exit__(*error)
 
     @property
     def steps(self) -> int:

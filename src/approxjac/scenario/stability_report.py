@@ -1,4 +1,4 @@
-"""The stability of an arm in words and pictures."""
+"""The stability of a scenario's loop, in words and pictures."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.formatting import joined
+from approxjac.simulation import Plant
 from approxjac.stability import StabilityReport
 from approxjac.stability.map import PARAMETERS
-from approxjac.studies.stability import Case, StabilityResult
+from approxjac.scenario.stability import StabilityCase, StabilityResult
+from approxjac.scenario.tables import plain
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array
 from approxjac.view import new_figure, plot_allowed_error, plot_map, plot_margins, save_figure
@@ -23,30 +25,32 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def verdicts(case: Case, report: StabilityReport) -> str:
-    """The table of the four tests."""
-    return f"{case.uncertainty!r}\n{report}\n"
+def verdicts(case: StabilityCase, report: StabilityReport) -> str:
+    """Return the table of the four tests."""
+    return f"{case.truth!r}\n{report}\n"
 
 
 def consequences(result: StabilityResult) -> str:
-    """What each test tolerates, and what to do."""
+    """Say what each test tolerates, and what to do."""
     lines = []
     if result.tolerances:
-        heading = "how far the errors may be scaled (a search, on fewer postures)"
+        heading = "how far the errors may be scaled (a search, on fewer configurations)"
         lines = [heading, *_tolerated(result), ""]
     return "\n".join([*lines, *advice(result)])
 
 
 def advice(result: StabilityResult) -> list[str]:
-    """What follows, as sentences that a person can act on."""
+    """Say what follows, as sentences that a person can act on."""
     report, case = result.report, result.case
-    errors = case.uncertainty.describe_box() if case.uncertainty.d else "the belief as it is"
+    errors = "the true robot" if isinstance(case.truth, Plant) else "the belief as it is"
+    if case.uncertainty is not None:
+        errors = case.uncertainty.describe_box()
     if not report.gravity_is_exact:
         return ["not certified: gravity is neither known nor can it be learnt (wrong joint axes)"]
     if report.singular_q is not None:
         return [
             "not certified: the estimated Jacobian loses rank in the region, where the arm may "
-            "stand still away from its target; --sigma-min leaves such postures out"
+            "stand still away from its target; --sigma-min leaves such configurations out"
         ]
     first = report.theorem1
     sign = "<" if first.holds else ">="
@@ -69,7 +73,7 @@ def advice(result: StabilityResult) -> list[str]:
         if best.margin > 0.0:
             reason = (
                 f"{reason} where it was chosen, but violated in {best.violations} of "
-                f"{best.checked} further postures (more postures may find a better function)"
+                f"{best.checked} further configurations (more may find a better function)"
             )
         lines.append(f"the matrix form does not certify it: {reason}")
     if result.raised_damping is not None:
@@ -81,7 +85,7 @@ def advice(result: StabilityResult) -> list[str]:
     if result.certified_part is not None:
         part = result.certified_part.describe_box()
         lines.append(
-            f"as it is, certified are errors of {part} (with all postures and others to check it, "
+            f"as it is, certified are errors of {part} (with all configurations and others to check it, "
             "which the search above has not)"
         )
     return lines
@@ -130,13 +134,13 @@ def _spreads(positions: Array, plane: str) -> bool:
 
 def draw_map(result: StabilityResult) -> Figure | None:
     """The stability map, or None if none was made."""
-    found = result.map
-    if found is None:
+    found, uncertainty = result.map, result.case.uncertainty
+    if found is None or uncertainty is None:
         return None
     boundaries = [
         ("test 1, Theorem 1", found.x, found.y, found.theorem1),
         (
-            "test 2, matrix form (a sketch: 100 postures)",
+            "test 2, matrix form (a sketch: 100 configurations)",
             found.coarse_x,
             found.coarse_y,
             found.matrix,
@@ -144,7 +148,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
     ]
     if np.isfinite(found.rollouts).any():
         # half way between all runs and the next smaller share
-        share = found.rollouts - 1.0 + 0.5 / max(1, result.case.settings.map_runs)
+        share = found.rollouts - 1.0 + 0.5 / max(1, result.case.scenario.stability.map_runs)
         boundaries.append(
             ("test 4, rollouts reach 1 mm in 10 s", found.coarse_x, found.coarse_y, share)
         )
@@ -160,7 +164,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
         ax=ax,
         title=textwrap.fill(
             f"{result.case.controller.task.robot.name}: where each test passes; "
-            f"errors of scale 1 are {result.case.uncertainty.describe_box()}",
+            f"errors of scale 1 are {uncertainty.describe_box()}",
             64,
         ),
     )
@@ -168,7 +172,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
 
 
 def summary(result: StabilityResult) -> dict[str, Any]:
-    """What goes into summary.json."""
+    """Return what goes into summary.json."""
     case, found = result.case, result.map
     return {
         **result.report.summary(),
@@ -201,12 +205,12 @@ def summary(result: StabilityResult) -> dict[str, Any]:
         else {
             field.name: _plain(getattr(found, field.name)) for field in dataclasses.fields(found)
         },
-        "settings": dataclasses.asdict(case.settings),
+        "scenario": plain(case.scenario),
     }
 
 
 def write(result: StabilityResult, out: Path) -> None:
-    """Write the pictures and summary.json into a folder."""
+    """Write the pictures, summary.json and scenario.toml into a folder."""
     save_figure(draw_figure_1(result), out / "figure1")
     save_figure(draw_workspace(result), out / "workspace")
     drawn = draw_map(result)
@@ -215,6 +219,7 @@ def write(result: StabilityResult, out: Path) -> None:
     else:  # no map of another run beside the other files
         for ending in ("png", "svg"):
             (out / f"map.{ending}").unlink(missing_ok=True)
+    result.case.scenario.save(out / "scenario.toml")
     (out / "summary.json").write_text(json.dumps(summary(result), indent=2) + "\n", "utf-8")
 
 

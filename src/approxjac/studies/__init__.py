@@ -1,1 +1,0 @@
-"""Studies: thin compositions of the library that answer one question each."""
