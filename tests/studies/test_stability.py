@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from approxjac.studies.stability import StabilitySettings
 
 import approxjac as aj
 from approxjac.cli import main
 from approxjac.studies import stability as study
 from approxjac.studies import stability_report as report
-from approxjac.studies.stability import StabilitySettings
 
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
 QUICK = ["--postures", "60", "--runs", "1", "--map-points", "3", "--map-runs", "0"]

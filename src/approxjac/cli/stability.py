@@ -37,7 +37,7 @@ def stability(
 
     if jobs < 1:
         raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
-    case = study.prepare(scenario)
+    loop = study.prepare(scenario)
     make_folder(out)
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
     with pool as executor, tqdm(total=1.0, disable=None, bar_format=_SHARE) as bar:
@@ -47,7 +47,7 @@ def stability(
             bar.update(share - bar.n)
 
         result = study.analyse(
-            case, executor, tell, lambda found: bar.write(report.verdicts(case, found))
+            scenario, loop, executor, tell, lambda found: bar.write(report.verdicts(found))
         )
     report.write(result, out)
     print(report.consequences(result))

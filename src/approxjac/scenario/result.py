@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.controllers import SetpointController, VelocityServo
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions, reach_bound
 from approxjac.scenario.build import BuiltScenario
@@ -200,7 +201,7 @@ class Result:
             "q_start": built.q0.tolist(),
             "q_end": run.q[-1].tolist(),
             "controller": repr(built.law),
-            "gains": gains_of(built),
+            "gains": gains_of(built.law),
             "status_counts": {status.name: n for status, n in run.status_counts().items()},
             "scenario": plain(built.scenario),
         }
@@ -227,10 +228,11 @@ class Result:
         }
 
 
-def gains_of(built: BuiltScenario) -> dict[str, list[float]] | None:
+def gains_of(law: SetpointController | VelocityServo) -> dict[str, list[float]] | None:
     """Return the gains of a law as plain numbers; None if it has none."""
-    diagonals = getattr(built.law, "diagonals", None)
-    return None if diagonals is None else {k: v.tolist() for k, v in diagonals._asdict().items()}
+    if not isinstance(law, SetpointController):
+        return None
+    return {name: value.tolist() for name, value in law.diagonals._asdict().items()}
 
 
 def number(value: float) -> float | None:

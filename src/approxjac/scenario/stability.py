@@ -33,7 +33,7 @@ from approxjac.stability import (
     tolerance,
 )
 from approxjac.stability.advice import damping_that_certifies, part_that_certifies
-from approxjac.stability.closed_loop import default_region
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.map import PARAMETERS
 from approxjac.stability.tolerance import Test
 from approxjac.tasks import CombinedTask, ImageTask, Task
@@ -48,36 +48,12 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class StabilityCase:
-    """A scenario's controller, what may be true, and where to look.
-
-    Attributes:
-        scenario: What it was built from.
-        controller: The law.
-        truth: The set of true robots, where ranges of errors are given; else the true robot.
-        region: Where to look.
-        target: The one target x_d, shape (n_x,), or None for all within the region.
-    """
-
-    scenario: Scenario
-    controller: SetpointController
-    truth: Uncertainty | Plant
-    region: Region
-    target: Array | None
-
-    @property
-    def uncertainty(self) -> Uncertainty | None:
-        """The set of true robots, if anything is uncertain."""
-        truth = self.truth
-        return truth if isinstance(truth, Uncertainty) and truth.d > 0 else None
-
-
-@dataclass(frozen=True, eq=False)
 class StabilityResult:
     """What was found.
 
     Attributes:
-        case: What was looked at.
+        scenario: What was looked at.
+        loop: Its controller, what may be true, and where it was looked.
         report: The four tests.
         tolerances: How far the errors may be scaled for each test; nothing if none are given.
         raised_damping: The smallest damping tried, times the given one, with which a report on as
@@ -88,16 +64,27 @@ class StabilityResult:
         map: The stability map, or None.
     """
 
-    case: StabilityCase
+    scenario: Scenario
+    loop: ClosedLoop
     report: StabilityReport
     tolerances: dict[Test, Tolerance]
     raised_damping: float | None
     certified_part: Uncertainty | None
     map: StabilityMap | None
 
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """The set of true robots, if anything is uncertain."""
+        return uncertainty_of(self.loop)
 
-def prepare(scenario: Scenario) -> StabilityCase:
-    """Build a scenario's controller, the errors that it may meet, and the region.
+
+def uncertainty_of(loop: ClosedLoop) -> Uncertainty | None:
+    """Return the set of true robots of a loop, if anything is uncertain."""
+    return loop.truth if isinstance(loop.truth, Uncertainty) and loop.truth.d > 0 else None
+
+
+def prepare(scenario: Scenario) -> ClosedLoop:
+    """Return a scenario's controller with the errors that it may meet, and the region.
 
     Raises:
         ApproxJacError: Values that do not fit the robot, or each other.
@@ -120,14 +107,13 @@ def prepare(scenario: Scenario) -> StabilityCase:
     require_setpoint(built.law)
     assert isinstance(built.law, SetpointController)
     truth = _truth(arm, built, analysis)
-    task = built.law.task
-    target = None if analysis.target is None else task.target(analysis.target)
-    region = _region(built.law, truth, analysis, target)
-    return StabilityCase(scenario, built.law, truth, region, target)
+    region = _region(built.law, truth, analysis)
+    return ClosedLoop(built.law, truth, region, analysis.target)
 
 
 def analyse(
-    case: StabilityCase,
+    scenario: Scenario,
+    loop: ClosedLoop,
     executor: Executor | None = None,
     progress: Progress | None = None,
     found: Callable[[StabilityReport], None] = lambda report: None,
@@ -135,7 +121,8 @@ def analyse(
     """Make the tests, find what they tolerate, and what the map shows.
 
     Args:
-        case: What to look at.
+        scenario: What to look at.
+        loop: What `prepare` makes of it.
         executor: What shares the rollouts; this process by default.
         progress: Called with what is being done and the share of it that is.
         found: Called with the report of the tests, long before the rest is known.
@@ -143,24 +130,22 @@ def analyse(
     Raises:
         ApproxJacError: An empty region, or a target out of reach.
     """
-    analysis, tell = case.scenario.stability, progress or (lambda what, share: None)
-    loop: Any = {
-        "region": case.region, "target": case.target, "seed": case.scenario.run.seed,
-    }  # fmt: skip
-    drawn: Any = {**loop, "configurations": analysis.configurations}
-    uncertainty, controller = case.uncertainty, case.controller
+    analysis, tell = scenario.stability, progress or (lambda what, share: None)
+    where: Any = {"region": loop.region, "target": loop.target, "seed": scenario.run.seed}
+    drawn: Any = {**where, "configurations": analysis.configurations}
+    controller, uncertainty = loop.controller, uncertainty_of(loop)
+    runs = analysis.runs if isinstance(loop.truth, Uncertainty) else 0
     report = stability_report(
-        controller, case.truth, executor=executor, progress=tell,
-        runs=analysis.runs if isinstance(case.truth, Uncertainty) else 0, **drawn,
-    )  # fmt: skip
+        controller, loop.truth, executor=executor, progress=tell, runs=runs, **drawn
+    )
     found(report)
     if uncertainty is None:
-        return StabilityResult(case, report, {}, None, None, None)
+        return StabilityResult(scenario, loop, report, {}, None, None, None)
 
     def telling(what: str) -> Callable[[float], None]:
         return lambda share: tell(what, share)
 
-    tolerances = tolerance(controller, uncertainty, progress=telling("tolerance"), **loop)
+    tolerances = tolerance(controller, uncertainty, progress=telling("tolerance"), **where)
     raised = part = map_ = None
     if report.certified_by is None:
         raised = damping_that_certifies(
@@ -174,9 +159,9 @@ def analyse(
         x, y = (_values(name, controller, uncertainty, analysis) for name in analysis.map)
         map_ = stability_map(
             controller, uncertainty, names=analysis.map, x=x, y=y, runs=analysis.map_runs,
-            executor=executor, progress=telling("map"), **loop,
+            executor=executor, progress=telling("map"), **where,
         )  # fmt: skip
-    return StabilityResult(case, report, tolerances, raised, part, map_)
+    return StabilityResult(scenario, loop, report, tolerances, raised, part, map_)
 
 
 def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
@@ -211,12 +196,9 @@ def _task_of(task: Task, robot: Robot) -> Task:
 
 
 def _region(
-    controller: SetpointController,
-    truth: Uncertainty | Plant,
-    analysis: Analysis,
-    target: Array | None,
-) -> Region:
-    """Return where to look."""
+    controller: SetpointController, truth: Uncertainty | Plant, analysis: Analysis
+) -> Region | None:
+    """Return where to look, or None for the usual region."""
     names = ("around", "run", "reach_from")
     given = [name for name in names if getattr(analysis, name) is not None]
     if len(given) > 1:
@@ -229,15 +211,15 @@ def _region(
     elif analysis.run is not None:
         region = Tube(belief, Trajectory.load(analysis.run).q, radius)
     elif analysis.reach_from is not None:
-        if target is None:
+        if analysis.target is None:
             raise InvalidInputError(
                 "stability.reach_from needs stability.target, got none", given=None
             )
         nominal = truth.plant(truth.believed) if isinstance(truth, Uncertainty) else truth
         start = _configuration(belief, "stability.reach_from", analysis.reach_from)
-        region = SublevelSet(nominal, controller, target, start)
+        region = SublevelSet(nominal, controller, analysis.target, start)
     elif analysis.sigma_min is None:
-        return default_region(controller)
+        return None
     else:
         region = JointBox(belief)
     if analysis.sigma_min is None:

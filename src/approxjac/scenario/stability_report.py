@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.formatting import joined
+from approxjac.scenario.stability import StabilityResult
+from approxjac.scenario.tables import plain
 from approxjac.simulation import Plant
 from approxjac.stability import StabilityReport
 from approxjac.stability.map import PARAMETERS
-from approxjac.scenario.stability import StabilityCase, StabilityResult
-from approxjac.scenario.tables import plain
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array
 from approxjac.view import new_figure, plot_allowed_error, plot_map, plot_margins, save_figure
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def verdicts(case: StabilityCase, report: StabilityReport) -> str:
+def verdicts(report: StabilityReport) -> str:
     """Return the table of the four tests."""
-    return f"{case.truth!r}\n{report}\n"
+    return f"{report.loop.truth!r}\n{report}\n"
 
 
 def consequences(result: StabilityResult) -> str:
@@ -41,10 +41,9 @@ def consequences(result: StabilityResult) -> str:
 
 def advice(result: StabilityResult) -> list[str]:
     """Say what follows, as sentences that a person can act on."""
-    report, case = result.report, result.case
-    errors = "the true robot" if isinstance(case.truth, Plant) else "the belief as it is"
-    if case.uncertainty is not None:
-        errors = case.uncertainty.describe_box()
+    report, uncertainty = result.report, result.uncertainty
+    errors = "the true robot" if isinstance(report.loop.truth, Plant) else "the belief as it is"
+    errors = errors if uncertainty is None else uncertainty.describe_box()
     if not report.gravity_is_exact:
         return ["not certified: gravity is neither known nor can it be learnt (wrong joint axes)"]
     if report.singular_q is not None:
@@ -77,7 +76,7 @@ def advice(result: StabilityResult) -> list[str]:
             )
         lines.append(f"the matrix form does not certify it: {reason}")
     if result.raised_damping is not None:
-        damping = result.raised_damping * case.controller.diagonals.damping
+        damping = result.raised_damping * result.loop.controller.diagonals.damping
         lines.append(
             f"raise damping to {_short(damping)}, {result.raised_damping:g} times what it is, "
             "to certify it"
@@ -85,15 +84,15 @@ def advice(result: StabilityResult) -> list[str]:
     if result.certified_part is not None:
         part = result.certified_part.describe_box()
         lines.append(
-            f"as it is, certified are errors of {part} (with all configurations and others to check it, "
-            "which the search above has not)"
+            f"as it is, certified are errors of {part} (with all configurations and others to "
+            "check it, which the search above has not)"
         )
     return lines
 
 
 def draw_figure_1(result: StabilityResult) -> Figure:
     """Figure 1 for this arm and its errors."""
-    first, controller = result.report.theorem1, result.case.controller
+    first, controller = result.report.theorem1, result.loop.controller
     kp, kv, _ = controller.diagonals
     figure, (ax,) = new_figure(size=(6.5, 4.8))
     plot_allowed_error(
@@ -111,7 +110,7 @@ def draw_workspace(result: StabilityResult) -> Figure:
     """Margin of the matrix form over the workspace, in two planes of the world."""
     report = result.report
     best = max(report.matrix.values(), key=lambda test: test.margin)
-    robot = result.case.controller.task.robot
+    robot = result.loop.controller.task.robot
     tip = FrameKinematics(robot, robot.tip_or(None))
     positions = np.array([tip.position(q) for q in report.samples.q[: len(best.margins)]])
     planes = [name for name in ("xz", "xy") if _spreads(positions, name)] or ["xz"]
@@ -134,7 +133,7 @@ def _spreads(positions: Array, plane: str) -> bool:
 
 def draw_map(result: StabilityResult) -> Figure | None:
     """The stability map, or None if none was made."""
-    found, uncertainty = result.map, result.case.uncertainty
+    found, uncertainty = result.map, result.uncertainty
     if found is None or uncertainty is None:
         return None
     boundaries = [
@@ -148,7 +147,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
     ]
     if np.isfinite(found.rollouts).any():
         # half way between all runs and the next smaller share
-        share = found.rollouts - 1.0 + 0.5 / max(1, result.case.scenario.stability.map_runs)
+        share = found.rollouts - 1.0 + 0.5 / max(1, result.scenario.stability.map_runs)
         boundaries.append(
             ("test 4, rollouts reach 1 mm in 10 s", found.coarse_x, found.coarse_y, share)
         )
@@ -163,7 +162,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
         own=(_own(result, found.names[0]), _own(result, found.names[1])),
         ax=ax,
         title=textwrap.fill(
-            f"{result.case.controller.task.robot.name}: where each test passes; "
+            f"{result.loop.controller.task.robot.name}: where each test passes; "
             f"errors of scale 1 are {uncertainty.describe_box()}",
             64,
         ),
@@ -173,7 +172,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
 
 def summary(result: StabilityResult) -> dict[str, Any]:
     """Return what goes into summary.json."""
-    case, found = result.case, result.map
+    found = result.map
     return {
         **result.report.summary(),
         "rollouts": None
@@ -198,14 +197,15 @@ def summary(result: StabilityResult) -> dict[str, Any]:
         else result.certified_part.describe_box(),
         "advice": advice(result),
         "gains": {
-            name: value.tolist() for name, value in case.controller.diagonals._asdict().items()
+            name: value.tolist()
+            for name, value in result.loop.controller.diagonals._asdict().items()
         },
         "map": None
         if found is None
         else {
             field.name: _plain(getattr(found, field.name)) for field in dataclasses.fields(found)
         },
-        "scenario": plain(case.scenario),
+        "scenario": plain(result.scenario),
     }
 
 
@@ -219,7 +219,7 @@ def write(result: StabilityResult, out: Path) -> None:
     else:  # no map of another run beside the other files
         for ending in ("png", "svg"):
             (out / f"map.{ending}").unlink(missing_ok=True)
-    result.case.scenario.save(out / "scenario.toml")
+    result.scenario.save(out / "scenario.toml")
     (out / "summary.json").write_text(json.dumps(summary(result), indent=2) + "\n", "utf-8")
 
 
@@ -241,7 +241,7 @@ def _tolerated(result: StabilityResult) -> list[str]:
 
 def _own(result: StabilityResult, name: str) -> float:
     """Where the controller and its errors are on an axis of the map."""
-    kp, kv, _ = result.case.controller.diagonals
+    kp, kv, _ = result.loop.controller.diagonals
     return float(np.mean(kp / kv)) if name == "a" else 1.0
 
 

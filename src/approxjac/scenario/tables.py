@@ -41,7 +41,8 @@ def filled(record: Record, values: Table, where: str = "", key: str = "") -> Rec
         InvalidInputError: A value of another type, or out of range.
     """
     given: Any = record
-    return replace(given, **checked(type(given), given, values, where, key))
+    made: Record = replace(given, **checked(type(given), given, values, where, key))
+    return made
 
 
 def checked(kind: type, base: Any, values: Table, where: str = "", key: str = "") -> dict[str, Any]:
@@ -173,7 +174,7 @@ def _require_choice(hint: Any, value: Any, key: str, table: str) -> None:
     raise InvalidInputError(f"{key} must be {_wanted(hint)}, got {value!r}", given=value)
 
 
-def _require_bounds(key: str, value: Any, bounds: Mapping[str, float]) -> None:
+def _require_bounds(key: str, value: Any, bounds: Mapping[str, Any]) -> None:
     for number in value if isinstance(value, tuple) else (value,):
         if isinstance(number, int | float):
             as_number(key, number, **bounds)
