@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import paper
-from approxjac.studies import reach
+from approxjac.scenario import Scenario
 
 TARGET = np.array([0.4, 0.1, 0.5])
 
@@ -236,11 +236,10 @@ def test_the_true_robot_cannot_be_reached_from_a_controller(figure):
 
 @pytest.mark.parametrize("limiter", ["qp", "clip", "scale"])
 def test_the_true_robot_cannot_be_reached_from_a_limiter(limiter):
-    settings = reach.Settings(torque_limits="0.5", limiter=limiter)
-    prepared = reach.prepare("panda", settings)
-    robots = robots_reachable_from(prepared.limiter)
-    assert prepared.controller.task.robot in robots
-    assert prepared.plant.robot not in robots
+    built = Scenario("panda", controller={"limits": 0.5, "limiter": limiter}).build()
+    robots = robots_reachable_from(built.controller)
+    assert built.law.task.robot in robots
+    assert built.plant.robot not in robots
 
 
 def test_the_walk_finds_what_is_hidden():

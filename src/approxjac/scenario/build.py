@@ -24,7 +24,6 @@ from approxjac.controllers import (
     TaskTorqueScaled,
     TorqueClipped,
     TorqueLimited,
-    VelocityServo,
     default_gains,
 )
 from approxjac.errors import InvalidInputError
@@ -54,7 +53,6 @@ if TYPE_CHECKING:
     from approxjac.scenario.result import Result
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
-_SETTLED = 4.0  # time constants until 2 % are left
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +74,7 @@ class BuiltScenario:
     scenario: Scenario
     plant: Plant
     controller: Controller
-    law: SetpointController | VelocityServo
+    law: SetpointController
     q0: Array
     target: Array
     limits: Limits | None
@@ -255,14 +253,9 @@ def gravity_from(truth: Robot, belief: Robot, kind: str) -> Gravity:
     return RegressorGravity(regressor, regressor.fit(truth)[0])
 
 
-def _law(
-    task: Task, gravity: Gravity, q0: Array, scenario: Scenario
-) -> SetpointController | VelocityServo:
+def _law(task: Task, gravity: Gravity, q0: Array, scenario: Scenario) -> SetpointController:
     chosen = scenario.controller
     saturation = Linear() if chosen.gamma is None else Sine(chosen.gamma)
-    if chosen.law == "velocity_servo":
-        rate = _SETTLED / chosen.settling_time
-        return VelocityServo(task, rate, gravity=gravity, saturation=saturation)
     velocity = None
     if chosen.differentiator is not None:
         velocity = DifferentiatedVelocity(chosen.differentiator)
@@ -315,17 +308,14 @@ def _limits(scenario: Scenario, belief: Robot) -> Limits | None:
     return Limits(limits.effort, rate, limits.position, limits.velocity).for_joints(belief.nv)
 
 
-def limited(
-    law: SetpointController | VelocityServo, limits: Limits, scenario: Scenario
-) -> Controller:
+def limited(law: SetpointController, limits: Limits, scenario: Scenario) -> Controller:
     """Wrap a law into the limiter that a scenario chooses."""
     kind = scenario.controller.limiter or "qp"
     if kind == "clip":
         return TorqueClipped(law, limits)
     if kind == "scale":
         return TaskTorqueScaled(law, limits)
-    proof = isinstance(law, SetpointController)  # the others have none
-    return TorqueLimited(law, limits, dt=sampling_time(scenario), proof=proof)
+    return TorqueLimited(law, limits, dt=sampling_time(scenario))
 
 
 def _held(controller: Controller, scenario: Scenario) -> Controller:

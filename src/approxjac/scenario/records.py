@@ -197,8 +197,7 @@ class ControllerChoice:
     """Who controls, and within which limits.
 
     Attributes:
-        law: "setpoint", the paper's; or "velocity_servo", classical velocity-level control with an
-            inner velocity loop.
+        law: "setpoint", the paper's.
         differentiator: Time constant of Ẋ from the differentiated x, s, the law (5); by default Ẋ
             is Ĵq̇, the law (6).
         gravity: "learnt" (the law (28), (29)), "exact" (the parameters with which the believed
@@ -219,7 +218,7 @@ class ControllerChoice:
             m, rad or px, and only brakes then; by default x is held at no time.
     """
 
-    law: Literal["setpoint", "velocity_servo"] = "setpoint"
+    law: Literal["setpoint"] = "setpoint"
     differentiator: float | None = _above(None)
     gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"
     settling_time: float = _above(1.0)

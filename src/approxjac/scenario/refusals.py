@@ -39,7 +39,7 @@ def require_effect(scenario: Scenario) -> None:
 def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
     """What does nothing: key, whether it is so here, what it is for, what there is."""
     task, control, true = scenario.task, scenario.controller, scenario.true
-    servo, image = control.law == "velocity_servo", task.kind == "image"
+    image = task.kind == "image"
     pinhole = image and true.camera.kind == "pinhole"
     in_hand = pinhole and true.camera.mount is not None
     unlimited = control.limits is None
@@ -54,13 +54,9 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("true.camera", not image, "is for task.kind image", task.kind),
         ("believed.camera", not image, "is for task.kind image", task.kind),
         ("true.camera.looking_at", in_hand, "is for a camera in the world", "one in hand"),
-        ("controller.settling_time", gains and not servo, "is for default gains", "given ones"),
-        ("controller.differentiator", servo, "is for the law setpoint", control.law),
-        ("controller.posture_stiffness", servo, "is for the law setpoint", control.law),
+        ("controller.settling_time", gains, "is for default gains", "given ones"),
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
     ]
-    for name in ("kp", "kv", "damping"):
-        rules.append((f"controller.{name}", servo, "is a gain of the law setpoint", control.law))
     for name in ("limiter", "torque_rate"):
         needs = 'needs controller.limits, "urdf" or a share of the URDF\'s such as 0.5'
         rules.append((f"controller.{name}", unlimited, needs, "none"))
@@ -72,7 +68,8 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
             ("loop.actuator_delay", True, at, "continuous"),
         ]
     for kind in ("true", "believed"):  # what a camera in hand watches is not the object
-        weightless = in_hand and _value(scenario, f"{kind}.object.mass") == 0.0
+        held = _value(scenario, f"{kind}.object")
+        weightless = in_hand and held.mass == 0.0 and held.length != 0.0
         needs = f"needs {kind}.object.mass"
         rules.append((f"{kind}.object.length", weightless, needs, "a camera in hand"))
     return rules
@@ -116,12 +113,6 @@ def _require_one_goal(scenario: Scenario) -> None:
         raise InvalidInputError(
             f"run.target must not both be given as {' and as '.join(given)}",
             given=given,
-        )
-    if control.law == "velocity_servo" and control.gravity == "learnt":
-        raise InvalidInputError(
-            "controller.gravity must be exact, believed or none with velocity_servo, which learns "
-            "nothing, got learnt",
-            given=control.gravity,
         )
     if control.differentiator is not None and scenario.task.depth == "measured":
         raise InvalidInputError(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.controllers import VelocityServo
 from approxjac.interface import Status
 from approxjac.robots.joint_limits import farthest_beyond
 from approxjac.scenario.image_result import ImageResult
@@ -121,8 +120,6 @@ def believed(scenario: Scenario) -> str:
 
 def _law(result: Result) -> str:
     law = result.built.law
-    if isinstance(law, VelocityServo):
-        return f"classical velocity servo, rate {law.rate:.3g} 1/s"
     number = "28" if law.adaptation is not None else "6" if law.velocity is None else "5"
     return f"({number}) with {law.gains!r}"
 

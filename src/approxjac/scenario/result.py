@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import SetpointController, VelocityServo
+from approxjac.controllers import SetpointController
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions, reach_bound
 from approxjac.scenario.build import BuiltScenario
@@ -228,10 +228,8 @@ class Result:
         }
 
 
-def gains_of(law: SetpointController | VelocityServo) -> dict[str, list[float]] | None:
-    """Return the gains of a law as plain numbers; None if it has none."""
-    if not isinstance(law, SetpointController):
-        return None
+def gains_of(law: SetpointController) -> dict[str, list[float]]:
+    """Return the gains of a law as plain numbers."""
     return {name: value.tolist() for name, value in law.diagonals._asdict().items()}
 
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from approxjac.controllers import SetpointController
-from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.scenario.build import BuiltScenario, build_with, loaded_arm
@@ -104,8 +103,6 @@ def prepare(scenario: Scenario) -> ClosedLoop:
         controller=replace(scenario.controller, gravity=gravity, limits=None, limiter=None),
     )
     built = build_with(arm, plain)
-    require_setpoint(built.law)
-    assert isinstance(built.law, SetpointController)
     truth = _truth(arm, built, analysis)
     region = _region(built.law, truth, analysis)
     return ClosedLoop(built.law, truth, region, analysis.target)

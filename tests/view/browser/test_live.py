@@ -16,12 +16,12 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scenarios import camera
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 import approxjac as aj
 from approxjac import view
-from approxjac.studies import servo
 from approxjac.view.browser import server
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -229,9 +229,12 @@ def test_pause_speed_reload_and_what_cannot_be(panda, open_page, start):
 
 def test_a_target_is_moved_in_the_image(open_page):
     """A camera that is rolled, images that come late; the point follows its new target."""
-    ready = servo.prepare("panda", servo.ServoSettings(duration=60.0, roll=0.3, noise=0.0, seed=2))
+    ready = camera(
+        believed={"camera": {"roll": 0.3}}, sensor={"noise": 0.0}, loop={"dt": 0.001},
+        run={"duration": 60.0, "seed": 2},
+    ).build()  # fmt: skip
     live, results = view.LiveView(believe=ready.believe, patience=30.0), []
-    thread = threading.Thread(target=lambda: results.append(servo.run(ready, observer=live)))
+    thread = threading.Thread(target=lambda: results.append(ready.run(observer=live)))
     thread.start()
     wait_for(lambda: live.url is not None)
     page = open_page(live.url)

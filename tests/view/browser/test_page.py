@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from pictures import near, pixels
+from scenarios import camera
 
 import approxjac as aj
 from approxjac import paper, view
 from approxjac.simulation.scene import Scene
-from approxjac.studies import servo
 from approxjac.tasks import FrameKinematics
 from approxjac.view.browser.document import document, page_data
 from approxjac.view.browser.frames import Frames
@@ -51,8 +51,9 @@ def drawn():
 @pytest.fixture(scope="module")
 def watched():
     """A camera in the room that is rolled against what is believed of it."""
-    settings = servo.ServoSettings(duration=3.0, rate=500.0, roll=0.5, points=1, seed=2)
-    return servo.run(servo.prepare("panda", settings)).run
+    rolled = {"camera": {"roll": 0.5}}
+    scenario = camera(believed=rolled, loop={"dt": 0.002}, run={"duration": 3.0, "seed": 2})
+    return scenario.build().run().run
 
 
 @pytest.fixture(scope="module")

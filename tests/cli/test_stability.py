@@ -4,15 +4,15 @@ import json
 
 import numpy as np
 import pytest
-from approxjac.studies.stability import StabilitySettings
 
 import approxjac as aj
 from approxjac.cli import main
-from approxjac.studies import stability as study
-from approxjac.studies import stability_report as report
+from approxjac.scenario import Scenario
+from approxjac.scenario import stability as study
+from approxjac.scenario import stability_report as report
 
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
-QUICK = ["--postures", "60", "--runs", "1", "--map-points", "3", "--map-runs", "0"]
+QUICK = ["--configurations", "60", "--runs", "1", "--map-points", "3", "--map-runs", "0"]
 
 
 def stability(tmp_path, *options):
@@ -42,7 +42,7 @@ def test_a_certified_set(certified):
     assert scales[0] < 0.2 < 1.0 < scales[1]
     assert summary["rollouts"]["runs"] == 1
     assert np.array(summary["map"]["decay_rate"]).shape == (3, 3)
-    assert summary["settings"]["object_length"] == [0.0, 0.1]
+    assert summary["scenario"]["stability"]["object_length"] == [0.0, 0.1]
     assert summary["advice"][0].startswith("Theorem 1 does not certify object_length 0.00 m to 0.1")
     assert summary["advice"][1].startswith("the matrix form certifies it with margin 0.")
 
@@ -73,7 +73,7 @@ def test_it_repeats_bit_by_bit(certified, tmp_path):
 def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     code = stability(
         tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
-        "--damping", "0.1", "--kp", "400", "--kv", "80", "--postures", "30", "--runs", "0",
+        "--damping", "0.1", "--kp", "400", "--kv", "80", "--configurations", "30", "--runs", "0",
         "--map-points", "0",
     )  # fmt: skip
     shown = capsys.readouterr().out
@@ -88,80 +88,100 @@ def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     # and what it says is true
     again = stability(
         tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
-        "--damping", f"{0.1 * factor}", "--kp", "400", "--kv", "80", "--postures", "30",
+        "--damping", f"{0.1 * factor}", "--kp", "400", "--kv", "80", "--configurations", "30",
         "--runs", "0", "--map-points", "0",
     )  # fmt: skip
     assert again == 0
 
 
 @pytest.mark.study
-def test_camera_of_the_two_link_arm(tmp_path):
-    case = study.prepare(
+def test_camera_of_the_two_link_arm():
+    scenario = Scenario(
         "two_link",
-        StabilitySettings(
-            camera=(0.05, 3.0, 0.0), roll=(-0.5, 0.5), distance=(2.5, 3.5), kp=(5000.0,),
-            kv=(10000.0,), damping=(1.0,), around=(1.5, 1.5), radius=0.1, configurations=40, runs=0,
-            map=("error", "damping"), map_points=2, map_runs=0,
-        ),
+        true={"camera": {"kind": "planar"}, "object": {"length": 0.0, "mass": 0.0}},
+        task={"kind": "image"},
+        controller={"gravity": "exact", "kp": 5000.0, "kv": 10000.0, "damping": 1.0},
+        stability={
+            "roll": (-0.5, 0.5), "distance": (2.5, 3.5), "around": (1.5, 1.5), "radius": 0.1,
+            "configurations": 40, "runs": 0, "map": ("error", "damping"), "map_points": 2,
+            "map_runs": 0,
+        },
     )  # fmt: skip
-    result = study.run(case)
-    assert set(case.controller.task.units) == {"m"}
+    loop = study.prepare(scenario)
+    result = study.analyse(scenario, loop)
+    assert loop.controller.task.units == ("m", "m")
     assert result.tolerances["local"].scale > result.tolerances["theorem1"].scale
-    assert "camera roll" in report.verdicts(case, result.report)
+    assert "camera roll" in report.verdicts(result.report)
     assert report.draw_map(result) is not None
 
 
 def test_gravity_may_be_learnt_or_not_be_felt():
-    settings = StabilitySettings(object_length=(0.0, 0.1), gravity="learnt")
-    assert study.prepare("panda", settings).controller.adaptation is not None
-    exact = study.prepare("panda", StabilitySettings(object_length=(0.0, 0.1)))
-    assert not exact.uncertainty.arm.gravity.any()
+    def loop(gravity):
+        ranges = {"object_length": (0.0, 0.1)}
+        return study.prepare(Scenario("panda", controller={"gravity": gravity}, stability=ranges))
+
+    assert loop("learnt").controller.adaptation is not None
+    assert not loop("exact").truth.arm.gravity.any()
+
+
+def test_without_ranges_it_looks_at_the_true_robot():
+    scenario = Scenario("panda", sensor={"noise": 1e-3}, controller={"limits": "urdf"})
+    loop = study.prepare(scenario)
+    assert loop.plants[0].robot == aj.load_robot("panda").with_object(0.2, 0.5)
+    assert loop.plants[0].sensing is None
+    assert study.uncertainty_of(loop) is None
 
 
 def test_regions(tmp_path):
     arm = aj.load_robot("panda")
     joints = tuple(float(q) for q in AROUND)
     start = aj.PositionTask(arm).value(np.array(joints))
-    near = StabilitySettings(reach_from=joints, target=tuple(start + [0.02, 0.0, 0.02]))
-    assert isinstance(study.prepare("panda", near).region, aj.stability.SublevelSet)
+
+    def region(**analysis):
+        return study.prepare(Scenario("panda", stability=analysis)).region
+
+    near = region(reach_from=joints, target=tuple(start + [0.02, 0.0, 0.02]))
+    assert isinstance(near, aj.stability.SublevelSet)
     run = aj.simulate(
         aj.Plant(arm, aj.PositionTask(arm)), aj.SetpointController(aj.PositionTask(arm)),
         start + 0.02, joints, 0.1, dt=1e-3,
     )  # fmt: skip
     run.save(tmp_path / "run.npz")
-    tube = study.prepare("panda", StabilitySettings(run=str(tmp_path / "run.npz"), radius=0.1))
-    assert isinstance(tube.region, aj.stability.Tube)
-    assert isinstance(study.prepare("panda", StabilitySettings()).region, aj.stability.RegularPart)
-    regular = study.prepare("panda", StabilitySettings(around=joints, sigma_min=0.1))
-    assert isinstance(regular.region, aj.stability.RegularPart)
-    assert isinstance(regular.region.region, aj.JointBox)
+    assert isinstance(region(run=str(tmp_path / "run.npz"), radius=0.1), aj.stability.Tube)
+    assert isinstance(region(), aj.stability.RegularPart)
+    regular = region(around=joints, sigma_min=0.1)
+    assert isinstance(regular, aj.stability.RegularPart)
+    assert isinstance(regular.region, aj.JointBox)
 
 
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (["--kp", "0"], "kp must be > 0"),
+        (["--kp", "0"], "controller.kp must be a finite number > 0"),
         (["--object-length", "0.3", "0.1"], "object_length"),
         (["--object-mass", "-1", "1"], "object_mass"),
         (["--sigma-min", "50"], "the region is empty"),
         (["--target", "9", "9", "9"], "target must be within reach of every true robot"),
-        (["--around", "0", "0"], "lower must have shape"),
+        (["--around", "0", "0"], "stability.around must have shape"),
         (["--around", *AROUND, "--run", "x.npz"], "one region must be given, got around and run"),
-        (["--reach-from", *AROUND], "reach_from needs a target, got none"),
+        (["--reach-from", *AROUND], "stability.reach_from needs stability.target, got none"),
         (["--map", "error", "b"], "parameter 'b' not in the map"),
         (["--map-points", "1"], "map_points must be 0 or >= 2, got 1"),
-        (["--postures", "3"], "configurations must be an integer >= 20, got 3"),
+        (
+            ["--configurations", "3"],
+            "configurations must be a finite number >= 20, got 3",
+        ),
         (["--jobs", "0"], "jobs must be >= 1, got 0"),
-        (["--radius", "0"], "radius must be a finite number > 0"),
-        (["--roll", "-0.1", "0.1"], "camera"),
-        (["--camera", "0.05", "3", "0", "--axes", "xz"], "axes are those of a position task"),
+        (["--radius", "0"], "stability.radius must be a finite number > 0"),
+        (["--stability.roll", "-0.1", "0.1"], "camera"),
+        (["--task.kind", "image", "--task.axes", "xz"], "task.axes are those of a position"),
     ],
 )
 def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):
     given = options if "--object-length" in options else ["--object-length", "0", "0.1", *options]
     quick = [word for word in ("--runs", "0") if "--runs" not in options]
-    if "--postures" not in options:
-        quick += ["--postures", "20"]
+    if "--configurations" not in options:
+        quick += ["--configurations", "20"]
     assert stability(tmp_path, "panda", *given, *quick) == 2
     error = capsys.readouterr().err
     assert error.startswith("approxjac: ")
@@ -170,16 +190,16 @@ def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):
 
 
 def test_without_errors_there_is_nothing_to_scale(tmp_path, capsys):
-    quick = ["--around", *AROUND, "--postures", "20", "--runs", "0"]
+    quick = ["--around", *AROUND, "--configurations", "20", "--runs", "0"]
     assert stability(tmp_path, "panda", *quick) == 0
-    assert "Theorem 1 certifies the belief as it is: p = 0 <" in capsys.readouterr().out
+    assert "Theorem 1 certifies the true robot: p = 0 <" in capsys.readouterr().out
     assert not (tmp_path / "map.png").exists()
 
 
 def test_a_region_without_full_rank_is_never_said_to_be_certified(tmp_path, capsys):
     code = stability(
         tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.3", "0.1", "--radius",
-        "0.3", "--postures", "40", "--runs", "0", "--map-points", "0",
+        "0.3", "--configurations", "40", "--runs", "0", "--map-points", "0",
     )  # fmt: skip
     shown = capsys.readouterr().out
     assert code == 1
@@ -192,6 +212,6 @@ def test_no_map_of_another_run_stays(tmp_path):
     (tmp_path / "map.png").write_bytes(b"of another arm")
     stability(
         tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius",
-        "0.1", "--postures", "20", "--runs", "0", "--map-points", "0",
+        "0.1", "--configurations", "20", "--runs", "0", "--map-points", "0",
     )  # fmt: skip
     assert not (tmp_path / "map.png").exists()

@@ -1,0 +1,217 @@
+"""Scenarios with a pinhole camera: what is believed, what is true, what is drawn, the verdict."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from PIL import Image
+from scenarios import HOME, camera
+
+import approxjac as aj
+from approxjac.scenario import Scenario, report
+
+WRONG = {"camera": {"roll": 0.3, "focal_factor": 1.3, "depth_factor": 1.5}}
+NEARLY = {"camera": {"roll": 0.05, "depth_factor": 1.1}}
+BARE = {"object": {"length": 0.0, "mass": 0.0}}
+IN_HAND = BARE | {"camera": {"mount": "tip"}}
+
+
+def made(robot="panda", **parts):
+    return camera(robot, **{"believed": WRONG, **parts}).build().run()
+
+
+@pytest.fixture(scope="module")
+def done():
+    return made(task={"points": 2}, run={"seed": 1, "duration": 4.0})
+
+
+def test_a_redundant_arm_brings_two_points_to_within_the_noise(done):
+    assert done.run.error.shape[1] == 4 < done.run.v.shape[1]
+    assert done.errors[0].min() > 50.0
+    assert done.converged
+    assert done.final_error < 0.5 == done.tolerance
+    assert done.stays_in_view
+    assert not done.waiting.any()
+    assert done.reason == ""
+
+
+@pytest.mark.parametrize(
+    ("robot", "parts"),
+    [
+        ("panda", {"task": {"depth": "constant"}, "run": {"duration": 6.0}}),
+        ("panda", {"task": {"depth": "measured"}, "run": {"duration": 6.0}}),
+        ("ur5", {"true": IN_HAND, "run": {"duration": 4.0}}),
+        ("two_link", {"believed": NEARLY, "run": {"duration": 3.0}}),  # joints as coordinates
+    ],
+)
+def test_it_converges_to_within_the_noise(robot, parts):
+    result = made(robot, **parts)
+    assert result.errors[0].max() > 50.0
+    assert result.converged, result.reason
+
+
+def test_law_5_differentiates_the_image_and_approaches():
+    result = made(controller={"differentiator": 0.05}, run={"duration": 3.0})
+    assert result.built.law.velocity.time_constant == 0.05
+    assert result.errors[-1].max() < 0.3 * result.errors[0].max()
+    assert "(5) with Gains" in report.text(result)
+
+
+@pytest.mark.parametrize(
+    "outage",
+    [{"lost": (0.3, 1.3), "lost_part": 1}, {"lost": (0.3, 1.3)}, {"frozen": (0.3, 1.3)}],
+    ids=["one point", "all points", "frozen"],
+)
+def test_without_images_the_arm_stops_and_goes_on_after(done, outage):
+    result = made(
+        task={"points": 2}, run={"seed": 1, "duration": 4.0}, controller={"unseen": 20.0},
+        sensor=outage,
+    )  # fmt: skip
+    lost, t = result.braked, result.run.t
+    start, end = t[lost][[0, -1]]
+    assert 0.3 < start < 0.6  # it moved `unseen` without images, then it brakes, and says so
+    assert 1.3 <= end < 1.4
+    assert lost[(t > start) & (t < end)].all()
+    assert np.abs(result.run.v[np.argmax(t >= 1.29)]).max() < 0.5
+    assert result.converged  # and it goes on
+    assert f"{100.0 * lost.mean():.3g} %" in report.text(result)
+    assert result.summary()["braked_share"] == lost.mean() > 0.1
+
+
+def test_the_believed_camera_differs_as_the_scenario_says():
+    built = camera(believed=WRONG).build()
+    true, believed = built.plant.sensor.camera, built.law.task.camera
+    assert believed.focal_length == (780.0, 780.0)
+    assert believed.distortion == ()
+    (R, p), (R_hat, p_hat) = true.placement(), believed.placement()
+    c, s = math.cos(0.3), math.sin(0.3)
+    assert_allclose((R.T @ R_hat)[:2, :2], [[c, -s], [s, c]], atol=1e-12)
+    back = R.T @ (p_hat - p)
+    assert_allclose(back[:2], 0.0, atol=1e-12)
+    assert back[2] < -0.3
+
+
+def test_the_controller_never_sees_the_truth():
+    """Two truths, one belief, one measurement: the torque is the same to the bit."""
+    stand = {"position": (1.7, -0.8, 1.1), "looking_at": (0.5, 0.0, 0.5)}
+    usual = {"controller": {"gravity": "believed"}}
+    a = camera(
+        **usual, believed={"camera": {"focal_factor": 1.3}},
+        true={"camera": {**stand, "focal_length": 600.0}},
+    ).build()  # fmt: skip
+    b = camera(
+        **usual,
+        true={
+            "object": {"length": 0.05},
+            "camera": {**stand, "focal_length": 780.0, "distortion": (-0.02,)},
+        },
+    ).build()
+    x, v = a.plant.sensor.value(a.q0), np.full(7, 0.1)
+    assert not np.array_equal(b.plant.sensor.value(a.q0), x)
+    measurement = aj.Measurement(0.0, a.q0, v, x)
+    torques = []
+    for controller in (a.controller, b.controller):
+        state = controller.initial_state(measurement)
+        answer = controller.step(state, measurement, aj.Target(a.target), 0.0025)[1]
+        torques.append(answer.torque)
+    assert np.array_equal(*torques)
+
+
+def test_a_start_and_a_target_may_be_given():
+    for depth in ("believed", "measured"):  # which has depths in its values
+        goal = {"start": HOME, "target": (300, 200, 320, 250)}
+        built = camera(task={"points": 2, "depth": depth}, run=goal).build()
+        assert np.array_equal(built.q0, HOME)
+        images = built.target.reshape(2, -1)[:, :2]
+        assert_allclose(images, [[300.0, 200.0], [320.0, 250.0]])
+
+
+def test_it_writes_everything(done, tmp_path):
+    report.write(done, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "run.png", "run.svg", "image.png", "image.svg", "views.png", "views.svg", "run.npz",
+        "summary.json", "scenario.toml",
+    }  # fmt: skip
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert summary["final_error_px"] == done.final_error
+    assert summary["start_error_px"] == done.errors[0].max()
+    assert summary["tolerance_px"] == 0.5
+    assert 0.0 < summary["settling_time_s"] < 4.0
+    assert summary["stays_in_view"] is True
+    assert summary["waiting_share"] == summary["braked_share"] == 0.0
+    assert Scenario.load(tmp_path / "scenario.toml") == done.built.scenario
+    for name in ("run", "image", "views"):
+        picture = Image.open(tmp_path / f"{name}.png")
+        assert len(np.unique(np.asarray(picture.convert("L")))) > 50
+    text = report.text(done)
+    for word in ("believed ", "law ", "in view ", "images ", "settled "):
+        assert f"\n{word}" in text
+    assert "camera rolled by 17.2°, focal length × 1.3, depth × 1.5" in text
+
+
+def test_what_is_believed_is_said_in_words():
+    assert report.believed(Scenario("panda", true=BARE)) == "what is true"
+    wrong = {"shift": (0.0, 0.03, 0.04), "rotation": (0.0, 0.0, math.pi / 18.0)}
+    said = report.believed(camera(believed={"camera": wrong}))
+    assert said.startswith("camera turned by 10°, camera 50 mm off, no distortion, object 0 m")
+
+
+@pytest.mark.parametrize(
+    ("robot", "parts", "reason"),
+    [
+        ("panda", {"run": {"duration": 0.5}}, "still approaching its target at the end"),
+        ("panda", {"run": {"duration": 1.0}, "sensor": {"dropout": 1.0}},
+         "no new image comes: without it there are only brakes"),
+        ("panda", {"true": {"camera": {"distortion": ()}},
+                   "believed": {"camera": {"roll": math.pi}}, "run": {"seed": 1, "duration": 4.0}},
+         "a point left the camera's view: without it there are only brakes"),
+        ("two_link", {"believed": {}, "controller": {"gravity": "none"}, "run": {"duration": 4.0},
+                      "loop": {"dt": 1 / 300}},
+         "too short to tell: 4 s, of 1.5 s to settle, where 6 s do"),
+    ],
+)  # fmt: skip
+def test_what_kept_it_from_its_target_is_named(robot, parts, reason):
+    result = made(robot, **parts)
+    assert not result.converged
+    assert result.reason == reason
+    json.dumps(result.summary(), allow_nan=False)
+
+
+ASIDE = {"position": (1.7, -0.8, 0.6), "looking_at": (1.7, 0.5, 0.6)}
+AWAY = {"position": (-1.0, 0.0, 1.5), "looking_at": (-2.0, 0.0, 1.5)}
+
+
+@pytest.mark.parametrize(
+    ("robot", "parts", "text"),
+    [
+        ("panda", {"task": {"points": 4}}, "task.points must be 1, 2 or 3, got 4"),
+        ("two_link", {"task": {"points": 2}}, "task.points must be at most half.*: 1 for two_link"),
+        ("panda", {"run": {"target": (900.0, 100.0)}}, "target must be within the image of 640 x"),
+        ("panda", {"run": {"target": (90.0,)}}, r"run.target must have shape \(2,\)"),
+        ("panda", {"run": {"start": HOME}, "true": {"camera": AWAY}}, "point 1 is 1.42 m behind i"),
+        ("panda", {"run": {"start": HOME}, "true": {"camera": ASIDE}}, "px, outside its image"),
+        ("panda", {"true": {"camera": AWAY}}, "the true camera must see the points in some conf"),
+        ("panda", {"believed": {"camera": {"rotation": (0.0, 3.0, 0.0)}}}, "the believed camera m"),
+        ("panda", {"true": {"object": {"mass": 500.0}}}, "no configuration of panda was found in"),
+        ("two_link", {"true": IN_HAND}, "task.points must be such that two_link can move each"),
+        ("panda", {"controller": {"differentiator": 0.2}, "task": {"depth": "measured"}},
+         "task.depth must be believed or constant with a differentiator"),
+        ("panda", {"controller": {"kp": 1, "kv": 1, "damping": 1, "settling_time": 2.0}},
+         "controller.settling_time is for default gains, got 2.0 with given ones"),
+        ("panda", {"sensor": {"lost": (2.0, 3.0), "lost_part": 2}}, "sensor.lost_part must be one"),
+        ("panda", {"sensor": {"frozen": (2.0, 1.0)}}, "sensor.frozen must be the start and the en"),
+        ("panda", {"sensor": {"rate": 2000.0}}, "sensor.rate must be at most that of control, 400"),
+        ("panda", {"task": {"spread": 0.1}}, "task.spread is for several points, got 0.1 with on"),
+        ("ur5", {"true": IN_HAND | {"camera": {"mount": "tip", "looking_at": (1, 0, 0)}}},
+         "true.camera.looking_at is for a camera in the world"),
+        ("ur5", {"true": IN_HAND, "believed": {"object": {"length": 0.1}}},
+         "believed.object.length needs believed.object.mass"),
+        ("panda", {"believed": {"camera": {"roll": 30.0}}}, "roll must be within -pi and pi"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused(robot, parts, text):
+    with pytest.raises(aj.ApproxJacError, match=text) as caught:
+        camera(robot, **parts).build()
+    assert "\n" not in str(caught.value)

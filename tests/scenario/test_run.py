@@ -1,0 +1,313 @@
+"""A scenario that is built and run: what is believed, what is true, and the verdict."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scenarios import HOME, reach
+
+import approxjac as aj
+from approxjac.scenario import report
+from approxjac.scenario.tally import Tally
+
+NEAR = {"start": HOME, "target": {"offset": (0.05, -0.05, 0.05)}}
+FAR = {"start": HOME, "target": {"offset": (0.3, -0.4, 0.3)}}
+
+
+@pytest.fixture(scope="module")
+def done():
+    return reach(run={**NEAR, "duration": 6.0}).build().run()
+
+
+def test_truth_and_belief_are_two_robots_that_differ_as_the_scenario_says():
+    wrong = {"panda_joint4": (0.0, 0.01, 0.0)}, {"panda_joint5": (0.02, 0.0, 0.0)}
+    built = reach(
+        true={"object": {"length": 0.3, "mass": 0.4}, "shifts": {"panda_joint2": (0.1, 0.0, 0.0)}},
+        believed={
+            "object": {"length": 0.1, "mass": 0.2}, "shifts": wrong[0], "rotations": wrong[1],
+        },
+    ).build()  # fmt: skip
+    arm = aj.load_robot("panda")
+    truth, belief = built.plant.robot, built.law.task.robot
+    assert truth == arm.with_object(0.3, 0.4).with_kinematic_error(
+        {"panda_joint2": (0.1, 0.0, 0.0)}
+    )
+    assert belief == arm.with_object(0.1, 0.2).with_kinematic_error(*wrong)
+    assert built.law.gravity.robot == belief == built.believe(0.1)
+
+
+def test_it_converges_and_says_so(done, tmp_path):
+    assert done.converged
+    assert done.reason == ""
+    report.write(done, tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert summary["verdict"] == "converged"
+    assert summary["final_error_m"] == np.linalg.norm(done.run.error[-1]) < 1e-3
+    assert 0.0 < summary["settling_time_s"] < 5.4
+    limits = aj.load_robot("panda").effort_limits
+    assert_allclose(summary["peak_torque_ratio"], np.abs(done.run.tau / limits).max())
+    assert_allclose(summary["start_error_m"], 0.05 * math.sqrt(3.0))
+    assert summary["limits"] is None
+    again = aj.Trajectory.load(tmp_path / "run.npz")
+    assert np.array_equal(again.q, done.run.q)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "run.png", "run.svg", "run.npz", "summary.json", "scenario.toml",
+    }  # fmt: skip
+    small = done.run.error_norm <= 1e-3
+    after = done.run.t >= done.settling_time
+    assert small[after].all()
+    assert not small[~after].all()
+    text = report.text(done)
+    for word in ("believed ", "law ", "start ", "target ", "end ", "error ", "settled ", "torque "):
+        assert f"\n{word}" in text
+    assert "verdict     converged" in text
+
+
+def test_a_pose_has_errors_of_two_units():
+    result = reach(
+        task={"kind": "pose"}, controller={"gravity": "exact"},
+        run={
+            "start": HOME, "target": {"offset": (0.03, 0.0, 0.0, 0.2, 0.0, 0.0)}, "duration": 15.0,
+            "tolerance": 5e-3,
+        },
+    ).build().run()  # fmt: skip
+    summary = result.summary()
+    assert summary["final_error_m"] < 5e-3
+    assert summary["final_error_rad"] < 5e-3
+    assert len(summary["target"]) == 7
+
+
+def test_stacked_frames_and_the_target_of_a_configuration():
+    start, goal = HOME, (0.1, -0.4, 0.0, -1.9, 0.0, 1.6, 0.7)
+    built = reach(
+        task={"kind": "stacked", "frames": ("object_tip", "panda_link4"), "axes": "xz"},
+        run={"start": start, "target": {"configuration": goal}},
+    ).build()
+    assert_allclose(built.target, built.plant.sensor.value(np.array(goal)))
+    assert len(built.target) == 4
+
+
+def test_the_same_seed_is_the_same_run_and_another_is_not():
+    def made(seed):
+        return reach("ur3", sensor={"noise": 1e-3}, run={"duration": 0.2, "seed": seed}).build()
+
+    a, b = (made(4).run().run for _ in range(2))
+    assert np.array_equal(a.q, b.q)
+    assert not np.array_equal(made(5).target, a.target)
+    assert np.array_equal(made(5).q0, made(5).plant.ready_configuration())  # whichever the seed
+    starts = [reach("ur3", run={"start": "random", "seed": k}).build().q0 for k in (4, 4, 5)]
+    assert np.array_equal(starts[0], starts[1])
+    assert not np.array_equal(starts[0], starts[2])
+
+
+def test_starts_and_targets_are_regular_and_can_be_held():
+    for seed in range(3):
+        built = reach("talos_arm", run={"start": "random", "seed": seed}).build()
+        for task in (built.plant.sensor, built.law.task):
+            values = np.linalg.svd(task.jacobian(built.q0), compute_uv=False)
+            assert values[-1] > 0.1 * values[0]
+        hold = np.abs(built.plant.dynamics.g(built.q0)) / built.plant.robot.effort_limits
+        assert hold.max() <= 0.7
+        low, high = built.plant.robot.position_limits
+        assert ((low <= built.q0) & (built.q0 <= high)).all()
+
+
+def test_gains_may_be_given_one_by_one():
+    gains = {"kp": (100.0, 200.0, 300.0), "kv": 50.0, "damping": 2.0}
+    kp, kv, damping = reach(controller=gains).build().law.diagonals
+    assert kp.tolist() == [100.0, 200.0, 300.0]
+    assert kv.tolist() == [50.0] * 3
+    assert damping.tolist() == [2.0] * 7
+
+
+# -- why not ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("robot", "parts", "reason"),
+    [
+        ("panda", {"run": {**FAR, "duration": 0.5}}, "still approaching its target at the end"),
+        ("panda",
+         {"true": {"object": {"mass": 1.5}}, "controller": {"gravity": "believed"},
+          "run": {**NEAR, "duration": 8.0}}, "gravity is not compensated as it is"),
+        ("two_link",
+         {"controller": {"gravity": "exact"},
+          "run": {"start": (-1.0, 0.0), "duration": 3.0,
+                  "target": (1.32 * math.cos(1.0), -1.32 * math.sin(1.0))}},
+         "stands where the believed Jacobian is singular along the error"),
+        ("ur5", {"run": {"target": (3.0, 0.0, 0.5), "duration": 0.5}}, "out of reach: 3.0"),
+        ("panda", {"sensor": {"dropout": 1.0}, "run": {**NEAR, "duration": 1.0}},
+         "the measurement of x is lost"),
+        ("two_link", {"loop": {"dt": 0.1}, "run": {"start": (0.3, 0.8), "duration": 0.1}}, ""),
+    ],
+)  # fmt: skip
+def test_what_kept_it_from_its_target_is_named(robot, parts, reason):
+    result = reach(robot, **parts).build().run()
+    assert not result.converged
+    assert reason in result.reason
+    assert result.reason
+    assert math.isnan(result.settling_time)
+    summary = result.summary()
+    assert summary["settling_time_s"] is None
+    json.dumps(summary, allow_nan=False)
+
+
+def test_joints_beyond_their_limits_are_reported():
+    target = {"start": HOME, "target": (-0.9, -0.3, 0.3), "duration": 3.0}
+    result = reach(controller={"gravity": "exact"}, run=target).build().run()
+    low, high = aj.load_robot("panda").position_limits
+    beyond = np.maximum(result.run.q - high, low - result.run.q).max()
+    assert result.summary()["joint_limit_excess"] == beyond > 0.0
+    told = f"panda_joint6 was {beyond:.2g} rad beyond its position limits"
+    assert told in report.text(result)
+
+
+@pytest.mark.parametrize(
+    ("parts", "text"),
+    [
+        ({"run": {"target": {"at": (0.4, 0, 0.4), "offset": (0.1, 0, 0)}}}, "not both be given"),
+        ({"run": {"target": (0.4, 0.0)}}, r"target must have shape \(3,\)"),
+        ({"run": {"start": (0.0, 0.0)}}, r"run.start must have shape \(7,\)"),
+        ({"run": {"start": (9.0,) * 7}}, "run.start must be within the joint limits, got 9 for pa"),
+        ({"run": {"duration": 1e-4}}, "run.duration must be a finite number >= loop.dt = 0.002"),
+        ({"true": {"object": {"length": 200.0}}}, r"at most 10 \[m\], got 200 and 0.01; 200 mm ar"),
+        ({"true": {"object": {"mass": 500.0}}}, "that its motors can hold"),
+        ({"true": {"floor": 0.0}}, "true.floor needs true.engine mujoco"),
+        ({"believed": {"shifts": {"elbow": (0.1, 0.0, 0.0)}}}, "joint 'elbow' not in panda"),
+        ({"believed": {"camera": {"roll": 0.5}}}, "believed.camera is for task.kind image"),
+        ({"task": {"axes": "xw"}}, "axis 'w' not in axes"),
+        ({"task": {"kind": "pose", "axes": "xyz"}}, "task.axes are those of a position"),
+        ({"sensor": {"dropout": 2.0}}, "sensor.dropout must be a probability"),
+        ({"sensor": {"lost_part": 1}}, "sensor.lost_part needs a time in sensor.lost"),
+        ({"controller": {"limiter": "qp"}}, "controller.limiter needs controller.limits"),
+        ({"controller": {"torque_rate": 9.0}}, "controller.torque_rate needs controller.limits"),
+        ({"loop": {"dt": "continuous"}, "sensor": {"noise": 0.1}}, "sensor needs a loop.dt in s"),
+    ],
+)
+def test_what_does_not_fit_is_refused(parts, text):
+    with pytest.raises(aj.ApproxJacError, match=text) as caught:
+        reach(**parts).build()
+    assert "\n" not in str(caught.value)
+
+
+# -- limits -----------------------------------------------------------------------------
+
+LIMITED = {"limits": 0.7, "limiter": "qp", "gravity": "exact", "settling_time": 0.4}
+
+
+@pytest.fixture(scope="module")
+def limited():
+    return reach(controller=LIMITED, run={**FAR, "duration": 1.0}).build().run()
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        (None, aj.TorqueLimited),
+        ("qp", aj.TorqueLimited),
+        ("clip", aj.TorqueClipped),
+        ("scale", aj.TaskTorqueScaled),
+    ],
+)
+def test_the_law_is_wrapped_and_the_motors_saturate_at_the_same_limits(name, kind):
+    built = reach(controller={"limits": 0.5, "limiter": name}).build()
+    panda = aj.load_robot("panda")
+    assert type(built.controller) is kind
+    assert built.controller.controller is built.law
+    assert np.array_equal(built.limits.effort, 0.5 * panda.effort_limits)
+    assert np.array_equal(built.plant.torque_limits, 0.5 * panda.effort_limits)
+    assert np.array_equal(built.limits.velocity, panda.velocity_limits)
+    whole = reach(controller={"limits": "urdf", "limiter": name}).build()
+    assert np.array_equal(whole.plant.torque_limits, panda.effort_limits)
+
+
+def test_what_limits_did_is_counted_in_every_step(limited):
+    summary = limited.summary()
+    limits = summary["limits"]
+    assert limits["steps"] == sum(limits["status_counts"].values()) == 501
+    assert limits["status_counts"]["PROOF_GIVEN_UP"] > 0
+    assert limits["largest_slack_W"] >= np.nanmax(limited.run.slack) > 0.0
+    assert limits["largest_torque_violation"] <= 1e-9
+    speeds = np.abs(limited.run.v) / aj.load_robot("panda").velocity_limits
+    assert limits["peak_speed_ratio"] == speeds.max()
+    assert summary["peak_torque_ratio"] == pytest.approx(1.0)
+    text = report.text(limited)
+    assert "\nlimiter     qp, 0.7 of the effort limits: " in text
+    assert "slack up to " in text
+    axes = {ax.get_title(): ax for ax in report.draw(limited)["run"].axes}
+    assert len(axes) == 8
+    torque = axes["Torque of each joint"].get_lines()[0].get_ydata()
+    assert torque == pytest.approx(limited.run.tau[:, 0] / (0.7 * 87.0))
+    speed = axes["Speed of each joint"].get_lines()[0].get_ydata()
+    assert speed == pytest.approx(limited.run.v[:, 0] / 2.175)
+
+
+def test_a_slack_that_is_not_known_is_none():
+    clipped = {"limits": 0.5, "limiter": "clip", "settling_time": 0.4}
+    result = reach(controller=clipped, run={**FAR, "duration": 0.1}).build().run()
+    assert result.summary()["limits"]["largest_slack_W"] is None
+    assert "slack not known" in report.text(result)
+
+
+def test_a_torque_rate_is_kept():
+    rated = {"limits": "urdf", "torque_rate": 500.0, "settling_time": 0.4}
+    result = reach(controller=rated, run={**FAR, "duration": 0.2}).build().run()
+    assert np.abs(np.diff(result.run.tau, axis=0)).max() <= 500.0 * 2e-3 + 1e-9
+
+
+def final(done, status, **changes):
+    """Why a run does not converge whose end is as given."""
+    n = len(done.run.t)
+    still = {"v": np.zeros((n, 7)), "tau": np.zeros((n, 7)), "x": np.tile(done.run.x[-1], (n, 1))}
+    still |= {"error": np.full((n, 3), 0.1), "q": np.tile(done.run.q[0], (n, 1))}
+    still |= {"limit_status": np.full(n, int(status)), "status": np.zeros(n, dtype=int)}
+    return dataclasses.replace(
+        done, run=dataclasses.replace(done.run, **{**still, **changes})
+    ).reason
+
+
+def test_reasons_tell_what_limits_did(limited):
+    n, status = len(limited.run.t), aj.LimitStatus
+    assert final(limited, status.FREE).startswith("came to rest away from its target: out of reach")
+    assert final(limited, status.PROOF_GIVEN_UP).endswith("held back by its limits")
+    q = limited.run.q[0].copy()
+    q[1] = aj.load_robot("panda").position_limits[1][1]
+    reason = final(limited, status.PROOF_GIVEN_UP, q=np.tile(q, (n, 1)))
+    assert reason == "a dead end: came to rest at the position limits of panda_joint2"
+    torque = np.zeros((n, 7))
+    torque[:, 3] = limited.built.motor_limits[3]
+    reason = final(limited, status.LIMITED, tau=torque)
+    assert reason == "came to rest at the torque limits: those of panda_joint4"
+    moving = limited.run.x[-1] + np.sin(np.arange(n))[:, None]
+    assert final(limited, status.LIMITED, x=moving) == "moves on at its limits without settling"
+    for each in (status.INFEASIBLE, status.SOLVER_FAILED):
+        assert final(limited, each) == each.message
+    q[1] += 0.2
+    reason = final(limited, status.INFEASIBLE, q=np.tile(q, (n, 1)))
+    assert reason.endswith("stands still with panda_joint2 beyond its limits")
+
+
+def test_a_step_of_unknown_slack_does_not_hide_the_slack_of_others():
+    class Step:
+        def __init__(self, status, slack):
+            self.answer = aj.Evaluation(np.zeros(1), np.zeros(0), aj.Status.OK, np.zeros(1))
+            self.answer = self.answer._replace(limit_status=status, slack=slack)
+
+    def largest(*steps):
+        tally = Tally(np.ones(1))
+        for step in steps:
+            tally(Step(*step))
+        return tally.largest_slack
+
+    free, lost = (aj.LimitStatus.FREE, 0.0), (aj.LimitStatus.LIMITED, np.nan)
+    assert largest(free, free) == 0.0
+    assert largest(free, (aj.LimitStatus.PROOF_GIVEN_UP, 7.0), lost, free) == 7.0
+    assert np.isnan(largest(free, lost))
+
+
+def test_limits_of_a_robot_that_has_none_are_refused():
+    with pytest.raises(aj.InvalidInputError, match="that of two_link has none, got urdf"):
+        reach("two_link", controller={"limits": "urdf"}).build()
