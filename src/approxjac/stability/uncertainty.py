@@ -28,8 +28,6 @@ from approxjac.stability.coordinates import (
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
 from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
-_HALVINGS = 20
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty:
@@ -178,7 +176,7 @@ class Uncertainty:
     def largest_scale(self, bound: float) -> float:
         """The largest factor up to a bound > 0 for which all robots of `scaled` can exist."""
         low, high, factor = 0.0, bound, bound
-        for _ in range(_HALVINGS):
+        for _ in range(20):
             try:
                 self.scaled(factor)
                 if factor == bound:
@@ -204,10 +202,8 @@ class Uncertainty:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
-        low = self.low
-        return low + (self.high - low) * rng.random(
-            self.d
-        )  # as rng.uniform does, which takes its time
+        # as rng.uniform does, which takes its time
+        return self.low + (self.high - self.low) * rng.random(self.d)
 
     # -- the robots ---------------------------------------------------------------------
 
