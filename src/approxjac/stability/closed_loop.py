@@ -90,18 +90,16 @@ class ClosedLoop:
 
     def gravity_error(self, configurations: Array) -> float:
         """Return the largest gravity torque that is neither compensated nor learnt [N m or N]."""
-        learning, gravity = self.controller.adaptation, self.controller.gravity
-        if learning is None:
-            return max(
-                float(np.abs(gravity.torque(q) - plant.dynamics.g(q)).max())  # type: ignore[union-attr]
-                for plant in self.plants
-                for q in configurations
-            )
-        return max(
-            learning.regressor.fit(plant.robot)[1]
-            * max(float(np.abs(plant.dynamics.g(q)).max()) for q in configurations)
-            for plant in self.plants
-        )
+        learning, worst = self.controller.adaptation, 0.0
+        for plant in self.plants:
+            g = np.array([plant.dynamics.g(q) for q in configurations])
+            if learning is None:
+                known = [self.controller.gravity.torque(q) for q in configurations]  # type: ignore[union-attr]
+                error = g - np.array(known)
+            else:
+                error = learning.regressor.fit(plant.robot)[1] * g
+            worst = max(worst, float(np.abs(error).max()))
+        return worst
 
     def require_gravity(self) -> None:
         """Refuse gravity that is neither exact nor can be learnt.
@@ -185,25 +183,28 @@ class ClosedLoop:
             UnattainedError: There is none for one of them.
         """
         if self._attained is None:
-            self._attained = [self._attaining(index, rng) for index in range(len(self.plants))]
+            self._attained = [self._attaining(part, rng) for part in self.parts]
         return self._attained
 
-    def _attaining(self, index: int, rng: np.random.Generator) -> list[Array]:
-        sensor, target = self.plants[index].sensor, np.asarray(self.target)
-        starts = self.parts[index].sample(_STARTS, rng)
-        ends = [inverse_kinematics(sensor, target, start) for start in starts]
+    def _attaining(self, part: VisiblePart, rng: np.random.Generator) -> list[Array]:
+        sensor, target = part.sensor, np.asarray(self.target)
+        ends = [inverse_kinematics(sensor, target, q) for q in part.sample(_STARTS, rng)]
         attained = [q for q in ends if q is not None]
         within = [q for q in attained if self.region.contains(q)]
-        if within:
-            return within
-        message = (
-            f"target must be attained by a configuration of the region for every true robot, got "
-            f"{target.tolist()}, which {sensor.robot.name} attains outside {self.region!r} only"
-            if attained
-            else f"target must be within reach of every true robot, got {target.tolist()}, which "
-            f"no configuration of {sensor.robot!r} was found to attain"
-        )
-        raise UnattainedError(message, given=target, truth=index)
+        if not within:
+            wanted, why = (
+                "within reach of",
+                f"no configuration of {sensor.robot!r} was found to attain",
+            )
+            if attained:
+                wanted = "attained by a configuration of the region for"
+                why = f"{sensor.robot.name} attains outside {self.region!r} only"
+            raise UnattainedError(
+                f"target must be {wanted} every true robot, got {target.tolist()}, which {why}",
+                given=target,
+                truth=part.truth,
+            )
+        return within
 
     def _drawn(self, n: int, rng: np.random.Generator) -> tuple[Indices, Array]:
         """At least n true robots in turn, and configurations that they see."""

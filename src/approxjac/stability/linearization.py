@@ -8,6 +8,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers import SetpointController
+from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import vanishing
@@ -191,8 +192,14 @@ def _held(loop: LinearLoop, dt: float) -> tuple[Array, Array]:
     flow[n : 2 * n] = np.linalg.solve(
         loop.M, np.hstack([-loop.G, -np.diag(loop.friction), np.eye(n)])
     )
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is told later
+    with np.errstate(over="ignore", invalid="ignore"):
         after = expm(dt * flow)
+    if not np.isfinite(after).all():  # the arm falls from the target without end in one sample
+        raise InvalidInputError(
+            f"dt must be a sampling time of control, such as 0.001 [s], got {dt:g}: the motion "
+            "within one sample overflows",
+            given=dt,
+        )
     return after[: 2 * n, : 2 * n], after[: 2 * n, 2 * n :]
 
 

@@ -90,7 +90,15 @@ class LocalStability:
         return f"LocalStability({self})"
 
     def __str__(self) -> str:
-        return f"{self._verdict()} {self._loop()}{self._left_out()}"
+        loop = "continuous loop" if self.dt is None else f"sampled every {self.dt:g} s"
+        left_out = []
+        if self.self_motion:
+            left_out.append(f"{self.self_motion} of self-motion")
+        if self.unseen_parameters:
+            unseen = "learnt parameters without effect at the target"
+            left_out.append(f"{self.unseen_parameters} of {unseen}")
+        ending = f"; left out are {' and '.join(left_out)}" if left_out else ""
+        return f"{self._verdict()} ({loop}){ending}"
 
     def _verdict(self) -> str:
         if self.singular:
@@ -108,17 +116,6 @@ class LocalStability:
         swing = abs(float(worst.imag)) / (2.0 * math.pi)
         how = f", oscillating at {swing:.3g} Hz" if swing > 0.0 else ""
         return f"unstable: errors near the target grow at {-self.decay_rate:.3g} 1/s{how}"
-
-    def _loop(self) -> str:
-        return "(continuous loop)" if self.dt is None else f"(sampled every {self.dt:g} s)"
-
-    def _left_out(self) -> str:
-        parts = {
-            "of self-motion": self.self_motion,
-            "of learnt parameters without effect at the target": self.unseen_parameters,
-        }
-        named = [f"{count} {what}" for what, count in parts.items() if count]
-        return f"; left out are {' and '.join(named)}" if named else ""
 
 
 def local_stability(
@@ -166,21 +163,11 @@ def linearised(
     unseen = _null_space(loop.Z, float(np.linalg.norm(plant.robot.gravity)))
     still = equilibria(loop, unseen, timing)
     A = continuous_matrix(loop) if timing is None else sampled_matrix(loop, timing)
-    if (
-        timing is not None and not np.isfinite(A).all()
-    ):  # the arm falls from the target without end in one sample
-        raise InvalidInputError(
-            f"dt must be a sampling time of control, such as 0.001 [s], got {timing.dt:g}: the "
-            "motion within one sample overflows",
-            given=timing.dt,
-        )
     values, is_manifold = _eigenvalues_across(A, still, 0.0 if timing is None else 1.0)
     if timing is not None:  # λ = ln(μ)/dt; −∞ for a mode that is over after one sample
+        sizes, angles = np.abs(values), np.angle(values)
         with np.errstate(divide="ignore"):
-            values.real, values.imag = (
-                np.log(np.abs(values)) / timing.dt,
-                np.angle(values) / timing.dt,
-            )
+            values.real, values.imag = np.log(sizes) / timing.dt, angles / timing.dt
     across = np.linalg.svd(loop.J @ np.linalg.solve(loop.M, loop.J_hat.T), compute_uv=False)
     sizes = np.abs(values[np.isfinite(values)])
     has_zero = np.min(sizes, initial=np.inf) <= _ZERO * np.max(sizes, initial=0.0)
@@ -221,11 +208,12 @@ def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> 
     model = plant.robot.model
     nearby = [q, *(pin.integrate(model, q, _NEAR * unit) for unit in np.eye(plant.robot.nv))]
     wanted = np.array([plant.dynamics.g(at) for at in nearby])
-    if controller.adaptation is None:
+    learning, expected = controller.adaptation, "learnable"
+    if learning is None:
         given = np.array([controller.gravity.torque(at) for at in nearby])  # type: ignore[union-attr]
+        expected = "exact"
     else:
-        given = _learnt(controller.adaptation, nearby, wanted)
-    expected = "exact" if controller.adaptation is None else "learnable"
+        given = _learnt(learning, nearby, wanted)
     error = float(np.abs(given - wanted).max())
     if error > _EXACT * max(1.0, float(np.abs(wanted).max())):
         raise InvalidInputError(

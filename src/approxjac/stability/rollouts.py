@@ -199,8 +199,8 @@ def rollouts(
     x_d = None if target is None else uncertainty.believed_task().target(target)
     job = _Job(controller, uncertainty, region, x_d, duration, dt, tolerance, seed)
     done: list[Rollout] = []
-    portions = _here(job, runs) if executor is None else _elsewhere(job, runs, executor)
-    for portion in portions:
+    here = ([job.run(index)] for index in range(runs))
+    for portion in here if executor is None else _elsewhere(job, runs, executor):
         done += portion
         if progress is not None:
             progress(len(done))
@@ -289,13 +289,19 @@ def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
     return settling, bool(below[last_tenth].all())
 
 
-def _here(job: _Job, runs: int) -> Iterator[list[Rollout]]:
-    return ([job.run(index)] for index in range(runs))
-
-
 def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollout]]:
     """Portions of runs as an executor is done with them."""
-    _require_picklable(job, executor)
+    from concurrent.futures import ProcessPoolExecutor
+
+    if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
+        try:
+            pickle.dumps(job)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise InvalidInputError(
+                "controller, uncertainty and region must be picklable to go to other processes "
+                f"(functools.partial(PositionTask, axes='xz') is, a lambda is not): {error}",
+                given=executor,
+            ) from error
     size = math.ceil(runs / _CHUNKS)
     starts = range(0, runs, size)
     futures = [
@@ -312,22 +318,6 @@ def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollou
 def _portion(job: _Job, indices: range) -> list[Rollout]:
     own = copy.deepcopy(job)  # tasks and controllers have scratch memory: one instance a thread
     return [own.run(index) for index in indices]
-
-
-def _require_picklable(job: _Job, executor: Executor) -> None:
-    """Say what is wrong before a pool of processes does; other executors may pickle more."""
-    from concurrent.futures import ProcessPoolExecutor
-
-    if not isinstance(executor, ProcessPoolExecutor):
-        return
-    try:
-        pickle.dumps(job)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise InvalidInputError(
-            "controller, uncertainty and region must be picklable to go to other processes "
-            f"(functools.partial(PositionTask, axes='xz') is, a lambda is not): {error}",
-            given=executor,
-        ) from error
 
 
 def _as_confidence(confidence: float) -> float:

@@ -64,7 +64,8 @@ class Theorem1:
         """The largest p that (14) and (22) allow, at `alpha`; not positive if none."""
         if self.setting.fixed_alpha is not None and self.alpha >= self.alpha_max:
             return 0.0
-        return min(self._bounds(self.alpha))
+        kp, kv = self.setting.kp, self.setting.kv
+        return min(law.allowed_p(self.alpha, kp, kv, self.lambda_1, self.c0, self.c1))
 
     @property
     def allowed_p_large_gains(self) -> float:
@@ -96,10 +97,6 @@ class Theorem1:
         lowest = pull * float(kp.max()) / (float(kp.min()) - self.c1 - pull * k)
         highest = (k * self.lambda_1 - pull * float(kp.max())) / (self.c0 + pull * k)
         return lowest, min(highest, self.alpha_max)
-
-    def _bounds(self, alpha: float) -> tuple[float, float]:
-        setting = self.setting
-        return law.allowed_p(alpha, setting.kp, setting.kv, self.lambda_1, self.c0, self.c1)
 
 
 CONSTANTS = ("p", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")
