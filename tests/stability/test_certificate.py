@@ -28,7 +28,7 @@ def at_target(figure):
     return loop.draw(1, np.random.default_rng(0)), loop.setting
 
 
-def on_panda(length, damping, radius=0.3, n=300, gains=(400.0, 80.0), target=None):
+def on_panda(length, damping, radius=0.3, n=100, gains=(400.0, 80.0), target=None):
     arm = aj.load_robot("panda")
     truth, belief = arm.with_object(length, 0.5), arm.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
@@ -106,12 +106,12 @@ def test_constants_are_those_of_their_sample():
 
 def test_c0_and_c1_bound_what_eq_15_says(panda):
     """|αs(e)ᵀĴ⁺ᵀ(…)q̇| ≤ αc₀‖q̇‖² + αc₁‖s‖² for random velocities: the last terms of W."""
-    samples, setting = on_panda(0.2, 5.0, n=50)
+    samples, setting = on_panda(0.2, 5.0, n=20)
     found = theorem1(samples, setting)
     G, dG = law.cross_weight_pinv(samples.J_hat, samples.dJ_hat)
     N = law.inertial_block(samples.M, samples.dM, samples.J, G, dG, samples.s, samples.slope)
     rng = np.random.default_rng(0)
-    for i in range(50):
+    for i in range(20):
         for v in rng.normal(size=(20, 7)) * rng.uniform(0.01, 5.0):
             s = samples.s[i]
             taken = s @ G[i].T @ (setting.B * v) - v @ N[i] @ v
@@ -149,15 +149,15 @@ def test_a_larger_family_has_a_larger_margin():
 
 def test_the_margin_is_what_its_name_says():
     """V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + Σc̄wᵢsᵢ²) for random z, and tight."""
-    samples, setting = on_panda(0.2, 5.0, n=40)
+    samples, setting = on_panda(0.2, 5.0, n=20)
     form = MatrixForm(samples, setting)
     best = best_weights(form, "wide")
     X, Y = form.pencils(best.weights)
     rng = np.random.default_rng(0)
-    for i in range(40):
+    for i in range(20):
         lowest = np.inf
         for part in range(2):
-            for z in rng.normal(size=(200, 10)):
+            for z in rng.normal(size=(50, 10)):
                 assert z @ X[part, i] @ z >= (best.margins[i] - 1e-9) * (z @ Y[part, i] @ z)
             inverse = np.linalg.inv(Y[part, i])
             lowest = min(lowest, np.linalg.eigvals(inverse @ X[part, i]).real.min())
@@ -166,14 +166,14 @@ def test_the_margin_is_what_its_name_says():
 
 def test_cutting_planes_find_the_optimum_of_a_scan():
     """With one unknown, α, a scan tells the largest margin that there is."""
-    samples, setting = on_panda(0.15, 5.0, n=100)
+    samples, setting = on_panda(0.15, 5.0, n=40)
     form = MatrixForm(samples, setting)
     found = best_weights(form, "paper").margins.min()
     scan = max(
         form.margins(
             Weights(alpha * np.eye(3), np.zeros((3, 3)), setting.kp + alpha * setting.kv)
         ).min()
-        for alpha in np.geomspace(0.01, 30.0, 400)
+        for alpha in np.geomspace(0.1, 10.0, 150)
     )
     assert scan - 0.006 <= found <= scan + 1e-3
 
@@ -181,7 +181,7 @@ def test_cutting_planes_find_the_optimum_of_a_scan():
 def test_a_general_optimiser_finds_nothing_better():
     from scipy.optimize import minimize
 
-    samples, setting = on_panda(0.2, 5.0, n=60)
+    samples, setting = on_panda(0.2, 5.0, n=30)
     form = MatrixForm(samples, setting)
     found = best_weights(form, "free")
 
@@ -191,11 +191,11 @@ def test_a_general_optimiser_finds_nothing_better():
 
     start = np.log([found.weights.A1[0, 0], *found.weights.w])
     for shift in (0.0, 0.3):
-        answer = minimize(negative, start + shift, method="Nelder-Mead", options={"maxiter": 600})
+        answer = minimize(negative, start + shift, method="Nelder-Mead", options={"maxiter": 300})
         assert -answer.fun <= found.margins.min() + 0.01
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6))
 def test_no_unstable_target_is_certified(seed):
     """At a target Q ≻ 0 and V ≻ 0 are sufficient for the eigenvalues: a Lyapunov argument."""

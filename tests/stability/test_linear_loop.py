@@ -119,12 +119,16 @@ def first_state(loop, timing, dq, dtheta):
 
 @pytest.mark.parametrize("learns", [False, True], ids=["(6)", "(28)"])
 @pytest.mark.parametrize("options", TIMINGS.values(), ids=TIMINGS)
-@pytest.mark.parametrize("name", ["two_link", "ur5", "panda", "kinova", "mimic"])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.every_arm) for name in ("ur5", "panda")]
+    + ["two_link", "kinova", "mimic"],
+)
 def test_the_sampled_matrix_tells_every_sample_of_a_run(name, options, learns, rng):
     plant, controller, q_target, theta = loop_of(name, rng, learns, **options)
     model, n = plant.robot.model, plant.robot.nv
     loop, timing = linear_loop(plant, controller, q_target), timing_of(plant)
-    dq, samples = 1e-4 * rng.normal(size=n), 40
+    dq, samples = 1e-4 * rng.normal(size=n), 20
     run = aj.simulate(
         plant, controller, plant.sensor.value(q_target), pin.integrate(model, q_target, dq),
         samples * DT, dt=DT,

@@ -39,8 +39,17 @@ def controller_of(uncertainty, gains=None, **options):
 
 
 @pytest.fixture(scope="module")
-def report(tools, box):
-    return aj.stability_report(controller_of(tools), tools, box, configurations=400)
+def seen():
+    """What the report's progress was told."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def report(tools, box, seen):
+    return aj.stability_report(
+        controller_of(tools), tools, box, configurations=200,
+        progress=lambda what, share: seen.append((what, share)),
+    )  # fmt: skip
 
 
 def test_report_says_what_each_test_says(report):
@@ -54,17 +63,17 @@ def test_report_says_what_each_test_says(report):
     assert "1 Theorem 1                     not certified  p = 0.346 >= 0.0" in text
     assert "worst p with object_length 0.200 m" in text
     assert " at q = [" in text
-    assert "2 matrix form, paper's weights  certified      margin 0.1" in text
-    # 1 − (0.05/3)^(1/200), as three families share the 5 %
-    assert "none of 200 further ones violates it, at most 2 % of all do (95 %)" in text
+    assert "2 matrix form, paper's weights  certified      margin 0.2" in text
+    # 1 − (0.05/3)^(1/100), as three families share the 5 %
+    assert "none of 100 further ones violates it, at most 4 % of all do (95 %)" in text
     assert "3 local                         stable" in text
 
 
 def test_what_was_chosen_is_checked_elsewhere(report):
     for test in report.matrix.values():
-        assert test.checked == 200
+        assert test.checked == 100
         assert test.violations == 0
-        assert_allclose(test.violating_at_most, 1.0 - (0.05 / 3.0) ** (1.0 / 200.0))
+        assert_allclose(test.violating_at_most, 1.0 - (0.05 / 3.0) ** (1.0 / 100.0))
         # of postures of a random walk no such bound is known, and none is told
         assert math.isnan(replace(test, independent=False).violating_at_most)
     walked = {name: replace(test, independent=False) for name, test in report.matrix.items()}
@@ -72,12 +81,14 @@ def test_what_was_chosen_is_checked_elsewhere(report):
     assert "of all do (95 %)" not in str(replace(report, matrix=walked))
 
 
-def test_report_repeats_bit_by_bit(tools, box, report):
-    again = aj.stability_report(controller_of(tools), tools, box, configurations=400)
-    assert again.summary() == report.summary()
-    assert str(again) == str(report)
-    other = aj.stability_report(controller_of(tools), tools, box, configurations=400, seed=1)
-    assert other.summary() != report.summary()
+def test_report_repeats_bit_by_bit(tools, box):
+    first, again, other = (
+        aj.stability_report(controller_of(tools), tools, box, configurations=20, seed=seed)
+        for seed in (0, 0, 1)
+    )
+    assert again.summary() == first.summary()
+    assert str(again) == str(first)
+    assert other.summary() != first.summary()
 
 
 def test_summary_is_json_and_complete(report):
@@ -91,8 +102,8 @@ def test_summary_is_json_and_complete(report):
 
 
 def test_a_certified_controller_reaches_its_target(tools, box, report):
-    outcome = aj.rollouts(report.loop.controller, tools, box, runs=6, duration=8.0, seed=3)
-    assert outcome.n_converged == 6
+    outcome = aj.rollouts(report.loop.controller, tools, box, runs=2, duration=4.0, seed=3)
+    assert outcome.n_converged == 2
 
 
 def test_a_single_robot_and_a_plant_say_the_same(weightless):
@@ -100,7 +111,7 @@ def test_a_single_robot_and_a_plant_say_the_same(weightless):
     controller = aj.SetpointController(aj.PositionTask(belief), aj.Gains(400.0, 80.0, 10.0))
     region = aj.JointBox.around(weightless, Q, 0.2)
     reports = [
-        aj.stability_report(controller, truth=each, region=region, configurations=100)
+        aj.stability_report(controller, truth=each, region=region, configurations=20)
         for each in (truth, aj.Plant(truth, aj.PositionTask(truth)))
     ]
     assert reports[0].summary() == reports[1].summary()
@@ -110,7 +121,7 @@ def test_a_single_robot_and_a_plant_say_the_same(weightless):
 def test_default_region_leaves_singular_postures_out(weightless):
     truth, belief = weightless.with_object(0.05), weightless.with_object(0.0)
     controller = aj.SetpointController(aj.PositionTask(belief))
-    found = aj.stability_report(controller, truth, configurations=60)
+    found = aj.stability_report(controller, truth, configurations=20)
     values = np.linalg.svd(found.samples.J_hat, compute_uv=False)[:, -1]
     assert values.min() >= found.loop.region.sigma_min > 0.0
 
@@ -118,7 +129,7 @@ def test_default_region_leaves_singular_postures_out(weightless):
 def test_a_target_is_looked_at_where_it_is_attained(tools, box):
     controller = controller_of(tools)
     target = tools.plant([0.1, 0.2]).sensor.value(Q)
-    found = aj.stability_report(controller, tools, box, target=target, configurations=100)
+    found = aj.stability_report(controller, tools, box, target=target, configurations=24)
     assert_array_equal(found.loop.target, target)
     for t, q in zip(found.local.truth, found.local.q, strict=True):
         sensor = tools.plant(found.loop.corners[t]).sensor
@@ -131,7 +142,7 @@ def test_pose_task_is_certified_with_its_own_error_jacobian(weightless):
     truth, belief = weightless.with_object(0.05), weightless.with_object(0.0)
     controller = aj.SetpointController(aj.PoseTask(belief), aj.Gains(400.0, 80.0, 5.0))
     region = aj.JointBox.around(weightless, Q, 0.2)
-    found = aj.stability_report(controller, truth, region, configurations=60)
+    found = aj.stability_report(controller, truth, region, configurations=20)
     assert np.abs(found.samples.J - found.samples.J_e).max() > 0.01
     assert found.local.stable
 
@@ -140,7 +151,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     arm = aj.load_robot("panda")
     tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 0.5))
     region = aj.JointBox.around(arm, Q, 0.1)
-    known = aj.stability_report(controller_of(tools), tools, region, configurations=60)
+    known = aj.stability_report(controller_of(tools), tools, region, configurations=20)
     assert not known.gravity_is_exact
     assert known.certified_by is None
     assert "0 gravity" in str(known)
@@ -149,7 +160,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     regressor = aj.GravityRegressor(tools.belief())
     learnt = aj.stability_report(
         controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)),
-        tools, region, configurations=60,
+        tools, region, configurations=20,
     )  # fmt: skip
     assert learnt.gravity_is_exact
     assert learnt.certified_by == "matrix"
@@ -160,17 +171,12 @@ def test_gravity_that_is_not_exact_certifies_nothing():
 
 
 def test_rollouts_join_the_report(tools, box):
-    found = aj.stability_report(controller_of(tools), tools, box, configurations=40, runs=2)
-    assert found.rollouts.n == 2
+    found = aj.stability_report(controller_of(tools), tools, box, configurations=20, runs=1)
+    assert found.rollouts.n == 1
     assert "4 rollouts" in str(found)
 
 
-def test_progress_tells_what_is_being_done(tools, box):
-    seen = []
-    aj.stability_report(
-        controller_of(tools), tools, box, configurations=200,
-        progress=lambda what, share: seen.append((what, share)),
-    )  # fmt: skip
+def test_progress_tells_what_is_being_done(report, seen):
     assert {"configurations", "matrix form", "local"} <= {what for what, _ in seen}
     assert all(0.0 <= share <= 1.0 for _, share in seen)
 
@@ -235,12 +241,12 @@ def test_tolerated_camera_roll_is_where_the_eigenvalues_say():
         verdicts = []
         for sign in (-1.0, 1.0):
             plant = errors.plant([sign * roll])
-            starts = aj.JointBox(arm).sample(20, np.random.default_rng(5))
+            starts = aj.JointBox(arm).sample(6, np.random.default_rng(5))
             postures = [inverse_kinematics(plant.sensor, target, q) for q in starts]
             verdicts += [
                 aj.local_stability(plant, controller, q).stable for q in postures if q is not None
             ]
-        assert len(verdicts) > 20
+        assert len(verdicts) > 8
         return all(verdicts)
 
     assert all_stable(0.98 * angle)
@@ -256,7 +262,7 @@ def test_tolerance_by_rollouts(weightless):
     region = aj.JointBox.around(arm, (1.5, 1.5), 0.1)
     found = aj.tolerance(
         controller, errors, region, tests=("rollouts",), runs=3, duration=5.0, largest=1.9,
-        precision=0.2,
+        precision=0.5,
     )["rollouts"]  # fmt: skip
     assert 0.0 < found.scale < found.fails_at < 1.9
     assert "camera roll" in found.worst_text
@@ -302,7 +308,7 @@ def small_box(weightless):
 
 
 def test_suggested_gains_meet_what_was_asked(tools, small_box):
-    found = aj.suggest_gains(tools, small_box, settling_time=2.0, configurations=60)
+    found = aj.suggest_gains(tools, small_box, settling_time=2.0, configurations=20)
     assert found.gains is not None
     assert found.relax == ()
     best = found.found
@@ -314,9 +320,15 @@ def test_suggested_gains_meet_what_was_asked(tools, small_box):
     )
     assert again.certified_by in ("theorem1", "matrix")
     outcome = aj.rollouts(
-        controller_of(tools, found.gains), tools, small_box, runs=4, duration=6.0, tolerance=2e-3
+        controller_of(tools, found.gains),
+        tools,
+        small_box,
+        runs=2,
+        duration=6.0,
+        dt=2e-3,
+        tolerance=2e-3,
     )
-    assert outcome.n_converged == 4
+    assert outcome.n_converged == 2
     assert max(run.settling_time for run in outcome.runs) < 4.0
 
 
@@ -375,14 +387,16 @@ def test_a_saturated_error_is_looked_at_where_it_is_not():
         errors.believed_task(), aj.Gains(5000.0, 5000.0), saturation=aj.Sine(1e-5)
     )
     region = aj.JointBox.around(arm, (1.57, 1.57), 0.3)
-    found = aj.stability_report(controller, errors, region, configurations=400)
+    found = aj.stability_report(controller, errors, region, configurations=100)
     slopes = found.samples.slope
     assert (slopes > 0.5).all(axis=1).mean() > 0.25
     assert (slopes == 0.0).all(axis=1).mean() > 0.25
     assert not found.local.stable
     assert found.certified_by is None
     assert not any(test.certified for test in found.matrix.values())
-    scales = aj.tolerance(controller, errors, region, tests=("matrix", "local"), configurations=200)
+    scales = aj.tolerance(
+        controller, errors, region, tests=("matrix", "local"), configurations=40, precision=0.05
+    )
     assert scales["matrix"].scale < scales["local"].scale
 
 
@@ -392,7 +406,7 @@ def test_pose_gains_that_differ_count_in_theorem_1(weightless):
     kp = (4e4, 4e4, 4e4, 4e4, 4e3, 4e2)
     controller = aj.SetpointController(task, aj.Gains(kp, 8000.0, 20.0))
     region = aj.JointBox.around(weightless, Q, 0.3)
-    found = aj.stability_report(controller, weightless, region, configurations=60)
+    found = aj.stability_report(controller, weightless, region, configurations=20)
     assert found.theorem1.p > 0.01
     assert not found.theorem1.holds
 

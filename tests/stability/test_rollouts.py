@@ -17,7 +17,7 @@ from approxjac.stability.region import Region
 from approxjac.stability.rollouts import _judged, clopper_pearson
 
 PLANE = functools.partial(aj.PositionTask, axes="xz")
-SHORT = {"runs": 9, "duration": 1.5, "dt": 2e-3, "tolerance": 0.005}
+SHORT = {"runs": 5, "duration": 0.8, "dt": 4e-3, "tolerance": 0.02}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,14 +71,14 @@ def test_runs_are_what_a_simulation_by_hand_is(controller, uncertainty, serial):
     q0 = REGION.sample(1, rng)[0]
     target = plant.sensor.value(REGION.sample(1, rng)[0])
     record = aj.simulate(
-        plant, controller, target, q0, 1.5, dt=2e-3, integrator="semi_implicit_euler"
+        plant, controller, target, q0, 0.8, dt=4e-3, integrator="semi_implicit_euler"
     )
     assert_array_equal(run.values, values)
     assert_array_equal(run.q0, q0)
     assert_array_equal(run.target, target)
     assert run.index == 4
     assert run.final_error == record.error_norm[-1]
-    assert run.converged == (record.error_norm[record.t >= 1.35] < 0.005).all()
+    assert run.converged == (record.error_norm[record.t >= 0.72 - 1e-9] < 0.02).all()
     assert run.stayed
     assert not run.diverged
 
@@ -93,7 +93,7 @@ def test_threads_and_processes_give_the_same(controller, uncertainty, serial):
             controller, uncertainty, REGION, executor=pool, progress=done.append, **SHORT
         )
         require_same(many, serial)
-        assert done == list(range(1, 10))  # portions of one run
+        assert done == list(range(1, 6))  # portions of one run
         with pytest.raises(aj.InvalidInputError, match=r"duration must be a whole number of dt"):
             aj.rollouts(
                 controller, uncertainty, REGION, executor=pool, duration=1.0, dt=0.3, runs=2
@@ -127,12 +127,12 @@ def test_portions_hold_every_run_once(controller, uncertainty):
     done = []
     with ThreadPoolExecutor(2) as pool:
         many = aj.rollouts(
-            controller, uncertainty, REGION, runs=130, duration=0.01, executor=pool,
+            controller, uncertainty, REGION, runs=66, duration=0.01, executor=pool,
             progress=done.append,
         )  # fmt: skip
-    assert [run.index for run in many.runs] == list(range(130))
-    assert len(done) == 44  # portions of three
-    assert done[-1] == 130
+    assert [run.index for run in many.runs] == list(range(66))
+    assert len(done) == 33  # portions of two
+    assert done[-1] == 66
 
 
 def test_a_given_target_is_that_of_all(controller, uncertainty):
@@ -147,10 +147,10 @@ def test_a_given_target_is_that_of_all(controller, uncertainty):
 def test_what_became_of_them(controller, uncertainty, serial):
     low, high = serial.interval
     assert 0.0 <= low < serial.share < high <= 1.0 or serial.share in (0.0, 1.0)
-    assert serial.n == 9
-    assert serial.share == serial.n_converged / 9
+    assert serial.n == 5
+    assert serial.share == serial.n_converged / 5
     assert serial.worst.final_error == max(run.final_error for run in serial.runs)
-    assert str(serial).startswith(f"{serial.n_converged} of 9 runs converged to within 0.005 m ")
+    assert str(serial).startswith(f"{serial.n_converged} of 5 runs converged to within 0.02 m ")
     assert f"run {serial.worst.index}, ended" in str(serial)
     assert f"with {uncertainty.describe(serial.worst.values)}" in repr(serial)
     narrow = dataclasses.replace(REGION, margin=-0.1)
@@ -215,7 +215,7 @@ def test_known_intervals():
     assert clopper_pearson(5, 10) == pytest.approx((0.1871, 0.8129), abs=1e-4)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(runs=st.integers(1, 2000), share=st.floats(0.0, 1.0), confidence=st.floats(0.01, 0.999))
 def test_the_interval_is_that_of_scipy(runs, share, confidence):
     from scipy.stats import binomtest

@@ -28,7 +28,7 @@ def test_an_arm_stands_still_where_the_jacobian_is_singular(straight):
     assert np.abs(run.q - q0).max() < 1e-6
 
 
-@pytest.mark.parametrize("configurations", [100, 600])
+@pytest.mark.parametrize("configurations", [40, 200])
 def test_so_no_test_certifies_a_region_with_such_a_posture(straight, configurations):
     plant, controller, target, q0 = straight
     box = JointBox.around(plant.robot, q0, 0.45)
@@ -58,7 +58,7 @@ def test_a_redundant_arm_is_singular_in_fewer_postures():
     controller = aj.SetpointController(task, gravity=NoGravity(arm))
     q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.8])
     report = stability_report(
-        controller, arm, JointBox.around(arm, q, 0.2), target=task.value(q), configurations=60
+        controller, arm, JointBox.around(arm, q, 0.2), target=task.value(q), configurations=20
     )
     assert report.singular_q is None
 
