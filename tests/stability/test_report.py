@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import paper
+from approxjac.stability import advice
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.suggestion import Candidate, _relaxations
 
@@ -118,12 +121,12 @@ def test_a_single_robot_and_a_plant_say_the_same(weightless):
     assert "the true robot" in str(reports[0])
 
 
-def test_default_region_leaves_singular_postures_out(weightless):
+def test_default_region_leaves_singular_configurations_out(weightless):
     truth, belief = weightless.with_object(0.05), weightless.with_object(0.0)
-    controller = aj.SetpointController(aj.PositionTask(belief))
-    found = aj.stability_report(controller, truth, configurations=20)
-    values = np.linalg.svd(found.samples.J_hat, compute_uv=False)[:, -1]
-    assert values.min() >= found.loop.region.sigma_min > 0.0
+    loop = ClosedLoop(aj.SetpointController(aj.PositionTask(belief)), truth)
+    drawn = loop.draw(40, np.random.default_rng(0))
+    values = np.linalg.svd(drawn.J_hat, compute_uv=False)[:, -1]
+    assert values.min() >= loop.region.sigma_min > 0.0
 
 
 def test_a_target_is_looked_at_where_it_is_attained(tools, box):
@@ -316,7 +319,7 @@ def test_suggested_gains_meet_what_was_asked(tools, small_box):
     assert best.torque_ratio <= 1.0
     assert best.settling_time <= 2.0
     again = aj.stability_report(
-        controller_of(tools, found.gains), tools, small_box, configurations=200
+        controller_of(tools, found.gains), tools, small_box, configurations=40
     )
     assert again.certified_by in ("theorem1", "matrix")
     outcome = aj.rollouts(
@@ -324,8 +327,7 @@ def test_suggested_gains_meet_what_was_asked(tools, small_box):
         tools,
         small_box,
         runs=2,
-        duration=6.0,
-        dt=2e-3,
+        duration=5.0,
         tolerance=2e-3,
     )
     assert outcome.n_converged == 2
@@ -444,3 +446,23 @@ def test_every_corner_is_drawn_as_often(weightless):
     )
     counts = np.bincount(found.samples.truth, minlength=16)
     assert counts.min() >= 2
+
+
+# -- what would certify ---------------------------------------------------------------------
+
+
+def test_what_would_certify_is_the_first_that_does(tools, box, monkeypatch):
+    def report(controller, errors, region, **options):
+        strong = controller.diagonals.damping[0] >= 25.0
+        return SimpleNamespace(certified_by="matrix" if strong or errors.factor < 0.41 else None)
+
+    monkeypatch.setattr(advice, "stability_report", report)
+    weak, shares = controller_of(tools), []  # with a damping of 10
+    assert aj.stability.damping_that_certifies(weak, tools, box, progress=shares.append) == 3.0
+    assert_allclose(shares, [0.0, 1.0 / 6.0, 2.0 / 6.0])
+    weaker = controller_of(tools, aj.Gains(400.0, 80.0, 0.1))
+    assert aj.stability.damping_that_certifies(weaker, tools, box) is None
+    part = aj.stability.part_that_certifies(weak, tools, box, largest=0.5)
+    assert_allclose(part.factor, 0.4)
+    assert aj.stability.part_that_certifies(weak, tools, box) is None  # half of them is too much
+    assert aj.stability.part_that_certifies(weak, tools, box, largest=0.0) is None
