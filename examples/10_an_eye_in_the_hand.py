@@ -14,6 +14,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from studies.velocity_servo import VelocityServo
 
 import approxjac as aj
 from approxjac import view
@@ -50,7 +51,7 @@ laws = {
     "law (6)": aj.SetpointController(
         task, aj.default_gains(task, settling_time=1.5), gravity=gravity
     ),
-    "classical": aj.VelocityServo(task, rate=4.0 / 1.5, gravity=gravity),
+    "classical": VelocityServo(task, rate=4.0 / 1.5, gravity=gravity),
 }
 vision = aj.Sensing(x_rate=30.0, x_delay=0.03, x_noise=0.5)
 plant = aj.Plant(truth, sensor, sensing=vision, torque_limits=truth.effort_limits)

@@ -60,7 +60,6 @@ def controllers(robot):
         "compiled": aj.CompiledSetpointController(
             task, gains, gravity=aj.AdaptiveGravity(regressor), saturation=aj.Sine(0.05)
         ),
-        "velocity servo": aj.VelocityServo(task, 3.0, saturation=aj.Sine(0.05)),
         "held": aj.HeldMeasurement(aj.TorqueLimited(aj.SetpointController(task, gains)), 0.1),
     }
 

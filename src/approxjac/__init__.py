@@ -27,7 +27,6 @@ from approxjac.controllers import (
     TaskTorqueScaled,
     TorqueClipped,
     TorqueLimited,
-    VelocityServo,
     default_gains,
     law_of,
 )
@@ -146,7 +145,6 @@ __all__ = [
     "Uncertainty",
     "UnknownNameError",
     "UrdfError",
-    "VelocityServo",
     "Waypoints",
     "default_gains",
     "excitation",

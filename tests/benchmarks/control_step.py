@@ -94,9 +94,6 @@ def laws(name):
     limited = aj.TorqueLimited(law(), aj.Limits(effort=limits))
     found.append(Law("(6), `TorqueLimited`", limited))
     found.append(Law("(6), `TorqueLimited`, held", aj.HeldMeasurement(limited, 0.05)))
-    servo = aj.VelocityServo(task)
-    typed_servo = naive.velocity_servo(robot, J_of, x_d, servo.rate, servo.inner_bandwidth)
-    found.append(Law("`VelocityServo`", servo, *both(typed_servo)))
     found.append(_image_law(robot, middle))
     return found
 

@@ -34,7 +34,6 @@ def controllers():
     gains = aj.Gains(1e-3, 1e-3, 1.0)
     found = {name: aj.SetpointController(task, gains) for name, task in tasks.items()}
     found["one point, held"] = aj.HeldMeasurement(found["one point"], unseen=40.0)
-    found["one point, at velocity level"] = aj.VelocityServo(tasks["one point"])
     return found
 
 

@@ -77,18 +77,6 @@ def setpoint(robot, J_of, m, x_d, kp, kv, *, sine=False, learning=False, lag=Non
     return step
 
 
-def velocity_servo(robot, J_of, x_d, rate, bandwidth):
-    """The law of `VelocityServo`, with gravity inside of Pinocchio's inverse dynamics."""
-    model, data, fastest = robot.model, robot.model.createData(), robot.velocity_limits
-
-    def step(q, v, x):
-        reference = -rate * np.linalg.pinv(J_of(q)) @ (x - x_d)
-        reference = reference / max(1.0, np.abs(reference / fastest).max())
-        return (pin.rnea(model, data, q, v, bandwidth * (reference - v)),)
-
-    return step
-
-
 def checked(robot, J_of, x_d, step, learning=False):
     """A step with the checks that ours makes, written out plainly.
 

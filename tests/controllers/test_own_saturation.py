@@ -251,15 +251,11 @@ def test_the_mistake_of_an_own_saturation_is_the_cause():
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
 
-def test_both_controllers_ask():
+def test_the_controller_asks():
     gains = aj.Gains(10.0, 10.0, 1.0)
-    for make in (
-        lambda s: aj.SetpointController(TASKS[3], gains, saturation=s),
-        lambda s: aj.VelocityServo(TASKS[3], saturation=s),
-    ):
-        assert isinstance(make(Own()).saturation, Own)
-        with pytest.raises(aj.InvalidInputError, match=r"ds\(0\) must be 1"):
-            make(own(ds=slope_two))
+    assert isinstance(aj.SetpointController(TASKS[3], gains, saturation=Own()).saturation, Own)
+    with pytest.raises(aj.InvalidInputError, match=r"ds\(0\) must be 1"):
+        aj.SetpointController(TASKS[3], gains, saturation=own(ds=slope_two))
 
 
 def test_a_slope_of_two_is_a_stiffness_of_two():
@@ -304,10 +300,9 @@ class Gap(aj.Tanh):
         return np.where(np.abs(e - 0.0123) < 1e-9, np.nan, super().s(e))
 
 
-@pytest.mark.parametrize("kind", [aj.SetpointController, aj.VelocityServo])
-def test_a_saturation_that_fails_on_the_way_is_an_error_and_no_torque(kind):
-    task = TASKS[3]
-    controller, q = kind(task, saturation=Gap(0.1)), np.array([0, -0.5, 0, -2, 0, 1.6, 0.7])
+def test_a_saturation_that_fails_on_the_way_is_an_error_and_no_torque():
+    task, q = TASKS[3], np.array([0, -0.5, 0, -2, 0, 1.6, 0.7])
+    controller = aj.SetpointController(task, saturation=Gap(0.1))
     x = task.value(q)
     measurement = aj.Measurement(0.0, q, np.zeros(7), x)
     state = controller.initial_state(measurement)

@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers.qp_solvers import as_solver
+from approxjac.controllers.task_controller import TaskController
 
 DT = 1e-3
 
@@ -610,9 +611,27 @@ def test_where_gravity_is_too_much_scaling_leaves_it_clipped(panda, rng):
     assert_allclose(answer.torque, np.clip(g, -1.0, 1.0), atol=1e-12)
 
 
+class ComputedTorque(TaskController):
+    """A law of one's own, which no proof is for."""
+
+    def __init__(self, task):
+        self._remember(locals())
+        self.gravity = aj.ModelGravity(task.robot)
+        self.dynamics = aj.Dynamics(task.robot)
+        self._take(task, 0)
+
+    def gravity_torque(self, state, q):
+        return self.dynamics.g(q)
+
+    def _answer(self, q, v, x, e, state, x_d_dot, lost):
+        J_hat = self.task.jacobian(q, x)
+        tau = self.dynamics.inverse(q, v, -50.0 * (np.linalg.pinv(J_hat) @ (4.0 * e) + v))
+        return aj.Evaluation(tau, state, aj.Status.OK, e, J_hat, self.gravity_torque(state, q))
+
+
 def test_another_law_is_limited_without_a_proof(panda):
-    law = aj.VelocityServo(aj.PositionTask(panda))
-    with pytest.raises(aj.InvalidInputError, match="proof must be False for VelocityServo"):
+    law = ComputedTorque(aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match="proof must be False for"):
         aj.TorqueLimited(law)
     limited = aj.TorqueLimited(law, proof=False)
     measurement, target = infeasible_state(panda)

@@ -28,7 +28,6 @@ MADE = {
     ),
     "law 5": lambda task: aj.SetpointController(task, velocity=aj.DifferentiatedVelocity()),
     "learning": learning,
-    "velocity servo": lambda task: aj.VelocityServo(task, 3.0),
     "limited": lambda task: aj.TorqueLimited(learning(task), LIMITS),
     "clipped": lambda task: aj.TorqueClipped(learning(task), LIMITS),
     "scaled": lambda task: aj.TaskTorqueScaled(aj.SetpointController(task), LIMITS),

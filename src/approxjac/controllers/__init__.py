@@ -18,7 +18,6 @@ from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tuning import default_adaptation, default_gains
-from approxjac.controllers.velocity_servo import VelocityServo
 from approxjac.controllers.wrapper import ControllerWrapper, law_of
 
 __all__ = [
@@ -40,7 +39,6 @@ __all__ = [
     "TaskTorqueScaled",
     "TorqueClipped",
     "TorqueLimited",
-    "VelocityServo",
     "default_adaptation",
     "default_gains",
     "law_of",

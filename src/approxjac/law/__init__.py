@@ -49,7 +49,6 @@ from approxjac.law.torque import (
     measured_velocity_torque,
 )
 from approxjac.law.torque_limits import limited_torque
-from approxjac.law.velocity import velocity_reference, within_speeds
 
 __all__ = [
     "SINGULAR_RATIO",
@@ -94,7 +93,5 @@ __all__ = [
     "right_pinv_dot",
     "stiffness_block",
     "theta_hat_rate",
-    "velocity_reference",
     "within_bounds",
-    "within_speeds",
 ]
