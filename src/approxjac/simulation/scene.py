@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac.robots import Robot
 from approxjac.tasks import Task
-from approxjac.tasks.restored import restored
+from approxjac.tasks.restored import restored, saved
 from approxjac.validation import Array
 
 
@@ -39,8 +39,8 @@ class Scene:
         return {
             "truth": _robot_to_dict(self.truth),
             "belief": None if self.belief is None else _robot_to_dict(self.belief),
-            "sensor": None if self.sensor is None else self.sensor._saved(),
-            "task": None if self.task is None else self.task._saved(),
+            "sensor": None if self.sensor is None else saved(self.sensor),
+            "task": None if self.task is None else saved(self.task),
             # JSON knows no infinity
             "torque_limits": [x if np.isfinite(x) else None for x in self.torque_limits.tolist()],
         }

@@ -1,4 +1,4 @@
-"""What only an analysis, a sensor or a drawing asks of a task."""
+"""Functions of a task that only an analysis, a sensor or a drawing needs."""
 
 from __future__ import annotations
 
@@ -47,8 +47,7 @@ def sees(task: Task, q: Array) -> bool:
 def seen_configurations(task: Task, count: int) -> list[Array]:
     """Draw seeded configurations within the joint limits in which the task's sensor sees it.
 
-    Returns:
-        `count` of them, or fewer where they are rare.
+    They are `count`, or fewer where they are rare.
 
     Raises:
         InvalidInputError: None was found.
@@ -65,7 +64,7 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
                 break
     if not found:
         raise InvalidInputError(
-            f"task must be one that its own sensor sees in some posture within the joint limits of "
+            f"task must be one that its own sensor sees somewhere within the joint limits of "
             f"{task.robot.name}, got {task!r}",
             given=task,
         )
@@ -73,9 +72,9 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
 
 
 def vanishing(task: Task) -> float:
-    """Return a tenth of the σ_max that the task's Jacobian typically has [unit of the task/rad].
+    """Return a tenth of the median σ_max of Ĵ over 20 seeded configurations [unit of the task/rad].
 
-    Below it, a Jacobian is vanishing. It is of the median over 20 seeded configurations.
+    Below it, a Jacobian is vanishing.
     """
     largest = [np.linalg.norm(task.jacobian(q), 2) for q in seen_configurations(task, 20)]
     return 0.1 * float(np.median(largest))

@@ -1,11 +1,11 @@
-"""What a camera is, and the paper's planar one."""
+"""`Camera`, and the paper's planar one."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,24 +24,17 @@ class Calibrated(NamedTuple):
 class Camera(ABC):
     """A camera: the image X of a point, and how the image moves with the point.
 
-    Positions are those in the frame that the camera is fixed to: the world, or the frame of the
-    robot that `mount` names.
+    Positions are those in the frame that the camera is fixed to.
+
+    Attributes:
+        labels: Names of the image coordinates of one point, length 2.
+        unit: Unit of the image coordinates.
+        mount: Frame of the robot that the camera is fixed to; None is the world.
     """
 
-    @property
-    @abstractmethod
-    def labels(self) -> tuple[str, ...]:
-        """Names of the image coordinates of one point, length 2."""
-
-    @property
-    @abstractmethod
-    def unit(self) -> str:
-        """Unit of the image coordinates."""
-
-    @property
-    def mount(self) -> str | None:
-        """Frame of the robot that the camera is fixed to; None is the world."""
-        return None
+    labels: tuple[str, ...]
+    unit: str
+    mount: str | None = None
 
     @abstractmethod
     def project(self, r: Array) -> Array:
@@ -59,13 +52,9 @@ class Camera(ABC):
         """Return image coordinates x (2,) if they are in the field of view, and NaN otherwise."""
         return x
 
-    def _saved(self) -> dict[str, Any] | None:
-        """Return what a file keeps of the camera; None of a class that `restored` does not know."""
-        return None
-
     @property
     def calibration(self) -> Mapping[str, Calibrated]:
-        """What may be wrong with the camera's calibration, by name."""
+        """Numbers of the camera's calibration that may be wrong, by name."""
         return {}
 
     def recalibrated(self, values: Mapping[str, float]) -> Camera:
@@ -92,14 +81,6 @@ class Camera(ABC):
         return self
 
 
-def fields_of(camera: Any, kind: type[Camera]) -> dict[str, Any] | None:
-    """Return a dataclass' fields for a file; None of a camera of a class made from `kind`."""
-    if type(camera) is not kind:
-        return None
-    given = {f.name: getattr(camera, f.name) for f in fields(camera) if f.init}  # type: ignore[arg-type]
-    return {"kind": kind.__name__, **given}
-
-
 @dataclass(frozen=True, repr=False)
 class PlanarCamera(Camera):
     """The paper's camera (section 5.1), parallel to the plane that the arm moves in.
@@ -124,6 +105,8 @@ class PlanarCamera(Camera):
     roll: float = 0.0
     offset: Sequence[float] = (0.0, 0.0)
     plane: str = "xz"
+    labels = ("x_s", "y_s")
+    unit = "m"
     _J: Array = field(init=False, repr=False, compare=False)
     _d: Array = field(init=False, repr=False, compare=False)
 
@@ -132,7 +115,6 @@ class PlanarCamera(Camera):
         as_number("distance", self.distance, unit="m", above=f)
         as_number("roll", self.roll, unit="rad")
         offset = as_array("offset", self.offset, (2,), "m")
-        object.__setattr__(self, "offset", tuple(offset.tolist()))
         rows = axis_rows("plane", self.plane)
         if len(rows) != 2:
             raise InvalidInputError(
@@ -142,51 +124,29 @@ class PlanarCamera(Camera):
         c, s = np.cos(self.roll), np.sin(self.roll)
         J = np.zeros((2, 3))
         J[:, rows] = self.magnification * np.array([[c, s], [-s, c]])
-        object.__setattr__(self, "_J", J)
-        object.__setattr__(self, "_d", np.array(self.offset, dtype=float))
+        vars(self).update(offset=tuple(offset.tolist()), _J=J, _d=offset)  # frozen once it is built
 
     def __repr__(self) -> str:
         return short_fields(self)
-
-    def _saved(self) -> dict[str, Any] | None:
-        return fields_of(self, PlanarCamera)
 
     @property
     def magnification(self) -> float:
         """Magnification f / (z − f), image size over object size."""
         return self.focal_length / (self.distance - self.focal_length)
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the image coordinates."""
-        return ("x_s", "y_s")
-
-    @property
-    def unit(self) -> str:
-        """Metres on the sensor."""
-        return "m"
-
     def project(self, r: Array) -> Array:
-        """Return the image of a point at world position r (3,), shape (2,) [m]."""
         return self._J @ r + self._d
 
     def interaction(self, r: Array) -> Array:
-        """Return the image Jacobian, the same for every r, shape (2, 3) [m/m]."""
         return self._J.copy()
 
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        """Return zero: the image Jacobian does not depend on r, shape (2, 3)."""
         return np.zeros((2, 3))
 
     @property
     def calibration(self) -> Mapping[str, Calibrated]:
-        """Focal length [m], distance [m] and roll [rad]."""
-        return {
-            "focal_length": Calibrated(self.focal_length, "m"),
-            "distance": Calibrated(self.distance, "m"),
-            "roll": Calibrated(self.roll, "rad"),
-        }
+        units = {"focal_length": "m", "distance": "m", "roll": "rad"}
+        return {name: Calibrated(getattr(self, name), unit) for name, unit in units.items()}
 
     def _recalibrated(self, values: Mapping[str, float]) -> PlanarCamera:
-        changed: dict[str, Any] = {**values}
-        return replace(self, **changed)
+        return replace(self, **values)  # type: ignore[arg-type]  # none of them is a text

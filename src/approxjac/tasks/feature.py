@@ -1,4 +1,4 @@
-"""`Feature`: what a task follows, as one needs it to draw it."""
+"""`Feature`: a part of what a task follows, to draw it."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from approxjac.tasks.feature import Feature
 from approxjac.tasks.pinhole import PinholeCamera
 from approxjac.tasks.point_kinematics import PointKinematics
 from approxjac.tasks.task import Task
-from approxjac.validation import Array, as_array, as_number, is_scalar, require, shape_of
+from approxjac.validation import Array, as_array, as_diagonal, require, shape_of
 
 _APART = 1e-9  # points nearer to one another, or to one line, count as there [m]
 
@@ -78,14 +78,17 @@ class ImageTask(Task):
             )
         self.points = _points(((0.0, 0.0, 0.0),) if points is None else points)
         k = len(self.points)
-        self.depth = _depth(depth, camera, k)
-        measures_depth = isinstance(self.depth, str) and self.depth == "measured"
+        self.depth = _depth(depth, k)
+        told = self.depth if isinstance(self.depth, str) else "given"
+        measures_depth, uses_x = told == "measured", told != "believed"
+        if uses_x:
+            require("camera of a task with depths", camera, PinholeCamera, "a PinholeCamera")
         self._stride = n = 3 if measures_depth else 2  # entries of x for each point
         labels = camera.labels
         if k > 1:
             labels = tuple(f"{label}{i}" for i in range(1, k + 1) for label in labels)
         super().__init__(robot, labels, (camera.unit,) * (2 * k), n * k)
-        self._uses_x = not (isinstance(self.depth, str) and self.depth == "believed")
+        self._uses_x = uses_x
         self._subtracts = not measures_depth
         self._untold = list(range(2, n * k, 3)) if measures_depth else []
         self._parts = tuple((slice(n * i, n * i + n), slice(2 * i, 2 * i + 2)) for i in range(k))
@@ -110,13 +113,12 @@ class ImageTask(Task):
         return moved.ravel()
 
     def value(self, q: Array) -> Array:
-        images = []
+        entries: list[float] = []
         for r in self._kinematics.positions(q):
-            image = self.camera.project(r)
+            entries += self.camera.project(r).tolist()
             if self._stride == 3:
-                image = np.append(image, self._pinhole.in_camera(r)[2])
-            images.append(image)
-        return np.concatenate(images)
+                entries.append(self._pinhole.in_camera(r)[2])
+        return np.array(entries)
 
     def _seen(self, x: Array) -> Array:
         delivered = x.reshape(-1, self._stride).copy()
@@ -158,7 +160,7 @@ class ImageTask(Task):
         return self._jacobian(q, None)  # at the depths that are so
 
     def _jacobian(self, q: Array, at: Array | None) -> Array:
-        """Return J with the points where they are, or elsewhere (k, 3); see `PointKinematics`."""
+        """Return J with the points where they are, or at other places (k, 3)."""
         r, J = self._kinematics.jacobians(q, at)
         if len(r) == 1:
             image_jacobian: Array = self.camera.interaction(r[0]) @ J[0]
@@ -187,26 +189,14 @@ class ImageTask(Task):
     def _features(self) -> tuple[Feature, ...]:
         return (Feature(slice(0, self.n_x), self.frame, "", self.camera, self.points),)
 
-    def _saved(self) -> dict[str, Any] | None:
-        camera = self.camera._saved()
-        if camera is None or type(self) is not ImageTask:  # one made from it may differ
-            return None
-        return {
-            "kind": "image",
-            "camera": camera,
-            "frame": self.frame,
-            "points": self.points.tolist(),
-            "depth": self.depth if isinstance(self.depth, str) else self.depth.tolist(),
-        }
-
     def _images(self, x: Array) -> Array:
         """Return the image coordinates of each point of a value, shape (k, 2)."""
         return x.reshape(-1, self._stride)[:, :2]
 
     def _located(self, q: Array, x: Array | None) -> Array:
-        """Return the points by their measured images, shape (k, 3).
+        """Return the points (k, 3) by their measured images, or by those that this robot would see.
 
-        Images that are lost are those that this robot would see; NaN if it would not either.
+        NaN where an image is lost that it would not see either.
         """
         if x is None:
             x = self.value(q)
@@ -216,7 +206,6 @@ class ImageTask(Task):
         depths = images[:, 2] if self._stride == 3 else np.asarray(self.depth)
         found = np.empty((len(images), 3))
         for i, Z in enumerate(depths.tolist()):
-            # NaN where an image is that of a point that this robot would not see either
             found[i] = np.nan
             if Z > 0.0:  # within the image, as a lever arm grows with the ray
                 found[i] = self._pinhole.locate(self._pinhole.nearest(images[i, :2]), Z)
@@ -261,29 +250,18 @@ def _points(points: object) -> Array:
     if len(array) > 2 and spread[1] < _APART:
         raise InvalidInputError(
             f"points must not lie on one line: their images do not change as it turns about "
-            f"itself, so that the Jacobian is singular in every posture; got {array.tolist()}",
+            f"itself, so that the Jacobian is singular everywhere; got {array.tolist()}",
             given=points,
         )
     return array
 
 
-def _depth(depth: object, camera: Camera, k: int) -> str | Array:
-    if isinstance(depth, str):
-        if depth not in ("believed", "measured"):
-            raise InvalidInputError(
-                f"depth must be 'believed', 'measured' or numbers > 0 [m], got {depth!r}",
-                given=depth,
-            )
-        chosen: str | Array = depth
-    elif is_scalar(depth):
-        chosen = np.full(k, as_number("depth", depth, unit="m", above=0.0))
-        chosen.flags.writeable = False
-    else:
-        chosen = as_array("depth", depth, (k,), "m")
-        if not (chosen > 0.0).all():
-            raise InvalidInputError(
-                f"depth must be > 0 [m] for each point, got {chosen.tolist()}", given=depth
-            )
-    if not (isinstance(chosen, str) and chosen == "believed"):
-        require("camera of a task with depths", camera, PinholeCamera, "a PinholeCamera")
-    return chosen
+def _depth(depth: object, k: int) -> str | Array:
+    """Return the word, or the depth of each point, shape (k,) [m]."""
+    if not isinstance(depth, str):
+        return as_diagonal("depth", depth, k, unit="m")
+    if depth not in ("believed", "measured"):
+        raise InvalidInputError(
+            f"depth must be 'believed', 'measured' or numbers > 0 [m], got {depth!r}", given=depth
+        )
+    return depth

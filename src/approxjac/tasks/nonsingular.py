@@ -82,11 +82,10 @@ class NonsingularTask(WrappedTask):
         if not weights.any():
             return J
         P = (U * weights) @ U.T
-        designed: Array = J + P @ (self.task.jacobian(self._bent(q), x) - J)
-        return designed
+        return np.asarray(J + P @ (self.task.jacobian(self._bent(q), x) - J))
 
     def design_error(self, q: Array) -> float:
-        """‖Ĵ_d − Ĵ‖, the part of (7)'s bound p that the design adds at q; 0 away from singular."""
+        """Return ‖Ĵ_d − Ĵ‖, what the design adds to (7)'s p; 0 away from singular."""
         return float(np.linalg.norm(self.jacobian(q) - self.task.jacobian(q), 2))
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
@@ -116,29 +115,25 @@ class NonsingularTask(WrappedTask):
         bent = self._bent(q)
         difference = self.task.jacobian(bent) - J
         difference_dot = self.task.jacobian_dot(bent, v) - J_dot
-        designed: Array = J_dot + P_dot @ difference + P @ difference_dot
-        return designed
+        return np.asarray(J_dot + P_dot @ difference + P @ difference_dot)
 
     def _bent(self, q: Array) -> Array:
         q = self.robot.configuration(q)
         return np.array(pin.integrate(self.robot.model, q, self._bend))
 
     def _weights(self, squares: Array) -> Array:
-        """Weight of each left singular vector, 1 where its singular value is 0."""
+        """Return the weight of each left singular vector, 1 where its singular value is 0."""
         return np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / self._threshold(squares))
 
     def _threshold(self, squares: Array) -> float:
-        """ε², never 0."""
+        """Return ε², never 0."""
         return self._ratio**2 * max(float(squares[-1]), self._scale**2, _TINY)
 
     def on(self, robot: Robot) -> Task:
-        """The task that was designed around, of another robot."""
+        """Return the task that was designed around, of another robot."""
         return self.task.on(robot)
 
     def __repr__(self) -> str:
-        moved = {
-            joint: float(displacement)
-            for joint, displacement in zip(self.robot.joint_names, self._bend, strict=True)
-            if displacement
-        }
+        bent = zip(self.robot.joint_names, self._bend.tolist(), strict=True)
+        moved = {joint: displacement for joint, displacement in bent if displacement}
         return f"NonsingularTask({self.task!r}, bend={moved})"

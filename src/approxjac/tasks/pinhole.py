@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.tasks.camera import Calibrated, Camera, fields_of
+from approxjac.tasks.camera import Calibrated, Camera
 from approxjac.tasks.distortion import RadialDistortion
 from approxjac.validation import Array, as_array, as_number, is_scalar
 
@@ -58,16 +58,14 @@ class PinholeCamera(Camera):
     distortion: Sequence[float] = ()
     mount: str | None = None
     near: float = 0.05
+    labels = ("u", "v")
+    unit = "px"
     _f: Array = field(init=False, repr=False, compare=False)
     _c: Array = field(init=False, repr=False, compare=False)
     _R: Array = field(init=False, repr=False, compare=False)
     _p: Array = field(init=False, repr=False, compare=False)
-    # the same as floats and in the order that a control step needs, a thousand times a second
-    _R_t: Array = field(init=False, repr=False, compare=False)
-    _focal: tuple[float, float] = field(init=False, repr=False, compare=False)
-    _edges: tuple[tuple[float, float], tuple[float, float]] = field(
-        init=False, repr=False, compare=False
-    )
+    _R_t: Array = field(init=False, repr=False, compare=False)  # in the order that a step needs
+    _edges: list[tuple[float, float]] = field(init=False, repr=False, compare=False)  # of rays
     _lens: RadialDistortion = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -105,12 +103,10 @@ class PinholeCamera(Camera):
         own.update(focal_length=tuple(f.tolist()), size=(int(size[0]), int(size[1])))
         own.update(position=tuple(p.tolist()), rotation=tuple(map(tuple, R.tolist())))
         own.update(center=tuple(c.tolist()), distortion=k)
-        own.update(_f=f, _c=c, _p=p, _R=R, _R_t=R.T.copy(), _focal=tuple(f.tolist()))
-        own.update(_lens=RadialDistortion(k))
+        own.update(_f=f, _c=c, _p=p, _R=R, _R_t=R.T.copy(), _lens=RadialDistortion(k))
         self._require_unfolded()
         rays = np.array([self.ray(x) for x in self._border()])
-        edges = zip(rays.min(axis=0).tolist(), rays.max(axis=0).tolist(), strict=True)
-        own.update(_edges=tuple(edges))
+        own["_edges"] = list(zip(rays.min(axis=0).tolist(), rays.max(axis=0).tolist(), strict=True))
 
     @classmethod
     def looking_at(
@@ -121,21 +117,17 @@ class PinholeCamera(Camera):
         size: Sequence[int],
         *,
         up: Sequence[float] | Array = (0.0, 0.0, 1.0),
-        center: Sequence[float] | None = None,
-        distortion: Sequence[float] = (),
-        mount: str | None = None,
+        **options: Any,
     ) -> PinholeCamera:
         """Return a camera whose optical axis goes through a point.
 
         Args:
             target: The point, shape (3,) [m].
             position: Of the camera, shape (3,) [m].
-            focal_length: See `PinholeCamera`.
-            size: See `PinholeCamera`.
+            focal_length: f_x = f_y, or (f_x, f_y) [px].
+            size: Width and height of the image [px].
             up: Direction that is up in the image, shape (3,).
-            center: See `PinholeCamera`.
-            distortion: See `PinholeCamera`.
-            mount: See `PinholeCamera`.
+            **options: Center, distortion, mount and near, as for `PinholeCamera`.
 
         Raises:
             InvalidInputError: A target at the camera's own position, or straight up or down.
@@ -151,10 +143,7 @@ class PinholeCamera(Camera):
             )
         z: Array = view / np.linalg.norm(view)
         x: Array = right / np.linalg.norm(right)
-        return cls(
-            focal_length, size, p, np.column_stack([x, np.cross(z, x), z]),
-            center=center, distortion=distortion, mount=mount,
-        )  # fmt: skip
+        return cls(focal_length, size, p, np.column_stack([x, np.cross(z, x), z]), **options)
 
     @classmethod
     def from_opencv(
@@ -164,18 +153,15 @@ class PinholeCamera(Camera):
         rvec: Any,
         tvec: Any,
         size: Sequence[int],
-        *,
-        mount: str | None = None,
     ) -> PinholeCamera:
         """Return the camera that OpenCV's calibration tells.
 
         Args:
             K: Camera matrix, shape (3, 3), without skew [px].
             distortion: OpenCV's (k₁, k₂, p₁, p₂, k₃), or the first four or two; p₁ = p₂ = 0.
-            rvec: Rotation vector from the world (or the mount) to the camera, 3 numbers [rad].
+            rvec: Rotation vector from the world to the camera, 3 numbers [rad].
             tvec: Translation, 3 numbers [m].
             size: Width and height of the image [px].
-            mount: See `PinholeCamera`.
 
         Raises:
             InvalidInputError: Wrong shapes, skew, tangential or other distortion.
@@ -196,20 +182,8 @@ class PinholeCamera(Camera):
             )
         R = pin.exp3(np.array(as_array("rvec", np.ravel(rvec), (3,), "rad")))
         t = as_array("tvec", np.ravel(tvec), (3,), "m")
-        return cls(
-            (k[0, 0], k[1, 1]), size, -R.T @ t, R.T, center=(k[0, 2], k[1, 2]),
-            distortion=tuple(five[[0, 1, 4]].tolist()), mount=mount,
-        )  # fmt: skip
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the image coordinates: u to the right, v down."""
-        return ("u", "v")
-
-    @property
-    def unit(self) -> str:
-        """Pixels."""
-        return "px"
+        radial = tuple(five[[0, 1, 4]].tolist())
+        return cls((k[0, 0], k[1, 1]), size, -R.T @ t, R.T, (k[0, 2], k[1, 2]), radial)
 
     def placement(self) -> tuple[Array, Array]:
         """Return rotation (3, 3) and position (3,) [m] in the frame that it is fixed to."""
@@ -235,7 +209,6 @@ class PinholeCamera(Camera):
         return image
 
     def seen(self, x: Array) -> Array:
-        """Return image coordinates x (2,) if they are within the image, and NaN otherwise."""
         (u, v), (width, height) = x.tolist(), self.size
         inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
         return x if inside else np.full(2, np.nan)
@@ -263,7 +236,7 @@ class PinholeCamera(Camera):
         """
         x, y, Z = self._within(self.in_camera(r))
         a, b, d = self._lens.slopes(x, y)
-        f_u, f_v = self._focal[0] / Z, self._focal[1] / Z
+        f_u, f_v = (self._f / Z).tolist()
         J = np.array([
             [f_u * a, f_u * b, -f_u * (a * x + b * y)],
             [f_v * b, f_v * d, -f_v * (b * x + d * y)],
@@ -271,7 +244,6 @@ class PinholeCamera(Camera):
         return np.asarray(J @ self._R_t)
 
     def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        """Return d/dt of `interaction` for a point that moves with ṙ (3,), shape (2, 3)."""
         own, own_dot = self.in_camera(r), self._R_t @ r_dot
         x, y, Z = self._within(own)
         p = np.array([x, y])
@@ -332,15 +304,11 @@ class PinholeCamera(Camera):
         }
 
     def _recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
-        """Return this camera with another f_x (f_y along with it), farther back, or rolled."""
         back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
         f = as_number("focal_length", values.get("focal_length", self._f[0]), unit="px", above=0.0)
         return self.with_error(
             shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_factor=f / self._f[0]
         )
-
-    def _saved(self) -> dict[str, Any] | None:
-        return fields_of(self, PinholeCamera)
 
     def __repr__(self) -> str:
         shown = [f"{self.size[0]} x {self.size[1]} px", f"f = {_short(self.focal_length)} px"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -62,9 +61,7 @@ class PoseTask(Task):
     def error(self, x: Array, x_d: Array) -> Array:
         px, py, pz, *quaternion = x.tolist()
         dx, dy, dz, *target = x_d.tolist()
-        return np.array(
-            [px - dx, py - dy, pz - dz, *_rotation_between(quaternion, target)], dtype=np.float64
-        )
+        return np.array([px - dx, py - dy, pz - dz, *_rotation_between(quaternion, target)])
 
     def displaced(self, x: Array, e: Array) -> Array:
         turned = pin.Quaternion(pin.exp3(e[3:])) * pin.Quaternion(x[3:])
@@ -78,9 +75,6 @@ class PoseTask(Task):
 
     def _features(self) -> tuple[Feature, ...]:
         return (Feature(slice(0, self.n_x), self.frame, "xyz", None, np.zeros((1, 3))),)
-
-    def _saved(self) -> dict[str, Any] | None:
-        return {"kind": "pose", "frame": self.frame} if type(self) is PoseTask else None
 
     def __repr__(self) -> str:
         return f"PoseTask({self.robot.name!r}, {self.frame!r})"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from approxjac.robots import Robot
@@ -27,6 +25,7 @@ class PositionTask(Task):
 
     Attributes:
         frame: Name of the frame.
+        axes: The world axes.
 
     Raises:
         UnknownNameError: No such frame, or an axis that is not x, y or z.
@@ -36,9 +35,9 @@ class PositionTask(Task):
     def __init__(self, robot: Robot, frame: str | None = None, axes: str | None = None) -> None:
         require("robot", robot, Robot, "a Robot")
         self.frame = robot.tip_or(frame)
-        axes = best_axes(robot, self.frame) if axes is None else axes
-        self._rows = _as_slice(axis_rows("axes", axes))
-        super().__init__(robot, tuple(axes), ("m",) * len(axes))
+        self.axes = best_axes(robot, self.frame) if axes is None else axes
+        self._rows = _as_slice(axis_rows("axes", self.axes))
+        super().__init__(robot, tuple(self.axes), ("m",) * len(self.axes))
         self._frame = FrameKinematics(robot, self.frame)
         self._frame_jacobian = self._frame.jacobian
 
@@ -52,19 +51,13 @@ class PositionTask(Task):
         return self._frame.jacobian_dot(q, v)[self._rows]
 
     def on(self, robot: Robot) -> PositionTask:
-        return PositionTask(robot, self.frame, "".join(self.labels))
+        return PositionTask(robot, self.frame, self.axes)
 
     def _features(self) -> tuple[Feature, ...]:
-        axes = "".join(self.labels)
-        return (Feature(slice(0, self.n_x), self.frame, axes, None, np.zeros((1, 3))),)
-
-    def _saved(self) -> dict[str, Any] | None:
-        if type(self) is not PositionTask:  # one made from it may differ
-            return None
-        return {"kind": "position", "frame": self.frame, "axes": "".join(self.labels)}
+        return (Feature(slice(0, self.n_x), self.frame, self.axes, None, np.zeros((1, 3))),)
 
     def __repr__(self) -> str:
-        return f"PositionTask({self.robot.name!r}, {self.frame!r}, {''.join(self.labels)!r})"
+        return f"PositionTask({self.robot.name!r}, {self.frame!r}, {self.axes!r})"
 
 
 def _as_slice(rows: list[int]) -> slice | list[int]:

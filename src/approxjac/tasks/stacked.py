@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from itertools import accumulate
 
 import numpy as np
 
@@ -47,8 +46,8 @@ class StackedTask(Task):
             [unit for task in tasks for unit in task.units],
             sum(task.n_x for task in tasks),
         )
-        self._entries = list(_one_after_the_other(task.n_x for task in tasks))
-        self._rows = list(_one_after_the_other(task.m for task in tasks))
+        self._entries = _one_after_the_other([task.n_x for task in tasks])
+        self._rows = _one_after_the_other([task.m for task in tasks])
         self._uses_x = any(task._uses_x for task in tasks)
         self._subtracts = all(task._subtracts for task in tasks)
         self._origin = np.concatenate([task._origin for task in tasks])
@@ -64,10 +63,9 @@ class StackedTask(Task):
         return np.concatenate([task.value(q) for task in self.tasks])
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        if x is None:
-            return np.concatenate([task.jacobian(q) for task in self.tasks])
         each = zip(self.tasks, self._entries, strict=True)
-        return np.concatenate([task.jacobian(q, x[entries]) for task, entries in each])
+        parts = [task.jacobian(q, None if x is None else x[entries]) for task, entries in each]
+        return np.concatenate(parts)
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.concatenate([task.jacobian_dot(q, v) for task in self.tasks])
@@ -113,21 +111,12 @@ class StackedTask(Task):
             for feature in task._features()
         )
 
-    def _saved(self) -> dict[str, Any] | None:
-        tasks = [task._saved() for task in self.tasks]
-        if None in tasks or type(self) is not StackedTask:
-            return None
-        return {"kind": "stacked", "tasks": tasks}
-
     def __repr__(self) -> str:
         return f"StackedTask({', '.join(map(repr, self.tasks))})"
 
 
-def _one_after_the_other(sizes: Iterator[int]) -> Iterator[slice]:
-    start = 0
-    for size in sizes:
-        yield slice(start, start + size)
-        start += size
+def _one_after_the_other(sizes: list[int]) -> list[slice]:
+    return [slice(end - size, end) for size, end in zip(sizes, accumulate(sizes), strict=True)]
 
 
 def _moved(entries: slice, start: int) -> slice:

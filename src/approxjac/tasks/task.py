@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -188,7 +187,3 @@ class Task(Immutable, ABC):
     def _features(self) -> tuple[Feature, ...]:
         """Return what the task follows, part by part, to draw it."""
         return ()
-
-    def _saved(self) -> dict[str, Any] | None:
-        """Return what a file keeps of the task; None of a class that `restored` does not know."""
-        return None

@@ -1,9 +1,8 @@
-"""What tasks made from another task have in common."""
+"""`WrappedTask`: the base of tasks made from another task."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from approxjac.tasks.feature import Feature
 from approxjac.tasks.task import Task
@@ -52,6 +51,3 @@ class WrappedTask(Task):
 
     def _features(self) -> tuple[Feature, ...]:
         return self.task._features()
-
-    def _saved(self) -> dict[str, Any] | None:
-        return self.task._saved()  # what it changes is the law's affair, not that of a picture
