@@ -16,7 +16,7 @@ ALLOWED = {
     "errors": set(),
     "formatting": set(),
     "validation": {"errors"},
-    "interface": {"validation", "formatting"},
+    "interface": {"tasks", "validation", "formatting"},
     "robots": {"validation", "errors"},
     "law": {"validation", "errors"},
     "tasks": {"robots", "formatting", "validation", "errors"},
