@@ -57,9 +57,6 @@ def controllers(robot):
             task, gains, posture=aj.Posture(robot.neutral() + 0.1, 5.0)
         ),
         "pose": aj.SetpointController(aj.PoseTask(robot)),
-        "compiled": aj.CompiledSetpointController(
-            task, gains, gravity=aj.AdaptiveGravity(regressor), saturation=aj.Sine(0.05)
-        ),
         "held": aj.HeldMeasurement(aj.TorqueLimited(aj.SetpointController(task, gains)), 0.1),
     }
 
@@ -86,7 +83,7 @@ def test_tasks(holding, copied, rng, kind):
 
 KINDS = [
     "defaults", "no gravity", "saturated", "regressor", "adaptive", "full L", "law (5)",
-    "posture", "pose", "compiled", "held",
+    "posture", "pose", "held",
 ]  # fmt: skip
 
 

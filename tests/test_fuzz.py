@@ -280,9 +280,9 @@ def test_every_compiled_controller_is_fuzzed():
 @given(data=st.data())
 def test_any_numbers_give_a_bounded_torque_or_a_named_error(controller, data):
     state, measurement, target = data.draw(arguments(controller))
-    kept = [np.copy(a) for a in (state, *measurement[1:], target)]
+    kept = [np.copy(a) for a in (state, *measurement[1:4], target)]
     answer = checked(controller, state, measurement, target)
-    for before, after in zip(kept, (state, *measurement[1:], target), strict=True):
+    for before, after in zip(kept, (state, *measurement[1:4], target), strict=True):
         assert np.array_equal(before, after, equal_nan=True)
     if answer is None:
         return
