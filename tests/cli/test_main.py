@@ -41,7 +41,7 @@ def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all():
     assert "Exit code 0 if Theorem 1 or the matrix form certifies the region, 1 if not." in own
 
 
-@pytest.mark.parametrize("command", ["simulate", "stability", "servo"])
+@pytest.mark.parametrize("command", ["simulate", "stability"])
 def test_every_length_and_time_in_the_help_has_its_unit(command):
     text = run(command, "--help").stdout.split("positional arguments")[1]  # after the example
     text = " ".join(text.replace("│", " ").split())

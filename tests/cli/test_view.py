@@ -98,12 +98,22 @@ async def watch_and_stop(url):
     return message["ended"]
 
 
-@pytest.mark.parametrize("command", ["simulate", "servo"])
-def test_a_run_is_shown_and_stopped_from_the_page(command, tmp_path):
+@pytest.mark.parametrize("kind", ["position", "image"])
+def test_a_run_is_shown_and_stopped_from_the_page(kind, tmp_path):
     """The results of a run that was stopped are written as those of others."""
-    options = ["--duration", "30", "--view", "--speed", "20", "--out", str(tmp_path)]
+    options = [
+        "--task.kind",
+        kind,
+        "--duration",
+        "30",
+        "--view",
+        "--speed",
+        "20",
+        "--out",
+        str(tmp_path),
+    ]
     process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "approxjac", command, "panda", *options],
+        [sys.executable, "-u", "-m", "approxjac", "simulate", "panda", *options],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={name: value for name, value in os.environ.items() if "DISPLAY" not in name},
     )  # fmt: skip

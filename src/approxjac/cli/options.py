@@ -17,8 +17,8 @@ from approxjac.scenario.tables import hints
 # A report is about errors that are given as ranges, and takes gravity as compensated exactly.
 _USUAL = {
     "simulate": Scenario(""),
-    "stability": Scenario(
-        "", true={"object": {"length": 0.0, "mass": 0.0}}, controller={"gravity": "exact"}
+    "stability": Scenario("").with_values(
+        {"true": {"object": {"length": 0.0, "mass": 0.0}}, "controller": {"gravity": "exact"}}
     ),
 }
 _ROBOT = Annotated[
@@ -91,7 +91,7 @@ def with_options(
     def taking_options(scenario: Any, **others: Any) -> int:
         return command(default.with_values(asdict(scenario)), **others)
 
-    options = Annotated[_options(default, short), tyro.conf.arg(name="")]
+    options: Any = Annotated[_options(default, short), tyro.conf.arg(name="")]  # type: ignore[valid-type]
     # tyro reads all of these
     taking_options.__doc__ = command.__doc__
     taking_options.__annotations__ = get_type_hints(command, include_extras=True)

@@ -33,7 +33,7 @@ from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.scenario.configurations import configuration_of, regular_configuration
 from approxjac.scenario.images import image_scene
-from approxjac.scenario.records import Sensor
+from approxjac.scenario.records import Belief, Sensor, Truth
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from approxjac.scenario.result import Result
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
+_RADIUS = 0.01  # of an object [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,16 +160,14 @@ def believed_robot(arm: Robot, scenario: Scenario, length: float) -> Robot:
     return _holding(arm, length, believed.object.mass, believed, scenario)
 
 
-def _holding(arm: Robot, length: float, mass: float, part: Any, scenario: Scenario) -> Robot:
-    axis, radius = (
-        mine if mine is not None else true
-        for mine, true in (
-            (part.object.axis, scenario.true.object.axis),
-            (part.object.radius, scenario.true.object.radius),
-        )
-    )
-    more = {} if radius is None else {"radius": radius}
-    robot = arm.with_object(length, mass, axis=axis, **more)
+def _holding(
+    arm: Robot, length: float, mass: float, part: Truth | Belief, scenario: Scenario
+) -> Robot:
+    """Return an arm that holds an object, as a part of a scenario has it."""
+    mine, true = part.object, scenario.true.object
+    axis = true.axis if mine.axis is None else mine.axis
+    radius = true.radius if mine.radius is None else mine.radius
+    robot = arm.with_object(length, mass, _RADIUS if radius is None else radius, axis=axis)
     if part.shifts or part.rotations:
         robot = robot.with_kinematic_error(part.shifts, part.rotations)
     return robot

@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 
 from approxjac.interface import Status
-from approxjac.scenario.result import Result, number
+from approxjac.scenario.result import Mask, Result, number
 from approxjac.tasks import ImageTask
 from approxjac.validation import Array
-
-Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 _HALF_A_PIXEL = 0.5
 _LITTLE = 0.2  # of an error, where forces along it are a fifth of what they are along others
@@ -60,7 +58,7 @@ class ImageResult(Result):
     @property
     def settling_time(self) -> float:
         """First recorded time from which on all points stay within three tolerances [s]; or NaN."""
-        return self._settled((self.errors <= 3.0 * self.tolerance).all(axis=1))
+        return self._settled(np.all(self.errors <= 3.0 * self.tolerance, axis=1))
 
     @cached_property
     def unseen(self) -> Mask:

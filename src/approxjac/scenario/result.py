@@ -18,6 +18,8 @@ from approxjac.simulation import Trajectory
 from approxjac.tasks import PoseTask, PositionTask
 from approxjac.validation import Array
 
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
+
 AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
 _TOLERANCE = 1e-3  # [m and rad]
@@ -46,7 +48,7 @@ class Result:
     @property
     def settling_time(self) -> float:
         """First recorded time from which on the error stays within the tolerance [s]; or NaN."""
-        return self._settled(self.run.error_norm <= self.tolerance)
+        return self._settled(np.asarray(self.run.error_norm <= self.tolerance))
 
     @property
     def converged(self) -> bool:
@@ -61,7 +63,7 @@ class Result:
             for unit in dict.fromkeys(self.run.task_units)
         }
 
-    def _settled(self, within: Array) -> float:
+    def _settled(self, within: Mask) -> float:
         """First recorded time from which on something is so, shape (N,) [s]; NaN if never."""
         outside = np.nonzero(~within)[0]
         if len(outside) == 0:

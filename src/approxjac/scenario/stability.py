@@ -35,7 +35,7 @@ from approxjac.stability.advice import damping_that_certifies, part_that_certifi
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.map import PARAMETERS
 from approxjac.stability.tolerance import Test
-from approxjac.tasks import CombinedTask, ImageTask, Task
+from approxjac.tasks import Camera, CombinedTask, ImageTask, Task
 from approxjac.validation import Array, as_array
 
 _RANGES = (
@@ -170,7 +170,8 @@ def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty 
     if believed.shifts or believed.rotations:
         arm = arm.with_kinematic_error(believed.shifts, believed.rotations)
     sensor, task = built.plant.sensor, built.law.task
-    camera, make = None, functools.partial(_task_of, task)
+    camera: Camera | None = None
+    make: Callable[..., Task] = functools.partial(_task_of, task)
     if isinstance(sensor, ImageTask):
         image = task.task if isinstance(task, CombinedTask) else task
         assert isinstance(image, ImageTask)  # as its sensor is one
