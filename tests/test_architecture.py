@@ -34,8 +34,8 @@ ALLOWED = {
         "errors",
     },
     "scenario": {
-        "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "interface",
-        "formatting", "validation", "errors",
+        "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "paths",
+        "interface", "formatting", "validation", "errors",
     },
     "cli": {
         "scenario", "paper", "view", "stability", "simulation", "robots", "errors",

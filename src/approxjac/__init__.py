@@ -74,6 +74,7 @@ from approxjac.tasks import (
 
 if TYPE_CHECKING:
     from approxjac import stability, view
+    from approxjac.scenario import Scenario
 
     # from their own modules: through the package, type checkers take functions that are named as
     # modules for these
@@ -128,6 +129,7 @@ __all__ = [
     "Posture",
     "RegressorGravity",
     "Robot",
+    "Scenario",
     "Sensing",
     "SetpointController",
     "SimulationError",
@@ -168,9 +170,11 @@ __all__ = [
 if not TYPE_CHECKING:  # or no name would be unknown to type checkers
 
     def __getattr__(name: str) -> Any:
-        """Load `approxjac.stability` and `view` when they, or their names, are asked for."""
+        """Load `stability`, `view` and `Scenario` when they, or their names, are asked for."""
         if name in _LAZY:
             found = importlib.import_module(f"approxjac.{name}")
+        elif name == "Scenario":
+            found = importlib.import_module("approxjac.scenario").Scenario
         elif name in __all__:
             found = getattr(importlib.import_module("approxjac.stability"), name)
         else:

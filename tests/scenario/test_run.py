@@ -311,3 +311,14 @@ def test_a_step_of_unknown_slack_does_not_hide_the_slack_of_others():
 def test_limits_of_a_robot_that_has_none_are_refused():
     with pytest.raises(aj.InvalidInputError, match="that of two_link has none, got urdf"):
         reach("two_link", controller={"limits": "urdf"}).build()
+
+
+@pytest.mark.parametrize("path", ["circle", "line"])
+def test_a_path_begins_where_the_task_starts(path):
+    ways = {"circle": {"radius": 0.1, "period": 4.0}, "line": {"offset": (0.1, 0.0, 0.1)}}
+    goal = {"start": HOME, "target": {path: ways[path]}, "duration": 0.2}
+    built = reach(run=goal).build()
+    assert_allclose(built.target.at(0.0).x, built.plant.sensor.value(built.q0), atol=1e-12)
+    result = built.run()
+    assert not (result.run.x_d == result.run.x_d[0]).all()
+    assert "the target was moved" not in report.text(result)

@@ -91,7 +91,7 @@ def with_options(
     def taking_options(scenario: Any, **others: Any) -> int:
         return command(default.with_values(asdict(scenario)), **others)
 
-    options: Any = Annotated[_options(default, short), tyro.conf.arg(name="")]  # type: ignore[valid-type]
+    options: Any = Annotated[_options(default, short), tyro.conf.arg(name="")]
     # tyro reads all of these
     taking_options.__doc__ = command.__doc__
     taking_options.__annotations__ = get_type_hints(command, include_extras=True)
@@ -105,7 +105,8 @@ def _options(record: Any, short: Mapping[str, list[str]], key: str = "") -> type
     described = parse(str(type(record).__doc__), DocstringStyle.GOOGLE).params
     texts = {each.arg_name: each.description for each in described}
     made: list[tuple[str, Any, Any]] = []
-    for name, hint in hints(type(record)).items():
+    kind_of: Any = type(record)
+    for name, hint in hints(kind_of).items():
         value, dotted = getattr(record, name, None), f"{key}{name}"
         if hint is KW_ONLY:
             continue

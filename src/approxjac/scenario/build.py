@@ -28,8 +28,9 @@ from approxjac.controllers import (
 )
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
-from approxjac.interface import Controller
+from approxjac.interface import Controller, TargetPath
 from approxjac.law import Linear, Sine
+from approxjac.paths import Circle, Line
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.scenario.configurations import configuration_of, regular_configuration
 from approxjac.scenario.images import image_scene
@@ -67,7 +68,7 @@ class BuiltScenario:
             scenario has them.
         law: The law itself.
         q0: Start, shape (nq,).
-        target: x_d, shape (n_x,).
+        target: x_d, shape (n_x,), or its path.
         limits: What the controller keeps, with an entry for each joint; None if it knows none.
         believe: Makes the believed robot from the length that is believed of the object [m].
     """
@@ -77,7 +78,7 @@ class BuiltScenario:
     controller: Controller
     law: SetpointController
     q0: Array
-    target: Array
+    target: Array | TargetPath
     limits: Limits | None
     believe: Callable[[float], Robot]
 
@@ -129,7 +130,7 @@ def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
     sensor: Task
     if scenario.task.kind == "image" and scenario.true.camera.kind == "pinhole":
         (sensor, task), q0, q_goal = image_scene(truth, belief, arm.tip_or(None), scenario, rng)
-        target = _target(sensor, q0, scenario, lambda: q_goal)
+        target: Array | TargetPath = _value(sensor, q0, scenario, lambda: q_goal)
         if scenario.task.points > 1 and scenario.controller.differentiator is None:
             task = CombinedTask.balanced(task, target)
         plant = _plant(truth, sensor, motors, scenario)
@@ -218,7 +219,24 @@ def _start(plant: Plant, scenario: Scenario, draw: Callable[[], Array]) -> Array
     return draw() if start == "random" else configuration_of(plant.robot, "run.start", start)
 
 
-def _target(sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array]) -> Array:
+def _target(
+    sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array]
+) -> Array | TargetPath:
+    goal, name = scenario.run.target, "run.target.line.offset"
+    if goal.line.offset is not None:
+        start = sensor.value(q0)
+        way = as_array(name, goal.line.offset, (sensor.m,), joined(sensor.units))
+        return Line(start, start + way, goal.line.duration)
+    if goal.circle.radius is not None:
+        radius, period, center = goal.circle.radius, goal.circle.period, goal.circle.center
+        if center is None:
+            start = sensor.value(q0)
+            center = tuple((2.0 * start - Circle(start, radius, period).at(0.0).x).tolist())
+        return Circle(center, radius, period)
+    return _value(sensor, q0, scenario, draw)
+
+
+def _value(sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array]) -> Array:
     goal = scenario.run.target
     if goal.offset is not None:
         offset = as_array("run.target.offset", goal.offset, (sensor.m,), joined(sensor.units))

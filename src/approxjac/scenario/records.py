@@ -248,6 +248,34 @@ class Loop:
 
 
 @dataclass(frozen=True)
+class CirclePath:
+    """A circle at constant speed, in a horizontal plane or that of a task with two coordinates.
+
+    Attributes:
+        radius: In m; no circle by default.
+        period: Time of one turn, s.
+        center: In m; by default such that the circle begins where the task starts.
+    """
+
+    radius: float | None = _above(None)
+    period: float = _above(4.0)
+    center: Numbers | None = None
+
+
+@dataclass(frozen=True)
+class LinePath:
+    """A straight line from where the task starts, at rest at both ends.
+
+    Attributes:
+        offset: From its start to its end, m; no line by default.
+        duration: Of the way, s.
+    """
+
+    offset: Numbers | None = None
+    duration: float = _above(4.0)
+
+
+@dataclass(frozen=True)
 class Goal:
     """Where to go; a list of numbers in a file is `at`.
 
@@ -256,11 +284,15 @@ class Goal:
             each point); that of a random configuration by default.
         offset: Relative to where the task starts instead, m (and rad of a pose).
         configuration: What the true sensor measures at these joint positions instead.
+        circle: A circle of a position to follow instead.
+        line: A line of a position to follow instead.
     """
 
     at: Numbers | None = None
     offset: Numbers | None = None
     configuration: Numbers | None = None
+    circle: CirclePath = CirclePath()
+    line: LinePath = LinePath()
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
     image = task.kind == "image"
     pinhole = image and true.camera.kind == "pinhole"
     in_hand = pinhole and true.camera.mount is not None
-    unlimited = control.limits is None
+    unlimited, turned = control.limits is None, task.kind == "pose" or pinhole
     gains = None not in (control.kp, control.kv, control.damping)
     rules = [
         ("true.floor", true.engine != "mujoco", "needs true.engine mujoco", true.engine),
@@ -55,6 +55,8 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("believed.camera", not image, "is for task.kind image", task.kind),
         ("true.camera.looking_at", in_hand, "is for a camera in the world", "one in hand"),
         ("controller.settling_time", gains, "is for default gains", "given ones"),
+        ("run.target.circle", turned, "is a path of positions", task.kind),
+        ("run.target.line", turned, "is a path of positions", task.kind),
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
     ]
     for name in ("limiter", "torque_rate"):
@@ -108,10 +110,10 @@ def _require_times(scenario: Scenario) -> None:
 
 def _require_one_goal(scenario: Scenario) -> None:
     goal, control = scenario.run.target, scenario.controller
-    given = {name: value for name, value in vars(goal).items() if value is not None}
+    given = {name for name, value in vars(goal).items() if value != getattr(type(goal)(), name)}
     if len(given) > 1:
         raise InvalidInputError(
-            f"run.target must not both be given as {' and as '.join(given)}",
+            f"run.target must not both be given as {' and as '.join(sorted(given))}",
             given=given,
         )
     if control.differentiator is not None and scenario.task.depth == "measured":

@@ -15,7 +15,6 @@ from approxjac.robots.joint_limits import farthest_beyond
 from approxjac.scenario.image_result import ImageResult
 from approxjac.scenario.result import Result
 from approxjac.scenario.scenario import Scenario
-from approxjac.simulation import Trajectory
 from approxjac.tasks import CombinedTask
 from approxjac.validation import Array
 from approxjac.view import (
@@ -80,7 +79,7 @@ def text(result: Result) -> str:
         "status": ", ".join(f"{s.name} {share:.3g} %" for s, share in shares.items()),
     }
     lines = [repr(built.plant.robot), *(f"{name:<11} {line}" for name, line in told.items())]
-    lines += [*_limits(result), *_moved_target(run)]
+    lines += [*_limits(result), *_moved_target(result)]
     verdict = "converged" if result.converged else f"not converged: {result.reason}"
     return "\n".join([*lines, f"verdict     {verdict}"])
 
@@ -205,9 +204,10 @@ def _limits(result: Result) -> list[str]:
     return lines
 
 
-def _moved_target(run: Trajectory) -> list[str]:
+def _moved_target(result: Result) -> list[str]:
     """What to say of a target that was moved while a run was shown; nothing if it was not."""
-    if (run.x_d == run.x_d[0]).all():
+    run = result.run
+    if not isinstance(result.built.target, np.ndarray) or (run.x_d == run.x_d[0]).all():
         return []
     return ["shown       the target was moved while it ran: errors are to the target then"]
 
