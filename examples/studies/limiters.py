@@ -356,7 +356,10 @@ def draw(outcomes):
                 ax.set(ylabel=label if j == 0 else "", title=robot if i == 0 else "")
                 if i == 1:
                     ax.set_yscale("log", base=2)
+                    ax.yaxis.set_major_formatter("{x:g}")
                     ax.axhline(1.0, color="0.5", linewidth=1.0)
+                else:
+                    ax.set_ylim(-4.0, 104.0)
         handles, labels = axes[0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside lower center", ncols=len(labels), frameon=False,
