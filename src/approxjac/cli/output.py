@@ -21,8 +21,8 @@ class Live:
     """How to see a run while it goes on.
 
     Attributes:
-        view: Show it in the browser while it goes on; there, and here by typing, the target and the
-            believed length can be changed, and the run paused or stopped.
+        view: Show it in the browser while it goes on; there the target and the believed length
+            can be changed, and the run paused or stopped.
         speed: Of the run with --view, as a multiple of real time; 1 by default.
         port: Of the page with --view, on this machine; 7007 by default, or any free one.
     """
@@ -48,7 +48,6 @@ class Live:
             port=self.port,
             believe=believe,
             believed_length=believed_length,
-            terminal=True,
         )
 
 

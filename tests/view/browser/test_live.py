@@ -3,10 +3,8 @@
 import asyncio
 import dataclasses
 import json
-import os
 import re
 import socket
-import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -406,42 +404,6 @@ def test_a_controller_that_cannot_believe_anything_else_is_refused(panda):
     # it is shown all the same where nothing is to be changed
     live = view.LiveView(speed=np.inf, patience=0.0)
     aj.simulate(plant, Nothing(), target, START, 0.01, dt=1e-3, observer=live)
-
-
-def test_commands_are_typed(panda, monkeypatch, capsys):
-    reading, writing = os.pipe()
-    with os.fdopen(reading) as stdin, os.fdopen(writing, "w") as keyboard:
-        monkeypatch.setattr(sys, "stdin", stdin)
-        live = view.LiveView(speed=np.inf, believe=believing(panda), terminal=True, patience=0.0)
-        asked = {
-            50: "target 0.5 0.1 0.4\nlength 0.15\n",
-            100: "target 0.5 here 0.4\ntarget 1 2\n",
-            110: "length -1\nfly\n",
-            150: "speed 50\ntar",
-            200: "get 0.45 0.1 0.4\n",
-            210: "stop\n",
-        }
-
-        def type_and_show(loop):
-            keyboard.write(asked.get(loop.step, ""))
-            keyboard.flush()
-            live(loop)
-
-        run = simulate(panda, type_and_show)
-    assert_array_equal(run.x_d[60], [0.5, 0.1, 0.4])
-    assert run.scene.belief == believing(panda)(0.15)
-    assert_array_equal(run.target, [0.45, 0.1, 0.4])
-    assert run.t[-1] == pytest.approx(0.21)
-    told = capsys.readouterr().out
-    assert "No browser could be opened here: open http://127.0.0.1:" in told
-    assert "Commands: target X Y Z" in told
-    for problem in (
-        "target must be numbers, got ['0.5', 'here', '0.4']",
-        "target must have shape (3,)",
-        "length must be a finite number >= 0 [m], got -1.0",
-        "commands are: target X Y Z",
-    ):
-        assert problem in told
 
 
 class Pages:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,9 @@ from approxjac.tasks.analysis import features
 from approxjac.tasks.feature import Feature
 from approxjac.validation import Array, axis_rows
 
-_NEAR = 0.18  # where the image is drawn, of the way to what the camera looks at
+_NEAR = 0.18  # to the image as it is drawn, of the way to what the camera looks at
 _IN_HAND = 0.12  # the same of a camera on the arm, of the arm's size
-_BEYOND = 1.3  # how far lines of sight are drawn, of the same way
+_BEYOND = 1.3  # to the end of lines of sight, of the way to what the camera looks at
 
 
 def image_feature(task: Task | None) -> Feature | None:
@@ -39,58 +38,40 @@ def camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any]
     """
     feature = image_feature(task)
     camera = None if feature is None else feature.camera
+    near, reach = _NEAR, _BEYOND / _NEAR
     if isinstance(camera, PinholeCamera):
-        apex, at, low, high, reach = _pinhole(camera, size, middle)
+        R, apex = camera.placement()
+        f, c = np.array(camera.focal_length), np.array(camera.center, dtype=float)
+        low, high = np.array([-0.5, -0.5]), np.array(camera.size) - 0.5
+        near *= float(np.linalg.norm(middle - apex))
+        if camera.mount is not None:
+            near, reach = _IN_HAND * size, 0.5 / _IN_HAND
+
+        def ray(x: Array) -> Array:
+            return np.asarray(R @ np.append((x - c) / f, 1.0))
+
     elif isinstance(camera, PlanarCamera):
-        apex, at, low, high, reach = _planar(camera, size)
+        # it sees without end: its image is as large as the arm, and it stands over the middle of
+        # that, at the depth z − f of the equal pinhole camera
+        rows, center = axis_rows("plane", camera.plane), np.array(camera.offset)
+        J = camera.interaction(np.zeros(3))[:, rows]
+        half = 1.05 * size * camera.magnification * np.array([1.0, -1.0])  # y_s points up
+        low, high = center - half, center + half
+        normal = np.cross(*np.eye(3)[rows])
+        apex = (camera.distance - camera.focal_length) * normal
+
+        def ray(x: Array) -> Array:
+            return np.eye(3)[:, rows] @ np.linalg.solve(J, x - center) - apex
+
     else:
         return None
-    corner = at(low)
+    corner = apex + near * ray(low)
     return {
-        "apex": apex, "corner": corner, "right": at(np.array([high[0], low[1]])) - corner,
-        "down": at(np.array([low[0], high[1]])) - corner, "low": low, "high": high,
-        "reach": reach, "mount": camera.mount,
+        "apex": apex, "corner": corner,
+        "right": apex + near * ray(np.array([high[0], low[1]])) - corner,
+        "down": apex + near * ray(np.array([low[0], high[1]])) - corner,
+        "low": low, "high": high, "reach": reach, "mount": camera.mount,
     }  # fmt: skip
-
-
-_Drawn = tuple[Array, Callable[[Array], Array], Array, Array, float]
-
-
-def _pinhole(camera: PinholeCamera, size: float, middle: Array) -> _Drawn:
-    R, p = camera.placement()
-    f, c = np.array(camera.focal_length), np.array(camera.center, dtype=float)
-    away = float(np.linalg.norm(middle - p))
-    depth = _NEAR * away if camera.mount is None else _IN_HAND * size
-    reach = (_BEYOND * away if camera.mount is None else 0.5 * size) / depth
-
-    def at(x: Array) -> Array:
-        return np.asarray(R @ (depth * np.append((x - c) / f, 1.0)) + p)
-
-    return p, at, np.array([-0.5, -0.5]), np.array(camera.size) - 0.5, reach
-
-
-def _planar(camera: PlanarCamera, size: float) -> _Drawn:
-    """Draw the paper's camera, which sees without end, with an image as large as the arm.
-
-    It stands over the middle of its image, at the depth z − f of the equal pinhole camera.
-    """
-    rows = axis_rows("plane", camera.plane)
-    J = camera.interaction(np.zeros(3))[:, rows]
-    half = 1.05 * size * camera.magnification
-
-    def in_plane(x: Array) -> Array:
-        point = np.zeros(3)
-        point[rows] = np.linalg.solve(J, x)
-        return point
-
-    normal = np.cross(*np.eye(3)[rows])
-    apex = in_plane(np.zeros(2)) + (camera.distance - camera.focal_length) * normal
-
-    def at(x: Array) -> Array:
-        return np.asarray(apex + _NEAR * (in_plane(x) - apex))
-
-    # y_s points up
-    return apex, at, np.array([-half, half]), np.array([half, -half]), _BEYOND / _NEAR
 
 
 def image_axes(camera: Camera) -> dict[str, Any]:

@@ -25,30 +25,24 @@ from approxjac.view.tree import robot_joints
 
 _BACKGROUND = (np.array([[253, 253, 254], [241, 243, 245]]) / 255.0).tolist()  # top, bottom
 _SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
-_LICENCES = (
-    "LICENSE",
-    "dist/main.min.js.LICENSE.txt",
-    "dist/main.min.js.THIRD_PARTY_LICENSES.json",
-)
+_BUNDLED = "dist/main.min.js."
+_LICENCES = ("LICENSE", f"{_BUNDLED}LICENSE.txt", f"{_BUNDLED}THIRD_PARTY_LICENSES.json")
 _ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
 
 
 def title_of(scene: Scene) -> str:
-    """Return what a page is of."""
+    """Return whose arm a page shows."""
     believed = "" if scene.belief is None else ", and what its controller believes of it"
     return scene.truth.name + believed
 
 
 def belief_facts(scene: Scene) -> list[tuple[str, str]]:
     """Return in which lengths of held objects the controller is wrong, each a name and a text."""
-    if scene.belief is None:
-        return []
-    true, believed = _object_lengths(scene.truth), _object_lengths(scene.belief)
-    pairs = {name: (true.get(name, 0.0), believed.get(name, 0.0)) for name in true | believed}
+    true, believed = _object_lengths(scene.truth), _object_lengths(scene.belief or scene.truth)
     return [
-        (name, f"{length:.3g} m long, believed {wrong:.3g} m")
-        for name, (length, wrong) in pairs.items()
-        if abs(length - wrong) > 1e-6
+        (name, f"{true.get(name, 0.0):.3g} m long, believed {believed.get(name, 0.0):.3g} m")
+        for name in true | believed
+        if abs(true.get(name, 0.0) - believed.get(name, 0.0)) > 1e-6
     ]
 
 
@@ -59,13 +53,7 @@ def _object_lengths(robot: Robot) -> dict[str, float]:
 
 
 def live_page(stage: Stage, columns: Mapping[str, Array], q: Array) -> str:
-    """Return a page of a scene that is told over a WebSocket what there is to show.
-
-    Args:
-        stage: The scene, drawn.
-        columns: What `Frames.columns` returned of one instant.
-        q: The configuration then, shape (1, nq).
-    """
+    """Return a page of one instant that is told over a WebSocket what else there is to show."""
     scene = stage.scene
     data = page_data(stage, columns, q, title_of(scene), belief_facts(scene), live=True)
     return document(data, _asset("live.js"))
@@ -86,33 +74,31 @@ def page_data(
 
     Args:
         stage: The scene, drawn.
-        columns: What `Frames.columns` returned, of any number of instants.
+        columns: What `Frames.columns` returned.
         q: Configurations of the same instants, shape (N, nq), to look at the right place.
         title: Of the page.
-        facts: What to say above it, each a name and a text.
+        facts: To be said above it, each a name and a text.
         task_labels: Names of the error's coordinates; those of the sensor by default.
         task_units: Their units; those of the sensor by default.
-        live: Whether instants come in while the page is open, and targets can be dragged.
+        live: Instants come in while the page is open, and targets can be dragged.
     """
     scene = stage.scene
     if scene.sensor is not None:
         task_labels = task_labels or scene.sensor.labels
         task_units = task_units or scene.sensor.units
-    image = image_feature(scene.sensor)
     ends = [columns[name][[0, -1]] for name in ("tip", "target", "believed_tip")]
     moving = np.concatenate([*ends, columns["tip"]])
-    points = [link_points(scene.truth, q, stage.boxes["true"])]
-    if scene.belief is not None:
-        points.append(link_points(scene.belief, q, stage.boxes["believed"]))
-    points += [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
-    points.append(moving[np.isfinite(moving).all(axis=1)])
+    seen = [link_points(robot, q, stage.boxes[role]) for role, robot in stage.robots.items()]
+    seen += [f.points for f in features(scene.sensor) if f.camera is not None and f.frame is None]
+    seen.append(moving[np.isfinite(moving).all(axis=1)])
     if live:
         around = _ROOM * stage.size * np.concatenate([np.eye(3), -np.eye(3)])
-        points.append(columns["tip"][-1:] + around)
-    view = viewpoint(scene.truth, moving, np.concatenate(points), stage.cameras)
+        seen.append(columns["tip"][-1:] + around)
+    points = np.concatenate(seen)
+    view = viewpoint(scene.truth, moving, points, stage.cameras)
     data = stage.data()
-    data["commands"] += grid(view["normal"], np.concatenate(points))
-    axes = None
+    data["commands"] += grid(view["normal"], points)
+    image, axes = image_feature(scene.sensor), None
     if image is not None and image.camera is not None:
         axes = image_axes(image.camera) | {"points": len(image.points)}
     return data | {
@@ -123,10 +109,7 @@ def page_data(
         "colours": COLORS,
         "background": _BACKGROUND,
         "size": stage.size,
-        "view": {
-            "direction": view["direction"].tolist(),
-            "points": np.round(view["points"], 4).tolist(),
-        },
+        "view": {name: np.round(view[name], 4).tolist() for name in ("direction", "points")},
         "image": axes,
         "plots": _plots(scene, list(task_labels), list(task_units)),
         "jointNames": list(scene.truth.joint_names),
@@ -136,12 +119,7 @@ def page_data(
 
 
 def document(data: Mapping[str, Any], *scripts: str) -> str:
-    """Return the HTML of a page.
-
-    Args:
-        data: What `page_data` returned.
-        scripts: JavaScript to run after the page's own.
-    """
+    """Return the HTML of a page of `page_data`, which runs scripts after its own."""
     view_package("meshcat")  # for its error
     viewer = resources.files("meshcat") / "viewer"
     code = [(viewer / "dist" / "main.min.js").read_text(encoding="utf-8")]

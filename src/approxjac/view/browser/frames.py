@@ -91,7 +91,7 @@ class Frames:
     def _believed_tip(self, q: Array, task_torque: Array) -> tuple[Array, Array]:
         """Return where the tip is believed and the force there that a torque stands for, (N, 3).
 
-        The force is alone, if a force does; else it goes with a moment, as a pose has one.
+        A force alone, where one explains the torque; else the force beside a moment, as of a pose.
         """
         tip, force = np.full((len(q), 3), np.nan), np.full((len(q), 3), np.nan)
         if self._believed is None:
@@ -127,21 +127,18 @@ class Frames:
         return found
 
     def _images(self, q: Array, x_measured: Array, x_d: Array) -> dict[str, Array]:
-        image = image_feature(self.scene.sensor)
+        image, believed = image_feature(self.scene.sensor), image_feature(self.scene.task)
         if image is None:
             return {}
-        k = len(image.points)
-        believed = image_feature(self.scene.task)
-        if believed is not None and len(believed.points) != k:
-            believed = None
-        return {
+        found = {
             "pixels": _pixels(image, _values(self.scene.sensor, q)),
             "measured_pixels": _pixels(image, x_measured),
-            "believed_pixels": np.full((len(q), k, 2), np.nan)
-            if believed is None
-            else _pixels(believed, _values(self.scene.task, q)),
             "target_pixels": _pixels(image, x_d),
         }
+        found["believed_pixels"] = np.full_like(found["pixels"], np.nan)
+        if believed is not None and len(believed.points) == len(image.points):
+            found["believed_pixels"] = _pixels(believed, _values(self.scene.task, q))
+        return found
 
 
 def _peaks(tau: Array, kept: Any) -> Array:
@@ -153,9 +150,9 @@ def _peaks(tau: Array, kept: Any) -> Array:
     return np.asarray(found)
 
 
-def _first(followed: tuple[Feature, ...]) -> Feature | None:
+def _first(parts: tuple[Feature, ...]) -> Feature | None:
     """Return the part of a task that is looked at: its first position, or else its first image."""
-    return next((f for f in followed if f.axes), followed[0] if followed else None)
+    return next((part for part in parts if part.axes), parts[0] if parts else None)
 
 
 def _followed(robot: Robot, feature: Feature | None) -> PointKinematics:
@@ -163,8 +160,7 @@ def _followed(robot: Robot, feature: Feature | None) -> PointKinematics:
     if feature is not None and feature.frame is not None:
         return PointKinematics(robot, feature.points[:1], feature.frame, None)
     # a camera in hand watches the world: what moves is the hand
-    camera = None if feature is None else feature.camera
-    mount = None if camera is None else camera.mount
+    mount = None if feature is None or feature.camera is None else feature.camera.mount
     frame = robot.tip or mount or list(robot.model.names)[-1]
     return PointKinematics(robot, np.zeros((1, 3)), frame, None)
 

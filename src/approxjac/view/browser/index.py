@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from html import escape, unescape
+from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
@@ -43,9 +43,7 @@ p {{ margin: 0.25rem 0 0; color: {text}; }}
 
 
 def write_index(
-    folder: str | Path,
-    title: str = "Runs to look at",
-    pictures: Mapping[str, str] | None = None,
+    folder: str | Path, title: str = "Runs to look at", pictures: Mapping[str, str] | None = None
 ) -> Path:
     """Write index.html with a link to every run page in a folder, in the order of their names.
 
@@ -65,30 +63,25 @@ def write_index(
             that is not in it.
     """
     folder = Path(folder)
-    if pictures is not None:
-        require("pictures", pictures, Mapping, 'titles by file names, such as {"map.png": "Map"}')
-    pages = 0
+    pictures = {} if pictures is None else pictures
+    require("pictures", pictures, Mapping, 'titles by file names, such as {"map.png": "Map"}')
     try:
-        entries = {name: _shown(folder, name, said) for name, said in (pictures or {}).items()}
+        entries = {}
         for path in folder.glob("*.html"):
             with path.open(encoding="utf-8", errors="replace") as file:
                 head = file.read(_HEAD)
             if _MARK in head:
-                pages += 1
                 entries[path.name] = _entry(path, head)
-        if not pages:
+        if not entries:
             raise InvalidInputError(
                 f"folder must hold pages that save_page(run, path) wrote, got {folder} without any",
                 given=folder,
             )
-        text = _PAGE.format(
-            title=escape(title),
-            entries="\n".join(entries[name] for name in sorted(entries, key=_natural)),
-            link=COLORS["true"],
-            text=COLORS["neutral"],
-        )
+        entries |= {name: _shown(folder, name, said) for name, said in pictures.items()}
+        listed = "\n".join(entries[name] for name in sorted(entries, key=_natural))
+        colors = {"link": COLORS["true"], "text": COLORS["neutral"]}
         index = folder / "index.html"
-        index.write_text(text, encoding="utf-8")
+        index.write_text(_PAGE.format(title=escape(title), entries=listed, **colors), "utf-8")
     except OSError as error:
         raise InvalidInputError(
             f"folder must be one that can be read and written, got {folder}: {error}", given=folder
@@ -97,13 +90,14 @@ def write_index(
 
 
 def _entry(path: Path, head: str) -> str:
-    """Return a link to a page, with its title and what it says of itself."""
-    title = _found(r"<title>(.*?)</title>", head) or path.stem
-    text = _found(r'<meta name="description" content="(.*?)">', head)
+    """Return a link to a page, with its title and its description of itself."""
+    title = re.search(r"<title>(.+?)</title>", head, re.DOTALL)
+    text = re.search(r'<meta name="description" content="(.+?)">', head, re.DOTALL)
     image = path.with_suffix(".png")
     picture = f'<img src="{quote(image.name)}" alt="">' if image.is_file() else ""
-    told = f"<p>{escape(text)}</p>" if text else ""
-    return f'<li><a href="{quote(path.name)}">{picture}<b>{escape(title)}</b>{told}</a></li>'
+    named = title[1] if title else escape(path.stem)
+    told = f"<p>{text[1]}</p>" if text else ""
+    return f'<li><a href="{quote(path.name)}">{picture}<b>{named}</b>{told}</a></li>'
 
 
 def _shown(folder: Path, name: str, title: str) -> str:
@@ -117,13 +111,7 @@ def _shown(folder: Path, name: str, title: str) -> str:
     return f'<li><div><img src="{quote(name)}" alt=""><b>{escape(title)}</b></div></li>'
 
 
-def _found(pattern: str, text: str) -> str:
-    match = re.search(pattern, text, re.DOTALL)
-    return unescape(match.group(1)) if match else ""
-
-
 def _natural(name: str) -> list[tuple[int, str]]:
     """Return a key that sorts fig10 after fig9."""
-    return [
-        (int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)
-    ]
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

@@ -17,20 +17,21 @@ from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
-from approxjac.validation import as_number
+from approxjac.tasks.analysis import features
+from approxjac.validation import Array, as_array, as_number
+from approxjac.view.browser.cameras import image_feature
 from approxjac.view.browser.document import live_page
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.page import open_browser
 from approxjac.view.browser.server import PageServer
 from approxjac.view.browser.stage import Stage
-from approxjac.view.browser.wishes import Typed, number, numbers, with_pixel, with_point
 
 _FRAME = 1.0 / 30.0  # between pictures [s]
 _STALL = 0.5  # behind its time, after which a run does not catch up [s]
 _NAP = 0.02  # between looks at what the user wants, while waiting [s]
 _KEPT = 1500  # instants that a page gets when it is opened late
-_HELP = "target X Y Z (as the task has it) | length L | speed S | pause | go | stop"
-_COMMANDS = f"Commands: {_HELP}"
+_LONG = 80  # characters of what a page sent, in errors
+_WISHES = "target, point, pixel, length, speed, pause, go, stop"
 
 
 class LiveView:
@@ -39,6 +40,7 @@ class LiveView:
     An observer for `simulate`, for one run: `aj.simulate(..., observer=view.LiveView())`. The
     target is moved in the page (with the mouse, or as numbers); so is the believed length where
     `believe` is given. What is not moved leaves the run as it is without a view, to the last bit.
+    Ctrl-C in the terminal stops the run and keeps what there is of it.
 
     Args:
         speed: Of the run, as a multiple of real time, > 0; infinite for as fast as it goes.
@@ -46,7 +48,6 @@ class LiveView:
         believe: Makes the robot that the controller is to believe from the length of its object
             [m]; without it that stays as it is.
         believed_length: That of the object at first [m].
-        terminal: Whether to take commands from standard input as well.
         patience: How long to wait for the page to be opened before the run starts [s].
 
     Raises:
@@ -60,19 +61,16 @@ class LiveView:
         port: int | None = None,
         believe: Callable[[float], Robot] | None = None,
         believed_length: float = 0.0,
-        terminal: bool = False,
         patience: float = 20.0,
     ) -> None:
         self._speed = _speed(speed)
         self._port = port
         self._believe = believe
         self._length = as_number("believed_length", believed_length, unit="m", minimum=0.0)
-        self._typed = Typed() if terminal else None
         self._patience = as_number("patience", patience, unit="s", minimum=0.0)
-        self._rows: dict[int, str] = {}  # the last one in each so many steps
+        self._rows: dict[int, dict[str, Any]] = {}  # the last one in each so many steps
         self._every = 1
         self._stage: Stage | None = None
-        self._pages: dict[Stage, str] = {}
         self._server: PageServer | None = None
         self._paused = self._changed = self._interrupted = self._ended = self._closed = False
         self._origin = self._next = 0.0
@@ -81,10 +79,8 @@ class LiveView:
     def __call__(self, loop: SampledLoop) -> None:
         """Show a step of a run, do what the user wants, and wait until it is time to go on."""
         if self._closed:
-            raise InvalidInputError(
-                "a LiveView is for one run, and this one has shown its run: make another one",
-                given=self,
-            )
+            told = "a LiveView is for one run, and this one has shown its run: make another one"
+            raise InvalidInputError(told, given=self)
         if self._server is None:
             self._start(loop)
         self._obey(loop)
@@ -131,26 +127,22 @@ class LiveView:
         self._look(loop)
         self._row(loop)
         self._server = server = PageServer(self._page, self._greeting, self._port)
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._interrupt)
         other = "" if server.taken is None else f" (port {server.taken} is taken)"
         told = f"The run is shown at {server.url}{other}"
         if not open_browser(server.url):
             told = f"No browser could be opened here: open {server.url} on this machine{other}"
         print(told, flush=True)
-        if self._typed is not None:
-            if threading.current_thread() is threading.main_thread():
-                self._before = signal.signal(signal.SIGINT, self._interrupt)
-            print(f"{_COMMANDS} (Ctrl-C stops, too)", flush=True)
         until = time.monotonic() + self._patience
-        while not server.opened.wait(_NAP) and not self._interrupted:
-            if time.monotonic() > until:
-                if self._patience > 0.0:
-                    told = f"Nobody has opened the page in {self._patience:g} s: the run starts"
-                    print(told, flush=True)
-                break
+        while time.monotonic() < until and not self._interrupted and not server.opened.wait(_NAP):
+            pass
+        if time.monotonic() >= until and self._patience > 0.0:
+            print(f"Nobody has opened the page in {self._patience:g} s: the run starts", flush=True)
         self._begin(loop)
 
     def _interrupt(self, *_: Any) -> None:
-        """At Ctrl-C, stop the run, and keep what there is of it; a second one breaks it off."""
+        """At Ctrl-C, stop the run; a second one breaks it off."""
         self._interrupted = True
         signal.signal(signal.SIGINT, self._before)
 
@@ -162,12 +154,8 @@ class LiveView:
         return stage
 
     def _page(self) -> str:
-        """Return the page, made when it is asked for: meshes take a second."""
-        stage = self._stage
-        assert stage is not None  # it is there before the server
-        if stage not in self._pages:
-            self._pages = {stage: live_page(stage, self._columns, self._q)}
-        return self._pages[stage]
+        assert self._stage is not None  # it is there before the server
+        return live_page(self._stage, self._columns, self._q)
 
     def _controls(self) -> dict[str, Any]:
         """Return what the user may do, and how it is now."""
@@ -177,13 +165,12 @@ class LiveView:
             "length": self._length if self._believe is not None else None,
         }
 
-    def _greeting(self) -> list[str]:
+    def _greeting(self) -> str:
         """Return what a page gets first; it may have been made before the belief changed."""
-        rows = f'{{"rows": [{", ".join(list(self._rows.values()))}]}}'
-        messages = [rows, json.dumps({"controls": self._controls()})]
+        told: dict[str, Any] = {"rows": list(self._rows.values()), "controls": self._controls()}
         if self._changed and self._stage is not None:
-            messages.insert(0, json.dumps({"redraw": self._stage.data("believed")}))
-        return messages
+            told["redraw"] = self._stage.data("believed")
+        return json.dumps(told)
 
     def _tell(self, **parts: Any) -> None:
         """Send a message to all pages."""
@@ -195,17 +182,15 @@ class LiveView:
         row = self._row(loop)
         self._tell(rows=[row])
         # the same instant with another target takes the place of the one before
-        self._rows[loop.step // self._every] = json.dumps(row)
+        self._rows[loop.step // self._every] = row
         if len(self._rows) > _KEPT:
             self._every *= 2
             self._rows = {key // 2: kept for key, kept in self._rows.items()}
 
     def _row(self, loop: SampledLoop) -> dict[str, Any]:
         """Return what the page shows of this step, as JSON can have it."""
-        record = Record(loop.plant, 1)
-        record.add(
-            loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target, loop.controller
-        )
+        record, x = Record(loop.plant, 1), loop.measurement.x
+        record.add(loop.truth, x, loop.state, loop.answer, loop.target, loop.controller)
         run = record.trajectory()
         self._q, self._columns = run.q, self._frames.columns(run)
         return {name: _plain(values[-1]) for name, values in self._columns.items()}
@@ -214,8 +199,7 @@ class LiveView:
 
     def _begin(self, loop: SampledLoop) -> None:
         """Let the run be where it is now."""
-        share = loop.t / self._speed if math.isfinite(self._speed) else 0.0
-        self._origin = time.perf_counter() - share
+        self._origin = time.perf_counter() - loop.t / self._speed
 
     def _wait(self, loop: SampledLoop) -> None:
         """Wait until it is the run's time, and while it is to pause."""
@@ -226,9 +210,7 @@ class LiveView:
                 early = self._origin + loop.t / self._speed - time.perf_counter()
                 if early < -_STALL:  # the machine slept, say: the run does not catch up
                     self._begin(loop)
-                if early <= 0.0 or not math.isfinite(self._speed):
-                    return
-                time.sleep(min(early, _NAP))
+                time.sleep(min(max(early, 0.0), _NAP))
                 if early <= _NAP:
                     return
             if self._obey(loop):
@@ -237,7 +219,7 @@ class LiveView:
     # -- what the user wants ------------------------------------------------------------
 
     def _obey(self, loop: SampledLoop) -> bool:
-        """Do what pages and the terminal ask for, say what cannot be done; was there anything?"""
+        """Do what pages ask for, say what cannot be done; return whether there was anything."""
         assert self._server is not None  # there is no run without it
         asked = False
         if self._interrupted:
@@ -245,41 +227,31 @@ class LiveView:
         for told in self._server.received():
             for wish, value in told.items():
                 asked = True
-                note = self._try(loop, wish, value)
-                self._tell(controls=self._controls(), **({"note": note} if note else {}))
-        for line in [] if self._typed is None else self._typed.lines():
-            asked = True
-            wish, *words = line.split()
-            note = _COMMANDS if wish == "help" else self._try(loop, wish, words)
-            self._tell(controls=self._controls())
-            print(note or f"done: {line.strip()}", flush=True)
+                note: dict[str, str] = {}
+                try:
+                    self._do(loop, wish, value)
+                except ApproxJacError as error:
+                    note["note"] = str(error)
+                except Exception as error:  # of the user's `believe`: no reason to lose the run
+                    note["note"] = f"{wish}: {type(error).__name__}: {error}"
+                self._tell(controls=self._controls(), **note)
         return asked
-
-    def _try(self, loop: SampledLoop, wish: str, value: Any) -> str:
-        """Do something; return why it cannot be done, or nothing."""
-        try:
-            self._do(loop, wish, value)
-        except ApproxJacError as error:
-            return str(error)
-        except Exception as error:  # of the user's own `believe`: it is no reason to lose the run
-            return f"{wish}: {type(error).__name__}: {error}"
-        return ""
 
     def _do(self, loop: SampledLoop, wish: str, value: Any) -> None:
         if wish == "target":
-            loop.aim_at(numbers("target", value))
+            loop.aim_at(_numbers("target", value))
         elif wish == "point":
-            loop.aim_at(with_point(loop, numbers("point", value)))
+            loop.aim_at(_with_point(loop, _numbers("point", value)))
         elif wish == "pixel":
-            loop.aim_at(with_pixel(loop, numbers("pixel", value)))
+            loop.aim_at(_with_pixel(loop, _numbers("pixel", value)))
         elif wish == "length" and self._believe is not None:
-            length = as_number("length", number("length", value), unit="m", minimum=0.0)
+            length = as_number("length", _numbers("length", value).item(), unit="m", minimum=0.0)
             task = loop.controller.task.on(self._believe(length))
             loop.exchange(with_task(loop.controller, task))
             self._length, self._changed = length, True
             self._tell(redraw=self._look(loop).data("believed"))
         elif wish == "speed":
-            self._speed = _speed(number("speed", value))
+            self._speed = _speed(_numbers("speed", value).item())
             self._begin(loop)
         elif wish in ("pause", "go"):
             self._paused = wish == "pause"
@@ -287,7 +259,7 @@ class LiveView:
         elif wish == "stop":
             loop.stop()
         else:
-            raise InvalidInputError(f"commands are: {_HELP}; got {wish!r}", given=wish)
+            raise InvalidInputError(f"commands are: {_WISHES}; got {wish!r}", given=wish)
 
 
 def _plain(value: Any) -> Any:
@@ -299,3 +271,38 @@ def _plain(value: Any) -> Any:
 
 def _speed(value: float) -> float:
     return math.inf if value == math.inf else as_number("speed", value, above=0.0)
+
+
+def _with_point(loop: SampledLoop, point: Array) -> Array:
+    """Return the target with the position of what is followed moved to a point (3,) [m]."""
+    place, target = as_array("point", point, (3,), "m"), np.array(loop.target)
+    for feature in features(loop.plant.sensor):
+        if feature.axes:
+            rows = ["xyz".index(axis) for axis in feature.axes]
+            target[feature.entries][: len(rows)] = place[rows]
+            return target
+    raise InvalidInputError("the target is no position, which a point could be", given=point)
+
+
+def _with_pixel(loop: SampledLoop, pixel: Array) -> Array:
+    """Return the target with the image of point i moved to (u, v), for `pixel` (i, u, v)."""
+    i, u, v = as_array("pixel", pixel, (3,))
+    feature = image_feature(loop.plant.sensor)
+    if feature is None or i not in range(len(feature.points)):
+        raise InvalidInputError(f"there is no point {i:g} in an image", given=pixel)
+    target = np.array(loop.target)
+    target[feature.entries].reshape(len(feature.points), -1)[int(i), :2] = u, v
+    return target
+
+
+def _numbers(name: str, value: Any) -> Array:
+    """Return the numbers that a page sent, or raise an InvalidInputError."""
+    entries = value if isinstance(value, list) else [value]
+    try:
+        if not any(isinstance(entry, bool) for entry in entries):
+            return np.array([float(entry) for entry in entries])
+    except (TypeError, ValueError, OverflowError):
+        pass
+    text = repr(value)
+    text = text if len(text) <= _LONG else f"{text[:_LONG]}…"
+    raise InvalidInputError(f"{name} must be numbers, got {text}", given=value)

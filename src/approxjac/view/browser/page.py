@@ -56,20 +56,9 @@ def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Pa
 
 
 def show(run: Trajectory, title: str | None = None) -> Path:
-    """Open a run's page (`save_page`) in a web browser.
+    """Open a run's page (`save_page`) in a web browser; return the temporary file that holds it.
 
-    Where there is none, a line is printed that says where the page is.
-
-    Args:
-        run: The run.
-        title: Of the page.
-
-    Returns:
-        The temporary file that holds the page.
-
-    Raises:
-        InvalidInputError: A run without `scene`.
-        MissingPackageError: The package meshcat is not installed.
+    Where there is no browser, a line is printed that says where the page is.
     """
     text = page(run, title)
     with tempfile.NamedTemporaryFile(
@@ -91,11 +80,9 @@ def page(run: Trajectory, title: str | None = None) -> str:
             "approxjac.simulate returned, or give dataclasses.replace(run, scene=Scene(...))",
             given=run,
         )
-    stage = Stage(run.scene)
-    kept = _thinned(run.t)
+    stage, kept = Stage(run.scene), _thinned(run.t)
     columns = Frames(run.scene, run.task_units).columns(run, kept)
-    title = title or title_of(run.scene)
-    facts = [*belief_facts(run.scene), *_facts(run)]
+    title, facts = title or title_of(run.scene), [*belief_facts(run.scene), *_facts(run)]
     labels = run.task_labels, run.task_units
     return document(page_data(stage, columns, run.q[kept], title, facts, *labels))
 
@@ -122,7 +109,7 @@ def _thinned(t: Array) -> Any:
 
 
 def _facts(run: Trajectory) -> list[tuple[str, str]]:
-    """Return what came out, each a name and a text."""
+    """Return how the run ended and what was unusual in it, each a name and a text."""
     units = [display_unit(unit) for unit in run.task_units]
     facts = []
     for unit in dict.fromkeys(name for name, _ in units):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import queue
 import socket
@@ -25,7 +26,7 @@ class PageServer:
 
     Args:
         page: Makes the page, whenever a browser asks for it.
-        greeting: Makes the messages that a page gets first, when it is there.
+        greeting: Makes the message that a page gets first, when it is there.
         port: To serve at; 7007 by default, or any free one if that is taken.
 
     Attributes:
@@ -39,10 +40,7 @@ class PageServer:
     """
 
     def __init__(
-        self,
-        page: Callable[[], str],
-        greeting: Callable[[], list[str]],
-        port: int | None = None,
+        self, page: Callable[[], str], greeting: Callable[[], str], port: int | None = None
     ) -> None:
         self._web = view_package("tornado.web")
         self._websocket = view_package("tornado.websocket")
@@ -77,10 +75,8 @@ class PageServer:
 
     def _serve(self) -> None:
         asyncio.set_event_loop(self._loop)
-        try:
+        with contextlib.closing(self._loop):
             self._loop.run_until_complete(self._until_closed())
-        finally:
-            self._loop.close()
 
     async def _until_closed(self) -> None:
         outer = self
@@ -93,8 +89,7 @@ class PageServer:
         class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
             def open(self, *_: str) -> None:
                 self.waiting = 0
-                for message in outer._greeting():
-                    outer._send(self, message)
+                outer._send(self, outer._greeting())
                 outer._pages.add(self)
                 outer.opened.set()
 
@@ -145,17 +140,13 @@ class PageServer:
 
 
 def _bound(port: int | None) -> socket.socket:
-    """Return a socket that listens at a port; at the usual one or any free one without a port."""
+    """Return a socket that listens at a port, by default the usual one or else any free one."""
     if port is not None and not (type(port) is int and 0 < port < 65536):
         raise InvalidInputError(f"port must be a number from 1 to 65535, got {port!r}", given=port)
     for wanted in (_PORT, 0) if port is None else (port,):
-        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            listening.bind((_HOST, wanted))
-            listening.listen(16)
+            listening = socket.create_server((_HOST, wanted))  # one that may be bound again at once
         except OSError as error:
-            listening.close()
             reason = error
         else:
             listening.setblocking(False)

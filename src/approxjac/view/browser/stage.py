@@ -39,11 +39,10 @@ class Stage:
         like: The stage of a scene with the same true robot, whose look is taken over.
 
     Attributes:
+        robots: By role, "true" and, if there is one, "believed".
         size: Of the arm: the farthest that a link gets from the base [m].
-        cameras: How cameras are drawn, as `camera_view` says, with "role" "true" or "believed"
-            and "node", the path of what carries it.
-        boxes: By role, link → points of the box around its shapes, in its frame, each (k, 3)
-            [m].
+        cameras: As `camera_view` draws them, with "role" and "node", the path of what carries it.
+        boxes: By role, link → points of the box around its shapes, in its frame, each (k, 3) [m].
 
     Raises:
         MissingPackageError: meshcat is not installed.
@@ -54,19 +53,20 @@ class Stage:
 
         _Drawing()  # for its error
         self.scene = scene
+        self.robots = {"true": scene.truth}
         true = robot_look(scene.truth) if like is None else like._looks["true"]
         self._looks: dict[str, Look] = {"true": true}
-        self._trees = {"true": Tree(scene.truth, "true")}
         if scene.belief is not None:
+            self.robots["believed"] = scene.belief
             self._looks["believed"] = robot_look(scene.belief, like=(scene.truth, true))
-            self._trees["believed"] = Tree(scene.belief, "believed")
+        self._trees = {role: Tree(robot, role) for role, robot in self.robots.items()}
         self.boxes = {role: _boxes(look) for role, look in self._looks.items()}
         around = reach_points(scene.truth)
         middle = 0.5 * (around.min(axis=0) + around.max(axis=0))
         self.size = float(np.linalg.norm(around, axis=1).max())
         self._tasks = {"true": scene.sensor, "believed": scene.task}
         self.cameras = []
-        for role in self._trees:
+        for role in self.robots:
             camera = camera_view(self._tasks[role], self.size, middle)
             if camera is not None:
                 node = self._node(role, camera["mount"])
@@ -76,10 +76,10 @@ class Stage:
         """Return what page.js builds the scene from: texts, numbers, lists and dictionaries.
 
         Args:
-            roles: "true" and "believed", which is both by default. `approxjac.redraw` of a page
-                that has the true robot takes `data("believed")`, when the belief has changed.
+            roles: Both by default. `approxjac.redraw` of a page that has the true robot takes
+                `data("believed")`, when the belief has changed.
         """
-        roles = tuple(role for role in roles or ("true", "believed") if role in self._trees)
+        roles = roles or tuple(self.robots)
         cameras = [camera for camera in self.cameras if camera["role"] in roles]
         missing = dict.fromkeys(text for look in self._looks.values() for text in look.missing)
         drawing = _Drawing()
@@ -138,7 +138,7 @@ class Stage:
         tree = self._trees["believed"]
         origins = {joint.name: joint.origin for joint in self._trees["true"].joints}
         # an object is as long as it is believed to be
-        objects = held_objects(self.scene.belief or self.scene.truth)
+        objects = held_objects(self.robots["believed"])
         for joint in tree.joints:
             end, origin = joint.origin[:3, 3], origins.get(joint.name)
             length = float(np.linalg.norm(end))
@@ -181,11 +181,7 @@ class Stage:
 
 
 class _Drawing:
-    """MeshCat commands, each of which puts a thing at a node.
-
-    Raises:
-        MissingPackageError: meshcat is not installed.
-    """
+    """MeshCat commands, each of which puts a thing at a node."""
 
     def __init__(self) -> None:
         self.geometry = view_package("meshcat.geometry")
@@ -194,15 +190,9 @@ class _Drawing:
         self._pack = view_package("umsgpack").packb
 
     def put(
-        self,
-        path: tuple[str, ...],
-        shape: Any,
-        colour: str,
-        *,
-        placed: Array | None = None,
-        lit: bool = True,
-        **look: Any,
-    ) -> None:
+        self, path: tuple[str, ...], shape: Any, colour: str, *,
+        placed: Array | None = None, lit: bool = True, **look: Any,
+    ) -> None:  # fmt: skip
         """Put a geometry at a node, as it is or placed (4, 4) in the node's axes."""
         g = self.geometry
         material = g.MeshLambertMaterial if lit else g.MeshBasicMaterial
@@ -231,12 +221,7 @@ class _Drawing:
 
 
 def grid(normal: Array, points: Array) -> list[str]:
-    """Return commands of a thin grid through the base, across a direction.
-
-    Args:
-        normal: The direction, shape (3,): up, or the normal of the plane of a planar arm.
-        points: What it shall reach under, shape (n, 3) [m].
-    """
+    """Return commands of a thin grid through the base, across normal (3,), under points (n, 3)."""
     u = np.cross(normal, [0.0, 0.0, 1.0])
     u = u / np.linalg.norm(u) if np.linalg.norm(u) > 1e-6 else np.array([1.0, 0.0, 0.0])
     v = np.cross(normal, u)
@@ -263,12 +248,9 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     colour, path = COLORS[camera["role"]], (*camera["node"], f"camera_{camera['role']}")
     corner, right, down = camera["corner"], camera["right"], camera["down"]
     corners = np.array([corner, corner + right, corner + right + down, corner + down])
-    edges = [
-        end
-        for point, following in zip(corners, np.roll(corners, -1, axis=0), strict=True)
-        for end in (camera["apex"], point, point, following)
-    ]
-    drawing.lines((*path, "edges"), np.array(edges), colour)
+    apexes, following = np.tile(camera["apex"], (4, 1)), np.roll(corners, -1, axis=0)
+    edges = np.stack([apexes, corners, corners, following], axis=1).reshape(16, 3)
+    drawing.lines((*path, "edges"), edges, colour)
     glass = {"lit": False, "opacity": 0.10, "depthWrite": False}
     drawing.mesh((*path, "image"), corners, np.array([[0, 1, 2], [0, 2, 3]]), colour, **glass)
 

@@ -1,4 +1,4 @@
-"""From where the page looks at a scene, so that nobody needs to turn it first."""
+"""The view of a scene that the page starts with, so that nobody needs to turn it first."""
 
 from __future__ import annotations
 
@@ -20,15 +20,9 @@ _PARALLEL = 1e-6
 
 
 def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array] | None = None) -> Array:
-    """Return where all links are at some of the configurations.
+    """Return points of all links at some of the configurations q (N, nq), shape (n, 3) [m].
 
-    Args:
-        robot: The robot.
-        q: Configurations, shape (N, nq).
-        boxes: Link → points of it, in its own frame, each (k, 3) [m]; origins by default.
-
-    Returns:
-        Points of the world, shape (n, 3) [m].
+    They are given by link in its own frame, each (k, 3), and are the origins by default.
     """
     if boxes is None:
         boxes = dict.fromkeys(robot.frame_names, np.zeros((1, 3)))
@@ -51,13 +45,13 @@ def reach_points(robot: Robot) -> Array:
 def viewpoint(
     robot: Robot, moving: Array, points: Array, cameras: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return where to look from, and at what.
+    """Return from where to look, and at what.
 
     Args:
         robot: The true robot.
-        moving: What the eye shall follow, such as the tip, the target; shape (n, 3) [m].
-        points: What must be in view, shape (N, 3) [m].
-        cameras: How cameras are drawn, as `camera_view` says; those in the world are in view.
+        moving: Points that the eye shall follow, such as the tip; shape (n, 3) [m].
+        points: To be in view, shape (N, 3) [m].
+        cameras: As `camera_view` draws them; those in the world are to be in view, too.
 
     Returns:
         "direction", a unit vector towards the eye; "points", corners of what must be in view;
@@ -65,11 +59,8 @@ def viewpoint(
     """
     cameras = [camera for camera in cameras if camera["mount"] is None]
     stands = [camera["apex"] for camera in cameras]
-    corners = [
-        camera["corner"] + a * camera["right"] + b * camera["down"]
-        for camera in cameras
-        for a, b in product((0.0, 1.0), repeat=2)
-    ]
+    ends = product(cameras, (0.0, 1.0), (0.0, 1.0))
+    corners = [c["corner"] + a * c["right"] + b * c["down"] for c, a, b in ends]
     points = np.array([*points, *stands, *corners])
     normal = _plane_normal(robot)
     if normal is None:
@@ -92,20 +83,15 @@ def viewpoint(
 def _plane_normal(robot: Robot) -> Array | None:
     """Return the normal of the plane that an arm moves in, (3,); None of those in space."""
     model, data = robot.model, robot.model.createData()
-    pin.computeJointJacobians(model, data, robot.neutral())
-    columns = [
-        pin.getJointJacobian(model, data, joint.id, pin.ReferenceFrame.WORLD)
-        .reshape(6, -1)[:, joint.idx_v]
-        for joint in own_joints(model).values()
-    ]  # fmt: skip
-    turns = [column[3:] for column in columns if np.linalg.norm(column[3:]) > 0.5]
-    moves = [column[:3] for column in columns if np.linalg.norm(column[3:]) <= 0.5]
-    if not turns:
+    J = pin.computeJointJacobians(model, data, robot.neutral()).T
+    J = J[[joint.idx_v for joint in own_joints(model).values()]]
+    turning = np.linalg.norm(J[:, 3:], axis=1) > 0.5
+    if not turning.any():
         return None
-    normal = np.asarray(turns[0])
-    if any(np.linalg.norm(np.cross(axis, normal)) > _PARALLEL for axis in turns):
+    normal = np.asarray(J[turning, 3:][0])
+    if (np.linalg.norm(np.cross(J[turning, 3:], normal), axis=1) > _PARALLEL).any():
         return None
-    if any(abs(way @ normal) > _PARALLEL for way in moves):
+    if (np.abs(J[~turning, :3] @ normal) > _PARALLEL).any():
         return None
     # from where x points right, and z up; else from above
     return normal if normal @ np.array([0.1, -1.0, 0.3]) > 0.0 else -normal
@@ -114,14 +100,9 @@ def _plane_normal(robot: Robot) -> Array | None:
 def _widest(moving: Array, points: Array, stands: Sequence[Array], views: Sequence[Array]) -> Array:
     """Return the direction from which motion, arm and cameras lie widest apart, shape (3,).
 
-    Of cameras one sees most from half beside them: neither their image from its edge nor all that
-    they look at behind it. The arm shall not stand before what moves.
-
-    Args:
-        moving: What the eye shall follow, shape (n, 3) [m].
-        points: What must be in view, shape (N, 3) [m].
-        stands: Where cameras are, each (3,) [m].
-        views: Where they look, each (3,).
+    Of cameras, which stand somewhere and view a direction, each (3,), one sees most from half
+    beside them: neither their image from its edge nor all that they look at behind it. The arm
+    shall not stand before what moves.
     """
     moving = moving[np.isfinite(moving).all(axis=1)]
     around = np.array([points.mean(axis=0), *stands])
@@ -146,7 +127,7 @@ def _towards(azimuth: float) -> Array:
 
 
 def _hidden(moving: Array, points: Array, towards: Array) -> float:
-    """Return about which share of what moves is behind the arm, with the eye towards (3,)."""
+    """Return about which share of what moves is behind the arm, for an eye towards (3,)."""
     towards = towards / np.linalg.norm(towards)
     some = moving[:: max(1, len(moving) // 20)]
     ways = points[:: max(1, len(points) // 2000), np.newaxis] - some
