@@ -424,7 +424,8 @@ class Corrupted(aj.Controller):
             assert absurd
             self.refused += 1
             lost = np.full(self.controller.task.m, np.nan)
-            return state, aj.Evaluation(self.hold, None, aj.Status.MEASUREMENT_LOST, lost)
+            rest = np.zeros_like(state)
+            return state, aj.Evaluation(self.hold, rest, aj.Status.MEASUREMENT_LOST, lost)
         self.answered += absurd
         self.hold = answer.torque
         return state, answer

@@ -211,7 +211,7 @@ def pressed(plant, controller, target, duration=10.0, back=X0, dt=2e-3):
     )
 
 
-@pytest.mark.parametrize("target", [(-0.6, 0.0, 0.4), (0.3, 0.6, 1.4), (-0.4, 1.0, 1.1)])
+@pytest.mark.parametrize("target", [(-0.6, 0.0, 0.4)])
 def test_joint_limits_hold_and_the_controller_recovers(target):
     free = pressed(aj.Plant(TRUTH, SENSOR, 0.1), LAWS["law (6)"], target)
     assert beyond_limits(free).max() > 1.0
