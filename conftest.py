@@ -49,8 +49,8 @@ pytest_collect_file = Sybil(
 ).pytest()
 
 
-# Pages whose code runs without a marker; that of all others is for CI, with `study`.
-QUICK_PAGES = ("README.md", "docs/start.md")
+# Pages whose code runs without a marker. That of the others has `study`, for CI.
+QUICK_PAGES = ("README.md",)
 # Files that take long. A worker gets whole files: these come first, so that in the end both have
 # something to do.
 LONG = ("README.md", "test_long_run.py", "test_examples.py", "test_cli.py", "browser", "docs")
