@@ -38,8 +38,9 @@ target = plant.sensor.value([1.8, 0.4, 0.3, -1.9, -0.5, 2.4, 0.0])
 
 low, high = arm.position_limits
 figure, axes = view.new_figure(3, 2, title="Half the torque: clipped, and limited by a QP")
+clipped = aj.TorqueLimited(law, aj.Limits(limits.effort), proof=False)
 for row, (name, limiter) in enumerate(
-    {"clipped": aj.TorqueClipped(law, limits), "QP": aj.TorqueLimited(law, limits)}.items()
+    {"clipped": clipped, "QP": aj.TorqueLimited(law, limits)}.items()
 ):
     run = aj.simulate(
         plant, limiter, target, start, duration=4.0, dt=1e-3, integrator="semi_implicit_euler"

@@ -71,10 +71,11 @@ def loaded(mass, learns):
     return aj.Plant(held.robot, held), aj.SetpointController(task, gravity=gravity), 4e-3
 
 
-def weak(share, limiter):
+def weak(share, proof):
     """Motors with a share of their torques."""
-    law = aj.SetpointController(task, gravity=known)
-    return plant, limiter(law, aj.Limits.of(belief, scale=share)), 1e-3
+    law, limits = aj.SetpointController(task, gravity=known), aj.Limits.of(belief, scale=share)
+    limits = limits if proof else aj.Limits(limits.effort)
+    return plant, aj.TorqueLimited(law, limits, proof=proof), 1e-3
 
 
 def left(truly, law, dt, start, shown):
@@ -97,7 +98,7 @@ PANELS = [  # what is made worse, by how much, a curve for each of, what is show
     (loaded, "unknown payload [kg]", [0.0, 0.1, 0.3, 1.0, 3.0],
      {"gravity believed": False, "gravity learnt": True}, MM, 0),
     (weak, "share of the motors' torques [–]", [0.2, 0.25, 0.28, 0.3, 0.35],
-     {"clipped": aj.TorqueClipped, "limited by the QP": aj.TorqueLimited}, MM, 0),
+     {"clipped": False, "limited by the QP": True}, MM, 0),
 ]  # fmt: skip
 figure, axes = view.new_figure(3, 2, title="Left after 6 s. Dashed: what the local test says")
 for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=True):

@@ -17,6 +17,7 @@ ALLOWED = {
     "formatting": set(),
     "validation": {"errors"},
     "interface": {"tasks", "validation", "formatting"},
+    "paths": {"interface", "formatting", "validation", "errors"},
     "robots": {"validation", "errors"},
     "law": {"validation", "errors"},
     "tasks": {"robots", "formatting", "validation", "errors"},

@@ -19,6 +19,7 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
+import usual_limiters
 from common import carried_object, head, parser, row, run_all, write
 from lyapunov_decrease import Decrease, decrease
 
@@ -129,9 +130,9 @@ def limiter(name, built):
     """Return a limiter by its name."""
     law, limits = built.law, built.limits
     if name == "clip":
-        return aj.controllers.TorqueClipped(law, limits)
+        return usual_limiters.clipped(law, limits)
     if name == "scale":
-        return aj.controllers.TaskTorqueScaled(law, limits)
+        return usual_limiters.TaskTorqueScaled(law, limits)
     if name == "qp-torque":
         limits = aj.Limits(limits.effort)
     return aj.TorqueLimited(law, limits)

@@ -96,9 +96,9 @@ def test_values_that_begin_with_a_minus(tmp_path):
 
 
 def test_with_limits_it_says_what_they_did(reach, tmp_path, capsys):
-    words = ["--limits", "0.5", "--limiter", "qp", "--settling-time", "0.5", "--duration", "0.2"]
+    words = ["--limits", "0.5", "--settling-time", "0.5", "--duration", "0.2"]
     assert main(["simulate", str(reach), *words, "--out", str(tmp_path / "run")]) == 1
-    assert "\nlimiter     qp, 0.5 of the effort limits: " in capsys.readouterr().out
+    assert "\nlimited     0.5 of the effort limits: " in capsys.readouterr().out
     assert outcome(tmp_path / "run")["limits"]["steps"] == 101
 
 
@@ -131,7 +131,7 @@ def test_a_bad_file_is_one_clear_line(tmp_path, capsys, monkeypatch, text, messa
         (["panda", "--object-length", "-1"], "true.object.length must be a finite number >= 0"),
         (["panda", "--true.floor", "0"], "true.floor needs true.engine mujoco"),
         (["missing.toml"], "missing.toml does not exist"),
-        (["panda", "--limiter", "qp"], "controller.limiter needs controller.limits"),
+        (["panda", "--controller.torque-rate", "9"], "torque_rate needs controller.limits"),
         (["panda", "--limits", "-1"], "controller.limits must be a finite number > 0"),
         (["panda", "--task.kind", "image", "--task.points", "4"], "task.points must be 1, 2 or 3"),
         (["panda", "--task.kind", "image", "--true.camera.focal-length", "0"],

@@ -38,7 +38,7 @@ def controllers(task):
         "learnt gravity": aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)),
         "law (5)": aj.SetpointController(task, velocity=aj.DifferentiatedVelocity(0.1)),
         "limited": aj.TorqueLimited(law, limits),
-        "clipped": aj.TorqueClipped(law),
+        "clipped": aj.TorqueLimited(law, aj.Limits(law.task.robot.effort_limits), proof=False),
     }
 
 

@@ -15,7 +15,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers.qp_solvers import as_solver
-from approxjac.controllers.task_controller import TaskController
 
 DT = 1e-3
 
@@ -149,7 +148,7 @@ def test_clipping_breaks_what_the_QP_keeps(panda, rng):
     """At the same states, with the same torque asked for."""
     law = law_of(panda)
     limits = effort_only(panda, 0.4)
-    limited, clipped = aj.TorqueLimited(law, limits), aj.TorqueClipped(law, limits)
+    limited, clipped = (aj.TorqueLimited(law, limits, proof=proof) for proof in (True, False))
     broken = 0
     for _ in range(100):
         measurement, target = some_measurement(panda, rng, speed=0.5, error=0.2)
@@ -297,7 +296,7 @@ def test_the_differentiator_of_law_5_goes_on_while_learning_stands_still(panda, 
         gravity=aj.AdaptiveGravity(aj.GravityRegressor(panda), L=0.1, alpha=1.0),
         velocity=aj.DifferentiatedVelocity(0.02),
     )
-    limited = aj.TorqueClipped(law, effort_only(panda, 0.1))
+    limited = aj.TorqueLimited(law, effort_only(panda, 0.1), proof=False)
     measurement, target = some_measurement(panda, rng, error=1.0)
     state = limited.initial_state(measurement)
     behind = state.copy()
@@ -501,9 +500,8 @@ def test_a_solver_that_is_less_exact_keeps_the_proof_all_the_same(panda, rng, so
 # -- around it ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", [aj.TorqueLimited, aj.TorqueClipped, aj.TaskTorqueScaled])
-def test_copies_have_scratch_memory_of_their_own(panda, rng, kind):
-    limited = kind(learning(panda), aj.Limits(effort=30.0, rate=5000.0))
+def test_copies_have_scratch_memory_of_their_own(panda, rng):
+    limited = aj.TorqueLimited(learning(panda), aj.Limits(effort=30.0, rate=5000.0))
     measurement, target = some_measurement(panda, rng, error=1.0)
     state = limited.initial_state(measurement)
     torque = answered(limited, state, measurement, target).torque
@@ -579,7 +577,7 @@ def test_bad_states_are_refused(panda, rng, state):
 
 def test_clipping_clips(panda, rng):
     law = law_of(panda)
-    clipped = aj.TorqueClipped(law, effort_only(panda, 0.3))
+    clipped = aj.TorqueLimited(law, effort_only(panda, 0.3), proof=False)
     measurement, target = some_measurement(panda, rng, error=1.0)
     wanted = law.evaluate(np.zeros(0), measurement, target).torque
     answer = answered(clipped, np.zeros(0), measurement, target)
@@ -587,68 +585,6 @@ def test_clipping_clips(panda, rng):
     assert_array_equal(answer.torque, np.clip(wanted, -effort, effort))
     assert answer.limit_status is aj.LimitStatus.LIMITED
     assert math.isnan(answer.slack)
-
-
-def test_scaling_keeps_the_direction_of_the_task_torque(panda, rng):
-    law = law_of(panda)
-    scaled = aj.TaskTorqueScaled(law, effort_only(panda, 0.9))
-    measurement, target = some_measurement(panda, rng, error=2.0)
-    g = law.gravity_torque(np.zeros(0), measurement.q)
-    wanted = law.evaluate(np.zeros(0), measurement, target).torque - g
-    got = answered(scaled, np.zeros(0), measurement, target).torque - g
-    share = got @ wanted / (wanted @ wanted)
-    assert 0.0 < share < 1.0
-    assert_allclose(got, share * wanted, atol=1e-9)
-    assert np.abs((got + g) / panda.effort_limits).max() == pytest.approx(0.9)
-
-
-def test_where_gravity_is_too_much_scaling_leaves_it_clipped(panda, rng):
-    scaled = aj.TaskTorqueScaled(law_of(panda), aj.Limits(effort=1.0))
-    q = np.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.6, 0.7])
-    x = aj.PositionTask(panda).value(q)
-    answer = answered(scaled, np.zeros(0), aj.Measurement(0.0, q, np.zeros(7), x), x + 0.5)
-    g = aj.Dynamics(panda).g(q)
-    assert_allclose(answer.torque, np.clip(g, -1.0, 1.0), atol=1e-12)
-
-
-class ComputedTorque(TaskController):
-    """A law of one's own, which no proof is for."""
-
-    def __init__(self, task):
-        self._remember(locals())
-        self.gravity = aj.ModelGravity(task.robot)
-        self.dynamics = aj.Dynamics(task.robot)
-        self._take(task, 0)
-
-    def gravity_torque(self, state, q):
-        return self.dynamics.g(q)
-
-    def _answer(self, q, v, x, e, state, x_d_dot, lost):
-        J_hat = self.task.jacobian(q, x)
-        tau = self.dynamics.inverse(q, v, -50.0 * (np.linalg.pinv(J_hat) @ (4.0 * e) + v))
-        return aj.Evaluation(tau, state, aj.Status.OK, e, J_hat, self.gravity_torque(state, q))
-
-
-def test_another_law_is_limited_without_a_proof(panda):
-    law = ComputedTorque(aj.PositionTask(panda))
-    with pytest.raises(aj.InvalidInputError, match="proof must be False for"):
-        aj.TorqueLimited(law)
-    limited = aj.TorqueLimited(law, proof=False)
-    measurement, target = infeasible_state(panda)
-    measurement = measurement._replace(v=2.0 * measurement.v)
-    answer = answered(limited, np.zeros(0), measurement, target)
-    assert answer.limit_status is aj.LimitStatus.LIMITED
-    assert (np.abs(answer.torque) <= panda.effort_limits).all()
-    # the speeds that the next steps tend to are within their limits, as those of the law are not
-    wanted = law.evaluate(np.zeros(0), measurement, target)
-    tends = [
-        measurement.v + aj.Dynamics(panda).forward(measurement.q, measurement.v, tau) / 100.0
-        for tau in (answer.torque, wanted.torque)
-    ]
-    _, high = panda.position_limits
-    fastest = np.minimum(panda.velocity_limits, 10.0 * (high - measurement.q))
-    assert (tends[0] <= fastest + 1e-9).all()
-    assert not ((tends[1] <= fastest) & (tends[1] >= -panda.velocity_limits)).all()
 
 
 @pytest.mark.parametrize("proof", [True, False])

@@ -29,8 +29,7 @@ MADE = {
     "law 5": lambda task: aj.SetpointController(task, velocity=aj.DifferentiatedVelocity()),
     "learning": learning,
     "limited": lambda task: aj.TorqueLimited(learning(task), LIMITS),
-    "clipped": lambda task: aj.TorqueClipped(learning(task), LIMITS),
-    "scaled": lambda task: aj.TaskTorqueScaled(aj.SetpointController(task), LIMITS),
+    "clipped": lambda task: aj.TorqueLimited(learning(task), LIMITS, proof=False),
     "held": lambda task: aj.HeldMeasurement(aj.TorqueLimited(learning(task), LIMITS), 0.5),
 }  # fmt: skip
 

@@ -182,7 +182,6 @@ def test_joints_beyond_their_limits_are_reported():
         ({"task": {"kind": "pose", "axes": "xyz"}}, "task.axes are those of a position"),
         ({"sensor": {"dropout": 2.0}}, "sensor.dropout must be a probability"),
         ({"sensor": {"lost_part": 1}}, "sensor.lost_part needs a time in sensor.lost"),
-        ({"controller": {"limiter": "qp"}}, "controller.limiter needs controller.limits"),
         ({"controller": {"torque_rate": 9.0}}, "controller.torque_rate needs controller.limits"),
         ({"loop": {"dt": "continuous"}, "sensor": {"noise": 0.1}}, "sensor needs a loop.dt in s"),
     ],
@@ -195,7 +194,7 @@ def test_what_does_not_fit_is_refused(parts, text):
 
 # -- limits -----------------------------------------------------------------------------
 
-LIMITED = {"limits": 0.7, "limiter": "qp", "gravity": "exact", "settling_time": 0.4}
+LIMITED = {"limits": 0.7, "gravity": "exact", "settling_time": 0.4}
 
 
 @pytest.fixture(scope="module")
@@ -203,24 +202,15 @@ def limited():
     return reach(controller=LIMITED, run={**FAR, "duration": 1.0}).build().run()
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        (None, aj.TorqueLimited),
-        ("qp", aj.TorqueLimited),
-        ("clip", aj.TorqueClipped),
-        ("scale", aj.TaskTorqueScaled),
-    ],
-)
-def test_the_law_is_wrapped_and_the_motors_saturate_at_the_same_limits(name, kind):
-    built = reach(controller={"limits": 0.5, "limiter": name}).build()
+def test_the_law_is_wrapped_and_the_motors_saturate_at_the_same_limits():
+    built = reach(controller={"limits": 0.5}).build()
     panda = aj.load_robot("panda")
-    assert type(built.controller) is kind
+    assert type(built.controller) is aj.TorqueLimited
     assert built.controller.controller is built.law
     assert np.array_equal(built.limits.effort, 0.5 * panda.effort_limits)
     assert np.array_equal(built.plant.torque_limits, 0.5 * panda.effort_limits)
     assert np.array_equal(built.limits.velocity, panda.velocity_limits)
-    whole = reach(controller={"limits": "urdf", "limiter": name}).build()
+    whole = reach(controller={"limits": "urdf"}).build()
     assert np.array_equal(whole.plant.torque_limits, panda.effort_limits)
 
 
@@ -235,7 +225,7 @@ def test_what_limits_did_is_counted_in_every_step(limited):
     assert limits["peak_speed_ratio"] == speeds.max()
     assert summary["peak_torque_ratio"] == pytest.approx(1.0)
     text = report.text(limited)
-    assert "\nlimiter     qp, 0.7 of the effort limits: " in text
+    assert "\nlimited     0.7 of the effort limits: " in text
     assert "slack up to " in text
     axes = {ax.get_title(): ax for ax in report.draw(limited)["run"].axes}
     assert len(axes) == 8
@@ -246,8 +236,9 @@ def test_what_limits_did_is_counted_in_every_step(limited):
 
 
 def test_a_slack_that_is_not_known_is_none():
-    clipped = {"limits": 0.5, "limiter": "clip", "settling_time": 0.4}
-    result = reach(controller=clipped, run={**FAR, "duration": 0.1}).build().run()
+    built = reach(controller={"limits": 0.5}, run={**FAR, "duration": 0.1}).build()
+    clipped = aj.TorqueLimited(built.law, aj.Limits(1.0), proof=False)
+    result = dataclasses.replace(built, controller=clipped).run()
     assert result.summary()["limits"]["largest_slack_W"] is None
     assert "slack not known" in report.text(result)
 

@@ -60,8 +60,10 @@ def test_the_task_torque_of_law_5_has_the_measured_velocity(panda):
 def test_limiters_show_the_torque_that_the_law_wants(panda):
     limits = aj.Limits(effort=10.0)
     _, _, free = reach(panda, setpoint)
-    for limited in (aj.TorqueClipped, aj.TorqueLimited):
-        _, _, run = reach(panda, lambda task, kind=limited: kind(setpoint(task), limits))
+    for proof in (False, True):
+        _, _, run = reach(
+            panda, lambda task, p=proof: aj.TorqueLimited(setpoint(task), limits, proof=p)
+        )
         assert_allclose(run.task_torque[0], free.task_torque[0])
         assert np.abs(run.tau).max() <= 10.0 < np.abs(free.tau).max()
         assert_allclose(run.V[0], free.V[0])

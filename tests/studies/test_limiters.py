@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from limiters import Case
 from lyapunov_decrease import excess
+from usual_limiters import TaskTorqueScaled
 
 import approxjac as aj
 
@@ -110,3 +111,24 @@ def test_failures_are_named_and_fewer_runs_than_with_clipping_are_a_shortcoming(
     text = "\n".join(limiters.failures([failed, beyond]))
     assert "- qp, 1 × a dead end (1 at 0.35); such as two_link, seed 0: 500 -> 0.01 mm" in text
     assert "- clip, 1 × done, but with a joint more than 0.01 rad beyond" in text
+
+
+def test_scaling_keeps_the_direction_of_the_task_torque():
+    panda, rng = aj.load_robot("panda"), np.random.default_rng(0)
+    law = aj.SetpointController(aj.PositionTask(panda))
+    effort = 0.9 * panda.effort_limits
+    scaled = TaskTorqueScaled(law, aj.Limits(effort))
+    q = panda.random_configuration(rng)
+    x = law.task.value(q)
+    measurement, target = aj.Measurement(0.0, q, np.zeros(7), x), x + [2.0, -1.0, 1.0]
+    g = law.gravity_torque(np.zeros(0), q)
+    wanted = law.evaluate(np.zeros(0), measurement, target).torque - g
+    _, answer = scaled.step(np.zeros(0), measurement, target, 1e-3)
+    got = answer.torque - g
+    share = got @ wanted / (wanted @ wanted)
+    assert 0.0 < share < 1.0
+    np.testing.assert_allclose(got, share * wanted, atol=1e-9)
+    assert np.abs(answer.torque / effort).max() == pytest.approx(1.0)
+    # where gravity is too much it is clipped
+    _, answer = TaskTorqueScaled(law, aj.Limits(1.0)).step(np.zeros(0), measurement, target, 1e-3)
+    np.testing.assert_allclose(answer.torque, np.clip(g, -1.0, 1.0), atol=1e-12)

@@ -41,7 +41,6 @@ _COMMON = {
     "--kv": "controller.kv",
     "--damping": "controller.damping",
     "--limits": "controller.limits",
-    "--limiter": "controller.limiter",
     "--start": "run.start",
     "--target": "run.target.at",
     "--target-offset": "run.target.offset",

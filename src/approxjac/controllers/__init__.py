@@ -1,6 +1,5 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
-from approxjac.controllers.clipped import TaskTorqueScaled, TorqueClipped
 from approxjac.controllers.compiled import CompiledSetpointController
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
@@ -36,8 +35,6 @@ __all__ = [
     "Posture",
     "RegressorGravity",
     "SetpointController",
-    "TaskTorqueScaled",
-    "TorqueClipped",
     "TorqueLimited",
     "default_adaptation",
     "default_gains",

@@ -10,7 +10,6 @@ import numpy as np
 from approxjac.controllers.gravity import AdaptiveGravity
 from approxjac.controllers.limits import Limits, rate_bounds
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.task_controller import TaskController
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
@@ -60,15 +59,15 @@ class Limiter(ControllerWrapper):
         limits: The limits with an entry for each joint.
     """
 
-    controller: TaskController
+    controller: SetpointController
 
-    def __init__(self, controller: TaskController, limits: Limits | None = None) -> None:
+    def __init__(self, controller: SetpointController, limits: Limits | None = None) -> None:
         self._remember(locals())
         wanted = (
             "a law such as SetpointController (what holds measurements goes around it: "
             "HeldMeasurement(TorqueLimited(law), ...))"
         )
-        require("controller", controller, TaskController, wanted)
+        require("controller", controller, SetpointController, wanted)
         if limits is not None:
             require("limits", limits, Limits, "Limits(effort=...), Limits.of(robot) or None")
         self.controller = controller
@@ -76,7 +75,7 @@ class Limiter(ControllerWrapper):
         given = Limits.of(robot) if limits is None else limits
         self.limits = given.for_joints(robot.nv)
         self._law, self._p = controller, 0
-        if isinstance(controller, SetpointController) and controller.adaptation is not None:
+        if controller.adaptation is not None:
             # the limiter decides when learning rests
             always = controller.adaptation._replace(torque_limits=np.full(robot.nv, np.inf))
             self._law = controller.with_gravity(AdaptiveGravity(*always))
@@ -137,8 +136,8 @@ class Limiter(ControllerWrapper):
         status, slack = _FREE, 0.0
         free = torque.tolist() == wanted.tolist()
         if not free or self._looks_ahead:
-            gravity = np.zeros_like(wanted) if answer.gravity is None else answer.gravity
-            asked = Asked(answer, gravity, measurement, lower, upper, torque, free)
+            assert answer.gravity is not None  # no law of ours leaves it out
+            asked = Asked(answer, answer.gravity, measurement, lower, upper, torque, free)
             torque, status, slack = self._limit(asked)
         if self._p and status is not _FREE and status is not _KEPT:
             after[: self._p] = state[: self._p]

@@ -1,14 +1,12 @@
-"""`TaskController`: the base of laws in continuous time, and the checks of their arguments."""
+"""`TaskController`: the base of `SetpointController`, which checks the arguments of a step."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Self
 
 import numpy as np
 
-from approxjac.controllers.gravity import Gravity
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Target
 from approxjac.tasks import Task
@@ -23,17 +21,14 @@ HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 class TaskController(Immutable, ABC):
     """A law of one task in continuous time: arguments are checked here, the law is in `_answer`.
 
-    The state here is that of a law that learns nothing. The usual case costs one comparison of
-    shapes and one sum; only an unusual one is taken apart.
+    The usual case costs one comparison of shapes and one sum; only an unusual one is taken apart.
 
     Attributes:
         task: The task of the believed robot.
-        gravity: Source of the gravity torque.
         dt: None: any sampling time will do.
     """
 
     task: Task
-    gravity: Gravity
     dt: None = None
 
     def _take(self, task: Task, n_state: int) -> None:
@@ -46,19 +41,6 @@ class TaskController(Immutable, ABC):
         self._continuous = robot.nq != robot.nv
         self._no_rate = np.zeros(n_state)
         self._no_rate.flags.writeable = False
-
-    def initial_state(self, measurement: Measurement) -> Array:
-        """State before the first evaluation: none, shape (0,).
-
-        Raises:
-            InvalidInputError: A measurement of the wrong shapes.
-        """
-        self._require_arrays(self._no_rate, measurement, np.zeros(self.task.n_x))
-        return np.zeros(0)
-
-    def learnt(self, state: Array) -> Array:
-        """Return what is learnt in a state, or a series of them: nothing, shape (…, 0)."""
-        return state[..., :0]
 
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
@@ -142,20 +124,6 @@ class TaskController(Immutable, ABC):
             "is for",
             given=measurement,
         )
-
-    @abstractmethod
-    def gravity_torque(self, state: Array, q: Array) -> Array:
-        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
-
-    def with_task(self, task: Task) -> Self:
-        """Return this controller with another task, such as that of another believed robot.
-
-        Gravity, and what is learnt of it, stays that of the robot that it was made for.
-
-        Args:
-            task: A task with the same coordinates, of a robot with the same joints.
-        """
-        return self._rebuilt(task=task, gravity=self.gravity)
 
     @abstractmethod
     def _answer(

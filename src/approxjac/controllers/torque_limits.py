@@ -20,7 +20,6 @@ from approxjac.controllers.limits import (
 from approxjac.controllers.qp_solvers import as_solver
 from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.task_controller import TaskController
 from approxjac.controllers.tuning import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
@@ -84,7 +83,7 @@ class TorqueLimited(Limiter):
 
     def __init__(
         self,
-        controller: TaskController,
+        controller: SetpointController,
         limits: Limits | None = None,
         *,
         weight: Weight | Sequence[float] | Array = "joint inertia",
@@ -100,12 +99,6 @@ class TorqueLimited(Limiter):
         self._dt = as_number("dt", dt, unit="s", above=0.0)
         require("proof", proof, bool, "True or False")
         robot = controller.task.robot
-        if proof and not isinstance(controller, SetpointController):
-            raise InvalidInputError(
-                f"proof must be False for {controller!r}: the proof is that of the laws of "
-                "SetpointController",
-                given=controller,
-            )
         self.proof = proof
         self.alpha = self._resolved_alpha(alpha)
         self.braking = self._share_of("braking", braking, 1.0 / self._dt, 0.1)
@@ -271,13 +264,11 @@ class TorqueLimited(Limiter):
         return speeds, q_dd, acceleration_bounds(v, speeds, self._braking, self._jerk)
 
     def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, float]:
-        """Return y, shape (n_v,), or q̇ for a controller that is under no proof; and ρ.
+        """Return y, shape (n_v,), and ρ.
 
         λ pulls q̇ towards −αĴ⁺s(e). Where that is faster than joints may move, ρ is reduced, or the
         pull would drive them into their limits of speed for as long as the error lasts.
         """
-        if not isinstance(self.controller, SetpointController):
-            return v, self._rho
         y = self.controller.passive_output(answer, v, self._alpha)
         if self._per_speed is None:
             return y, self._rho
@@ -287,13 +278,12 @@ class TorqueLimited(Limiter):
         return y, self._rho / max(1.0, *map(abs, pull))
 
     def _resolved_alpha(self, alpha: float | None) -> float:
-        controller = self.controller
-        if not isinstance(controller, SetpointController):
-            return 0.0 if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
-        learning = controller.adaptation
         if alpha is None:
-            return controller.alpha
-        alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
+            return self.controller.alpha
+        learning, alpha = (
+            self.controller.adaptation,
+            as_number("alpha", alpha, unit="1/s", above=0.0),
+        )
         if learning is not None and alpha != learning.alpha:
             raise InvalidInputError(
                 f"alpha must be that of the adaptation, {learning.alpha:g} [1/s], got {alpha:g}",

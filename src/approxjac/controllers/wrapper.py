@@ -8,7 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from approxjac.controllers.task_controller import FLOAT64, TaskController
+from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.task_controller import FLOAT64
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, Evaluation, Measurement, Target
 from approxjac.tasks import Task
@@ -103,7 +104,7 @@ def with_task(controller: Controller, task: Task) -> Controller:
     Raises:
         InvalidInputError: A controller of your own.
     """
-    if not isinstance(controller, TaskController | ControllerWrapper):
+    if not isinstance(controller, SetpointController | ControllerWrapper):
         raise InvalidInputError(
             f"controller must be able to take another task for its belief to be changed, got "
             f"{controller!r}",

@@ -21,8 +21,6 @@ from approxjac.controllers import (
     Posture,
     RegressorGravity,
     SetpointController,
-    TaskTorqueScaled,
-    TorqueClipped,
     TorqueLimited,
     default_gains,
 )
@@ -142,7 +140,11 @@ def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
         q0 = _start(plant, scenario, draw)
         target = _target(sensor, q0, scenario, draw)
     law = _law(task, gravity_from(truth, belief, scenario.controller.gravity), q0, scenario)
-    controller = _held(law if limits is None else limited(law, limits, scenario), scenario)
+    controller: Controller = law
+    if limits is not None:
+        controller = TorqueLimited(law, limits, dt=sampling_time(scenario))
+    if scenario.controller.unseen is not None:
+        controller = HeldMeasurement(controller, scenario.controller.unseen)
     return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
 
 
@@ -323,23 +325,6 @@ def _limits(scenario: Scenario, belief: Robot) -> Limits | None:
     limits = Limits.of(belief, share if isinstance(share, float) else 1.0)
     rate = scenario.controller.torque_rate
     return Limits(limits.effort, rate, limits.position, limits.velocity).for_joints(belief.nv)
-
-
-def limited(law: SetpointController, limits: Limits, scenario: Scenario) -> Controller:
-    """Wrap a law into the limiter that a scenario chooses."""
-    kind = scenario.controller.limiter or "qp"
-    if kind == "clip":
-        return TorqueClipped(law, limits)
-    if kind == "scale":
-        return TaskTorqueScaled(law, limits)
-    return TorqueLimited(law, limits, dt=sampling_time(scenario))
-
-
-def _held(controller: Controller, scenario: Scenario) -> Controller:
-    unseen = scenario.controller.unseen
-    if unseen is None:
-        return controller
-    return HeldMeasurement(controller, unseen)
 
 
 # -- the plant --------------------------------------------------------------------------

@@ -211,9 +211,8 @@ class ControllerChoice:
         posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
         limits: Lets the controller know limits and keep them: "urdf" those of the URDF, a number
             the effort limits times it, which are then the motors' too. Unknown by default.
-        limiter: How: "qp" (with the position and velocity limits, and the proof kept where it can
-            be; the default where there are limits), "clip" or "scale".
-        torque_rate: Largest change of a torque that the limiter allows, N m/s; any by default.
+            They are kept by `TorqueLimited`, with those of positions and velocities.
+        torque_rate: Largest change of a torque that it allows, N m/s; any by default.
         unseen: Goes on with the x that was last seen until it must have moved by more than this,
             m, rad or px, and only brakes then; by default x is held at no time.
     """
@@ -228,7 +227,6 @@ class ControllerChoice:
     gamma: float | None = _above(None)
     posture_stiffness: float = _at_least(0.0)
     limits: float | Literal["urdf"] | None = _above(None)
-    limiter: Literal["qp", "clip", "scale"] | None = None
     torque_rate: float | None = _above(None)
     unseen: float | None = _above(None)
 

@@ -42,7 +42,8 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
     image = task.kind == "image"
     pinhole = image and true.camera.kind == "pinhole"
     in_hand = pinhole and true.camera.mount is not None
-    unlimited, turned = control.limits is None, task.kind == "pose" or pinhole
+    turned = task.kind == "pose" or pinhole
+    needs = 'needs controller.limits, "urdf" or a share of the URDF\'s such as 0.5'
     gains = None not in (control.kp, control.kv, control.damping)
     rules = [
         ("true.floor", true.engine != "mujoco", "needs true.engine mujoco", true.engine),
@@ -57,11 +58,9 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("controller.settling_time", gains, "is for default gains", "given ones"),
         ("run.target.circle", turned, "is a path of positions", task.kind),
         ("run.target.line", turned, "is a path of positions", task.kind),
+        ("controller.torque_rate", control.limits is None, needs, "none"),
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
     ]
-    for name in ("limiter", "torque_rate"):
-        needs = 'needs controller.limits, "urdf" or a share of the URDF\'s such as 0.5'
-        rules.append((f"controller.{name}", unlimited, needs, "none"))
     if isinstance(scenario.loop.dt, str):
         at = "needs a loop.dt in s"
         rules += [(f"controller.{name}", True, at, "continuous") for name in ("limits", "unseen")]

@@ -182,7 +182,7 @@ def _images(result: Result) -> dict[str, str]:
 
 
 def _limits(result: Result) -> list[str]:
-    """What a limiter did in all steps, and which joint was beyond its limits."""
+    """Return what limits did in all steps, and which joint was beyond its limits."""
     lines, tally, chosen = [], result.tally, result.built.scenario.controller
     if tally is not None:
         shares = ", ".join(f"{s.name} {100.0 * n:.3g} %" for s, n in tally.shares().items())
@@ -194,7 +194,7 @@ def _limits(result: Result) -> list[str]:
         urdf = chosen.limits == "urdf"
         which = "the URDF's effort limits" if urdf else f"{chosen.limits} of the effort limits"
         lines += [
-            f"limiter     {chosen.limiter or 'qp'}, {which}: {shares}",
+            f"limited     {which}: {shares}",
             f"            {known}; torques at most {tally.torque_violation:.1g} N m beyond their "
             f"limits, {fast}",
         ]

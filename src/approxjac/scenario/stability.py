@@ -100,7 +100,7 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     # a report is of eq. (1), and of whatever target
     plain = replace(
         scenario,
-        controller=replace(scenario.controller, gravity=gravity, limits=None, limiter=None),
+        controller=replace(scenario.controller, gravity=gravity, limits=None),
     )
     built = build_with(arm, plain)
     truth = _truth(arm, built, analysis)
