@@ -1,7 +1,7 @@
 """How long may an unknown tool be? A Panda's stability, told before anything moves.
 
 You will see: what Theorem 1, the matrix form and the linearisation say of tools of up to 30 cm
-that the controller believes absent, around one posture; and how long a tool each of them lets
+that the controller believes absent, around one configuration; and how long a tool each of them lets
 pass, with more and more joint damping. Theorem 1 certifies millimetres to centimetres and the
 matrix form decimetres. The linearisation, which speaks of small motions only,
 lets even longer ones pass.
@@ -42,7 +42,7 @@ def controller_with(damping):
 
 print(aj.stability_report(controller_with(9.0), tools, region, configurations=100))
 
-# few postures and a coarse search, to be quick: the defaults are finer
+# few configurations and a coarse search, to be quick: the defaults are finer
 tolerated = {"theorem1": [], "matrix": [], "local": []}
 for damping in DAMPING:
     found = aj.tolerance(

@@ -302,7 +302,7 @@ def conservatism(outcomes):
         *lines,
         "",
         f"Not certified with any damping although they converge: {len(missed)}. In {len(singular)} "
-        f"Ĵ loses rank in the region; in {len(wrong)} the region holds postures that would "
+        f"Ĵ loses rank in the region; in {len(wrong)} the region holds configurations that would "
         f"be unstable targets in the limit of large gains; "
         f"{len(missed) - len(singular) - len(wrong)} are left.",
         "",
@@ -314,8 +314,8 @@ def missing(o):
     """Return a line on a case that converges and that nothing certifies."""
     why = "Ĵ loses rank in the region" if o.singular else f"p/σ_min = {o.jacobian_error:.2g}"
     if o.wrong_way:
-        why += f"; {100 * o.wrong_way:.2g} % of the postures are unstable targets"
-    local = "" if o.stable else f"; unstable at the target's posture ({-o.rate:+.2g}/s)"
+        why += f"; {100 * o.wrong_way:.2g} % of the configurations are unstable targets"
+    local = "" if o.stable else f"; unstable at the target's configuration ({-o.rate:+.2g}/s)"
     left = "" if o.stayed else "; leaves the region"
     case = f"{o.case.kind}, case {o.case.number}"
     return f"- {case}: {why}, half width {o.radius:.2f} rad{local}{left}"

@@ -116,7 +116,7 @@ def table(rows, count):
         values = (f"{100 * value:.1f} %" for value in mine[2:])
         lines.append(row(f"{100 * mine.length:.0f} cm", f"{mine.beta:g}", *values))
     error = f"sampling error up to {100 / count**0.5:.1f} % (2 σ)"
-    return "\n".join([*lines, "", f"{count} postures a row; {error}."]) + "\n"
+    return "\n".join([*lines, "", f"{count} configurations a row; {error}."]) + "\n"
 
 
 def main(arguments=None):

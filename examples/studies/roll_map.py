@@ -292,7 +292,7 @@ def difference(cell):
     elsewhere = ""
     if cell.verdict == "converges":
         elsewhere = (
-            f", at a posture {cell.moved:.2g} rad from the goal's, where the test says "
+            f", at a configuration {cell.moved:.2g} rad from the goal's, where the test says "
             f"{cell.end_rate:.3g} 1/s"
         )
     return (
