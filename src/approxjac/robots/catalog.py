@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 
 class NamedRobot(NamedTuple):
-    """Where a named robot is found.
+    """A robot that loads by name.
 
     Attributes:
         path: URDF, relative to our `urdf/` folder or to example-robot-data's `robots/`.
@@ -60,17 +59,10 @@ def share_dir() -> Path | None:
     return share if (share / "example-robot-data" / "robots").is_dir() else None
 
 
-@functools.cache
-def own_urdf_dir() -> Path:
-    """Return the folder of our own URDFs: package data, or `urdf/` in a source checkout."""
-    packaged = Path(__file__).parents[1] / "urdf"
-    return packaged if packaged.is_dir() else Path(__file__).parents[3] / "urdf"
-
-
 def urdf_path(entry: NamedRobot) -> Path:
     """Return the URDF file of a named robot; it need not exist."""
-    own = own_urdf_dir() / entry.path
     share = share_dir()
-    if "/" not in entry.path or share is None:
-        return own
-    return share / "example-robot-data" / "robots" / entry.path
+    if "/" in entry.path and share is not None:
+        return share / "example-robot-data" / "robots" / entry.path
+    packaged = Path(__file__).parents[1] / "urdf"  # of the wheel; a source checkout has ours
+    return (packaged if packaged.is_dir() else Path(__file__).parents[3] / "urdf") / entry.path

@@ -49,9 +49,7 @@ class Dynamics:
 
     def C(self, q: Array, v: Array) -> Array:
         """Coriolis matrix C(q, q̇) with Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""
-        q_all, v_all = self._mimic_joints.q(self._q(q)), self._mimic_joints.v(self._v(v))
-        C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, v_all)
-        return np.array(self._mimic_joints.rows(self._mimic_joints.columns(C)))
+        return np.array(self._coriolis_matrix(self._mimic_joints.q(self._q(q)), self._v(v)))
 
     def M_dot(self, q: Array, v: Array) -> Array:
         """dM/dt = C + Cᵀ along q̇, shape (n_v, n_v)."""
@@ -63,10 +61,7 @@ class Dynamics:
         q_all, n = self._mimic_joints.q(self._q(q)), len(self._zero)
         dM = np.empty((n, n, n))
         for k, unit in enumerate(np.eye(n)):
-            C = pin.computeCoriolisMatrix(
-                self._all, self._all_data, q_all, self._mimic_joints.v(unit)
-            )
-            dM[k] = self._mimic_joints.rows(self._mimic_joints.columns(C))
+            dM[k] = self._coriolis_matrix(q_all, unit)
         return dM + np.swapaxes(dM, 1, 2)
 
     def coriolis(self, q: Array, v: Array) -> Array:
@@ -112,6 +107,11 @@ class Dynamics:
             pin.computeKineticEnergy(self._all, self._all_data, q, v)
             + pin.computePotentialEnergy(self._all, self._all_data, q)
         )
+
+    def _coriolis_matrix(self, q_all: Array, v: Array) -> Array:
+        v_all = self._mimic_joints.v(v)
+        C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, v_all)
+        return self._mimic_joints.rows(self._mimic_joints.columns(C))
 
     def _q(self, q: Array) -> Array:
         return self.robot.configuration(q)

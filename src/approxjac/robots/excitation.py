@@ -10,8 +10,6 @@ from approxjac.errors import InvalidInputError
 from approxjac.robots.gravity_regressor import GravityRegressor
 from approxjac.validation import Array, as_array, as_number, require, shape_of
 
-_NO_EFFECT = 1e-12  # share of the largest effect that is round-off
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation:
@@ -45,10 +43,11 @@ class Excitation:
             f"  {name:{width}}  {effect:9.3g}  {own:9.3g}  {'yes' if name in excited else 'no'}"
             for name, effect, own in zip(self.names, self.effect, self.own, strict=True)
         ]
-        head = f"  {'':{width}}  {'effect':>9}  {'own':>9}  excited   [N m per unit]"
-        return "\n".join(
-            [f"Excitation: {self.rank} of {len(self.names)} combinations", head, *lines]
-        )
+        lines[:0] = [
+            f"Excitation: {self.rank} of {len(self.names)} combinations",
+            f"  {'':{width}}  {'effect':>9}  {'own':>9}  excited   [N m per unit]",
+        ]
+        return "\n".join(lines)
 
 
 def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -> Excitation:
@@ -75,15 +74,12 @@ def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -
         raise InvalidInputError(f"threshold must be at most 1, got {threshold:g}", given=threshold)
     Z = np.vstack([regressor.Z(each) for each in q]) / np.sqrt(len(q))
     effect = np.linalg.norm(Z, axis=0)
-    effect[effect < _NO_EFFECT * effect.max()] = 0.0
-    scaled = np.where(effect > 0.0, Z / np.where(effect > 0.0, effect, 1.0), 0.0)
-    # with fewer rows than parameters, zeros below them, so that Vt spans the null space too
-    missing = max(regressor.p - len(scaled), 0)
-    _, values, Vt = np.linalg.svd(np.pad(scaled, ((0, missing), (0, 0))), full_matrices=False)
-    large = values > 1e-6 * values[0]
+    effect[effect < 1e-12 * effect.max()] = 0.0  # round-off
+    A = np.divide(Z, effect, out=np.zeros_like(Z), where=effect > 0.0)
+    A_plus = np.linalg.pinv(A, rcond=1e-6)
     # 1/(A⁺A⁺ᵀ)ₖₖ is the squared distance of column k to the span of the others; a parameter with a
     # share in the null space has none
-    within = np.linalg.norm(Vt[~large], axis=0) < 1e-3
-    spread = np.linalg.norm(Vt[large] / values[large, None], axis=0)
-    own = np.where(within & (effect > 0.0), effect / np.where(spread > 0.0, spread, 1.0), 0.0)
-    return Excitation(regressor.names, effect, own, threshold, int((values > threshold).sum()))
+    alone = 1.0 - np.einsum("ij,ji->i", A_plus, A) < 1e-6
+    own = np.divide(effect, np.linalg.norm(A_plus, axis=1), out=np.zeros_like(effect), where=alone)
+    rank = int(np.linalg.matrix_rank(A, tol=threshold))
+    return Excitation(regressor.names, effect, own, threshold, rank)

@@ -12,9 +12,7 @@ from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.robot import Robot
 from approxjac.validation import Array, axis_rows, require
 
-_CONFIGURATIONS = 60  # random configurations that rank and grouping are found from
 _RANK_TOLERANCE = 1e-9
-_EXACT = 1e-9  # relative error of Z θ that counts as none
 
 
 class GravityRegressor:
@@ -58,9 +56,7 @@ class GravityRegressor:
         offsets = [0, *(1 + axis for axis in sorted(axes))]
         candidates = np.array([10 * i + k for i in range(self._model.nv) for k in offsets])
         rng = np.random.default_rng(0)
-        stacked = np.vstack(
-            [self._full(q)[:, candidates] for q in _anywhere(robot, rng, _CONFIGURATIONS)]
-        )
+        stacked = np.vstack([self._full(q)[:, candidates] for q in _anywhere(robot, rng)])
         kept, grouping = _independent_columns(stacked)
         if not kept:
             raise InvalidInputError(
@@ -78,7 +74,7 @@ class GravityRegressor:
         self.theta = grouping @ parameters[candidates]
         self.theta.flags.writeable = False
         error = self._error(robot, self.theta, rng)
-        if error > _EXACT:
+        if error > 1e-9:
             raise InvalidInputError(
                 f"moments must cover the centres of mass of {robot.name}, got {moments!r}: gravity "
                 f"would be wrong by {100 * error:.2g} %; 'xyz' covers every robot",
@@ -128,24 +124,22 @@ class GravityRegressor:
             )
         rng = np.random.default_rng(seed)
         Z, g = self._samples(robot, rng)
-        change = np.linalg.lstsq(Z, g - Z @ self.theta, rcond=1e-12)[0]
-        theta: Array = self.theta + change
+        theta: Array = self.theta + np.linalg.lstsq(Z, g - Z @ self.theta, rcond=1e-12)[0]
         return theta, self._error(robot, theta, rng)
 
     def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Z of this robot and g of another, stacked over random configurations."""
-        dynamics = Dynamics(robot)
-        configurations = _anywhere(robot, rng, _CONFIGURATIONS)
+        """Return Z of this robot and g of another, stacked over random configurations."""
+        dynamics, configurations = Dynamics(robot), _anywhere(robot, rng)
         Z = np.vstack([self.Z(q) for q in configurations])
         return Z, np.concatenate([dynamics.g(q) for q in configurations])
 
     def _error(self, robot: Robot, theta: Array, rng: np.random.Generator) -> float:
-        """Largest error of Z θ over new configurations, relative to the largest gravity torque."""
+        """Return the largest error of Z θ over new configurations, relative to the largest g."""
         Z, g = self._samples(robot, rng)
         return float(np.abs(Z @ theta - g).max() / max(np.abs(g).max(), 1e-300))
 
     def _full(self, q: Array) -> Array:
-        """All columns at rest, ten for each moving link; an alias of scratch memory."""
+        """Return all columns at rest, ten for each moving link; an alias of scratch memory."""
         mimic_joints = self.robot.mimic_joints
         regressor: Array = pin.computeJointTorqueRegressor(
             self._model, self._data, mimic_joints.q(q), self._zero, self._zero
@@ -158,10 +152,10 @@ class GravityRegressor:
         return f"GravityRegressor({self.robot.name!r}: {self.p} parameters {', '.join(self.names)})"
 
 
-def _anywhere(robot: Robot, rng: np.random.Generator, count: int) -> list[Array]:
-    """Return configurations over full turns (and ±1 m): limits must not hide a column."""
+def _anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
+    """Return 60 configurations over full turns (and ±1 m): limits must not hide a column."""
     reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
-    motions = rng.uniform(-reach, reach, (count, robot.nv))
+    motions = rng.uniform(-reach, reach, (60, robot.nv))
     return [np.array(pin.integrate(robot.model, robot.neutral(), motion)) for motion in motions]
 
 

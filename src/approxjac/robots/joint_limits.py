@@ -1,8 +1,6 @@
-"""Where joints may be, and how far they bring a frame."""
+"""Joints against their position limits, and how far they bring a frame."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +11,7 @@ from approxjac.validation import Array
 
 
 def beyond_positions(robot: Robot, q: Array) -> Array:
-    """How far each joint is beyond its position limits, negative within.
+    """Return how far each joint is beyond its position limits, negative within.
 
     Args:
         robot: The robot.
@@ -28,12 +26,7 @@ def beyond_positions(robot: Robot, q: Array) -> Array:
 
 
 def farthest_beyond(robot: Robot, q: Array) -> str:
-    """Which joint was how far beyond its position limits at most, in words.
-
-    Args:
-        robot: The robot.
-        q: Configurations, shape (N, nq), at least one beyond them.
-    """
+    """Say which joint was how far beyond its limits at most, of configurations (N, nq)."""
     beyond = beyond_positions(robot, q).max(axis=0)
     i = int(beyond.argmax())
     name, unit = robot.joint_names[i], robot.joint_units[i]
@@ -59,25 +52,18 @@ def require_radians(name: str, robot: Robot, q: Array) -> None:
 
 
 def reach_bound(robot: Robot, frame: str) -> tuple[Array, float]:
-    """Where the first joint before a frame stands, shape (3,), and how far from it the frame gets.
+    """Return where the first joint before a frame stands, shape (3,), and a bound [m] on its reach.
 
-    The second is a bound [m]: the arm stretched out along its links, whatever its joints allow;
-    infinite with a prismatic joint without limits, or one that mimics another.
+    The bound is the arm stretched out along its links, whatever its joints allow; infinite with a
+    prismatic joint without limits, or one that mimics another.
     """
     model, there = robot.model, robot.model.frames[robot.frame_id(frame)]
     joints = list(model.supports[there.parentJoint])[1:]
-    links = [float(np.linalg.norm(model.jointPlacements[j].translation)) for j in joints[1:]]
-    slides = {
-        name: max(-low, high)
-        for name, unit, low, high in zip(
-            robot.joint_names, robot.joint_units, *robot.position_limits, strict=True
-        )
-        if unit == "m"
-    }
-    all_joints = robot.mimic_joints.model  # those that mimic others as joints of their own
+    origins = [model.jointPlacements[j].translation for j in joints]
+    reach = sum(float(np.linalg.norm(part)) for part in (*origins[1:], there.placement.translation))
+    slides = dict(zip(robot.joint_names, np.abs(robot.position_limits).max(axis=0), strict=True))
+    every = robot.mimic_joints.model  # in which mimic joints move on their own
     for name in (model.names[j] for j in joints):
-        kind = all_joints.joints[all_joints.getJointId(name)].shortname()
-        if kind.startswith("JointModelP"):
-            links.append(float(slides.get(name, math.inf)))
-    first = np.array(model.jointPlacements[joints[0]].translation) if joints else np.zeros(3)
-    return first, float(sum(links) + np.linalg.norm(there.placement.translation))
+        if every.joints[every.getJointId(name)].shortname().startswith("JointModelP"):
+            reach += float(slides.get(name, np.inf))
+    return np.array(origins[0]) if joints else np.zeros(3), reach

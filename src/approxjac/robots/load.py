@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from approxjac.errors import (
-    InvalidInputError,
-    MissingPackageError,
-    UnknownNameError,
-    UrdfError,
-)
+from approxjac.errors import InvalidInputError, MissingPackageError, UnknownNameError, UrdfError
 from approxjac.robots.catalog import NAMED, NamedRobot, urdf_path
 from approxjac.robots.locked_joints import lock_off_chain
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
@@ -78,7 +74,7 @@ def locked_joints(source: str | Path, robot: Robot) -> tuple[str, ...]:
 
 
 def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:
-    """The URDF text that a source means, its file, and what is known of it by name."""
+    """Return the URDF text that a source means, its file, and what is known of it by name."""
     if not isinstance(source, str | Path):
         raise InvalidInputError(
             f"source must be a name, a path or URDF text, got {source!r}", given=source
@@ -86,32 +82,23 @@ def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:
     text = str(source).removeprefix("\ufeff")
     if isinstance(source, str) and text.lstrip().startswith("<"):
         return text, None, None
-    if isinstance(source, str) and text in NAMED:
-        entry = NAMED[text]
-        path = urdf_path(entry)
-        if not path.is_file():
-            raise MissingPackageError(
-                f"robot {text!r} needs example-robot-data, which is not installed: "
-                "pip install example-robot-data",
-                given="example-robot-data",
-            )
+    entry = NAMED.get(text) if isinstance(source, str) else None
+    path = Path(source) if entry is None else urdf_path(entry)
+    if os.path.isfile(path):  # unlike Path.is_file, of any name
         return _read(path), path, entry
-    path = Path(source)
-    if _is_file(path):
-        return _read(path), path, None
+    if entry is not None:
+        raise MissingPackageError(
+            f"robot {text!r} needs example-robot-data, which is not installed: "
+            "pip install example-robot-data",
+            given="example-robot-data",
+        )
     if path.suffix or "/" in text or isinstance(source, Path):
         raise UrdfError(f"URDF file {text} does not exist", given=source)
     raise UnknownNameError("robot", text, "the robots known by name", NAMED)
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return "\0" not in str(path) and path.is_file()
-    except OSError:  # a name that is too long, or a folder that may not be read
-        return False
-
-
 def _read(path: Path) -> str:
+    """Return the text of a file, in the encoding that it declares."""
     try:
         data = path.read_bytes()
         declared = re.match(rb"<\?xml[^>]*encoding=[\"']([\w.-]+)", data)

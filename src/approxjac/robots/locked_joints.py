@@ -1,30 +1,20 @@
-"""The rule of what is locked when an arm is loaded: what its tip does not need."""
+"""The joints that are locked when an arm is loaded: those that its tip does not need."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.robots.urdf import Urdf, UrdfJoint, leader_of
+from approxjac.robots.urdf import Urdf, leader_of
 from approxjac.robots.urdf_edit import with_locked_joints
 
 
 def lock_off_chain(
     urdf: Urdf, base: str | None, tip: str | None, free: str | Sequence[str]
 ) -> Urdf:
-    """Return a URDF with the moving joints fixed that are not between `base` and `tip`.
+    """Return a URDF with the joints fixed that `load_robot` locks; itself if there are none.
 
-    Each is fixed at zero, or at its limit nearest to zero. A mimic joint and the joint that it
-    follows are one: both stay free if either is needed. Without a tip nothing is locked.
-
-    Args:
-        urdf: The URDF.
-        base: Link that the chain starts from; by default the root of the robot.
-        tip: Link (or joint) at which it ends.
-        free: Joints that are left free all the same, one or several, or "all".
-
-    Returns:
-        The same URDF if there is nothing to lock.
+    A mimic joint and the joint that it follows are one: both stay free if either is needed.
 
     Raises:
         UnknownNameError: No such link, or in `free` no such moving joint.
@@ -46,20 +36,24 @@ def lock_off_chain(
     leaders = {joint: leader_of(joint, direct)[0] for joint in moving}
     needed = {leaders[joint] for joint in moving if joint in chain or joint in free}
     locked = [joint for joint in moving if leaders[joint] not in needed]
-    if locked and not needed:
+    if not locked:
+        return urdf
+    if not needed:
         raise InvalidInputError(
             f"tip must be a frame that a joint moves, got {tip!r}: there is no moving joint "
             f"between {'the root' if base is None else repr(base)} and it in {urdf.name}",
             given=tip,
         )
-    if not locked:
-        return urdf
-    rest = {joint: _rest(urdf.joints[joint]) for joint in locked if leaders[joint] == joint}
+    rest = {}
+    for joint in (urdf.joints[name] for name in locked if leaders[name] == name):
+        lower, upper = joint.limits
+        limited = joint.type in ("revolute", "prismatic") and lower < upper
+        rest[joint.name] = min(max(0.0, lower), upper) if limited else 0.0
     return with_locked_joints(urdf, rest)
 
 
 def _names(free: str | Sequence[str], moving: list[str], urdf: Urdf) -> list[str]:
-    """The joints that `free` names."""
+    """Return the joints that `free` names."""
     try:
         names = [free] if isinstance(free, str) else list(free)
     except TypeError as error:
@@ -75,10 +69,9 @@ def _names(free: str | Sequence[str], moving: list[str], urdf: Urdf) -> list[str
 
 
 def _chain(urdf: Urdf, base: str | None, tip: str) -> set[str]:
-    """All joints between two links."""
+    """Return all joints between two links."""
     parent_joints = {joint.child: joint for joint in urdf.joints.values()}
-    link = _link(urdf, tip)
-    start = None if base is None else _link(urdf, base)
+    link, start = _link(urdf, tip), None if base is None else _link(urdf, base)
     joints = set()
     while link in parent_joints and link != start:
         joints.add(parent_joints[link].name)
@@ -92,17 +85,9 @@ def _chain(urdf: Urdf, base: str | None, tip: str) -> set[str]:
 
 
 def _link(urdf: Urdf, frame: str) -> str:
-    """The link that a frame is part of: itself, or what the joint of that name moves."""
+    """Return the link that a frame is part of: itself, or what the joint of that name moves."""
     if isinstance(frame, str) and frame in urdf.links:
         return frame
     if isinstance(frame, str) and frame in urdf.joints:
         return urdf.joints[frame].child
     raise UnknownNameError("frame", frame, urdf.name, urdf.links)
-
-
-def _rest(joint: UrdfJoint) -> float:
-    """Zero, or the limit that is nearest to it."""
-    lower, upper = joint.limits
-    if joint.type not in ("revolute", "prismatic") or not lower < upper:
-        return 0.0
-    return min(max(0.0, lower), upper)

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lxml.builder import E
 
 from approxjac.errors import UrdfError
 from approxjac.robots.catalog import share_dir
+from approxjac.robots.urdf import Urdf
 
 _MUJOCO_READS = (".stl", ".obj", ".msh")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -25,20 +27,15 @@ def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
         relative = filename.removeprefix("package://")
         roots = [urdf_dir, *urdf_dir.parents] if urdf_dir is not None else []
         roots += [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
-        share = share_dir()
-        if share is not None:
-            roots.append(share)
+        roots += filter(None, [share_dir()])
     else:
         relative = filename.removeprefix("file://")
-        roots = [urdf_dir] if urdf_dir is not None else [Path("/")]
-    for root in roots:
-        candidate = root / relative
-        if candidate.is_file():
-            return candidate.resolve()
-    return None
+        roots = [Path("/") if urdf_dir is None else urdf_dir]
+    candidates = (root / relative for root in roots)
+    return next((file.resolve() for file in candidates if file.is_file()), None)
 
 
-def for_other_tools(root: Any, urdf_dir: Path | None, path: Path) -> None:
+def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
     """Make a URDF open alike in Pinocchio, MuJoCo, MeshCat and yourdfpy.
 
     Mesh files that are found are named by their full path. Collision meshes that MuJoCo cannot
@@ -49,14 +46,12 @@ def for_other_tools(root: Any, urdf_dir: Path | None, path: Path) -> None:
     written as zero; they act on nothing.
 
     Args:
-        root: XML root to change.
+        urdf: The copy to change.
         urdf_dir: Folder that mesh names are relative to.
         path: File that will be written.
     """
-    from lxml import etree
-
+    root, folder = urdf.root, path.with_name(f"{path.stem}_meshes")
     converted: dict[Path, Path] = {}
-    folder = path.with_name(f"{path.stem}_meshes")
     for mesh in root.iter("mesh"):
         found = find_mesh(mesh.get("filename", ""), urdf_dir)
         if found is None:
@@ -68,38 +63,22 @@ def for_other_tools(root: Any, urdf_dir: Path | None, path: Path) -> None:
                 converted[found] = _to_stl(found, (folder / name).resolve())
             found = converted[found]
         mesh.set("filename", str(found))
-    for link in _links_at_rest(root):
-        inertia = link.find("inertial/inertia")
-        if inertia is not None and not _possible(inertia):
-            for name in _MOMENTS:
-                inertia.set(name, "0")
+    carriers = {joint.child: joint for joint in urdf.joints.values()}
+
+    def moves(link: str) -> bool:
+        carrier = carriers.get(link)
+        return carrier is not None and (carrier.type != "fixed" or moves(carrier.parent))
+
+    for inertia in root.iterfind("link/inertial/inertia"):
+        if not _possible(inertia) and not moves(inertia.getparent().getparent().get("name")):
+            inertia.attrib.update(dict.fromkeys(_MOMENTS, "0"))
     if root.find("mujoco") is None:
-        mujoco = etree.Element("mujoco")
-        etree.SubElement(
-            mujoco, "compiler", fusestatic="false", strippath="false", inertiafromgeom="false"
-        )
-        root.insert(0, mujoco)
-
-
-def _links_at_rest(root: Any) -> list[Any]:
-    """The <link> elements that no joint moves."""
-    parents = {
-        joint.find("child").get("link"): (joint.get("type"), joint.find("parent").get("link"))
-        for joint in root.iterfind("joint")
-    }
-
-    def at_rest(name: str) -> bool:
-        while name in parents:
-            kind, name = parents[name]
-            if kind != "fixed":
-                return False
-        return True
-
-    return [link for link in root.iterfind("link") if at_rest(link.get("name"))]
+        compiler = E.compiler(fusestatic="false", strippath="false", inertiafromgeom="false")
+        root.insert(0, E.mujoco(compiler))
 
 
 def _possible(inertia: Any) -> bool:
-    """Whether no principal moment is negative or larger than the other two together."""
+    """Return whether no principal moment is negative or larger than the other two together."""
     xx, xy, xz, yy, yz, zz = (float(inertia.get(name)) for name in _MOMENTS)
     small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     slack = 1e-9 * abs(large)
@@ -107,7 +86,7 @@ def _possible(inertia: Any) -> bool:
 
 
 def _to_stl(mesh: Path, stl: Path) -> Path:
-    """Convert a mesh file to STL; returns the new file."""
+    """Convert a mesh file to STL and return the new file."""
     import trimesh
 
     try:

@@ -14,7 +14,7 @@ from approxjac.validation import Array
 
 
 class MimicJoints:
-    """How all moving joints follow from the n_v that move on their own: q_all = A q + b.
+    """All moving joints as they follow from the n_v that move on their own: q_all = A q + b.
 
     Pinocchio can leave mimic joints out of q and v, but not every algorithm of it can. Those that
     cannot refuse such a model, or (Coriolis matrix, Jacobian rates) return something else without
@@ -58,9 +58,6 @@ class MimicJoints:
 def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
     """Return the Pinocchio model of a URDF, without mimic joints in q and v, and how these move.
 
-    Args:
-        urdf: The URDF.
-
     Raises:
         UrdfError: A mimic joint that follows itself or nothing that moves, or one that Pinocchio
             cannot couple.
@@ -73,7 +70,7 @@ def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
     if not coupled:
         return model, MimicJoints(model, None, None, None)
     found = {joint: leader_of(joint, coupled) for joint in coupled}
-    for joint, (leader, _, _) in found.items():
+    for joint, (leader, multiplier, offset) in found.items():
         fault = _fault(model, joint, leader, coupled)
         if fault:
             raise UrdfError(
@@ -81,22 +78,17 @@ def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
                 "take its <mimic> away",
                 given=urdf.source,
             )
-    for element in root.iterfind("joint"):
-        if element.get("name") in found:
-            follows = zip(
-                ("joint", "multiplier", "offset"), found[element.get("name")], strict=True
-            )
-            element.find("mimic").attrib.update({key: str(value) for key, value in follows})
+        (mimic,) = root.xpath("joint[@name=$name]/mimic[1]", name=joint)
+        follows = {"joint": leader, "multiplier": str(multiplier), "offset": str(offset)}
+        mimic.attrib.update(follows)
     reduced = pin.buildModelFromXML(etree.tostring(root, encoding="unicode"), True)
     A, b = np.zeros((model.nq, reduced.nq)), np.zeros(model.nq)
     G = np.zeros((model.nv, reduced.nv))
     for name, own, kept in zip(names[1:], list(model.joints)[1:], reduced.joints[1:], strict=True):
         # the indices of a mimic joint are those of its leader
         _, multiplier, offset = found.get(name, (name, 1.0, 0.0))
-        for k in range(own.nq):
-            A[own.idx_q + k, kept.idx_q + k] = multiplier
-        for k in range(own.nv):
-            G[own.idx_v + k, kept.idx_v + k] = multiplier
+        np.fill_diagonal(A[own.idx_q :, kept.idx_q :][: own.nq], multiplier)
+        np.fill_diagonal(G[own.idx_v :, kept.idx_v :][: own.nv], multiplier)
         b[own.idx_q] = offset
     return reduced, MimicJoints(model, G, A, b)
 

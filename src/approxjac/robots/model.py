@@ -56,7 +56,7 @@ def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
 
 
 def symmetric(upper: Array) -> Array:
-    """A symmetric matrix whose upper triangle is given, as Pinocchio gives it, shape (n, n)."""
+    """Return a symmetric matrix of its upper triangle, as Pinocchio gives it, shape (n, n)."""
     return np.where(_is_lower(len(upper)), upper.T, upper)
 
 
@@ -66,7 +66,7 @@ def _is_lower(n: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
 
 
 def outward_axis(model: pin.Model, frame: int) -> str:
-    """Axis of a frame, "x", "-z", …, along which the last three joints before it lead to it.
+    """Return the axis of a frame, "-z", …, along which the last three joints before it lead to it.
 
     With every joint at zero; z where the frame is in their place.
     """

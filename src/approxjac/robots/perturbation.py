@@ -71,10 +71,8 @@ class Perturbation:
         if self._given[1] is not None:
             object_size(length, mass, OBJECT_RADIUS)
         values = (length, mass, shifts, rotations)
-        robot = PerturbedRobot.like(
-            self.base, _outward=self._outward, perturbation=self, values=values
-        )
-        robot.__dict__.pop("tree", None)  # that of `base`
+        robot = PerturbedRobot.like(self.base, _outward=self._outward, _made_by=(self, values))
+        del robot.__dict__["tree"]  # that of `base`
         turns = np.array([pin.exp3(turn) for turn in rotations]).reshape(-1, 3, 3)
         for model, parts in zip(robot.models, self._parts, strict=True):
             parts.change(model, length, mass, shifts, turns)
@@ -82,30 +80,27 @@ class Perturbation:
             require_inertia(robot.model, self.base.tree.source)
         return robot
 
-    def tree(self, length: float, mass: float, shifts: Array, rotations: Array) -> Urdf:
-        """Return the URDF of `robot`."""
-        arm, held, axis, joints = self._given
-        robot = arm if held is None else arm.with_object(length, mass, axis=axis)
-        moved, turned = (dict(zip(joints, each, strict=True)) for each in (shifts, rotations))
-        for joint in joints:
-            if not (moved[joint].any() or turned[joint].any()):
-                del moved[joint], turned[joint]
-        return (robot.with_kinematic_error(moved, turned) if moved else robot).tree
-
 
 class PerturbedRobot(Robot):
     """A robot whose model is a changed copy; its URDF is made when it is asked for."""
 
-    perturbation: Perturbation
-    values: tuple[float, float, Array, Array]
+    _made_by: tuple[Perturbation, tuple[float, float, Array, Array]]
 
     @functools.cached_property
     def tree(self) -> Urdf:  # type: ignore[override]
         """The URDF as a tree. Read-only."""
-        return self.perturbation.tree(*self.values)
+        perturbation, (length, mass, *errors) = self._made_by
+        robot, held, axis, joints = perturbation._given
+        if held is not None:
+            robot = robot.with_object(length, mass, axis=axis)
+        shifts, turns = (
+            {joint: error for joint, error in zip(joints, each, strict=True) if error.any()}
+            for each in errors
+        )
+        return (robot.with_kinematic_error(shifts, turns) if shifts or turns else robot).tree
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (self.perturbation, self.values, self.gravity)
+        return _again, (*self._made_by, self.gravity)
 
 
 def _again(perturbation: Perturbation, values: tuple[Any, ...], gravity: Array) -> Robot:
@@ -124,9 +119,6 @@ class _Parts:
 
     def __init__(self, model: pin.Model, joints: Sequence[str], n: Array | None) -> None:
         self._n = n
-        if n is not None:
-            self._along = np.outer(n, n)
-            self._across = np.eye(3) - self._along
         frames = list(model.frames)
         kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
         places = {frame.name: k for k, frame in enumerate(frames) if frame.type in kinds}
@@ -150,8 +142,11 @@ class _Parts:
         # inertias of what may move within a link; the rest of the link as dynamic parameters
         loose = {k for _, _, _, carried, _ in self._fixed for k in carried}
         if n is not None:
+            self._along = np.outer(n, n)
+            self._across = np.eye(3) - self._along
             self._object = places["object_joint"]
-            self._tips = [k for k, frame in enumerate(frames) if frame.name in _TIPS]
+            tips = "object_tip_joint", "object_tip"
+            self._tips = [k for k, frame in enumerate(frames) if frame.name in tips]
             loose.add(self._object)
         self._links: dict[int, tuple[Array, list[int]]] = {}
         for k in sorted(loose):
@@ -162,14 +157,9 @@ class _Parts:
     def change(
         self, model: pin.Model, length: float, mass: float, shifts: Array, turns: Array
     ) -> None:
-        """Change a copy of the model.
+        """Change a copy of the model, as `Perturbation.robot` is told.
 
-        Args:
-            model: The copy.
-            length: Of the object [m].
-            mass: Of the object [kg].
-            shifts: Of the origins of joints in the parent links' frames, shape (k, 3) [m].
-            turns: Rotation matrices in the joints' own frames, shape (k, 3, 3).
+        The rotations are given as matrices, shape (k, 3, 3).
         """
         frames = model.frames
         if self._n is not None:
@@ -202,7 +192,6 @@ class _Parts:
 
 
 _NO_TURN = np.eye(3)
-_TIPS = ("object_tip_joint", "object_tip")
 
 
 def _carried(frames: Sequence[pin.Frame], fixed: int) -> tuple[list[int], list[int]]:

@@ -29,7 +29,7 @@ class Robot(Immutable):
         urdf: URDF text, or a tree of it.
         gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
         tip: End-effector frame to use where none is named; by default the last link of an
-            unbranched arm.
+            unbranched arm, and None of others.
         urdf_dir: Folder that mesh names in the URDF are relative to.
         source: What to call the URDF in errors.
         name: What to call the robot; its name in the URDF by default.
@@ -37,11 +37,7 @@ class Robot(Immutable):
             the last three joints say. Robots made from this one keep it.
 
     Attributes:
-        name: The name that it was loaded by, or else its name in the URDF.
         tree: The URDF as a tree. Read-only.
-        urdf_dir: Folder that mesh names are relative to, or None.
-        gravity: Acceleration of gravity in the world frame, shape (3,) [m/s²].
-        tip: End-effector frame used where none is named, or None where it is not clear.
         model: Pinocchio model. Read-only; call `model.copy()` to change it.
         mimic_joints: How mimic joints move with the others.
         nq: Length of a configuration q; larger than `nv` where joints are continuous.
@@ -77,11 +73,8 @@ class Robot(Immutable):
         for model in self.models:
             model.gravity.linear = self.gravity
         # A body and a joint may share a name; the body's frame is the one people mean.
-        frames = sorted(
-            (frame.type == pin.FrameType.BODY, index, frame.name)
-            for index, frame in enumerate(self.model.frames)
-        )
-        self._frames = {name: index for _, index, name in frames if name != "universe"}
+        frames = sorted(enumerate(self.model.frames), key=lambda f: f[1].type == pin.FrameType.BODY)
+        self._frames = {frame.name: index for index, frame in frames if frame.name != "universe"}
         parents = {joint.parent for joint in self.tree.joints.values()}
         leaves = [link for link in self.tree.links if link not in parents]
         self.tip = tip if tip is not None else (leaves[0] if len(leaves) == 1 else None)
@@ -115,29 +108,26 @@ class Robot(Immutable):
 
     @property
     def frame_names(self) -> tuple[str, ...]:
-        """All frames, which are links and joints."""
+        """Names of all frames, which are links and joints."""
         return tuple(self._frames)
 
     @property
     def effort_limits(self) -> Array:
         """Torque or force limits, shape (n_v,) [N m or N]; infinite where none is known."""
-        limits = np.array(self.model.upperEffortLimit, dtype=np.float64)
-        limits[limits <= 0.0] = np.inf  # 0 in a URDF means that nobody filled it in
-        return limits
+        limits = self.model.upperEffortLimit
+        return np.where(limits > 0.0, limits, np.inf)  # 0 in a URDF: nobody filled it in
 
     @property
     def velocity_limits(self) -> Array:
         """Speed limits, shape (n_v,) [rad/s or m/s]; infinite where none is known."""
-        limits = np.array(self.model.upperVelocityLimit, dtype=np.float64)
-        limits[limits <= 0.0] = np.inf
-        return limits
+        limits = self.model.upperVelocityLimit
+        return np.where(limits > 0.0, limits, np.inf)
 
     @property
     def position_limits(self) -> tuple[Array, Array]:
         """Lower and upper joint limits, each of shape (n_v,) [rad or m].
 
-        Infinite where none is known: continuous joints, and limits of zero width (which in a
-        URDF means that nobody filled them in).
+        Infinite where none is known: continuous joints, and limits of zero width.
         """
         lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
         for joint in self._joints.values():
@@ -160,10 +150,7 @@ class Robot(Immutable):
         lower, upper = self.position_limits
         reach = np.where(np.array(self.joint_units) == "m", 1.0, np.pi)
         wide = upper - lower > 2.0 * reach
-        # the part of a wide range that lies nearest to zero
-        middle = np.clip(
-            0.0, np.where(wide, lower, 0.0) + reach, np.where(wide, upper, 0.0) - reach
-        )
+        middle = np.maximum(lower + reach, np.minimum(0.0, upper - reach))
         return np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
 
     def random_configuration(self, rng: np.random.Generator) -> Array:
@@ -268,7 +255,7 @@ class Robot(Immutable):
         return self._changed(urdf, tip=f"{name}_tip", outward=outward)
 
     def outward_axis(self, frame: str | None = None) -> str:
-        """Axis of a frame, the tip by default, along which the arm leads on, such as "-z"."""
+        """Return the axis of a frame, the tip by default, along which the arm leads on: "-z", …."""
         frame = self.tip_or(frame)
         if frame == self.tip and self._outward is not None:
             return self._outward
@@ -300,7 +287,7 @@ class Robot(Immutable):
                 raise UnknownNameError("joint", joint, self.name, self.tree.joints)
             shift = as_array(f"shift of {joint}", shifts.get(joint, none), (3,), "m")
             turn = as_array(f"rotation of {joint}", rotations.get(joint, none), (3,), "rad")
-            errors[joint] = shift, pin.exp3(turn)
+            errors[joint] = shift, turn
         return self._changed(urdf_edit.with_moved_origins(self.tree, errors))
 
     def with_locked_joints(self, positions: Mapping[str, float]) -> Robot:
@@ -326,8 +313,7 @@ class Robot(Immutable):
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""
         gravity = as_array("gravity", gravity, (3,), "m/s^2")
-        options = self._arguments | {"gravity": gravity}
-        robot = type(self).like(self, gravity=gravity, _arguments=options)
+        robot = self.like(self, gravity=gravity, _arguments=self._arguments | {"gravity": gravity})
         for model in robot.models:
             model.gravity.linear = gravity
         return robot
@@ -351,7 +337,7 @@ class Robot(Immutable):
         require("path", path, (str, Path), "a file to write")
         path = Path(path)
         urdf = self.tree.copy()
-        meshes.for_other_tools(urdf.root, self.urdf_dir, path)
+        meshes.for_other_tools(urdf, self.urdf_dir, path)
         try:
             path.write_text(urdf.text, encoding="utf-8")
         except OSError as error:
@@ -388,13 +374,12 @@ class Robot(Immutable):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Robot):
             return NotImplemented
-        return self is other or self._key() == other._key()
+        return self is other or (
+            self.urdf == other.urdf and np.array_equal(self.gravity, other.gravity)
+        )
 
     def __hash__(self) -> int:
-        return hash(self._key())
-
-    def _key(self) -> tuple[Any, ...]:
-        return (self.urdf, tuple(self.gravity))
+        return hash(self.urdf)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
         return self  # it never changes

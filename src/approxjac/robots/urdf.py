@@ -1,8 +1,4 @@
-"""`Urdf`: a URDF as a tree, checked.
-
-The XML itself is kept as it was given, so that nothing is lost on the way (transmissions, Gazebo
-and MuJoCo tags, comments).
-"""
+"""`Urdf`: a URDF as a tree, checked; nothing of the XML is lost (Gazebo's tags, comments)."""
 
 from __future__ import annotations
 
@@ -15,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from lxml import etree
 
 from approxjac.errors import UrdfError
@@ -29,11 +26,6 @@ class UrdfJoint(NamedTuple):
     """A <joint>.
 
     Attributes:
-        element: It in the XML.
-        name: Its name.
-        type: "revolute", "continuous", "prismatic", "fixed", "floating" or "planar".
-        parent: Link that carries it.
-        child: Link that it carries.
         axis: Axis in the child's frame, shape (3,), of any length.
         limits: Lower and upper limit [rad or m]; 0 where none is given.
     """
@@ -47,20 +39,12 @@ class UrdfJoint(NamedTuple):
     limits: tuple[float, float]
 
     @property
-    def origin(self) -> Array:
-        """Placement of the child in the parent at zero, shape (4, 4)."""
-        matrix, origin = np.eye(4), self.element.find("origin")
-        if origin is None:
-            return matrix
-        sin, cos = (f(_floats(origin.get("rpy", "0 0 0"))) for f in (np.sin, np.cos))
-        (si, sj, sk), (ci, cj, ck) = sin, cos  # of roll, pitch and yaw about fixed axes x, y, z
-        matrix[:3, :3] = [
-            [cj * ck, sj * (si * ck) - ci * sk, sj * (ci * ck) + si * sk],
-            [cj * sk, sj * (si * sk) + ci * ck, sj * (ci * sk) - si * ck],
-            [-sj, cj * si, cj * ci],
-        ]
-        matrix[:3, 3] = _floats(origin.get("xyz", "0 0 0"))
-        return matrix + 0.0  # no -0, which would turn half a turn round when it is written again
+    def origin(self) -> pin.SE3:
+        """Placement of the child in the parent at zero."""
+        origin = self.element.find("origin")
+        given = {} if origin is None else origin.attrib
+        xyz, rpy = (np.array(_floats(given.get(key, "0 0 0"))) for key in ("xyz", "rpy"))
+        return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
 
 
 class Urdf:
@@ -191,20 +175,15 @@ def _joint(element: Any) -> UrdfJoint:
 
 # -- what is checked --------------------------------------------------------------------
 
-_NUMBERS = (
-    ("origin", "xyz", 3),
-    ("origin", "rpy", 3),
-    ("axis", "xyz", 3),
-    ("inertial/origin", "xyz", 3),
-    ("inertial/origin", "rpy", 3),
-    ("inertial/mass", "value", 1),
-    *(("inertial/inertia", name, 1) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
-    *(("limit", name, 1) for name in ("lower", "upper", "effort", "velocity")),
-    ("mimic", "multiplier", 1),
-    ("mimic", "offset", 1),
+_NUMBERS = (  # of what element, which attributes, how many numbers in each, must they be there
+    ("origin", ("xyz", "rpy"), 3, False),
+    ("axis", ("xyz",), 3, True),
+    ("inertial/origin", ("xyz", "rpy"), 3, False),
+    ("inertial/mass", ("value",), 1, True),
+    ("inertial/inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, True),
+    ("limit", ("lower", "upper", "effort", "velocity"), 1, False),
+    ("mimic", ("multiplier", "offset"), 1, False),
 )
-# looked at elsewhere, or with a default
-_OPTIONAL = ("xyz", "rpy", "lower", "upper", "effort", "velocity", "multiplier", "offset")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -224,7 +203,10 @@ def _floats(text: str | None) -> list[float]:
 
 def _faults(root: Any) -> Iterator[str]:
     """Say what is wrong with a URDF; Pinocchio's parser would only say that it is."""
-    yield from _attribute_faults(root)  # without which the rest cannot be looked at
+    if not root.get("name"):
+        yield "<robot> has no name"
+    for owner in root.iterchildren("link", "joint"):
+        yield from _attribute_faults(owner)  # without which the rest cannot be looked at
     joints = [_joint(element) for element in root.iterfind("joint")]
     links = [link.get("name") for link in root.iterfind("link")]
     for kind, names in (("link", links), ("joint", [joint.name for joint in joints])):
@@ -236,72 +218,61 @@ def _faults(root: Any) -> Iterator[str]:
     yield from _tree_faults(joints, set(links))
 
 
-def _attribute_faults(root: Any) -> Iterator[str]:
-    """Attributes that URDF requires and that are missing or no numbers, with their owner."""
-    if not root.get("name"):
-        yield "<robot> has no name"
-    links, joints = list(root.iterfind("link")), list(root.iterfind("joint"))
-    for owner in (*links, *joints):
-        if not owner.get("name"):
-            yield f"a <{owner.tag}> has no name"
-    for owner in joints:
-        name = owner.get("name")
+def _attribute_faults(owner: Any) -> Iterator[str]:
+    """Say which attributes of a <link> or <joint> are missing or no numbers."""
+    name = owner.get("name")
+    if not name:
+        yield f"a <{owner.tag}> has no name"
+    if owner.tag == "joint":
         for tag in ("parent", "child"):
             if owner.find(tag) is None or not owner.find(tag).get("link"):
                 yield f"joint {name!r} has no <{tag} link=...>"
         if owner.find("mimic") is not None and not owner.find("mimic").get("joint"):
             yield f"joint {name!r} has a <mimic> without joint=..."
-    for owner in links:
-        inertial = owner.find("inertial")
-        if inertial is not None and None in (inertial.find("mass"), inertial.find("inertia")):
-            yield f"<inertial> of link {owner.get('name')!r} needs <mass> and <inertia>"
-    for owner in (*links, *joints):
-        for path, attribute, count in _NUMBERS:
-            for element in owner.iterfind(path):
+    inertial = owner.find("inertial")
+    if inertial is not None and None in (inertial.find("mass"), inertial.find("inertia")):
+        yield f"<inertial> of link {name!r} needs <mass> and <inertia>"
+    for path, attributes, count, required in _NUMBERS:
+        for element in owner.iterfind(path):
+            for attribute in attributes:
                 given = element.get(attribute)
-                if given is None and attribute in _OPTIONAL and element.tag != "axis":
-                    continue
-                if len(_floats(given)) != count:
+                if (given is not None or required) and len(_floats(given)) != count:
                     wanted = "a finite number" if count == 1 else f"{count} finite numbers"
                     yield (
-                        f"<{element.tag} {attribute}=...> of {owner.tag} {owner.get('name')!r} "
+                        f"<{element.tag} {attribute}=...> of {owner.tag} {name!r} "
                         f"must be {wanted}, got {given!r}"
                     )
 
 
 def _joint_faults(joint: UrdfJoint, links: list[str]) -> Iterator[str]:
     """Say what is wrong with one joint and its <limit>."""
+    name, kind = joint.name, joint.type
     for link in (joint.parent, joint.child):
         if link not in links:
-            yield f"joint {joint.name!r} refers to link {link!r}, which does not exist"
-    if joint.type not in _TYPES:
+            yield f"joint {name!r} refers to link {link!r}, which does not exist"
+    if kind not in _TYPES:
         yield (
             "The <joint> tag misses a 'type' attribute or value is not part of allowed values "
-            f"[{', '.join(_TYPES)}], got {joint.type!r} of joint {joint.name!r}"
+            f"[{', '.join(_TYPES)}], got {kind!r} of joint {name!r}"
         )
-    if joint.type not in ("revolute", "continuous", "prismatic"):
+    if kind not in ("revolute", "continuous", "prismatic"):
         return
     if not np.linalg.norm(joint.axis) > 0.0:
-        yield f"the axis of joint {joint.name!r} is zero"
+        yield f"the axis of joint {name!r} is zero"
+    if kind != "continuous" and joint.limits[0] > joint.limits[1]:
+        yield f"the limits of joint {name!r} are reversed"
     limit = joint.element.find("limit")
-    if limit is None:
-        if joint.type != "continuous":
-            yield (
-                f"joint {joint.name!r} is {joint.type} and has no <limit>; with effort, velocity, "
-                "lower and upper all 0, no limit is known"
-            )
-        return
-    if joint.type != "continuous" and joint.limits[0] > joint.limits[1]:
-        yield f"the limits of joint {joint.name!r} are reversed"
-    if limit.get("effort") is None or limit.get("velocity") is None:
+    if limit is None and kind != "continuous":
         yield (
-            f"the <limit> of joint {joint.name!r} needs effort and velocity; 0 means that none "
-            "is known"
+            f"joint {name!r} is {kind} and has no <limit>; with effort, velocity, lower and upper "
+            "all 0, no limit is known"
         )
+    if limit is not None and None in (limit.get("effort"), limit.get("velocity")):
+        yield f"the <limit> of joint {name!r} needs effort and velocity; 0 means that none is known"
 
 
 def _tree_faults(joints: list[UrdfJoint], links: set[str]) -> Iterator[str]:
-    """Links with two parents, more than one root, or loops."""
+    """Say which links have two parents or none, and which are in loops."""
     parents = Counter(joint.child for joint in joints)
     for link, count in parents.items():
         if count > 1:
@@ -309,7 +280,6 @@ def _tree_faults(joints: list[UrdfJoint], links: set[str]) -> Iterator[str]:
     roots = sorted(links - set(parents))
     if len(roots) != 1:
         yield f"there must be one link without a parent, got {', '.join(roots) or 'none'}"
-        return
     reached = set(roots)
     for _ in joints:
         reached |= {joint.child for joint in joints if joint.parent in reached}

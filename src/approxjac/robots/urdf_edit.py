@@ -1,6 +1,6 @@
-"""Editing URDF: an object attached, joint origins moved, joints fixed.
+"""Edits of a URDF: an object attached, joint origins moved, joints fixed.
 
-Each edit returns a new tree, which keeps everything else of the old one.
+Each returns a new tree, which keeps everything else of the old one.
 """
 
 from __future__ import annotations
@@ -16,20 +16,9 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots.urdf import Urdf, UrdfJoint
 from approxjac.validation import Array, as_array, as_number
 
-THIN_ROD = 0.01
-"""Radius that a thin rod (radius 0) is drawn with, relative to its length."""
 OBJECT_RADIUS = 0.01
 """Radius of an object that nothing is said about [m]."""
 _LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
-
-
-def transform(translation: Array, rotation: Array | None = None) -> Array:
-    """Return the 4 × 4 homogeneous matrix of a translation [m] and a rotation matrix."""
-    matrix = np.eye(4)
-    matrix[:3, 3] = translation
-    if rotation is not None:
-        matrix[:3, :3] = rotation
-    return matrix
 
 
 def direction(axis: str | Sequence[float]) -> Array:
@@ -46,10 +35,9 @@ def direction(axis: str | Sequence[float]) -> Array:
         sign = -1.0 if axis.startswith("-") else 1.0
         return np.array([sign * (name == letter) for name in "xyz"])
     vector = as_array("axis", axis, (3,))
-    largest = float(np.abs(vector).max())
-    if largest == 0.0:
+    if not vector.any():
         raise InvalidInputError(f"axis must not be zero, got {vector.tolist()}", given=axis)
-    vector = vector / largest
+    vector = vector / np.abs(vector).max()  # or the norm might overflow
     return np.asarray(vector / np.linalg.norm(vector))
 
 
@@ -114,44 +102,46 @@ def with_object(
     exactly onto it. A massless object has no <inertial>, one without length no geometry
     (other tools refuse cylinders of length 0), neither to see nor to touch.
     """
-    middle = _origin(transform(0.5 * length * axis, rotation_onto(axis)))
+    middle = pin.SE3(rotation_onto(axis), 0.5 * length * axis)
     link = E.link(name=name)
     if mass > 0.0:
         across, along = map(str, object_moments(length, mass, radius))
         inertia = E.inertia(ixx=across, ixy="0.0", ixz="0.0", iyy=across, iyz="0.0", izz=along)
-        link.append(E.inertial(_origin_of(middle), E.mass(value=str(mass)), inertia))
+        link.append(E.inertial(_origin(middle), E.mass(value=str(mass)), inertia))
     if length > 0.0:
         size = {"radius": str(_drawn_radius(length, radius)), "length": str(length)}
         color = E.material(E.color(rgba="0.9 0.6 0.0 1.0"), name=f"{name}_color")
         for shape in (E.visual(), E.collision()):
-            shape.extend([E.geometry(E.cylinder(**size)), _origin_of(middle)])
+            shape.extend([E.geometry(E.cylinder(**size)), _origin(middle)])
             link.append(shape)
         link.find("visual").append(color)
     new = urdf.copy()
-    new.root.extend(
-        [
-            link,
-            E.link(name=f"{name}_tip"),
-            _fixed_joint(f"{name}_joint", parent, name, np.eye(4)),
-            _fixed_joint(f"{name}_tip_joint", name, f"{name}_tip", transform(length * axis)),
-        ]
-    )
+    new.root.extend([link, E.link(name=f"{name}_tip")])
+    for carrier, carried, place in (
+        (parent, name, 0.0 * axis),
+        (name, f"{name}_tip", length * axis),
+    ):
+        links = E.parent(link=carrier), E.child(link=carried)
+        origin = _origin(pin.SE3(np.eye(3), place))
+        new.root.append(E.joint(*links, origin, name=f"{carried}_joint", type="fixed"))
     return new
 
 
 def with_moved_origins(urdf: Urdf, errors: Mapping[str, tuple[Array, Array]]) -> Urdf:
-    """Return a URDF with the origins of joints shifted in the parent's frame, and turned.
+    """Return a URDF with the origins of joints moved.
 
     Args:
         urdf: The URDF.
-        errors: Joint → shift in the parent link's frame, shape (3,) [m], and rotation matrix
-            applied in the joint's own frame, shape (3, 3).
+        errors: Joint → shift in the parent link's frame, shape (3,) [m], and rotation vector in the
+            joint's own frame, shape (3,) [rad].
     """
     new = urdf.copy()
-    elements = _joint_elements(new)
-    for name, (shift, turn) in errors.items():
-        origin = transform(shift) @ urdf.joints[name].origin @ transform(np.zeros(3), turn)
-        _set_origin(elements[name], origin)
+    for element in new.root.iterfind("joint"):
+        name = element.get("name")
+        if name in errors:
+            shift, turn = errors[name]
+            old = urdf.joints[name].origin
+            _set_origin(element, pin.SE3(old.rotation @ pin.exp3(turn), old.translation + shift))
     return new
 
 
@@ -170,11 +160,13 @@ def with_locked_joints(urdf: Urdf, positions: Mapping[str, float]) -> Urdf:
             if leader in locked:
                 locked.setdefault(joint, multiplier * locked[leader] + offset)
     new = urdf.copy()
-    elements = _joint_elements(new)
-    for name, position in locked.items():
-        element = elements[name]
-        if position != 0.0:
-            _set_origin(element, urdf.joints[name].origin @ _motion(urdf.joints[name], position))
+    for element in new.root.iterfind("joint"):
+        name = element.get("name")
+        if name not in locked:
+            continue
+        if locked[name] != 0.0:
+            old = urdf.joints[name]
+            _set_origin(element, old.origin * _motion(old, locked[name]))
         element.set("type", "fixed")
         for tag in ("axis", "limit", "mimic", "safety_controller", "calibration", "dynamics"):
             for part in element.findall(tag):
@@ -182,46 +174,27 @@ def with_locked_joints(urdf: Urdf, positions: Mapping[str, float]) -> Urdf:
     return new
 
 
-def _motion(joint: UrdfJoint, position: float) -> Array:
-    """Placement (4, 4) of a joint's child at a position [rad or m], from where it is at zero."""
+def _motion(joint: UrdfJoint, position: float) -> pin.SE3:
+    """Return the placement of a joint's child at a position [rad or m] in that at zero."""
     along = position * (joint.axis / np.linalg.norm(joint.axis))
-    if joint.type == "prismatic":
-        return transform(along)
-    return transform(np.zeros(3), pin.exp3(along))
+    slides = joint.type == "prismatic"
+    return pin.SE3(np.eye(3), along) if slides else pin.SE3(pin.exp3(along), np.zeros(3))
 
 
 def _drawn_radius(length: float, radius: float) -> float:
-    return radius if radius > 0.0 else THIN_ROD * length
+    """Return the radius that a cylinder is drawn with; of a thin rod (0), a share of its length."""
+    return radius if radius > 0.0 else 0.01 * length
 
 
-def _joint_elements(urdf: Urdf) -> dict[str, Any]:
-    return {joint.get("name"): joint for joint in urdf.root.iterfind("joint")}
-
-
-def _fixed_joint(name: str, parent: str, child: str, origin: Array) -> Any:
-    links = E.parent(link=parent), E.child(link=child)
-    return E.joint(*links, _origin(origin), name=name, type="fixed")
-
-
-def _set_origin(joint: Any, placement: Array) -> None:
+def _set_origin(joint: Any, placement: pin.SE3) -> None:
     for element in joint.findall("origin"):
         joint.remove(element)
     joint.append(_origin(placement))
 
 
-def _origin(placement: Array) -> Any:
-    """<origin> of a placement (4, 4)."""
-    R = placement[:3, :3]
-    cos_pitch = np.sqrt(R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0])
-    pitch = np.arctan2(-R[2, 0], cos_pitch)
-    if cos_pitch > 4.0 * np.finfo(float).eps:
-        rpy = np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])
-    else:  # roll and yaw are about the same axis
-        rpy = np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0
-    xyz, angles = (" ".join(map(str, numbers)) for numbers in (placement[:3, 3], rpy))
-    return E.origin(xyz=xyz, rpy=angles)
-
-
-def _origin_of(origin: Any) -> Any:
-    """A copy, as an element has one parent only."""
-    return E.origin(**origin.attrib)
+def _origin(placement: pin.SE3) -> Any:
+    """Return the <origin> of a placement."""
+    # + 0 makes 0 of -0
+    numbers = placement.translation + 0.0, pin.rpy.matrixToRpy(placement.rotation) + 0.0
+    xyz, rpy = (" ".join(map(str, each)) for each in numbers)
+    return E.origin(xyz=xyz, rpy=rpy)
