@@ -32,6 +32,7 @@ class Record:
         self._count = 0
         self._columns: tuple[Array, ...] = ()
         self._controllers: list[tuple[int, Controller]] = []
+        self._differentiates = False
 
     def add(
         self,
@@ -56,14 +57,16 @@ class Record:
         torque, rate, status, e, J_hat, _, limit_status, slack = answer
         if J_hat is None:
             J_hat = np.full((len(e), len(v)), np.nan)
+        if not self._controllers or self._controllers[-1][1] is not controller:
+            self._controllers.append((self._count, controller))
+            law = law_of(controller)
+            self._differentiates = isinstance(law, SetpointController) and law.velocity is not None
         row = (
             t, q, v, x, x_measured, target, torque, state, status, limit_status, slack, e, J_hat,
-            _NO_RATE if rate is None else rate,
+            rate if self._differentiates else _NO_RATE,
         )  # fmt: skip
         if not self._columns:
             self._columns = tuple(np.empty((self._capacity, *np.shape(value))) for value in row)
-        if not self._controllers or self._controllers[-1][1] is not controller:
-            self._controllers.append((self._count, controller))
         for column, value in zip(self._columns, row, strict=True):
             column[self._count] = value
         self._count += 1
