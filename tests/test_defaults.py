@@ -57,7 +57,7 @@ def test_the_ready_configuration_is_one_that_the_motors_hold(panda):
     weak = aj.Plant(panda, torque_limits=20.0)
     assert (np.abs(weak.dynamics.g(q)) > 14.0).any()
     assert (np.abs(weak.dynamics.g(weak.ready_configuration())) <= 14.0).all()
-    with pytest.raises(aj.InvalidInputError, match="q0 must be given for panda: no posture was f"):
+    with pytest.raises(aj.InvalidInputError, match="q0 must be given for panda: no configuration"):
         aj.Plant(panda, torque_limits=1e-3).ready_configuration()
 
 

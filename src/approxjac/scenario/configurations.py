@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
-from approxjac.simulation.ready_configuration import holdable
+from approxjac.simulation.plant import holdable
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_array
 

@@ -13,7 +13,7 @@ from approxjac.robots import Dynamics, Robot
 from approxjac.scenario.configurations import REGULAR, configuration_of, is_regular
 from approxjac.scenario.records import Camera, CameraError
 from approxjac.scenario.scenario import Scenario
-from approxjac.simulation.ready_configuration import holdable
+from approxjac.simulation.plant import holdable
 from approxjac.tasks import FrameKinematics, ImageTask, PinholeCamera
 from approxjac.tasks.analysis import seen_configurations
 from approxjac.validation import Array, as_array

@@ -41,14 +41,10 @@ def semi_implicit_euler(
 ) -> tuple[Array, Array]:
     """Return (q, v) after dt: velocity first, then position with the new velocity, order 1.
 
-    The scheme of most physics engines; one evaluation of the dynamics a step. Arguments as for
-    `rk4`.
+    The scheme of most physics engines. Arguments as for `rk4`.
     """
     v_new = v + dt * acceleration(q, v, tau)
     return moved(q, dt * v_new), v_new
 
 
-INTEGRATORS: Mapping[str, Integrator] = {
-    "rk4": rk4,
-    "semi_implicit_euler": semi_implicit_euler,
-}
+INTEGRATORS: Mapping[str, Integrator] = {"rk4": rk4, "semi_implicit_euler": semi_implicit_euler}

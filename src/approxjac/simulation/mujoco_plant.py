@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +13,6 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError, MissingPackageError, UrdfError
 from approxjac.robots import Robot
 from approxjac.simulation.plant import Plant
-from approxjac.simulation.sensing import Sensing
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number, require
 
@@ -40,15 +39,11 @@ class MujocoPlant(Plant):
     Args:
         robot: The true robot.
         sensor: As for `Plant`.
-        friction: Natural viscous friction B ≥ 0, a number or shape (n_v,) [N m s/rad or N s/m].
-        coulomb: As for `Plant`.
-        coulomb_velocity: As for `Plant`.
-        sensing: As for `Plant`.
-        actuator_delay: As for `Plant`.
-        torque_limits: As for `Plant`.
+        friction: As for `Plant`.
         floor: Height z of a horizontal floor in the world frame [m]; None for no floor. What is
             fixed to the base may be below it.
         joint_limits: Whether the joints stop at `Robot.position_limits`.
+        **options: The others of `Plant`.
 
     Attributes:
         mujoco_model: MuJoCo's model of the robot and the floor, such as for its viewer. Read-only.
@@ -65,25 +60,12 @@ class MujocoPlant(Plant):
         sensor: Task | None = None,
         friction: float | Sequence[float] | Array = 0.0,
         *,
-        coulomb: float | Sequence[float] | Array = 0.0,
-        coulomb_velocity: float = 0.05,
-        sensing: Sensing | None = None,
-        actuator_delay: float = 0.0,
-        torque_limits: float | Sequence[float] | Array | None = None,
         floor: float | None = None,
         joint_limits: bool = True,
+        **options: Any,
     ) -> None:
-        self._remember(locals())
-        super().__init__(
-            robot,
-            sensor,
-            friction,
-            coulomb=coulomb,
-            coulomb_velocity=coulomb_velocity,
-            sensing=sensing,
-            actuator_delay=actuator_delay,
-            torque_limits=torque_limits,
-        )
+        super().__init__(robot, sensor, friction, **options)
+        self._arguments |= {"floor": floor, "joint_limits": joint_limits}
         if robot.mimic_joints.G is not None:
             raise InvalidInputError(
                 f"robot must have no mimic joints that move, which MuJoCo couples by a soft "
@@ -122,9 +104,8 @@ class MujocoPlant(Plant):
         return not data.ncon
 
     def _shown(self) -> list[str]:
-        return [
-            *super()._shown(), f"floor={self.floor}", f"joint_limits={self.joint_limits}"
-        ]  # fmt: skip
+        own = [f"floor={self.floor}", f"joint_limits={self.joint_limits}"]
+        return [*super()._shown(), *own]
 
 
 def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:

@@ -14,9 +14,9 @@ from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.model import WORLD
 from approxjac.simulation.integrators import Integrator
-from approxjac.simulation.ready_configuration import ready_configuration
 from approxjac.simulation.sensing import Sensing, SensorReadings
 from approxjac.tasks import PositionTask, Task
+from approxjac.tasks.analysis import sees
 from approxjac.validation import (
     Array,
     Immutable,
@@ -26,6 +26,10 @@ from approxjac.validation import (
     as_vector,
     require,
 )
+
+_DRAWN = 300  # configurations, to find one to start from
+_INNER = 0.8  # share of each joint's range that they are drawn from
+_HOLDABLE = 0.7  # of the effort limits
 
 
 class Plant(Immutable):
@@ -125,9 +129,28 @@ class Plant(Immutable):
         Raises:
             InvalidInputError: There is none.
         """
+        robot, sensor, rng = self.robot, self.sensor, np.random.default_rng(0)
         motors = np.inf if self.torque_limits is None else self.torque_limits
-        effort = np.minimum(self.robot.effort_limits, motors)
-        return ready_configuration(self.sensor, effort, self._is_free)
+        effort = np.minimum(robot.effort_limits, motors)
+        low, high = robot.usual_range()
+        middle, half = 0.5 * (low + high), 0.5 * _INNER * (high - low)
+        best, found = -1.0, None
+        for _ in range(_DRAWN):
+            motion = middle + half * rng.uniform(-1.0, 1.0, robot.nv)
+            q = np.array(pin.integrate(robot.model, robot.neutral(), motion))
+            if not (sees(sensor, q) and holdable(self.dynamics, q, effort) and self._is_free(q)):
+                continue
+            J = sensor.jacobian(q, sensor.value(q))
+            sigma_min = float(np.linalg.svd(J, compute_uv=False)[-1])
+            if sigma_min > best:
+                best, found = sigma_min, q
+        if found is None:
+            raise InvalidInputError(
+                f"q0 must be given for {robot.name}: no configuration was found that its motors "
+                f"can hold and that {sensor!r} sees; a lighter object may help",
+                given=None,
+            )
+        return found
 
     def _is_free(self, q: Array) -> bool:
         """Return whether the arm touches nothing in a configuration."""
@@ -260,7 +283,7 @@ class Plant(Immutable):
         return f"{type(self).__name__}({', '.join(self._shown())})"
 
     def _shown(self) -> list[str]:
-        """The robot, the sensor, and what differs from an ideal plant."""
+        """Return the robot, the sensor, and what differs from an ideal plant."""
         shown = [repr(self.robot.name), repr(self.sensor)]
         if self.friction.any():
             shown.append(f"friction={short(self.friction)}")
@@ -273,3 +296,8 @@ class Plant(Immutable):
         if self.torque_limits is not None:
             shown.append(f"torque_limits={short(self.torque_limits)}")
         return shown
+
+
+def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:
+    """Return whether holding a configuration takes at most 70 % of the effort limits."""
+    return not (np.abs(dynamics.g(q)) > _HOLDABLE * effort).any()

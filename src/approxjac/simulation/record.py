@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array
 
 _NO_RATE = np.zeros(0)
+_RECORDED = (
+    "t", "q", "v", "x", "x_measured", "x_d", "tau", "state", "status", "limit_status", "slack",
+)  # fmt: skip
 
 
 class Record:
@@ -43,16 +47,7 @@ class Record:
         target: Array,
         controller: Controller,
     ) -> None:
-        """Keep one instant.
-
-        Args:
-            truth: Measurement of ideal sensors.
-            x_measured: Part of x that the controller got, shape (n_x,).
-            state: State of the controller, shape (n_state,).
-            answer: Answer of the controller.
-            target: x_d, shape (n_x,).
-            controller: The controller.
-        """
+        """Keep one instant: the truth, the x that the controller got, its state and answer."""
         t, q, v, x, _ = truth
         torque, rate, status, e, J_hat, _, limit_status, slack = answer
         if J_hat is None:
@@ -61,7 +56,7 @@ class Record:
             self._controllers.append((self._count, controller))
             law = law_of(controller)
             self._differentiates = isinstance(law, SetpointController) and law.velocity is not None
-        row = (
+        row: tuple[Any, ...] = (
             t, q, v, x, x_measured, target, torque, state, status, limit_status, slack, e, J_hat,
             rate if self._differentiates else _NO_RATE,
         )  # fmt: skip
@@ -75,9 +70,11 @@ class Record:
         """Return all that was kept, as arrays with time as their first axis."""
         plant = self._plant
         robot, sensor = plant.robot, plant.sensor
-        t, q, v, x, x_measured, x_d, tau, state, status, limit_status, slack, *answers = (
-            column[: self._count] for column in self._columns
-        )
+        kept = [column[: self._count] for column in self._columns]
+        run: dict[str, Any] = dict(zip(_RECORDED, kept, strict=False))
+        q, x, x_d = run["q"], run["x"], run["x_d"]
+        for name in ("status", "limit_status"):
+            run[name] = run[name].astype(np.int64)
         for k in np.flatnonzero(~np.isfinite(x).all(axis=1)):  # a record has what no sensor sees
             x[k] = sensor.value(q[k])
         if sensor._subtracts:
@@ -85,37 +82,23 @@ class Record:
         else:
             error = np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)])
         return Trajectory(
-            t=t,
-            q=q,
-            v=v,
-            x=x,
-            x_measured=x_measured,
-            x_d=x_d,
+            **run,
             error=error,
-            tau=tau,
-            state=state,
-            status=status.astype(np.int64),
-            limit_status=limit_status.astype(np.int64),
-            slack=slack,
             robot_name=robot.name,
             joint_names=robot.joint_names,
             joint_units=robot.joint_units,
             task_labels=sensor.labels,
             task_units=sensor.units,
             scene=scene_of(plant, self._controllers[-1][1]),
-            derived=_Derivation(plant, self._controllers, *answers),
+            derived=_Derivation(plant, self._controllers, *kept[len(_RECORDED) :]),
         )
 
 
 class _Derivation:
     """Computes V and the like of a run when they are asked for, with the controllers that ran.
 
-    Args:
-        plant: The plant.
-        controllers: The controllers, each with its first instant.
-        e: Task errors that they had, shape (N, m).
-        J_hat: Their estimated Jacobians, NaN of one that has none, shape (N, m, n_v).
-        rate: Rates of their states, shape (N, n_state).
+    It takes these with their first instants, the errors e (N, m) that they had, their estimated
+    Jacobians (N, m, n_v), NaN of one that has none, and the rates of their states (N, n_state).
     """
 
     def __init__(
@@ -134,6 +117,11 @@ class _Derivation:
             law = law_of(controller)
             if isinstance(law, SetpointController):
                 self._laws.append((slice(start, end), law))
+
+    def __call__(self, run: Trajectory, name: str) -> Array:
+        """Return "task_torque", "V" or "sigma_min" of the run."""
+        found: Array = getattr(self, name)(run)
+        return found
 
     def sigma_min(self, run: Trajectory) -> Array:
         """Return the smallest singular value of Ĵ, NaN without one, shape (N,)."""

@@ -6,50 +6,20 @@ import json
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from approxjac.errors import ApproxJacError, InvalidInputError, TrajectoryFileError
+from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation.scene import Scene
 from approxjac.validation import Array, as_number, require
-
-
-class Derivation(Protocol):
-    """Source of what takes time to derive from a run: computed, or read from a file."""
-
-    def task_torque(self, run: Trajectory) -> Array:
-        """Return the part of the law's torque that acts on the task, shape (N, n_v)."""
-        ...
-
-    def V(self, run: Trajectory) -> Array:
-        """Return V of the true arm, shape (N,)."""
-        ...
-
-    def sigma_min(self, run: Trajectory) -> Array:
-        """Return the smallest singular value of Ĵ, shape (N,)."""
-        ...
-
-
-@dataclass(frozen=True)
-class _Read:
-    """A derivation that was read from a file."""
-
-    arrays: Mapping[str, Array]
-
-    def task_torque(self, run: Trajectory) -> Array:
-        return self.arrays["task_torque"]
-
-    def V(self, run: Trajectory) -> Array:
-        return self.arrays["V"]
-
-    def sigma_min(self, run: Trajectory) -> Array:
-        return self.arrays["sigma_min"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +45,7 @@ class Trajectory:
         task_labels: Names of the task coordinates, length m.
         task_units: Their units, length m.
         scene: Who took part, to draw the run with; None if that is not known.
-        derived: Source of V, task torque and σ_min, which are computed when asked for.
+        derived: Returns V, task torque or σ_min of a run, by name, when they are asked for.
     """
 
     t: Array
@@ -96,7 +66,7 @@ class Trajectory:
     task_labels: tuple[str, ...]
     task_units: tuple[str, ...]
     scene: Scene | None = None
-    derived: Derivation = field(kw_only=True)
+    derived: Callable[[Trajectory, str], Array] = field(kw_only=True)
 
     @cached_property
     def task_torque(self) -> Array:
@@ -104,7 +74,7 @@ class Trajectory:
 
         NaN of laws other than `SetpointController`, limited or held; shape (N, n_v).
         """
-        return self.derived.task_torque(self)
+        return self.derived(self, "task_torque")
 
     @cached_property
     def V(self) -> Array:
@@ -112,12 +82,12 @@ class Trajectory:
 
         With the α of the `SetpointController`; NaN of other laws.
         """
-        return self.derived.V(self)
+        return self.derived(self, "V")
 
     @cached_property
     def sigma_min(self) -> Array:
         """Smallest singular value of Ĵ, shape (N,)."""
-        return self.derived.sigma_min(self)
+        return self.derived(self, "sigma_min")
 
     @property
     def target(self) -> Array:
@@ -127,27 +97,19 @@ class Trajectory:
     @property
     def task_unit(self) -> str:
         """Unit of x, error and target; different ones are joined by "or"."""
-        return " or ".join(dict.fromkeys(self.task_units))
+        return joined(self.task_units)
 
     @property
     def units(self) -> Mapping[str, str]:
         """Unit of each array; those of different kinds of joints are joined by "or"."""
         kinds = [unit for unit in ("rad", "m") if unit in self.joint_units]
-        torque = {"rad": "N m", "m": "N"}
-        task = self.task_unit
+        task, torque = self.task_unit, joined({"rad": "N m", "m": "N"}[kind] for kind in kinds)
         return {
-            "t": "s",
-            "q": " or ".join(kinds),
-            "v": " or ".join(f"{kind}/s" for kind in kinds),
-            "x": task,
-            "x_d": task,
-            "error": task,
-            "tau": " or ".join(torque[kind] for kind in kinds),
-            "task_torque": " or ".join(torque[kind] for kind in kinds),
-            "V": "J",
-            "slack": "W",
-            "sigma_min": " or ".join(f"{task}/{kind}" for kind in kinds),
-        }
+            "t": "s", "x": task, "x_d": task, "error": task, "tau": torque, "task_torque": torque,
+            "V": "J", "slack": "W", "q": joined(kinds),
+            "v": joined(f"{kind}/s" for kind in kinds),
+            "sigma_min": joined(f"{task}/{kind}" for kind in kinds),
+        }  # fmt: skip
 
     @property
     def error_norm(self) -> Array:
@@ -172,13 +134,11 @@ class Trajectory:
 
     def status_counts(self) -> dict[Status, int]:
         """Return at how many recorded instants each status held."""
-        values, counts = np.unique(self.status, return_counts=True)
-        return {Status(int(s)): int(n) for s, n in zip(values, counts, strict=True)}
+        return {Status(s): n for s, n in sorted(Counter(self.status.tolist()).items())}
 
     def limit_status_counts(self) -> dict[LimitStatus, int]:
         """Return at how many recorded instants each status of the limits held."""
-        values, counts = np.unique(self.limit_status, return_counts=True)
-        return {LimitStatus(int(s)): int(n) for s, n in zip(values, counts, strict=True)}
+        return {LimitStatus(s): n for s, n in sorted(Counter(self.limit_status.tolist()).items())}
 
     def save(self, path: str | Path) -> Path:
         """Write the run to a .npz file that `Trajectory.load` and `numpy.load` read.
@@ -219,7 +179,7 @@ class Trajectory:
             scene = texts.pop("scene")
             for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])
-            derived = _Read({name: arrays.pop(name) for name in _DERIVED})
+            derived = partial(_read, {name: arrays.pop(name) for name in _DERIVED})
             scene = None if scene is None else Scene.from_dict(scene)
             run = cls(**arrays, **texts, scene=scene, derived=derived)
             run._require_shapes()
@@ -268,7 +228,7 @@ class Trajectory:
             raise ValueError("its scene has another number of joints")
 
     def __str__(self) -> str:
-        """A few lines: the error, the largest torque, and what was wrong meanwhile."""
+        """Return a few lines: the error, the largest torque, and what was wrong meanwhile."""
         norm, last = self.error_norm, len(self.t) - 1
         error = f"{norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}"
         above = np.nonzero(norm > 0.01 * norm[0])[0]
@@ -297,6 +257,11 @@ class Trajectory:
             f"Trajectory({self.robot_name!r}, {self.t[-1]:g} s, {len(self.t)} samples; "
             f"|e| {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}; {counts})"
         )
+
+
+def _read(arrays: Mapping[str, Array], run: Trajectory, name: str) -> Array:
+    """Return what was read from a file with a run."""
+    return arrays[name]
 
 
 def _counted(counts: Mapping[Any, int]) -> str:
