@@ -107,7 +107,7 @@ def test_each_option_reaches_the_run(tmp_path, option, expected):
 def test_a_singular_target_is_no_crash(tmp_path, capsys):
     arguments = ["--figures", "1", "4", "--target", "0", "0", "--duration", "5"]
     assert main(["paper", "--out", str(tmp_path), *arguments]) == 1
-    assert "singular posture" in capsys.readouterr().out
+    assert "singular configuration" in capsys.readouterr().out
 
 
 def test_a_verdict_whose_evidence_differs_gives_its_reason(tmp_path, capsys):

@@ -33,8 +33,8 @@ def paper(
         out: Folder for figN.png, figN.svg, figN.npz and summary.json, and, with the extra "view"
             installed, pages to see in a browser: index.html and figN.html.
         figures: Figures to make, such as "--figures 3 4".
-        start: Posture q(0) at the start, in degrees.
-        target: Posture whose image is the target, in degrees.
+        start: Configuration q(0) at the start, in degrees.
+        target: Configuration whose image is the target, in degrees.
         friction: Viscous friction B at both joints, N m s/rad.
         gamma: Saturation of the error on the sensor, in m; "None" is s(e) = e.
         inertia: Uniform rods, or point masses at their middles.
@@ -44,7 +44,6 @@ def paper(
 
     from approxjac import paper as study
     from approxjac.paper import report
-    from approxjac.view import save_figure
 
     known = [1, *study.EXPERIMENTS]
     if not figures:
@@ -72,7 +71,7 @@ def paper(
         if 1 in figures:
             bar.set_description("figure 1")
             bound = study.jacobian_bound(setup)
-            save_figure(report.draw_bound(bound), out / "fig1")
+            report.write_bound(bound, out)
         for i, experiment in enumerate(experiments):
             bar.set_description(f"figure {experiment.figure}")
 

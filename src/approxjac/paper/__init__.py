@@ -10,8 +10,7 @@ from approxjac.paper.experiments import (
     build,
     build_arm,
 )
-from approxjac.paper.jacobian_bound import jacobian_bound
-from approxjac.paper.result import REPORT_TIMES, Result, run_experiment
+from approxjac.paper.result import REPORT_TIMES, Result, jacobian_bound, run_experiment
 
 __all__ = [
     "ALPHA",

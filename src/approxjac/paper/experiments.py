@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac.controllers import AdaptiveGravity, Gains, RegressorGravity, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.law import Linear, Saturation, Sine
+from approxjac.law import Linear, Sine
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.simulation import Plant
 from approxjac.tasks import ImageTask, PlanarCamera
@@ -38,15 +38,11 @@ class Experiment:
     """One of the paper's simulations.
 
     Attributes:
-        figure: Its number in the paper.
-        title: What it shows.
         camera: Believed camera.
         lengths: Believed l̂₁, l̂₂, l̂_o [m].
         kp: K_p = kp I [N/m].
         kv: K_v = kv I [N s/m].
         learn_gravity: θ̂ starts at zero and is learnt, with `LEARNING_GAIN` and `ALPHA`.
-        paper_says: The paper's verdict.
-        paper_words: The paper's words.
     """
 
     figure: int
@@ -93,9 +89,7 @@ EXPERIMENTS: Mapping[int, Experiment] = {
 
 @dataclass(frozen=True)
 class Setup:
-    """Choices that the paper leaves open.
-
-    With the default ones a single start gives every verdict of the paper.
+    """Choices that the paper leaves open; the default ones give every verdict of the paper.
 
     Attributes:
         start: q(0) [rad].
@@ -136,20 +130,14 @@ class Setup:
 
 
 def build_arm(lengths: tuple[float, float, float] = LENGTHS, inertia: Inertia = "rod") -> Robot:
-    """Return the arm holding the object; the true one, or one that is believed to be.
-
-    Args:
-        lengths: l₁, l₂ and l_o [m].
-        inertia: "rod" or "point-mass".
-    """
+    """Return the arm of lengths l₁, l₂, l_o [m] with the object, the true or a believed one."""
     l1, l2, lo = lengths
-    point_masses = inertia == "point-mass"
-    arm = load_robot("two_link_point_mass" if point_masses else "two_link").with_kinematic_error(
-        {"joint2": (l1 - LENGTHS[0], 0.0, 0.0), "tool0_joint": (l2 - LENGTHS[1], 0.0, 0.0)}
-    )
-    if not point_masses:
+    shifts = {"joint2": (l1 - LENGTHS[0], 0.0, 0.0), "tool0_joint": (l2 - LENGTHS[1], 0.0, 0.0)}
+    if inertia == "rod":
+        arm = load_robot("two_link").with_kinematic_error(shifts)
         return arm.with_object(lo, OBJECT_MASS, radius=0.0, axis="x")
     # a massless rod in two halves with a point mass between them
+    arm = load_robot("two_link_point_mass").with_kinematic_error(shifts)
     half = arm.with_object(lo / 2.0, axis="x", name="object_near")
     weighted = half.with_object(0.0, OBJECT_MASS, radius=0.0, name="object_mass")
     return weighted.with_object(lo / 2.0, axis="x", name="object")
@@ -163,17 +151,16 @@ def build(experiment: Experiment, setup: Setup) -> tuple[Plant, SetpointControll
     """
     truth = build_arm(inertia=setup.inertia)
     belief = build_arm(experiment.lengths, setup.inertia)
-    plant = Plant(truth, ImageTask(truth, CAMERA), friction=setup.friction)
     regressor = GravityRegressor(belief, moments="x")
-    saturation: Saturation = Linear() if setup.gamma is None else Sine(setup.gamma)
+    gravity: AdaptiveGravity | RegressorGravity
+    if experiment.learn_gravity:
+        gravity = AdaptiveGravity(regressor, L=LEARNING_GAIN, alpha=ALPHA, theta0=np.zeros(2))
+    else:
+        gravity = RegressorGravity(regressor, GravityRegressor(truth, moments="x").theta)
     controller = SetpointController(
         ImageTask(belief, experiment.camera),
         Gains(kp=experiment.kp, kv=experiment.kv),
-        gravity=(
-            AdaptiveGravity(regressor, L=LEARNING_GAIN, alpha=ALPHA, theta0=np.zeros(2))
-            if experiment.learn_gravity
-            else RegressorGravity(regressor, GravityRegressor(truth, moments="x").theta)
-        ),
-        saturation=saturation,
+        gravity=gravity,
+        saturation=Linear() if setup.gamma is None else Sine(setup.gamma),
     )
-    return plant, controller
+    return Plant(truth, ImageTask(truth, CAMERA), friction=setup.friction), controller

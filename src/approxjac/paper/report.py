@@ -5,75 +5,38 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from approxjac import view
 from approxjac.errors import MissingPackageError
 from approxjac.paper.experiments import ALPHA, CAMERA, LEARNING_GAIN, LENGTHS, OBJECT_MASS, Setup
-from approxjac.paper.jacobian_bound import JacobianBound
-from approxjac.paper.result import Result
+from approxjac.paper.result import JacobianBound, Result
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.tasks import PlanarCamera
-from approxjac.view import (
-    new_figure,
-    plot_allowed_error,
-    plot_error,
-    plot_parameters,
-    plot_path,
-    plot_torque,
-    save_figure,
-    save_page,
-    write_index,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
-def draw_result(result: Result, setup: Setup, truth: Robot) -> Figure:
-    """Return one of Figures 3–8: task error, the arm's path in its plane, joint torques."""
-    experiment = result.experiment
-    learnt = result.theta_hat is not None
-    figure, axes = new_figure(
-        4 if learnt else 3,
-        title=f"Figure {experiment.figure}: {experiment.title} "
-        f"(K_p = {experiment.kp:g} I, K_v = {experiment.kv:g} I) — {result.verdict}",
-    )
-    plot_error(result.run, axes[0], title="Error of the image, coordinate by coordinate")
-    plot_path(result.run, truth, q_target=setup.target, ax=axes[1])
-    plot_torque(result.run, axes[2])
-    if learnt:
-        regressor = GravityRegressor(truth, moments="x")
-        plot_parameters(result.run, regressor.names, axes[3], theta=regressor.theta)
-    return figure
-
-
-def draw_bound(bound: JacobianBound) -> Figure:
-    """Return Figure 1: the allowed p against a, its two curves and their crossing."""
-    figure, (ax,) = new_figure(size=(6.5, 4.8))
-    label = "‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target"
-    plot_allowed_error(
-        bound.lambda_2, bound.p_of_figure_4, unit="m/rad on the sensor", p_label=label, ax=ax
-    )
-    return figure
+def write_bound(bound: JacobianBound, out: Path) -> None:
+    """Write fig1.png and fig1.svg: the allowed p against a, its two curves and their crossing."""
+    figure, (ax,) = view.new_figure(size=(6.5, 4.8))
+    p, label = bound.p_of_figure_4, "‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target"
+    view.plot_allowed_error(bound.lambda_2, p, unit="m/rad on the sensor", p_label=label, ax=ax)
+    view.save_figure(figure, out / "fig1")
 
 
 def summary(results: Sequence[Result], bound: JacobianBound | None, setup: Setup) -> dict[str, Any]:
     """Return the contents of `summary.json`."""
     figures: dict[str, Any] = {}
     if bound is not None:
-        figures["fig1"] = {
-            **dataclasses.asdict(bound),
-            "condition_23_met_by_figure_4": bound.condition_23_met,
-        }
+        met = {"condition_23_met_by_figure_4": bound.condition_23_met}
+        figures["fig1"] = dataclasses.asdict(bound) | met
+    learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
     for result in results:
         experiment = result.experiment
-        believed = {"lengths": experiment.lengths, "camera": _camera(experiment.camera)}
-        learnt = {"L": LEARNING_GAIN, "alpha": ALPHA, "theta_hat_at_start": [0.0, 0.0]}
         entry: dict[str, Any] = {
             "title": experiment.title,
             "kp": experiment.kp,
             "kv": experiment.kv,
-            "believed": believed,
+            "believed": {"lengths": experiment.lengths, "camera": _camera(experiment.camera)},
             "gravity": learnt if experiment.learn_gravity else "known",
             "max_real_eigenvalue": result.local.max_real_eigenvalue,
             "error_ratio": {f"{t:g}": ratio for t, ratio in result.error_ratios.items()},
@@ -137,18 +100,14 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
 def write_pages(results: Sequence[Result], out: Path) -> str:
     """Write a page of each run and an index of them; return a line that says where."""
     for result in results:
-        experiment = result.experiment
+        e = result.experiment
+        title = f"Figure {e.figure}: {e.title} — {result.verdict}; the paper: “{e.paper_words}”"
         try:
-            save_page(
-                result.run,
-                out / f"fig{experiment.figure}.html",
-                f"Figure {experiment.figure}: {experiment.title} — {result.verdict}; "
-                f"the paper: “{experiment.paper_words}”",
-            )
+            view.save_page(result.run, out / f"fig{e.figure}.html", title)
         except MissingPackageError as error:
             return f"There are no pages to see in a browser: {error}"
     bound = "Figure 1: how wrong Theorem 1 lets the Jacobian be, and how wrong that of Figure 4 is"
-    index = write_index(
+    index = view.write_index(
         out,
         "The paper's two-link study: the arm as it is, and as it is believed",
         pictures={"fig1.png": bound} if (out / "fig1.png").is_file() else {},
@@ -157,7 +116,19 @@ def write_pages(results: Sequence[Result], out: Path) -> str:
 
 
 def write_result(result: Result, setup: Setup, truth: Robot, out: Path) -> None:
-    """Write figN.png, figN.svg and the trajectory figN.npz."""
-    stem = out / f"fig{result.experiment.figure}"
-    save_figure(draw_result(result, setup, truth), stem)
-    result.run.save(stem.with_suffix(".npz"))
+    """Write figN.png, figN.svg and the trajectory figN.npz.
+
+    The figure has the task error, the arm's path in its plane, and the joint torques.
+    """
+    e, learns = result.experiment, result.theta_hat is not None
+    gains = f"(K_p = {e.kp:g} I, K_v = {e.kv:g} I)"
+    title = f"Figure {e.figure}: {e.title} {gains} — {result.verdict}"
+    figure, axes = view.new_figure(4 if learns else 3, title=title)
+    view.plot_error(result.run, axes[0], title="Error of the image, coordinate by coordinate")
+    view.plot_path(result.run, truth, q_target=setup.target, ax=axes[1])
+    view.plot_torque(result.run, axes[2])
+    if learns:
+        regressor = GravityRegressor(truth, moments="x")
+        view.plot_parameters(result.run, regressor.names, axes[3], theta=regressor.theta)
+    view.save_figure(figure, out / f"fig{e.figure}")
+    result.run.save(out / f"fig{e.figure}.npz")

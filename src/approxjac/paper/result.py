@@ -1,4 +1,4 @@
-"""One of the paper's simulations, run and judged."""
+"""Results of the study: a simulation judged, and the bound of Figure 1."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from approxjac.paper.experiments import Experiment, Setup, Verdict, build
+from approxjac import law
+from approxjac.paper.experiments import EXPERIMENTS, Experiment, Setup, Verdict, build
 from approxjac.simulation import Trajectory, simulate
 from approxjac.stability import LocalStability, local_stability
 from approxjac.validation import Array
@@ -22,8 +23,6 @@ class Result:
     """One experiment, run.
 
     Attributes:
-        experiment: The experiment.
-        run: Its record.
         local: The exact linearisation at the target.
         theta_hat: θ̂ at the end, shape (2,); None where gravity is known.
     """
@@ -35,11 +34,10 @@ class Result:
 
     @property
     def settles(self) -> bool:
-        """Tell if the run's error dies down.
+        """Tell if the run's error dies down, or is all but gone.
 
-        It does when the largest error of its last quarter is below the start and 5 % below that
-        of the quarter before, and the last eighth is below the eighth before; or when the error
-        is all but gone.
+        The largest error of the last quarter is then below the start and 5 % below that of the
+        quarter before, and the last eighth is below the eighth before.
         """
         norm = self.run.error_norm / self.run.error_norm[0]
         before, last = np.array_split(norm, 4)[2:]
@@ -62,16 +60,14 @@ class Result:
         """Evidence for the verdict, in words; says so where linearisation and run differ."""
         run = f"the run's error {'falls' if self.settles else 'does not fall'}"
         if self.local.singular:
-            return (
-                "the target is a singular configuration, where the linearisation decides nothing; "
-                + run
-            )
+            where = "the target is a singular configuration"
+            return f"{where}, where the linearisation decides nothing; {run}"
         text = f"max Re λ = {self.local.max_real_eigenvalue:+.4f}, {run}"
-        if not self.evidence_agrees:
-            growth = "" if self.local.stable else " to show the growth"
-            text += f"; they differ: the run may be too short{growth}, or end elsewhere than at "
-            text += "the target"
-        return text
+        if self.evidence_agrees:
+            return text
+        growth = "" if self.local.stable else " to show the growth"
+        ends = f"the run may be too short{growth}, or end elsewhere than at the target"
+        return f"{text}; they differ: {ends}"
 
     @property
     def agrees_with_paper(self) -> bool:
@@ -86,16 +82,11 @@ class Result:
 
 
 def run_experiment(
-    experiment: Experiment,
-    setup: Setup,
-    progress: Callable[[float], None] | None = None,
+    experiment: Experiment, setup: Setup, progress: Callable[[float], None] | None = None
 ) -> Result:
     """Simulate one experiment as one differential equation and judge it.
 
-    Args:
-        experiment: One of `EXPERIMENTS`.
-        setup: Choices that the paper leaves open.
-        progress: Called now and then with the time reached [s].
+    `progress` is called now and then with the time reached [s].
     """
     plant, controller = build(experiment, setup)
     q_target = np.array(setup.target)
@@ -112,3 +103,43 @@ def run_experiment(
     )
     theta_hat = controller.learnt(run.state)[-1] if experiment.learn_gravity else None
     return Result(experiment, run, local_stability(plant, controller, q_target), theta_hat)
+
+
+@dataclass(frozen=True)
+class JacobianBound:
+    """The largest Jacobian error allowed, for Figure 4's controller at the target.
+
+    Attributes:
+        lambda_2: λ₂ = λ_min[ĴᵀĴ + B/k_v] of (23).
+        alpha: λ₂^½, which allows the largest p.
+        largest_allowed_p: λ₂^½, the largest p that (23) allows for any a and α: (25).
+        allowed_p_at_a_of_figure_4: The largest p that (23) allows for any α at its gain ratio a.
+        p_of_figure_4: ‖Jᵀ − Ĵᵀ‖ there.
+    """
+
+    lambda_2: float
+    alpha: float
+    largest_allowed_p: float
+    allowed_p_at_a_of_figure_4: float
+    p_of_figure_4: float
+
+    @property
+    def condition_23_met(self) -> bool:
+        """Tell if (23) holds for some α; Theorem 1 asks for (14) and (22) besides."""
+        return self.p_of_figure_4 < self.allowed_p_at_a_of_figure_4
+
+
+def jacobian_bound(setup: Setup) -> JacobianBound:
+    """Evaluate (23) and (25) on the true and believed arm of Figure 4."""
+    experiment, q = EXPERIMENTS[4], np.array(setup.target)
+    plant, controller = build(experiment, setup)
+    J_hat = controller.task.jacobian(q)
+    lambda_2 = law.lambda_2(J_hat, plant.friction / experiment.kv)
+    return JacobianBound(
+        lambda_2,
+        math.sqrt(lambda_2),
+        law.largest_allowed_p(lambda_2),
+        # for a given a the curves cross at α = λ₂/a, and there their minimum is largest
+        law.allowed_p_at_crossing(lambda_2 * experiment.kv / experiment.kp, lambda_2),
+        law.jacobian_error(plant.sensor.jacobian(q), J_hat),
+    )
