@@ -3,8 +3,6 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
@@ -23,7 +21,7 @@ def regions(panda):
         "box": box,
         "tube": aj.stability.Tube(panda, np.linspace(Q, Q + 0.5, 20), 0.1),
         "regular": aj.stability.RegularPart(aj.JointBox(panda), task, 0.2),
-        "sublevel": aj.stability.SublevelSet(plant, controller, target, Q, alpha=0.5, within=box),
+        "sublevel": aj.stability.SublevelSet(plant, controller, target, Q),
     }
 
 
@@ -100,25 +98,6 @@ def test_sublevel_set_is_where_v_lets_the_arm_go(two_link):
     assert all(region.contains(q) for q in run.q)
 
 
-@settings(max_examples=25, deadline=None)
-@given(st.floats(0.0, 1.0), st.integers(0, 100))
-def test_a_cross_term_makes_the_set_larger(alpha, seed):
-    """min over q̇ of V lies α²sᵀĴ⁺ᵀMĴ⁺s/2 below V(q, 0)."""
-    arm = aj.load_robot("two_link")
-    task = aj.PositionTask(arm, axes="xz")
-    controller = aj.SetpointController(task, aj.Gains(100.0, 60.0))
-    plant = aj.Plant(arm, aj.PositionTask(arm, axes="xz"))
-    start = np.array([0.5, 1.2])
-    target = task.value(np.array([0.8, 1.0]))
-    region = aj.stability.SublevelSet(plant, controller, target, start, alpha)
-    q = start + np.random.default_rng(seed).uniform(-0.3, 0.3, 2)
-    e = task.value(q) - target
-    M, J = plant.dynamics.M(q), task.jacobian(q)
-    Gs = alpha * np.linalg.inv(J) @ e
-    lowest = 0.5 * (100.0 + alpha * 60.0) * e @ e - 0.5 * Gs @ M @ Gs
-    assert region.contains(q) == (lowest <= region.level)
-
-
 def test_empty_regions_are_refused(panda):
     task = aj.PositionTask(panda)
     with pytest.raises(
@@ -137,11 +116,10 @@ def test_empty_regions_are_refused(panda):
         aj.stability.Tube(panda, np.zeros((0, 7)))
     plant = aj.Plant(panda, task)
     controller = aj.SetpointController(task)
-    far = aj.JointBox.around(panda, Q + 1.0, 0.1)
     with pytest.raises(
         aj.InvalidInputError, match=r"q0 must be in JointBox.*or the region is empty"
     ):
-        aj.stability.SublevelSet(plant, controller, task.value(Q), Q, within=far)
+        aj.stability.SublevelSet(plant, controller, task.value(Q), Q + 3.0)
 
 
 def test_bounds_come_together(panda):

@@ -236,8 +236,6 @@ def test_the_interval_is_that_of_scipy(runs, share, confidence):
         ({"runs": 0}, "runs must be an integer >= 1, got 0"),
         ({"runs": 2.0}, "runs must be an integer >= 1, got 2.0"),
         ({"seed": -1}, "seed must be an integer >= 0, got -1"),
-        ({"confidence": 1.0}, "confidence must be > 0 and < 1, such as 0.95, got 1.0"),
-        ({"confidence": 0.0}, "confidence must be a finite number > 0, got 0"),
         ({"dt": 0.0}, "dt must be a finite number > 0"),
         ({"duration": 1e-4}, "duration must be a finite number >= 0.001"),
         ({"duration": 0.01, "dt": 0.003}, r"duration must be a whole number of dt = 0.003"),
@@ -271,6 +269,10 @@ def test_refused_parts(controller, uncertainty, panda):
         aj.rollouts(controller, uncertainty, Box((0.0,) * 3, (1.0,) * 3), target=(1.0, 0.0))
     with pytest.raises(aj.InvalidInputError, match="successes must be an integer of 0 to runs"):
         clopper_pearson(3, 2)
+    with pytest.raises(aj.InvalidInputError, match="confidence must be > 0 and < 1"):
+        clopper_pearson(1, 2, 1.0)
+    with pytest.raises(aj.InvalidInputError, match="confidence must be a finite number > 0, got 0"):
+        clopper_pearson(1, 2, 0.0)
 
 
 def test_a_region_is_what_has_its_methods():

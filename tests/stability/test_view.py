@@ -68,7 +68,6 @@ def test_what_is_seen_anyway_is_drawn_as_it_was():
     others = VisiblePart(BOX, task).replace_unseen(some, ours)
     kept = [sees(task, q) for q in some]
     assert ((others == some).all(axis=1) == kept).all()
-    assert "VisiblePart(JointBox('two_link'" in repr(part)
 
 
 def test_the_way_to_a_posture_ends_in_view():
@@ -125,10 +124,6 @@ def test_errors_that_turn_the_camera_away_are_errors_that_fail():
     assert 1.0 < found.scale < found.fails_at < 6.0
     with pytest.raises(aj.InvalidInputError, match="the region must hold configurations"):
         aj.tolerance(controller, errors.scaled(5.1), region, tests=("local",), configurations=8)
-    slow = {"runs": 2, "duration": 0.01}  # no run gets there: the first scale fails already
-    assert (
-        aj.tolerance(controller, errors, region, tests=("rollouts",), **slow)["rollouts"].scale == 0
-    )
 
 
 def test_rollouts_start_and_end_in_view():
@@ -164,14 +159,14 @@ def test_a_set_that_v_lets_be_reached_is_in_view(rng):
     controller, errors = loop()
     plant = errors.plant([0.1])
     target = plant.sensor.value(np.array([-0.2, 1.6]))
-    region = aj.stability.SublevelSet(plant, controller, target, (0.1, 1.0), alpha=0.1, within=BOX)
+    region = aj.stability.SublevelSet(plant, controller, target, (0.1, 1.0))
     for q in region.sample(20, rng):
         assert sees(plant.sensor, q)
     assert not region.contains(np.array([-1.1, 0.5]))
     with pytest.raises(
         aj.InvalidInputError, match="q0 must be a configuration that the sensor sees"
     ):
-        aj.stability.SublevelSet(plant, controller, target, (-1.1, 0.5), within=BOX)
+        aj.stability.SublevelSet(plant, controller, target, (-1.1, 0.5))
 
 
 def test_v_and_w_out_of_view_are_refused():
@@ -215,9 +210,6 @@ def test_the_other_tests_refuse_it():
         ],
         "the Lyapunov function": [
             lambda: aj.lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
-        ],
-        "the set of V with alpha > 0": [
-            lambda: aj.stability.SublevelSet(plant, controller, task.value(q), q, alpha=1.0)
         ],
     }
     for what, calls in tests.items():

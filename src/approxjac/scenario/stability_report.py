@@ -228,7 +228,6 @@ def _tolerated(result: StabilityResult) -> list[str]:
         "theorem1": "1 Theorem 1",
         "matrix": "2 matrix form",
         "local": "3 local",
-        "rollouts": "4 rollouts",
     }
     lines = []
     for test, each in result.tolerances.items():

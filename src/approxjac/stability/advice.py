@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from typing import Any
 
 from approxjac.controllers import Gains, SetpointController
 from approxjac.stability.closed_loop import with_gains
 from approxjac.stability.region import Region
 from approxjac.stability.report import stability_report
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.validation import Array
 
 _RAISED = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)  # times the damping
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the largest scale
@@ -20,10 +20,8 @@ def damping_that_certifies(
     uncertainty: Uncertainty,
     region: Region | None = None,
     *,
-    target: Sequence[float] | Array | None = None,
-    configurations: int = 2000,
-    seed: int = 0,
     progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> float | None:
     """Return the smallest factor of the added damping, of six tried, that a report certifies.
 
@@ -31,10 +29,8 @@ def damping_that_certifies(
         controller: The controller.
         uncertainty: The errors.
         region: Where to look; see `stability_report`.
-        target: x_d, shape (n_x,); see `stability_report`.
-        configurations: How many each report draws, ≥ 20.
-        seed: Of all drawing, ≥ 0.
         progress: Called with the share of the factors that were tried.
+        options: `target`, `configurations` and `seed` of each `stability_report`.
 
     Returns:
         The factor, 1.5 to 20; None if none of them does.
@@ -47,10 +43,7 @@ def damping_that_certifies(
         if progress is not None:
             progress(k / len(_RAISED))
         raised = with_gains(controller, Gains(kp, kv, factor * damping))
-        report = stability_report(
-            raised, uncertainty, region, target=target, configurations=configurations, seed=seed
-        )
-        if report.certified_by is not None:
+        if stability_report(raised, uncertainty, region, **options).certified_by is not None:
             return factor
     return None
 
@@ -61,39 +54,29 @@ def part_that_certifies(
     region: Region | None = None,
     *,
     largest: float = 1.0,
-    target: Sequence[float] | Array | None = None,
-    configurations: int = 2000,
-    seed: int = 0,
     progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> Uncertainty | None:
     """Return the largest part of the errors, of five tried, that a report certifies.
 
     A report asks for more than `tolerance` does: it draws more configurations, and checks on others
-    what it chose.
+    what it chose. Arguments are as of `damping_that_certifies`.
 
     Args:
         controller: The controller.
         uncertainty: The errors at scale 1.
-        region: Where to look; see `stability_report`.
+        region: Where to look.
         largest: Scale to begin with, such as what `tolerance` tells; half of it is the last tried.
-        target: x_d, shape (n_x,); see `stability_report`.
-        configurations: How many each report draws, ≥ 20.
-        seed: Of all drawing, ≥ 0.
         progress: Called with the share of the scales that were tried.
+        options: Of each report.
 
     Returns:
         The errors, scaled down; None if no part tried is certified, or `largest` is 0.
-
-    Raises:
-        InvalidInputError: What `stability_report` refuses.
     """
     for k, share in enumerate(_SHARES if largest > 0.0 else ()):
         if progress is not None:
             progress(k / len(_SHARES))
         part = uncertainty.scaled(share * largest)
-        report = stability_report(
-            controller, part, region, target=target, configurations=configurations, seed=seed
-        )
-        if report.certified_by is not None:
+        if stability_report(controller, part, region, **options).certified_by is not None:
             return part
     return None

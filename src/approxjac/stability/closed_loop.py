@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -102,11 +102,7 @@ class ClosedLoop:
         return worst
 
     def require_gravity(self) -> None:
-        """Refuse gravity that is neither exact nor can be learnt.
-
-        Raises:
-            InvalidInputError: It is not.
-        """
+        """Raise if gravity is neither compensated exactly nor can be learnt."""
         error = self.gravity_error(self.region.sample(5, np.random.default_rng(0)))
         if error > EXACT_GRAVITY:
             raise InvalidInputError(
@@ -118,9 +114,7 @@ class ClosedLoop:
 
     # -- drawing --------------------------------------------------------------------------
 
-    def draw(
-        self, n: int, rng: np.random.Generator, progress: Callable[[int], None] | None = None
-    ) -> Samples:
+    def draw(self, n: int, rng: np.random.Generator) -> Samples:
         """Draw n samples, or more to have every true robot as often.
 
         A third of them have e = 0, where every motion is to end, a third small errors of all
@@ -133,23 +127,21 @@ class ClosedLoop:
         away = np.choose(kinds, [np.zeros(n), sizes, np.ones(n)])  # as a share of the way
         if self.target is None:
             others = self._seen(truths, self.region.sample(n, rng), rng)
-            x_d = []
-            for t, q, other, share in zip(truths, drawn, others, away, strict=True):
-                x_d.append(self.plants[t].sensor.value(self.parts[t].between(q, other, share)))
-            return evaluate(self.controller, self.plants, truths, drawn, np.array(x_d), progress)
+            x_d = [
+                self.plants[t].sensor.value(self.parts[t].between(q, other, share))
+                for t, q, other, share in zip(truths, drawn, others, away, strict=True)
+            ]
+            return evaluate(self.controller, self.plants, truths, drawn, np.array(x_d))
         known, model = self.attained(rng), self.region.robot.model
         for i, (t, share) in enumerate(zip(truths, away, strict=True)):
             end = known[t][rng.integers(len(known[t]))]
             nearer = np.array(pin.interpolate(model, end, drawn[i], share))
             if self.parts[t].contains(nearer):
                 drawn[i] = nearer
-        return self.samples_at(truths, drawn, progress)
+        return self.samples_at(truths, drawn)
 
     def targets(self, n: int, rng: np.random.Generator) -> tuple[Indices, Array]:
-        """Return true robots (N,) and configurations (N, nq) that may be targets.
-
-        Those that attain the one target, or n drawn ones.
-        """
+        """Return true robots (N,) and configurations (N, nq) that attain the target, or n drawn."""
         if self.target is None:
             return self._drawn(n, rng)
         known = self.attained(rng)
@@ -166,15 +158,10 @@ class ClosedLoop:
         x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
         return evaluate(self.controller, self.plants, np.full(n, truth), nearby, x_d)
 
-    def samples_at(
-        self,
-        truths: Indices,
-        configurations: Array,
-        progress: Callable[[int], None] | None = None,
-    ) -> Samples:
+    def samples_at(self, truths: Indices, configurations: Array) -> Samples:
         """Evaluate chosen true robots (N,) and configurations (N, nq) with the one target."""
         x_d = np.repeat(np.asarray(self.target)[None], len(truths), axis=0)
-        return evaluate(self.controller, self.plants, truths, configurations, x_d, progress)
+        return evaluate(self.controller, self.plants, truths, configurations, x_d)
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.
@@ -192,10 +179,8 @@ class ClosedLoop:
         attained = [q for q in ends if q is not None]
         within = [q for q in attained if self.region.contains(q)]
         if not within:
-            wanted, why = (
-                "within reach of",
-                f"no configuration of {sensor.robot!r} was found to attain",
-            )
+            wanted = "within reach of"
+            why = f"no configuration of {sensor.robot!r} was found to attain"
             if attained:
                 wanted = "attained by a configuration of the region for"
                 why = f"{sensor.robot.name} attains outside {self.region!r} only"
@@ -219,11 +204,7 @@ class ClosedLoop:
 
 
 def require_law(controller: SetpointController) -> None:
-    """Refuse controllers whose closed loop is neither eq. (9) nor that of (28), (29).
-
-    Raises:
-        InvalidInputError: Law (5), or a posture torque.
-    """
+    """Raise if the closed loop is neither eq. (9) nor that of (28), (29)."""
     if controller.velocity is not None or controller.posture is not None:
         raise InvalidInputError(
             "the conditions are those of the laws (6) and (28) without a posture torque, got "

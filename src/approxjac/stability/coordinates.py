@@ -7,16 +7,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.tasks import Camera
-from approxjac.validation import Array, as_array, is_scalar, require
+from approxjac.validation import as_array, is_scalar, require
 
 _CALIBRATION = ("focal_length", "distance", "roll")  # of a camera
-_KINDS = ("shift", "rotation")  # of the origins of joints
 
 
 class Coordinate(NamedTuple):
@@ -39,14 +35,9 @@ class Coordinate(NamedTuple):
 
 
 def as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -> list[Coordinate]:
-    """Return the coordinate whose range was given as (low, high); none where none was given.
+    """Return the coordinate whose range was given as (low, high), or none for None.
 
-    Args:
-        name: What the range is called.
-        given: The range, or None.
-        believed: What is believed.
-        unit: Of all three.
-        of: What it is of, which the coordinate's name begins with.
+    `of` is what the coordinate's name begins with.
 
     Raises:
         InvalidInputError: Not two finite numbers, reversed, or without what is believed in it.
@@ -75,13 +66,7 @@ def as_range(name: str, given: Any, believed: float, unit: str, of: str = "") ->
 
 
 def as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[float, ...]]:
-    """Return how far joints may be off to either side, checked, as a new dictionary.
-
-    Args:
-        name: "joint_shifts" or "joint_rotations".
-        given: Joint name → bounds along x, y, z, shape (3,).
-        arm: The arm that has the joints.
-        unit: Of the bounds.
+    """Return how far joints of an arm may be off along x, y, z, checked, as a new dictionary.
 
     Raises:
         InvalidInputError: No mapping, wrong shapes, not finite or negative.
@@ -89,10 +74,9 @@ def as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[f
     """
     require(name, given, Mapping, "a mapping from joint names to bounds of shape (3,)")
     bounds = {}
-    for joint in given:
+    for joint, bound in given.items():
         if joint not in arm.tree.joints:
             raise UnknownNameError("joint", joint, arm.name, arm.tree.joints)
-    for joint, bound in given.items():
         array = as_array(f"{name} of {joint}", bound, (3,), unit)
         if (array < 0.0).any():
             raise InvalidInputError(
@@ -108,7 +92,7 @@ def joint_coordinates(
     joints: Sequence[str], shifts: Mapping[str, Any], rotations: Mapping[str, Any]
 ) -> list[Coordinate]:
     """Return the coordinates of joints whose origins may be off; bounds of 0 make none."""
-    kinds = zip(_KINDS, ("m", "rad"), (shifts, rotations), strict=True)
+    kinds = (("shift", "m", shifts), ("rotation", "rad", rotations))
     return [
         Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound)
         for joint, (kind, unit, bounds) in itertools.product(joints, kinds)
@@ -117,22 +101,8 @@ def joint_coordinates(
     ]
 
 
-def joint_places(names: Sequence[str], joints: Sequence[str]) -> NDArray[np.intp]:
-    """Return where shifts and rotations of joints are among coordinates, shape (2, k, 3).
-
-    Those that are no coordinates, as they are certain, are after all of them.
-    """
-    wanted = [f"{joint} {kind} {axis}" for kind in _KINDS for joint in joints for axis in "xyz"]
-    found = [names.index(name) if name in names else len(names) for name in wanted]
-    return np.array(found, dtype=np.intp).reshape(2, len(joints), 3)
-
-
 def camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]:
-    """Return the coordinates of a camera's calibration of which a range is given.
-
-    Args:
-        camera: The believed camera, or None.
-        ranges: Of its focal length, distance and roll, or None.
+    """Return the coordinates of a camera's focal length, distance and roll that have a range.
 
     Raises:
         InvalidInputError: A range without a camera, or that is none.
@@ -153,23 +123,6 @@ def camera_coordinates(camera: Camera | None, *ranges: Any) -> list[Coordinate]:
             raise UnknownNameError("range", name, where, camera.calibration)
         found += as_range(name, given, *camera.calibration[name], of="camera ")
     return found
-
-
-def corners(box: Sequence[Coordinate], limit: int) -> Array:
-    """Return the corners of a box, or a selection of at most a number, as `Uncertainty.corners`."""
-    if type(limit) is not int or limit < 1:
-        raise InvalidInputError(f"limit must be an integer >= 1, got {limit!r}", given=limit)
-    ends = [tuple(dict.fromkeys((known.low, known.high))) for known in box]
-    if math.prod(map(len, ends)) <= limit:
-        return np.array(list(itertools.product(*ends)), dtype=float)
-    believed = tuple(known.believed for known in box)
-    chosen = {
-        (*believed[:i], end, *believed[i + 1 :]): None for i in range(len(box)) for end in ends[i]
-    }
-    rng = np.random.default_rng(0)
-    while len(chosen) < limit:
-        chosen[tuple(each[rng.integers(len(each))] for each in ends)] = None
-    return np.array(list(chosen))
 
 
 def in_words(name: str, value: float, unit: str) -> str:

@@ -87,35 +87,17 @@ def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> Linea
     if learning is not None:
         Z, L, alpha = learning.regressor.Z(q), learning.L, learning.alpha
         J_hat_pinv = _damped_pinv(controller.task, J_hat)
-    return LinearLoop(
-        plant.dynamics.M(q),
-        plant.dynamics.g_gradient(q),
-        np.array(plant.sensor._sensor_jacobian(q)),
-        J_hat,
-        J_hat_pinv,
-        *controller.diagonals[:2],
-        plant.friction,
-        controller.diagonals.damping,
-        Z,
-        L,
-        alpha,
-    )
+    M, G = plant.dynamics.M(q), plant.dynamics.g_gradient(q)
+    J = np.array(plant.sensor._sensor_jacobian(q))
+    kp, kv, damping = controller.diagonals
+    return LinearLoop(M, G, J, J_hat, J_hat_pinv, kp, kv, plant.friction, damping, Z, L, alpha)
 
 
 def continuous_matrix(loop: LinearLoop) -> Array:
     """A of ż = A z with z = (δq, q̇, δθ̂), shape (2 n_v + p, 2 n_v + p)."""
-    return law.adaptive_closed_loop_matrix(
-        loop.M,
-        loop.J,
-        loop.J_hat,
-        loop.J_hat_pinv,
-        loop.kp,
-        loop.kv,
-        loop.friction + loop.damping,
-        loop.Z,
-        loop.L,
-        loop.alpha,
-    )
+    M, _, J, J_hat, J_hat_pinv, kp, kv, friction, damping, Z, L, alpha = loop
+    B = friction + damping
+    return law.adaptive_closed_loop_matrix(M, J, J_hat, J_hat_pinv, kp, kv, B, Z, L, alpha)
 
 
 def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
@@ -161,12 +143,7 @@ def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) ->
     """Directions in which the equilibria with e = 0 continue, as columns of the state z.
 
     Self-motion, along which the held torque follows gravity, and changes of θ̂ that no joint feels
-    at the target.
-
-    Args:
-        loop: The loop.
-        unseen: Basis of the null space of Z, shape (p, p − rank Z).
-        timing: That of the sampled loop; None is the continuous one.
+    at the target, of which `unseen` is a basis, shape (p, p − rank Z).
     """
     n, m = loop.M.shape[0], len(loop.J)
     self_motion = np.linalg.svd(loop.J)[2][m:].T
@@ -189,9 +166,8 @@ def _held(loop: LinearLoop, dt: float) -> tuple[Array, Array]:
     n = len(loop.M)
     flow = np.zeros((3 * n, 3 * n))
     flow[:n, n : 2 * n] = np.eye(n)
-    flow[n : 2 * n] = np.linalg.solve(
-        loop.M, np.hstack([-loop.G, -np.diag(loop.friction), np.eye(n)])
-    )
+    forces = np.hstack([-loop.G, -np.diag(loop.friction), np.eye(n)])
+    flow[n : 2 * n] = np.linalg.solve(loop.M, forces)
     with np.errstate(over="ignore", invalid="ignore"):
         after = expm(dt * flow)
     if not np.isfinite(after).all():  # the arm falls from the target without end in one sample

@@ -1,4 +1,4 @@
-"""The local test: eigenvalues of the closed loop linearised at the target."""
+"""Test 3: eigenvalues of the closed loop linearised at a target, or at many of a region."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from approxjac.controllers.gravity import Adaptation
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.stability.closed_loop import require_law
+from approxjac.stability.closed_loop import ClosedLoop, require_law
 from approxjac.stability.linearization import (
     Timing,
     continuous_matrix,
@@ -23,6 +23,7 @@ from approxjac.stability.linearization import (
     sampled_matrix,
 )
 from approxjac.stability.region import require_seen
+from approxjac.stability.samples import Indices
 from approxjac.validation import Array, as_number, require
 
 _SINGULAR = 1e-10  # relative smallest singular value that counts as zero
@@ -30,6 +31,7 @@ _ZERO = 1e-11  # size of an eigenvalue relative to the largest that counts as ze
 _EXACT = 1e-6  # relative error of a gravity compensation that counts as none
 _NEAR = 1e-2  # how far from the target gravity is compared [rad or m]
 _MOST_STATES = 1000  # eigenvalues of more take many seconds
+_MOST_TARGETS = 1000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,16 +89,10 @@ class LocalStability:
         return not self.singular and self.max_real_eigenvalue < 0.0
 
     def __repr__(self) -> str:
-        return f"LocalStability({self})"
-
-    def __str__(self) -> str:
         loop = "continuous loop" if self.dt is None else f"sampled every {self.dt:g} s"
-        left_out = []
-        if self.self_motion:
-            left_out.append(f"{self.self_motion} of self-motion")
-        if self.unseen_parameters:
-            unseen = "learnt parameters without effect at the target"
-            left_out.append(f"{self.unseen_parameters} of {unseen}")
+        unseen = "learnt parameters without effect at the target"
+        numbers = {"self-motion": self.self_motion, unseen: self.unseen_parameters}
+        left_out = [f"{number} of {what}" for what, number in numbers.items() if number]
         ending = f"; left out are {' and '.join(left_out)}" if left_out else ""
         return f"{self._verdict()} ({loop}){ending}"
 
@@ -181,6 +177,74 @@ def linearised(
     )
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class LocalTest:
+    """What the exact linearisation says with each configuration taken as a target.
+
+    Attributes:
+        decay_rates: −max Re λ without the self-motion's zeros, shape (N,) [1/s]; 0 where J or Ĵ is
+            singular, which decides nothing.
+        damping_ratios: Smallest −Re λ/‖λ‖, shape (N,).
+        q: The configurations, shape (N, nq).
+        truth: Index of the true robot, shape (N,).
+    """
+
+    decay_rates: Array
+    damping_ratios: Array
+    q: Array
+    truth: Indices
+
+    def __repr__(self) -> str:
+        share, slowest = f"{100 * self.share:.4g} %", f"{self.decay_rates.min():.3g}/s"
+        return (
+            f"LocalTest(stable at {share} of {len(self.q)} configurations, slowest decay {slowest})"
+        )
+
+    @property
+    def share(self) -> float:
+        """Share of the configurations that are stable."""
+        return float((self.decay_rates > 0.0).mean())
+
+    @property
+    def worst(self) -> int:
+        """Index of the configuration with the slowest decay."""
+        return int(self.decay_rates.argmin())
+
+    @property
+    def stable(self) -> bool:
+        """Whether all are."""
+        return bool((self.decay_rates > 0.0).all())
+
+
+def local_test(
+    loop: ClosedLoop,
+    truths: Indices,
+    configurations: Array,
+    controller: SetpointController | None = None,
+    timing: Timing | None = None,
+) -> LocalTest:
+    """Linearise a closed loop with each configuration (of the first thousand) as a target.
+
+    Args:
+        loop: The closed loop.
+        truths: Indices of the true robots, shape (N,).
+        configurations: Shape (N, nq).
+        controller: Another one than the loop's, of the same task.
+        timing: Of sampled control; None is the continuous loop.
+    """
+    truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
+    at = [
+        linearised(loop.plants[t], controller or loop.controller, q, timing)
+        for t, q in zip(truths, configurations, strict=True)
+    ]
+    return LocalTest(
+        np.array([0.0 if each.singular else each.decay_rate for each in at]),
+        np.array([each.damping_ratio for each in at]),
+        configurations,
+        truths,
+    )
+
+
 def _timing(plant: Plant, dt: float | None) -> Timing | None:
     """Timing of the loop in whole samples, as `simulate` has it; None without dt."""
     if dt is None:
@@ -188,10 +252,9 @@ def _timing(plant: Plant, dt: float | None) -> Timing | None:
         return None
     dt = as_number("dt", dt, unit="s", above=0.0)
     plant.require_linear("the local test with dt")
-    sensing = plant.sensing
-    x_delay, velocity_filter = (
-        (0.0, None) if sensing is None else (sensing.x_delay, sensing.velocity_filter)
-    )
+    x_delay, velocity_filter = 0.0, None
+    if plant.sensing is not None:
+        x_delay, velocity_filter = plant.sensing.x_delay, plant.sensing.velocity_filter
     late = plant.sensor.m * x_delay / dt + plant.robot.nv * plant.actuator_delay / dt
     if late > _MOST_STATES:
         raise InvalidInputError(
@@ -225,11 +288,7 @@ def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> 
 
 
 def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
-    """Z θ̂ at configurations, shape (k, n_v), with the θ̂ nearest to the believed that fits best.
-
-    Raises:
-        InvalidInputError: The law does not learn there: the torque or θ̂ is at a limit.
-    """
+    """Z θ̂ at configurations, shape (k, n_v), with the θ̂ nearest to the believed that fits best."""
     if (np.abs(wanted[0]) >= learning.torque_limits).any():
         raise InvalidInputError(
             "gravity at the target must be within torque_limits of AdaptiveGravity, or θ̂ stands "
@@ -266,16 +325,7 @@ def _null_space(Z: Array, gravity: float) -> Array:
 def _eigenvalues_across(
     A: Array, still: Array, at_rest: float
 ) -> tuple[NDArray[np.complex128], bool]:
-    """Eigenvalues of A on what is left of the state when some directions count as one.
-
-    Args:
-        A: Square matrix.
-        still: Directions with A d = `at_rest` d, as columns.
-        at_rest: 0 for a flow, 1 for a map.
-
-    Returns:
-        The other eigenvalues, and whether the directions are what they should be.
-    """
+    """Eigenvalues of A without those of the columns d of `still`, and whether A d = `at_rest` d."""
     count = still.shape[1]
     if count == 0:
         return np.linalg.eigvals(A).astype(np.complex128), True

@@ -69,8 +69,8 @@ def lyapunov(
             f"V and W are those of the laws (6) and (28), got {controller!r}", given=controller
         )
     q, v = plant.robot.configuration(q), as_array("v", v, (plant.robot.nv,))
-    target = plant.sensor.target(target)
     task, sensor, dynamics = controller.task, plant.sensor, plant.dynamics
+    target = sensor.target(target)
     require_jacobian_of_q(task, "the Lyapunov function")
     require_seen("q", q, sensor)
     kp, kv, damping = controller.diagonals
@@ -99,20 +99,8 @@ def lyapunov(
         state = as_array("state", state, (learning.regressor.p,))
         theta = as_array("theta", theta, (learning.regressor.p,))
         V += law.parameter_potential(theta - controller.learnt(state), learning.L)
-    W = law.W(
-        v,
-        s,
-        controller.saturation.ds(e) * (J_e @ v),
-        J_e,
-        J_hat,
-        J_hat_pinv,
-        law.right_pinv_dot(J_hat, task.jacobian_dot(q, v)),
-        M,
-        dynamics.M_dot(q, v),
-        dynamics.coriolis(q, v),
-        plant.friction + damping,
-        kp,
-        kv,
-        alpha,
-    )
+    s_dot = controller.saturation.ds(e) * (J_e @ v)
+    J_hat_pinv_dot = law.right_pinv_dot(J_hat, task.jacobian_dot(q, v))
+    M_dot, C, B = dynamics.M_dot(q, v), dynamics.coriolis(q, v), plant.friction + damping
+    W = law.W(v, s, s_dot, J_e, J_hat, J_hat_pinv, J_hat_pinv_dot, M, M_dot, C, B, kp, kv, alpha)
     return LyapunovValue(V, W)

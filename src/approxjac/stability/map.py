@@ -15,7 +15,7 @@ from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificate import margin
 from approxjac.stability.closed_loop import ClosedLoop, with_gains
-from approxjac.stability.local_test import local_test
+from approxjac.stability.local import local_test
 from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
@@ -36,7 +36,6 @@ PARAMETERS: Mapping[str, str] = MappingProxyType(
 """What a map can have along its axes."""
 
 _POOL = 200  # targets that the hard ones are chosen from
-_COSTS = {"local": 1, "theorem1": 1, "matrix": 60, "rollouts": 60}  # roughly, of a point [ms]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,8 +134,9 @@ def stability_map(
     loop = ClosedLoop(controller, uncertainty, region, target)
     loop.require_gravity()
     xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
-    few_x, few_y = (np.interp(np.linspace(0, 1, coarse), np.linspace(0, 1, len(v)), v)
-                    for v in (xs, ys))  # fmt: skip
+    few = tuple(
+        np.interp(np.linspace(0, 1, coarse), np.linspace(0, 1, len(v)), v) for v in (xs, ys)
+    )
     rank_is_lost: list[bool] = []  # whether Ĵ loses rank in the region: no parameter changes that
 
     # the true robots and what is drawn change with "error" only, which is in the outer loop
@@ -155,14 +155,7 @@ def stability_map(
         chosen = np.concatenate([hard, others[: targets - targets // 2]])
         return scaled, truths[chosen], pool[chosen]
 
-    @functools.cache
-    def changed(a: float | None, kv: float, damping: float) -> SetpointController:
-        kp, known_kv, known_damping = controller.diagonals
-        kp = kv * kp if a is None else a * (kv * known_kv)
-        return with_gains(controller, Gains(kp, kv * known_kv, damping * known_damping))
-
-    def result(kind: str, scale: float, a: float | None, kv: float, damping: float) -> float:
-        own = changed(a, kv, damping)
+    def result(kind: str, scale: float, own: SetpointController) -> float:
         if kind == "local":
             return float(local_test(*hard_targets(scale), own).decay_rates.min())
         if kind == "rollouts":
@@ -177,42 +170,35 @@ def stability_map(
             return -1.0
         return max(-1.0, margin(kind, samples, Setting.of(own, scaled.plants[0])))
 
-    fine = len(xs) * len(ys)
-    total = fine * _COSTS["local"]
-    if coarse:
-        coarse_cost = _COSTS["matrix"] + runs * _COSTS["rollouts"]
-        total += fine * _COSTS["theorem1"] + coarse**2 * coarse_cost
-    done = 0
-
-    def over(first: Array, second: Array, kind: str) -> Array:
-        nonlocal done
-        found = np.full((len(second), len(first)), np.nan)
-        points = itertools.product(range(len(second)), range(len(first)))
+    kp, kv, damping = controller.diagonals
+    grids = {"local": (xs, ys), "theorem1": (xs, ys), "matrix": few, "rollouts": few}
+    costs = {"local": 1, "theorem1": bool(coarse), "matrix": 60, "rollouts": 60 * runs}  # about, ms
+    total = sum(costs[kind] * len(a) * len(b) for kind, (a, b) in grids.items())
+    done, found = 0, {}
+    for kind, (first, second) in grids.items():
+        found[kind] = np.full((len(second), len(first)), np.nan)
+        points = itertools.product(range(len(second)), range(len(first)) if costs[kind] else ())
         for j, i in sorted(points, key=lambda point: point[names[0] == "error"]):
             at = {names[0]: float(first[i]), names[1]: float(second[j])}
-            scale, a = at.get("error", 1.0), at.get("a")
+            scale, own_kv = at.get("error", 1.0), at.get("kv", 1.0) * kv
+            own_kp = at["a"] * own_kv if "a" in at else at.get("kv", 1.0) * kp
+            own = with_gains(controller, Gains(own_kp, own_kv, at.get("damping", 1.0) * damping))
             try:
-                found[j, i] = result(kind, scale, a, at.get("kv", 1.0), at.get("damping", 1.0))
+                found[kind][j, i] = result(kind, scale, own)
             except UnattainedError:
                 if scale <= 1.0:
                     raise  # grown errors may put the target out of reach, the given ones not
-            done += _COSTS[kind] * (runs if kind == "rollouts" else 1)
+            done += costs[kind]
             if progress is not None:
                 progress(done / total)
-        return found
-
-    decay = over(xs, ys, "local")
-    first = over(xs, ys, "theorem1") if coarse else np.full_like(decay, np.nan)
-    second = over(few_x, few_y, "matrix")
-    shares = over(few_x, few_y, "rollouts") if runs else np.full_like(second, np.nan)
-    return StabilityMap(names, xs, ys, decay, targets, few_x, few_y, first, second, shares)
+    decay_rate, *others = found.values()
+    return StabilityMap(names, xs, ys, decay_rate, targets, *few, *others)
 
 
 def _values(name: str, given: Sequence[float] | Array) -> Array:
     values = as_array(f"values of {name}", given, (np.size(given),))
-    low = 0.0 if name == "error" else np.nextafter(0.0, 1.0)
+    wanted, low = (">= 0", 0.0) if name == "error" else ("> 0", np.nextafter(0.0, 1.0))
     if len(values) < 2 or values[0] < low or not (np.diff(values) > 0.0).all():
-        wanted = ">= 0" if name == "error" else "> 0"
         raise InvalidInputError(
             f"values of {name} must be at least two growing numbers {wanted}, got "
             f"{values.tolist()}",

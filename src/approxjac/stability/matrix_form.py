@@ -162,11 +162,8 @@ class _Unknowns:
         one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
         alpha, kp, kv = setting.alpha, setting.kp, setting.kv
         potentials = [Weights(zero, zero, row) for row in np.diag(kp + alpha * kv)]
-        self.fixed, cross, start = (
-            Weights(zero, zero, none),
-            [Weights(alpha * one, zero, none)],
-            [1.0],
-        )
+        self.fixed, start = Weights(zero, zero, none), [1.0]
+        cross = [Weights(alpha * one, zero, none)]
         if family == "paper":
             self.fixed = Weights(zero, zero, kp)
             cross, potentials = [Weights(alpha * one, zero, alpha * kv)], []
@@ -225,9 +222,8 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
     while True:
         inner = np.inf
         if unknowns.basis:
-            y, inner = _cutting_planes(
-                MatrixForm(form.samples.take(active), form.setting), unknowns, y
-            )
+            few = MatrixForm(form.samples.take(active), form.setting)
+            y, inner = _cutting_planes(few, unknowns, y)
         weights = unknowns.weights(y)
         margins = form.margins(weights)
         others = np.setdiff1d(np.argsort(margins)[:_MORE], active)
@@ -242,7 +238,7 @@ def first_that_passes(form: MatrixForm) -> Best:
     for family in form.setting.families:
         found.append(best_weights(form, family))
         if found[-1].margins.min() > 0.0:
-            return found[-1]
+            break
     return max(found, key=lambda best: float(best.margins.min()))
 
 
@@ -258,12 +254,14 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
     X0, Y0 = form.pencils(unknowns.fixed)
     parts = [form.pencils(unknowns.fixed.plus(1.0, part)) for part in unknowns.basis]
     X1, Y1 = np.stack([X - X0 for X, _ in parts]), np.stack([Y - Y0 for _, Y in parts])
-    best, best_margin = start, float(form.margins(unknowns.weights(start)).min())
+
+    def least(y: Array) -> float:
+        return float(form.margins(unknowns.weights(y)).min())
+
+    best, best_margin = start, least(start)
     if best_margin == -np.inf:  # found where some of these samples were not known yet
-        best = start = unknowns.start
-        best_margin = float(form.margins(unknowns.weights(start)).min())
-    mu = max(best_margin, -1.0)
-    y = start
+        best, best_margin = unknowns.start, least(unknowns.start)
+    y, mu = best, max(best_margin, -1.0)
     cuts_X, cuts_Y = np.empty((0, 1 + d)), np.empty((0, 1 + d))
     for _ in range(_ROUNDS):
         # eigenvectors in the metric of the best point, where Y is positive
@@ -289,7 +287,7 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
             break
         # part of the way only, as the bounds far from the best point are still poor
         y = best + _STEP * (answer.x[:-1] - best)
-        margin = float(form.margins(unknowns.weights(y)).min())
+        margin = least(y)
         if margin > best_margin:
             best, best_margin, mu = y, margin, max(mu, margin)
     return best, best_margin

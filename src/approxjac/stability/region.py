@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from approxjac import law
 from approxjac.controllers import SetpointController
 from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
@@ -17,7 +16,7 @@ from approxjac.robots import Robot
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import require_jacobian_of_q, sees
+from approxjac.tasks.analysis import sees
 from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
 _TRIES = 1000
@@ -190,24 +189,22 @@ class Tube(Region):
 
 
 class SublevelSet(Region):
-    """Configurations that V lets the arm reach from a start, {q : V(q, q̇) ≤ V(q₀, 0) for some q̇}.
+    """Configurations that the potential lets the arm reach from a start.
 
-    With V of eq. (12) and the paper's weights. It is the part connected with the start, drawn from
-    by a random walk, so that its configurations are not independent. A motion of this plant that
-    starts at rest in q₀ and along which this V falls stays in it, as long as a camera sees it;
-    another true robot may leave it.
+    {q : V(q, 0) ≤ V(q₀, 0)} within the joint limits, with V of eq. (12) for α → 0, which is its
+    potential Σ k_p S(e). It is the part connected with the start, drawn from by a random walk, so
+    that its configurations are not independent. A motion of this plant that starts at rest in q₀
+    and along which this V falls stays in it, as long as a camera sees it; another true robot may
+    leave it.
 
     Args:
         plant: The true robot.
         controller: The controller, for its gains and Ĵ.
         target: x_d, shape (n_x,).
         q0: Start, shape (nq,).
-        alpha: α of V ≥ 0 [1/s].
-        within: Region that the configurations must also be in; the joint limits by default.
 
     Raises:
-        InvalidInputError: A start outside `within` or not seen by the sensor, wrong shapes, or an
-            α > 0 with a task whose Jacobian uses the measured x.
+        InvalidInputError: A start outside the limits or not seen by the sensor, or wrong shapes.
     """
 
     independent = False
@@ -218,15 +215,12 @@ class SublevelSet(Region):
         controller: SetpointController,
         target: Sequence[float] | Array,
         q0: Sequence[float] | Array,
-        alpha: float = 0.0,
-        within: Region | None = None,
     ) -> None:
         require("plant", plant, Plant, "a Plant")
         require_setpoint(controller)
         plant.require_task(controller.task)
         self.robot = plant.robot
-        self.within = JointBox(plant.robot) if within is None else within
-        self.alpha = as_number("alpha", alpha, unit="1/s", minimum=0.0)
+        self.within = JointBox(plant.robot)
         self._plant, self._controller = plant, controller
         self._target = plant.sensor.target(target)
         self.start = plant.robot.configuration(q0, "q0")
@@ -236,8 +230,6 @@ class SublevelSet(Region):
                 given=q0,
             )
         require_seen("q0", self.start, plant.sensor)
-        if self.alpha > 0.0:
-            require_jacobian_of_q(controller.task, "the set of V with alpha > 0")
         self.level = self._potential(self.start)
         self.spread = self.within.spread
 
@@ -251,14 +243,8 @@ class SublevelSet(Region):
         return np.array(drawn)
 
     def contains(self, q: Array) -> bool:
-        if not (self.within.contains(q) and sees(self._plant.sensor, q)):
-            return False
-        kinetic = 0.0
-        if self.alpha > 0.0:
-            s = self._controller.saturation.s(self._error(q))
-            Gs = self.alpha * law.right_pinv(self._controller.task.jacobian(q)) @ s
-            kinetic = 0.5 * float(Gs @ self._plant.dynamics.M(q) @ Gs)
-        return self._potential(q) - kinetic <= self.level
+        seen = self.within.contains(q) and sees(self._plant.sensor, q)
+        return seen and self._potential(q) <= self.level
 
     def _step(self, q: Array, size: float, rng: np.random.Generator) -> Array:
         motion = size * self.spread * rng.standard_normal(self.robot.nv)
@@ -268,14 +254,11 @@ class SublevelSet(Region):
                 return q
         return moved
 
-    def _error(self, q: Array) -> Array:
-        sensor = self._plant.sensor
-        return sensor.error(sensor.value(q), self._target)
-
     def _potential(self, q: Array) -> float:
         """V(q, 0)."""
-        kp, kv, _ = self._controller.diagonals
-        return float((kp + self.alpha * kv) @ self._controller.saturation.S(self._error(q)))
+        sensor = self._plant.sensor
+        e = sensor.error(sensor.value(q), self._target)
+        return float(self._controller.diagonals.kp @ self._controller.saturation.S(e))
 
     def __repr__(self) -> str:
         return f"SublevelSet({self.robot.name!r}, V <= {self.level:.4g} J)"
@@ -336,11 +319,7 @@ def _per_joint(
 
 
 def require_seen(name: str, q: Array, sensor: Task) -> None:
-    """Refuse a configuration (nq,) out of the view of a sensor.
-
-    Raises:
-        InvalidInputError: A camera does not see it.
-    """
+    """Raise if a sensor does not see a configuration (nq,)."""
     if not sees(sensor, q):
         raise InvalidInputError(
             f"{name} must be a configuration that the sensor sees, or no law acts there, got "

@@ -15,7 +15,7 @@ from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
 from approxjac.stability.closed_loop import EXACT_GRAVITY, ClosedLoop
-from approxjac.stability.local_test import LocalTest, local_test
+from approxjac.stability.local import LocalTest, local_test
 from approxjac.stability.matrix_form import Family, MatrixForm, Weights
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
@@ -73,24 +73,12 @@ class StabilityReport:
             return "theorem1"
         return "matrix" if any(test.certified for test in self.matrix.values()) else None
 
-    @property
-    def checked(self) -> int:
-        """Number of the samples that only check the Lyapunov functions."""
-        return next(iter(self.matrix.values())).checked
-
     def describe_truth(self, index: int) -> str:
         """Return in words which true robot the index of a sample's `truth` means."""
         truth = self.loop.truth
         if isinstance(truth, Uncertainty) and truth.d > 0:
             return truth.describe(self.loop.corners[index])
         return "the true robot"
-
-    def _verdict(self, holds: bool) -> str:
-        """The verdict of a sufficient condition: nothing where gravity or rank are missing."""
-        if not holds:
-            return "not certified"
-        assumed = self.gravity_is_exact and self.singular_q is None
-        return "certified" if assumed else "would certify"
 
     def _case(self, among: Samples | LocalTest, index: int) -> str:
         """One of the cases in words: the true robot and the configuration."""
@@ -100,6 +88,8 @@ class StabilityReport:
     def lines(self) -> list[tuple[str, str, str]]:
         """Return the table: test, verdict, and the figures it rests on."""
         rows = []
+        assumed = self.gravity_is_exact and self.singular_q is None
+        passed = "certified" if assumed else "would certify"
         if not self.gravity_is_exact:
             figures = (
                 f"off by up to {self.gravity_error:.3g} N m: the error does not go to 0 but to "
@@ -120,7 +110,7 @@ class StabilityReport:
             f"allowed at alpha = {first.alpha:.3g}/s; worst p with "
             f"{self._case(self.samples, first.worst['p'])}"
         )
-        rows.append(("1 Theorem 1", self._verdict(first.holds), figures))
+        rows.append(("1 Theorem 1", passed if first.holds else "not certified", figures))
         titles = {"paper": "paper's weights", "free": "free potential", "wide": "widened"}
         for family, test in self.matrix.items():
             if test.certified:
@@ -131,10 +121,10 @@ class StabilityReport:
                 text = f"violated in {test.violations} of {test.checked} further configurations"
             else:
                 text = f"holds in {100 * test.share:.3g} % of the configurations"
+            verdict = passed if test.certified else "not certified"
             worst = self._case(self.samples, test.worst)
             figures = f"margin {test.margin:.3g}; {text}; worst with {worst}"
-            title = f"2 matrix form, {titles[family]}"
-            rows.append((title, self._verdict(test.certified), figures))
+            rows.append((f"2 matrix form, {titles[family]}", verdict, figures))
         local = self.local
         learns = self.loop.controller.adaptation is not None
         learnt = " (learnt parameters, often slow, included)" if learns else ""
@@ -156,16 +146,15 @@ class StabilityReport:
         )
 
     def __str__(self) -> str:
-        rows = self.lines()
-        widths = [max(len(row[k]) for row in rows) for k in range(2)]
-        table = "\n".join(
-            f"{test:<{widths[0]}}  {verdict:<{widths[1]}}  {text}" for test, verdict, text in rows
-        )
-        return (
+        rows, paper = self.lines(), self.matrix["paper"]
+        first, second = (max(len(row[k]) for row in rows) for k in range(2))
+        table = [f"{test:<{first}}  {verdict:<{second}}  {text}" for test, verdict, text in rows]
+        head = (
             f"{self.loop.controller!r}\non {self.loop.region!r}: "
-            f"{len(self.samples) - self.checked} configurations, {self.checked} further ones to "
-            f"check, seed {self.seed}\n{table}"
+            f"{len(paper.margins)} configurations, {paper.checked} further ones to "
+            f"check, seed {self.seed}"
         )
+        return "\n".join([head, *table])
 
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
@@ -183,7 +172,7 @@ class StabilityReport:
         return {
             "robot": self.loop.controller.task.robot.name,
             "region": repr(self.loop.region),
-            "configurations": len(self.samples) - self.checked,
+            "configurations": len(self.matrix["paper"].margins),
             "seed": self.seed,
             "certified_by": self.certified_by,
             "singular_q": None if self.singular_q is None else self.singular_q.tolist(),
@@ -245,7 +234,7 @@ def stability_report(
             configuration of a true robot attains, or numbers out of range.
     """
     loop = ClosedLoop(controller, truth, region, target)
-    configurations = as_integer("configurations", configurations, 20)
+    half = as_integer("configurations", configurations, 20) // 2
     rng = np.random.default_rng(as_integer("seed", seed, 0))
     if runs and not isinstance(truth, Uncertainty):
         raise InvalidInputError(
@@ -254,11 +243,10 @@ def stability_report(
             given=truth,
         )
     tell = progress or (lambda what, share: None)
-    done = configurations // 2
-    samples = loop.draw(done, rng, lambda k: tell("configurations", k / configurations))
-    fresh = loop.draw(
-        configurations - done, rng, lambda k: tell("configurations", (done + k) / configurations)
-    )
+    tell("configurations", 0.0)
+    samples = loop.draw(half, rng)
+    tell("configurations", 0.5)
+    fresh = loop.draw(configurations - half, rng)
     setting = loop.setting
     samples = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
@@ -279,8 +267,10 @@ def stability_report(
             family, weights, form.margins(weights), len(fresh), violations, loop.region.independent
         )
     tell("local", 0.0)
-    one_target = loop.target is not None
-    local = local_test(loop, *(loop.targets(0, rng) if one_target else (samples.truth, samples.q)))
+    truths, configured = samples.truth, samples.q
+    if loop.target is not None:
+        truths, configured = loop.targets(0, rng)
+    local = local_test(loop, truths, configured)
     everywhere = samples.join(fresh)
     outcome = None
     if runs and isinstance(truth, Uncertainty):

@@ -54,12 +54,9 @@ class Rollout:
     stayed: bool
 
     def __repr__(self) -> str:
-        if self.diverged:
-            return f"Rollout({self.index}: diverged)"
-        ended = f"ended {self.final_error:.3g} off"
-        if self.converged:
-            return f"Rollout({self.index}: converged after {self.settling_time:.3g} s, {ended})"
-        return f"Rollout({self.index}: did not converge, {ended})"
+        became = "diverged" if self.diverged else f"ended {self.final_error:.3g} off"
+        settled = f", converged after {self.settling_time:.3g} s" if self.converged else ""
+        return f"Rollout({self.index}: {became}{settled})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,14 +66,12 @@ class Rollouts:
     Attributes:
         runs: The runs, in the order of their index.
         uncertainty: What the true robots were drawn from.
-        confidence: Of the interval.
         tolerance: Error below which a task counts as done [unit of the task].
         duration: Of each run [s].
     """
 
     runs: tuple[Rollout, ...]
     uncertainty: Uncertainty
-    confidence: float
     tolerance: float
     duration: float
 
@@ -107,29 +102,26 @@ class Rollouts:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Clopper–Pearson interval for the probability to converge: see `clopper_pearson`."""
-        return clopper_pearson(self.n_converged, self.n, self.confidence)
+        """95 % interval for the probability to converge: see `clopper_pearson`."""
+        return clopper_pearson(self.n_converged, self.n)
 
     @property
     def worst(self) -> Rollout:
         """The run with the largest final error, which is one that diverged if any did."""
         return max(self.runs, key=lambda run: run.final_error)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         low, high = self.interval
         worst, unit = self.worst, joined(self.uncertainty.believed_task().units)
         ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
         return (
             f"{self.n_converged} of {self.n} runs converged to within {self.tolerance:g} {unit} "
             f"throughout the last tenth of their {self.duration:g} s: "
-            f"{100 * self.share:.1f} %, with {100 * self.confidence:g} % confidence "
+            f"{100 * self.share:.1f} %, with 95 % confidence "
             f"{100 * low:.1f} to {100 * high:.1f} %; {self.n_diverged} diverged, {self.n_left} "
             f"went outside the region without diverging; the worst, run {worst.index}, {ended} "
             f"with {self.uncertainty.describe(worst.values)}"
         )
-
-    def __repr__(self) -> str:
-        return f"Rollouts({self})"
 
 
 def rollouts(
@@ -144,7 +136,6 @@ def rollouts(
     tolerance: float = 1e-3,
     seed: int = 0,
     executor: Executor | None = None,
-    confidence: float = 0.95,
     progress: Callable[[int], None] | None = None,
 ) -> Rollouts:
     """Simulate the sampled closed loop from random starts, with random true robots.
@@ -170,7 +161,6 @@ def rollouts(
         executor: What carries out the runs, such as a `ProcessPoolExecutor` (the user's to shut
             down); one after the other here by default. Each portion of runs has its own copies.
             Threads are no faster than none: a run is mostly Python.
-        confidence: Of the interval, > 0 and < 1.
         progress: Called with the number of runs that are done, in the calling process.
 
     Returns:
@@ -195,7 +185,6 @@ def rollouts(
     runs, seed = as_integer("runs", runs, 1), as_integer("seed", seed, 0)
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)
-    confidence = _as_confidence(confidence)
     x_d = None if target is None else uncertainty.believed_task().target(target)
     job = _Job(controller, uncertainty, region, x_d, duration, dt, tolerance, seed)
     done: list[Rollout] = []
@@ -205,7 +194,7 @@ def rollouts(
         if progress is not None:
             progress(len(done))
     done.sort(key=lambda run: run.index)
-    return Rollouts(tuple(done), uncertainty, confidence, tolerance, duration)
+    return Rollouts(tuple(done), uncertainty, tolerance, duration)
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -222,14 +211,18 @@ def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tupl
     Raises:
         InvalidInputError: Numbers out of range.
     """
-    if not (type(runs) is int and type(successes) is int and 0 <= successes <= runs and runs >= 1):
+    if not (type(runs) is type(successes) is int and 0 <= successes <= runs and runs >= 1):
         raise InvalidInputError(
             f"successes must be an integer of 0 to runs >= 1, got {successes!r} of {runs!r}",
             given=(successes, runs),
         )
+    if as_number("confidence", confidence, above=0.0) >= 1.0:
+        raise InvalidInputError(
+            f"confidence must be > 0 and < 1, such as 0.95, got {confidence!r}", given=confidence
+        )
     from scipy.special import betaincinv
 
-    tail = 0.5 * (1.0 - _as_confidence(confidence))
+    tail = 0.5 * (1.0 - confidence)
     failures = runs - successes
     low = 0.0 if successes == 0 else float(betaincinv(successes, failures + 1, tail))
     high = 1.0 if failures == 0 else float(betaincinv(successes + 1, failures, 1.0 - tail))
@@ -303,9 +296,9 @@ def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollou
                 given=executor,
             ) from error
     size = math.ceil(runs / _CHUNKS)
-    starts = range(0, runs, size)
+    indices = range(runs)
     futures = [
-        executor.submit(_portion, job, range(start, min(start + size, runs))) for start in starts
+        executor.submit(_portion, job, indices[start : start + size]) for start in indices[::size]
     ]
     try:
         for future in as_completed(futures):
@@ -318,12 +311,3 @@ def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollou
 def _portion(job: _Job, indices: range) -> list[Rollout]:
     own = copy.deepcopy(job)  # tasks and controllers have scratch memory: one instance a thread
     return [own.run(index) for index in indices]
-
-
-def _as_confidence(confidence: float) -> float:
-    confidence = as_number("confidence", confidence, above=0.0)
-    if confidence >= 1.0:
-        raise InvalidInputError(
-            f"confidence must be > 0 and < 1, such as 0.95, got {confidence!r}", given=confidence
-        )
-    return confidence

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -70,7 +70,6 @@ def evaluate(
     truths: Indices,
     configurations: Array,
     x_d: Array,
-    progress: Callable[[int], None] | None = None,
 ) -> Samples:
     """Evaluate true and believed models at N configurations.
 
@@ -80,7 +79,6 @@ def evaluate(
         truths: Index of the true robot, shape (N,).
         configurations: Shape (N, nq).
         x_d: Targets, shape (N, n_x).
-        progress: Called now and then with the number of samples that are done.
 
     Raises:
         InvalidInputError: A task whose Jacobian uses the measured x, or a configuration where Ĵ
@@ -99,8 +97,6 @@ def evaluate(
         J[i] = sensor._sensor_jacobian(q)
         J_e[i] = sensor._error_jacobian(e[i], J[i])
         J_hat[i], dJ_hat[i] = task.jacobian(q), jacobian_gradient(task, q)
-        if progress is not None and i % 100 == 99:
-            progress(i + 1)
     values = np.linalg.svd(J_hat, compute_uv=False)
     singular = values[:, -1] <= _SINGULAR * values[:, 0]
     if singular.any():

@@ -11,11 +11,10 @@ import numpy as np
 from approxjac.controllers import Gains, NoGravity, SetpointController, default_gains
 from approxjac.controllers.tuning import position_gains
 from approxjac.errors import UnknownNameError
-from approxjac.law import Saturation
 from approxjac.stability.certificate import margin
 from approxjac.stability.closed_loop import ClosedLoop, with_gains
 from approxjac.stability.linearization import Timing
-from approxjac.stability.local import linearised
+from approxjac.stability.local import local_test
 from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import Region
 from approxjac.stability.singularity import singular_configuration
@@ -53,9 +52,6 @@ class Candidate:
         return self.margin > 0.0, self.torque_ratio <= 1.0, self.settling_time <= settling_time
 
     def __repr__(self) -> str:
-        return f"Candidate({self})"
-
-    def __str__(self) -> str:
         return (
             f"{self.gains!r}: starts with {self.torque_ratio:.2g} of the torque limits, "
             f"settles in {self.settling_time:.3g} s"
@@ -78,16 +74,7 @@ class Suggestion:
     relax: tuple[str, ...]
     tried: tuple[Candidate, ...]
 
-    @property
-    def gains(self) -> Gains | None:
-        """The gains, or None if none meet all demands."""
-        return None if self.found is None else self.found.gains
-
     def __repr__(self) -> str:
-        found = "none that meet all demands" if self.found is None else repr(self.found.gains)
-        return f"Suggestion({self.test}: {found}; {len(self.tried)} tried)"
-
-    def __str__(self) -> str:
         if self.found is None:
             return "\n".join(["no gains meet all demands:", *(f"- {line}" for line in self.relax)])
         return f"{self.found} ({self.test} passes with margin {self.found.margin:.3g})"
@@ -101,7 +88,6 @@ def suggest_gains(
     settling_time: float = 1.0,
     target: Sequence[float] | Array | None = None,
     torque_limits: float | Sequence[float] | Array | None = None,
-    saturation: Saturation | None = None,
     dt: float = 1e-3,
     configurations: int = 200,
     seed: int = 0,
@@ -123,7 +109,6 @@ def suggest_gains(
         target: x_d, shape (n_x,); by default all targets within the region.
         torque_limits: A number or shape (n_v,), infinite where there is none [N m or N]; the
             arm's effort limits by default.
-        saturation: s(e); s(e) = e by default.
         dt: Sampling time > 0 [s].
         configurations: How many to draw.
         seed: Of the drawing.
@@ -145,7 +130,7 @@ def suggest_gains(
     limits = task.robot.effort_limits if torque_limits is None else torque_limits
     limits = as_limits("torque_limits", limits, task.robot.nv, unit="N m or N")
     base = default_gains(task, settling_time, 1.0 / dt)
-    first = SetpointController(task, base, gravity=NoGravity(task.robot), saturation=saturation)
+    first = SetpointController(task, base, gravity=NoGravity(task.robot))
     loop = ClosedLoop(first, uncertainty, region, target)
     rng = np.random.default_rng(seed)
     samples, targets = loop.draw(configurations, rng), loop.targets(_TARGETS, rng)
@@ -157,15 +142,10 @@ def suggest_gains(
 
     def demands(gains: Gains) -> Candidate:
         controller = with_gains(first, gains)
-        force = (
-            np.swapaxes(samples.J_hat, -1, -2) @ (controller.diagonals.kp * samples.s)[..., None]
-        )
+        pull = (controller.diagonals.kp * samples.s)[..., None]
+        force = np.swapaxes(samples.J_hat, -1, -2) @ pull
         ratio = float((np.abs(weight - force[..., 0]) / limits).max())
-        sampled = [
-            linearised(loop.plants[t], controller, q, Timing(dt))
-            for t, q in zip(*targets, strict=True)
-        ]
-        slowest = min(0.0 if each.singular else each.decay_rate for each in sampled)
+        slowest = local_test(loop, *targets, controller, Timing(dt)).decay_rates.min()
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         left = np.nan  # of no use where both of the others are missed
         if test != "local" and singular:
@@ -206,19 +186,15 @@ def _relaxations(
     tried: list[Candidate], settling_time: float, tolerated: Callable[[Gains], float]
 ) -> tuple[str, ...]:
     """For each demand what it would have to be if the two others are kept."""
-
-    def others_met(demand: int) -> list[Candidate]:
-        kept = [index for index in range(3) if index != demand]
-        return [c for c in tried if all(c.met(settling_time)[index] for index in kept)]
-
+    met = [(candidate, *candidate.met(settling_time)) for candidate in tried]
     lines = []
-    if known := others_met(0):
+    if known := [c for c, _, torque, time in met if torque and time]:
         best = max(known, key=lambda c: c.margin)
         lines.append(f"the errors: {tolerated(best.gains):.2g} of them pass with {best}")
-    if known := others_met(1):
+    if known := [c for c, test, _, time in met if test and time]:
         best = min(known, key=lambda c: c.torque_ratio)
         lines.append(f"the torque limits: {best.torque_ratio:.3g} times them: {best}")
-    if known := others_met(2):
+    if known := [c for c, test, torque, _ in met if test and torque]:
         best = min(known, key=lambda c: c.settling_time)
         lines.append(f"the settling time: {best.settling_time:.3g} s: {best}")
     return tuple(lines) or ("at least two of them: no gains tried meet any two demands together",)

@@ -52,12 +52,11 @@ class Theorem1:
     @property
     def alpha(self) -> float:
         """The α that allows the largest p, or that gravity is learnt with [1/s]."""
-        setting = self.setting
-        if setting.fixed_alpha is not None:
-            return setting.fixed_alpha
-        return law.best_alpha(
-            setting.kp, setting.kv, self.lambda_1, self.c0, self.c1, _BELOW * self.alpha_max
-        )
+        at = self.setting
+        if at.fixed_alpha is not None:
+            return at.fixed_alpha
+        below = _BELOW * self.alpha_max
+        return law.best_alpha(at.kp, at.kv, self.lambda_1, self.c0, self.c1, below)
 
     @property
     def allowed_p(self) -> float:

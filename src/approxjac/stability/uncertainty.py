@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import inspect
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Perturbation, Robot
@@ -20,13 +20,11 @@ from approxjac.stability.coordinates import (
     as_bounds,
     as_range,
     camera_coordinates,
-    corners,
     in_words,
     joint_coordinates,
-    joint_places,
 )
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
-from approxjac.validation import Array, as_array, as_number, is_scalar, require
+from approxjac.validation import Array, as_array, as_integer, as_number, is_scalar, require
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,8 +96,8 @@ class Uncertainty:
     friction: float | Sequence[float] | Array = 0.0
     factor: float = 1.0
     _coordinates: tuple[Coordinate, ...] = field(init=False)
+    _joints: tuple[str, ...] = field(init=False)
     _perturbation: Perturbation = field(init=False)
-    _places: NDArray[np.intp] = field(init=False)
     _axes: str | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
@@ -114,6 +112,7 @@ class Uncertainty:
         if not is_scalar(self.friction):
             self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
         joints = tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
+        self._set("_joints", joints)
         given = [
             *as_range("object_length", self.object_length, self.believed_length, "m"),
             *as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
@@ -122,8 +121,7 @@ class Uncertainty:
         ]
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
-        self._set("_perturbation", self._perturbed(joints))
-        self._set("_places", joint_places(self.names, joints))
+        self._set("_perturbation", self._perturbed())
         if self.task is None and self.camera is None:
             self._set("_axes", best_axes(self.belief()))
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
@@ -163,12 +161,8 @@ class Uncertainty:
     def scaled(self, factor: float) -> Uncertainty:
         """Return a box of the same coordinates, shrunk or grown about what is believed.
 
-        Args:
-            factor: ≥ 0; 0 leaves no error at all, 1 changes nothing.
-
         Raises:
-            InvalidInputError: A factor that is none, or so large that the box holds robots that
-                cannot exist.
+            InvalidInputError: A factor < 0, or so large that the box holds robots that cannot exist.
         """
         factor = as_number("factor", factor, minimum=0.0)
         return replace(self, factor=self.factor * factor)
@@ -198,7 +192,18 @@ class Uncertainty:
         Raises:
             InvalidInputError: A limit that is no integer ≥ 1.
         """
-        return corners(self._coordinates, limit)
+        as_integer("limit", limit, 1)
+        ends = [tuple(dict.fromkeys((known.low, known.high))) for known in self._coordinates]
+        if math.prod(map(len, ends)) <= limit:
+            return np.array(list(itertools.product(*ends)), dtype=float)
+        believed = tuple(self.believed.tolist())
+        chosen = {
+            (*believed[:i], end, *believed[i + 1 :]): None for i in range(self.d) for end in ends[i]
+        }
+        rng = np.random.default_rng(0)
+        while len(chosen) < limit:
+            chosen[tuple(each[rng.integers(len(each))] for each in ends)] = None
+        return np.array(list(chosen))
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
@@ -220,7 +225,10 @@ class Uncertainty:
         at = self._by_name(values)
         length = at.get("object_length", self.believed_length)
         mass = at.get("object_mass", self.believed_mass)
-        errors = np.array([*at.values(), 0.0])[self._places]
+        errors = np.array([
+            [[at.get(f"{joint} {kind} {axis}", 0.0) for axis in "xyz"] for joint in self._joints]
+            for kind in ("shift", "rotation")
+        ]).reshape(2, -1, 3)  # fmt: skip
         if (length, mass) == (self.believed_length, self.believed_mass) and not errors.any():
             return self.belief()
         return self._perturbation.robot(length, mass, *errors)
@@ -254,11 +262,11 @@ class Uncertainty:
         array = as_array("values", values, (self.d,), ", ".join(self.units))
         return dict(zip(self.names, array.tolist(), strict=True))
 
-    def _perturbed(self, joints: tuple[str, ...]) -> Perturbation:
+    def _perturbed(self) -> Perturbation:
         """What the truth may be, about the belief."""
         given = self.object_length is not None or self.object_mass is not None
         if not given and self.believed_length == 0.0 and self.believed_mass == 0.0:
-            return Perturbation(self.arm, joints=joints)
+            return Perturbation(self.arm, joints=self._joints)
         if "object_tip" in self.arm.frame_names:
             raise InvalidInputError(
                 "arm must be the bare arm, as the set itself puts the object into its hand "
@@ -266,7 +274,7 @@ class Uncertainty:
                 given=self.arm,
             )
         held = self.believed_length, self.believed_mass
-        return Perturbation(self.arm, held, self.object_axis, joints)
+        return Perturbation(self.arm, held, self.object_axis, self._joints)
 
     def _true_camera(self, values: Sequence[float] | Array) -> Camera | None:
         """The camera at some values; the believed one itself where nothing is wrong with it."""
@@ -322,19 +330,17 @@ class Uncertainty:
                     given=(known.low, known.high),
                 )
         # a camera knows itself what it cannot be, and is that in a corner first
+        of_camera = [known.name.startswith("camera ") for known in self._coordinates]
         ends = [
-            (known.low, known.high) if known.name.startswith("camera ") else (known.believed,)
-            for known in self._coordinates
+            (known.low, known.high) if moves else (known.believed,)
+            for known, moves in zip(self._coordinates, of_camera, strict=True)
         ]
         for corner in itertools.product(*ends):
             try:
                 self._true_camera(corner)
             except InvalidInputError as error:
-                shown = ", ".join(
-                    in_words(known.name, value, known.unit)
-                    for known, value in zip(self._coordinates, corner, strict=True)
-                    if known.name.startswith("camera ")
-                )
+                words = map(in_words, self.names, corner, self.units)
+                shown = ", ".join(itertools.compress(words, of_camera))
                 raise InvalidInputError(
                     f"a camera must exist everywhere in the set, got {shown}{grown}: {error}",
                     given=corner,

@@ -87,6 +87,3 @@ class VisiblePart:
                 return q
             share *= 0.5
         return np.array(seen)
-
-    def __repr__(self) -> str:
-        return f"VisiblePart({self.region!r}, {self.sensor!r})"
