@@ -139,12 +139,11 @@ def test_the_papers_figures_at_their_target(figure, certified):
 
 
 def test_a_larger_family_has_a_larger_margin():
-    for length, damping in ((0.1, 2.0), (0.2, 5.0), (0.3, 20.0)):
-        form = MatrixForm(*on_panda(length, damping))
-        paper_, free, wide = (best_weights(form, family).margins.min() for family in FAMILIES)
-        assert paper_ <= free + 0.006
-        assert free <= wide + 0.006
-        assert wide > paper_ + 0.02
+    form = MatrixForm(*on_panda(0.2, 5.0, n=60))
+    paper_, free, wide = (best_weights(form, family).margins.min() for family in FAMILIES)
+    assert paper_ <= free + 0.006
+    assert free <= wide + 0.006
+    assert wide > paper_ + 0.02
 
 
 def test_the_margin_is_what_its_name_says():
@@ -217,9 +216,8 @@ def test_no_unstable_target_is_certified(seed):
     form = MatrixForm(samples, Setting(kp, kv, B, 0.5))
     values = np.linalg.eigvals(law.closed_loop_matrix(M, J[0], J_hat[0], kp, kv, B))
     slowest = np.sort(values.real[np.argsort(np.abs(values))[n - m :]])[-1]
-    for family in FAMILIES:
-        if best_weights(form, family).margins.min() > 0.0:
-            assert slowest < 0.0
+    for family in FAMILIES if slowest >= 0.0 else ():
+        assert best_weights(form, family).margins.min() <= 0.0
 
 
 def test_a_camera_roll_costs_what_theory_says():

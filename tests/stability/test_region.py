@@ -66,13 +66,6 @@ def test_continuous_joints_are_counted_from_the_centre():
     assert all(box.contains(each) for each in drawn)
 
 
-def test_regular_part_keeps_the_bound(panda):
-    task = aj.PositionTask(panda)
-    region = aj.stability.RegularPart(aj.JointBox(panda), task, 0.25)
-    for q in region.sample(50, np.random.default_rng(0)):
-        assert np.linalg.svd(task.jacobian(q), compute_uv=False)[-1] >= 0.25
-
-
 def test_sublevel_set_is_where_v_lets_the_arm_go(two_link):
     """All its postures have V ≤ V(start), and motions that start there stay in it."""
     plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"))
@@ -128,22 +121,6 @@ def test_bounds_come_together(panda):
             aj.JointBox(panda, **options)
     with pytest.raises(aj.InvalidInputError, match=r"lower must have shape \(7,\)"):
         aj.JointBox(panda, (0.0, 0.0), (1.0, 1.0))
-
-
-def test_they_say_what_they_are(panda):
-    found = regions(panda)
-    assert repr(found["tube"]) == "Tube('panda', 20 configurations)"
-    assert repr(found["regular"]).endswith("sigma_min >= 0.2)")
-    assert repr(found["sublevel"]).startswith("SublevelSet('panda', V <= ")
-
-
-def test_a_box_says_where_it_is():
-    arm = aj.load_robot("panda")
-    assert repr(aj.JointBox(arm, -0.3, 0.3)) == "JointBox('panda', -0.3, 0.3)"
-    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-    assert repr(aj.JointBox.around(arm, q, 0.3)) == (
-        "JointBox('panda', -0.3, 0.3, center=[0, -0.5, 0, -2, 0, 1.6, 0.7])"
-    )
 
 
 def test_boxes_of_continuous_joints_hold_what_they_draw():

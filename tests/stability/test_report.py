@@ -11,10 +11,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import paper
-from approxjac.stability import advice
+from approxjac.stability import advice, suggestion
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.inverse_kinematics import inverse_kinematics
+from approxjac.stability.local import local_test
 from approxjac.stability.suggestion import Candidate, _relaxations
+from approxjac.stability.theorem1 import theorem1
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 
@@ -140,16 +142,6 @@ def test_a_target_is_looked_at_where_it_is_attained(tools, box):
     assert set(found.local.truth) == {0, 1, 2, 3}
 
 
-def test_pose_task_is_certified_with_its_own_error_jacobian(weightless):
-    """At errors of a rotation, ∂e/∂q is not J; V̇ = −zᵀQz holds with it, see Samples.J_e."""
-    truth, belief = weightless.with_object(0.05), weightless.with_object(0.0)
-    controller = aj.SetpointController(aj.PoseTask(belief), aj.Gains(400.0, 80.0, 5.0))
-    region = aj.JointBox.around(weightless, Q, 0.2)
-    found = aj.stability_report(controller, truth, region, configurations=20)
-    assert np.abs(found.samples.J - found.samples.J_e).max() > 0.01
-    assert found.local.stable
-
-
 def test_gravity_that_is_not_exact_certifies_nothing():
     arm = aj.load_robot("panda")
     tools = aj.Uncertainty(arm, object_length=(0.0, 0.1), object_mass=(0.0, 0.5))
@@ -171,12 +163,6 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert learnt.local.stable
     assert "/s (learnt parameters, often slow, included), damping" in str(learnt)
     assert "learnt parameters" not in str(known)
-
-
-def test_rollouts_join_the_report(tools, box):
-    found = aj.stability_report(controller_of(tools), tools, box, configurations=20, runs=1)
-    assert found.rollouts.n == 1
-    assert "4 rollouts" in str(found)
 
 
 def test_progress_tells_what_is_being_done(report, seen):
@@ -296,7 +282,8 @@ def small_box(weightless):
     return aj.JointBox.around(weightless, Q, 0.05)
 
 
-def test_suggested_gains_meet_what_was_asked(tools, small_box):
+def test_suggested_gains_meet_what_was_asked(tools, small_box, monkeypatch):
+    monkeypatch.setattr(suggestion, "_TARGETS", 8)
     found = aj.suggest_gains(tools, small_box, settling_time=2.0, configurations=20)
     assert found.found is not None
     assert found.relax == ()
@@ -320,7 +307,8 @@ def test_suggested_gains_meet_what_was_asked(tools, small_box):
     assert max(run.settling_time for run in outcome.runs) < 4.0
 
 
-def test_where_no_gains_do_it_says_what_to_relax(tools, small_box):
+def test_where_no_gains_do_it_says_what_to_relax(tools, small_box, monkeypatch):
+    monkeypatch.setattr(suggestion, "_TARGETS", 8)
     shares = []
     found = aj.suggest_gains(
         tools, small_box, settling_time=0.8, configurations=20, torque_limits=8.0, test="local",
@@ -394,9 +382,12 @@ def test_pose_gains_that_differ_count_in_theorem_1(weightless):
     kp = (4e4, 4e4, 4e4, 4e4, 4e3, 4e2)
     controller = aj.SetpointController(task, aj.Gains(kp, 8000.0, 20.0))
     region = aj.JointBox.around(weightless, Q, 0.3)
-    found = aj.stability_report(controller, weightless, region, configurations=20)
-    assert found.theorem1.p > 0.01
-    assert not found.theorem1.holds
+    loop = ClosedLoop(controller, weightless, region)
+    samples = loop.draw(20, np.random.default_rng(0))
+    found = theorem1(samples, loop.setting)
+    assert found.p > 0.01
+    assert not found.holds
+    assert local_test(loop, samples.truth, samples.q).stable
 
 
 def test_tolerance_takes_no_gravity_for_granted():
@@ -427,11 +418,9 @@ def test_a_target_that_grown_errors_put_out_of_reach_is_where_tolerance_ends(wei
 def test_every_corner_is_drawn_as_often(weightless):
     shifts = dict.fromkeys(weightless.joint_names[:4], (0.01, 0.0, 0.0))
     many = aj.Uncertainty(weightless, joint_shifts=shifts)
-    found = aj.stability_report(
-        controller_of(many), many, aj.JointBox.around(weightless, Q, 0.1), configurations=20
-    )
-    counts = np.bincount(found.samples.truth, minlength=16)
-    assert counts.min() >= 2
+    loop = ClosedLoop(controller_of(many), many, aj.JointBox.around(weightless, Q, 0.1))
+    drawn = loop.draw(20, np.random.default_rng(0))
+    assert (np.bincount(drawn.truth) == [2] * 16).all()
 
 
 # -- what would certify ---------------------------------------------------------------------

@@ -225,12 +225,8 @@ def local_test(
 ) -> LocalTest:
     """Linearise a closed loop with each configuration (of the first thousand) as a target.
 
-    Args:
-        loop: The closed loop.
-        truths: Indices of the true robots, shape (N,).
-        configurations: Shape (N, nq).
-        controller: Another one than the loop's, of the same task.
-        timing: Of sampled control; None is the continuous loop.
+    True robots `truths` (N,) with configurations (N, nq), the loop's controller or another one of
+    the same task, and the timing of sampled control or None for the continuous loop.
     """
     truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
     at = [

@@ -206,12 +206,8 @@ class Best:
 def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
     """Choose the Lyapunov function of a family whose least margin is largest.
 
-    The worst samples are gathered until no other one is worse.
-
-    Args:
-        form: The conditions at all samples.
-        family: The functions to choose from.
-        known: What was found without the last ones of the samples, to go on from.
+    The worst samples are gathered until no other one is worse. `known` is what was found without
+    the last ones of the samples, to go on from.
     """
     unknowns, N = _Unknowns(family, form.setting), len(form.samples)
     active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))

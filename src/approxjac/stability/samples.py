@@ -71,14 +71,7 @@ def evaluate(
     configurations: Array,
     x_d: Array,
 ) -> Samples:
-    """Evaluate true and believed models at N configurations.
-
-    Args:
-        controller: The controller.
-        plants: The true robots.
-        truths: Index of the true robot, shape (N,).
-        configurations: Shape (N, nq).
-        x_d: Targets, shape (N, n_x).
+    """Evaluate models at N true robots `truths`, configurations (N, nq) and targets x_d (N, n_x).
 
     Raises:
         InvalidInputError: A task whose Jacobian uses the measured x, or a configuration where Ĵ

@@ -27,10 +27,6 @@ def singular_configuration(loop: ClosedLoop, samples: Samples) -> Array | None:
 
     Newton steps towards σ_min(Ĵ) = 0 from the least regular samples, halved until they stay in the
     region and lead nearer.
-
-    Args:
-        loop: The closed loop, with its region.
-        samples: Where to start.
     """
     task = loop.controller.task
     sizes = np.linalg.svd(samples.J_hat, compute_uv=False)[:, -1]

@@ -162,7 +162,7 @@ class Uncertainty:
         """Return a box of the same coordinates, shrunk or grown about what is believed.
 
         Raises:
-            InvalidInputError: A factor < 0, or so large that the box holds robots that cannot exist.
+            InvalidInputError: A factor < 0, or so large that some robots cannot exist.
         """
         factor = as_number("factor", factor, minimum=0.0)
         return replace(self, factor=self.factor * factor)

@@ -31,10 +31,7 @@ class UnattainedError(InvalidInputError):
 class VisiblePart:
     """The configurations of a region that a sensor sees: all of them, but for cameras.
 
-    Args:
-        region: The region.
-        sensor: A task of the true robot.
-        truth: Index of that robot, for errors.
+    The sensor is a task of the true robot, whose index `truth` is told in errors.
     """
 
     def __init__(self, region: Region, sensor: Task, truth: int = 0) -> None:
