@@ -1,8 +1,7 @@
 """Plots of runs, of what cameras see and of stability; runs in the browser."""
 
-from approxjac.view.browser.index import write_index
 from approxjac.view.browser.live import LiveView
-from approxjac.view.browser.page import save_page, show
+from approxjac.view.browser.page import save_page, show, write_index
 from approxjac.view.images import plot_camera_view, plot_image, plot_lanes
 from approxjac.view.plots import (
     plot_error,

@@ -1,4 +1,4 @@
-"""Plots of what cameras see. Each takes axes and returns them, as those of runs do."""
+"""Plots of what cameras see. Each draws into axes, by default new ones, and returns them."""
 
 from __future__ import annotations
 
@@ -140,9 +140,8 @@ def plot_lanes(
             edges = np.diff(np.concatenate([[False], np.asarray(mask, dtype=bool), [False]]) * 1)
             first, last = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0] - 1
             spans = list(zip(t[first], ends[last] - t[first], strict=True))
-            ax.broken_barh(
-                spans, (row - 0.35, 0.7), facecolors=(colors or {}).get(name, COLORS["neutral"])
-            )
+            color = (colors or {}).get(name, COLORS["neutral"])
+            ax.broken_barh(spans, (row - 0.35, 0.7), facecolors=color)
         ax.set_yticks(range(len(lanes)), list(lanes))
         ax.set_ylim(len(lanes) - 0.4, -0.6)
         ax.set_xlim(t[0], t[-1])
@@ -170,10 +169,8 @@ def _number(ax: Axes, points: Array, color: str, offset: tuple[int, int]) -> Non
     """Write the number of each of several points beside it."""
     for i, point in enumerate(points, start=1):
         if len(points) > 1 and np.isfinite(point).all():
-            ax.annotate(
-                str(i), point, offset, textcoords="offset points", color=color, fontsize=8,
-                annotation_clip=True,
-            )  # fmt: skip
+            look = {"color": color, "fontsize": 8, "annotation_clip": True}
+            ax.annotate(str(i), point, offset, textcoords="offset points", **look)
 
 
 def _images(camera: Camera, points: Array) -> Array:
@@ -187,9 +184,8 @@ def _frame(ax: Axes, camera: Camera, title: str) -> None:
     ax.set_aspect("equal", adjustable="box", anchor="N")
     if isinstance(camera, PinholeCamera):
         width, height = camera.size
-        corners = [(-0.5, -0.5), (width - 0.5, -0.5), (width - 0.5, height - 0.5)]
-        corners += [(-0.5, height - 0.5), corners[0]]
-        ax.plot(*np.array(corners).T, color=COLORS["neutral"], linewidth=1.2, zorder=2)
+        border = np.array([[0, 0, 1, 1, 0], [0, 1, 1, 0, 0]]) * np.array([[width], [height]]) - 0.5
+        ax.plot(*border, color=COLORS["neutral"], linewidth=1.2, zorder=2)
         around = _AROUND * max(width, height)
         ax.set_xlim(-around, width + around)
         ax.set_ylim(height + around, -around)  # v points down

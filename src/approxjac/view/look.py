@@ -1,4 +1,4 @@
-"""`robot_look`: what each link of a robot looks like."""
+"""`robot_look`: the shapes of the links of a robot."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from trimesh import Trimesh, creation
 
 from approxjac.robots import Robot
 from approxjac.robots.meshes import find_mesh
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array
 from approxjac.view.meshes import capsule, load_mesh, shares, simplify, smooth
 from approxjac.view.tree import Joint, robot_joints
 
+_TRIANGLES = 25_000  # of a robot
 _THICK = 0.05  # radius of a capsule, of the way from the first moving joint to the last
 _NEAR = 0.1  # of the radius: joints nearer to their link's origin get no capsule
 _AROUND = 32  # sides of what is round; a multiple of 4, so that it reaches its radius along x, y
@@ -27,12 +28,9 @@ class Look(NamedTuple):
     """Shapes of the links of a robot.
 
     Attributes:
-        shapes: Link → its meshes, in the frame of the link [m], not to be changed; none of links
-            that nothing is to be seen of. Triangles are counterclockwise seen from outside where
-            the mesh file has it so, but not all files have, and simplified thin walls may lose it:
-            both sides are to be drawn.
-        missing: What the URDF wants shown and cannot be, each as a text that starts with its
-            name and says why: meshes that are not found or cannot be read, unknown geometry.
+        shapes: Link → its meshes, in the frame of the link [m], not to be changed. Both sides of
+            triangles are to be drawn: not all files have them counterclockwise.
+        missing: Meshes and geometry of the URDF that cannot be shown, each by its name, and why.
         found: Links that look as the URDF says, at least in part.
     """
 
@@ -49,14 +47,14 @@ class _Visual(NamedTuple):
     file: tuple[Path, tuple[float, ...]] | None
 
 
-def robot_look(
-    robot: Robot, *, triangles: int = 25_000, like: tuple[Robot, Look] | None = None
-) -> Look:
-    """Return what each link of a robot looks like, and what of it is missing.
+def robot_look(robot: Robot, like: tuple[Robot, Look] | None = None) -> Look:
+    """Return the look of each link of a robot, and what of it is missing.
 
     A link looks like the <visual>s of the URDF that are found. Meshes are simplified until the
-    whole robot keeps to `triangles`, shared by size, and are ready for smooth shading: sharp edges
-    have vertices of their own on either side.
+    whole robot keeps to 25 000 triangles, shared by size, and are ready for smooth shading: sharp
+    edges have vertices of their own on either side. There are more where what is never simplified
+    has more (boxes, cylinders, spheres, capsules, meshes of up to 200 triangles) and where fewer
+    would tear a mesh of many small parts apart: of the arms of `robot_names()`, talos_arm.
 
     A link of which nothing is found is drawn as capsules from its origin to the origins of the
     joints that it carries and that are away from it (by a tenth of the radius), but for those to
@@ -67,39 +65,33 @@ def robot_look(
 
     Args:
         robot: The robot.
-        triangles: Of the whole robot. Exceeded where what is never simplified has more (boxes,
-            cylinders, spheres, capsules, meshes of up to 200 triangles) and where fewer would
-            tear a mesh of many small parts apart: of the arms of `robot_names()`, only talos_arm
-            has more than it should, 32 000.
         like: Another robot and its look, such as the arm as it is: of links that are the same in
             both, the very same shapes are taken, which takes no time.
 
     Raises:
-        InvalidInputError: `triangles` is not a number > 0. Never because of a mesh.
         MissingPackageError: fast-simplification is not installed.
     """
-    require("robot", robot, Robot, "a Robot")
-    budget = as_number("triangles", triangles, above=0.0)
     root = robot.tree.root
     taken = {} if like is None else _taken(root, *like)
     seen, missing = _visuals(root, robot.urdf_dir, taken.keys())
     shapes = taken | _in_place(robot, root, seen.keys() | taken.keys())
-    budget -= sum(len(mesh.faces) for drawn in shapes.values() for mesh in drawn)
+    budget = _TRIANGLES - sum(len(mesh.faces) for drawn in shapes.values() for mesh in drawn)
     light = _lightened([visual for found in seen.values() for visual in found], budget)
     for name, visuals in seen.items():
-        shapes[name] = tuple(_placed(light.get(v.file, v.mesh), v.origin) for v in visuals)
+        placed = [light.get(v.file, v.mesh).copy().apply_transform(v.origin) for v in visuals]
+        shapes[name] = tuple(placed)
     return Look(shapes, missing, frozenset(seen.keys() | taken.keys()))
 
 
 def _taken(root: Any, other: Robot, look: Look) -> dict[str, tuple[Trimesh, ...]]:
     """Return the shapes of the links of another robot that are the same in this one."""
-    theirs = {_text(link) for link in other.tree.root.iterfind("link")}
-    same = [link.get("name") for link in root.iterfind("link") if _text(link) in theirs]
+
+    def text(link: Any) -> bytes:
+        return bytes(etree.tostring(link, method="c14n", strip_text=True))
+
+    theirs = {text(link) for link in other.tree.root.iterfind("link")}
+    same = [link.get("name") for link in root.iterfind("link") if text(link) in theirs]
     return {name: look.shapes[name] for name in same if name in look.found}
-
-
-def _text(element: Any) -> bytes:
-    return bytes(etree.tostring(element, method="c14n", strip_text=True))
 
 
 def _visuals(
@@ -162,12 +154,6 @@ def _lightened(visuals: Sequence[_Visual], budget: float) -> dict[Any, Trimesh]:
     given = shares(counts, [visual.mesh.scale for visual in files], budget)
     wanted = {v.file: (v.mesh, count) for v, count in zip(files, given, strict=True)}
     return {file: smooth(simplify(mesh, count)) for file, (mesh, count) in wanted.items()}
-
-
-def _placed(mesh: Trimesh, origin: Array) -> Trimesh:
-    placed = mesh.copy()
-    placed.apply_transform(origin)
-    return placed
 
 
 def _numbers(

@@ -14,9 +14,9 @@ from approxjac.view.packages import view_package
 
 _FEW = 200  # triangles up to which a mesh is left as it is
 
-# Meshes are simplified at this size, for the steps that fast-simplification takes towards larger
-# gaps are absolute. The largest is 3 % of the size; with its usual 7 instead of 5 there is no end
-# to them, and a mesh in which it gets stuck is torn to pieces.
+# Meshes are simplified at this size: fast-simplification's steps towards larger gaps are absolute.
+# The largest is 3 % of it; with its usual 7 instead of 5 there is no end to them, and a mesh in
+# which it gets stuck is torn to pieces.
 _SIZE = 100.0
 _AGGRESSIVE = 5.0
 # It gets stuck in the slivers that CAD writes, unless vertices that are close are welded: those in
@@ -86,11 +86,7 @@ def shares(counts: Sequence[int], sizes: Sequence[float], budget: float) -> list
 
 
 def simplify(mesh: Trimesh, count: int) -> Trimesh:
-    """Return a mesh with about `count` triangles in place of more.
-
-    Raises:
-        MissingPackageError: fast-simplification is not installed.
-    """
+    """Return a mesh with about `count` triangles in place of more."""
     reduced = view_package("fast_simplification").simplify
     if len(mesh.faces) <= count:
         return mesh
@@ -109,10 +105,10 @@ def simplify(mesh: Trimesh, count: int) -> Trimesh:
 
 
 def smooth(mesh: Trimesh) -> Trimesh:
-    """Return a mesh whose vertices are shared by two triangles only if the edge is not sharp.
+    """Return a mesh whose triangles share vertices only along edges that are not sharp.
 
-    So a viewer that takes the mean of normals at each vertex shows round things round and keeps
-    edges.
+    So a viewer that takes the mean of normals at each vertex keeps edges and shows round things
+    round.
     """
     return trimesh.graph.smooth_shade(mesh, angle=_SHARP, facet_minarea=None)
 

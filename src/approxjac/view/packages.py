@@ -9,11 +9,7 @@ from approxjac.errors import MissingPackageError
 
 
 def view_package(name: str) -> Any:
-    """Import a package of the extra "view".
-
-    Raises:
-        MissingPackageError: It is not installed.
-    """
+    """Import a package of the extra "view", or raise a MissingPackageError."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

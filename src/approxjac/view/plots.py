@@ -1,9 +1,8 @@
-"""Plots of a run. Each takes axes and returns them, so that one can go on from there."""
+"""Plots of a run. Each draws into axes, by default new ones, and returns them to go on from."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -30,13 +29,7 @@ def _require_run(run: Trajectory) -> None:
 def plot_error(
     run: Trajectory, ax: Axes | None = None, *, title: str = "Task error of each coordinate"
 ) -> Axes:
-    """Draw each coordinate of the task error against time.
-
-    Args:
-        run: The run.
-        ax: Axes to draw into; new ones by default.
-        title: Of the axes.
-    """
+    """Draw each coordinate of the task error against time."""
     _require_run(run)
     with styled(ax) as ax:
         units = [display_unit(unit) for unit in run.task_units]
@@ -66,10 +59,10 @@ def plot_torque(
     """
     _require_run(run)
     with styled(ax) as ax:
-        scale = np.ones(run.tau.shape[1])
-        known = limits is not None and bool(np.isfinite(limits).any())
-        if limits is not None and known:
-            scale = np.where(np.isfinite(limits), limits, np.nan)  # no line where none is known
+        scale, known = np.ones(run.tau.shape[1]), False
+        if limits is not None and np.isfinite(limits).any():
+            # no line where none is known
+            scale, known = np.where(np.isfinite(limits), limits, np.nan), True
         for i, joint in enumerate(run.joint_names):
             color = SERIES[i % len(SERIES)]
             ax.plot(run.t, run.tau[:, i] / scale[i], color=color, label=joint)
@@ -85,10 +78,6 @@ def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
     """Draw the slack that limits took from the proof against time, and what limits did.
 
     The status is a band of colours above the slack, which has no line where it is not known.
-
-    Args:
-        run: The run.
-        ax: Axes to draw into; new ones by default.
     """
     _require_run(run)
     with styled(ax) as ax:
@@ -100,13 +89,11 @@ def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
         ends = np.append(run.t[starts[1:]], run.t[-1])
         for status in run.limit_status_counts():
             held = run.limit_status[starts] == status
+            spans = list(zip(run.t[starts][held], (ends - run.t[starts])[held], strict=True))
             ax.broken_barh(
-                list(zip(run.t[starts][held], (ends - run.t[starts])[held], strict=True)),
-                (0.88, 0.1),
-                transform=ax.get_xaxis_transform(),
-                facecolors=_STATUS_COLORS[status],
-                label=status.name,
-            )
+                spans, (0.88, 0.1), transform=ax.get_xaxis_transform(),
+                facecolors=_STATUS_COLORS[status], label=status.name,
+            )  # fmt: skip
         ax.set(xlabel="time [s]", ylabel=f"σ [{run.units['slack']}]")
         ax.set_title("Slack σ of V̇ ≤ −W + σ, and status")
     return ax
@@ -236,6 +223,6 @@ def skeleton(robot: Robot, frame: str, q: Array) -> Array:
     chain = [robot.frame_id(frame)]
     while chain[-1] != 0:
         chain.append(model.frames[chain[-1]].parentFrame)
-    points = [np.array(data.oMf[i].translation) for i in reversed(chain)]
-    apart = [np.linalg.norm(b - a) > 1e-9 for a, b in pairwise(points)]
-    return np.array([points[0], *(p for p, new in zip(points[1:], apart, strict=True) if new)])
+    points = np.array([data.oMf[i].translation for i in reversed(chain)])
+    apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-9
+    return np.asarray(points[np.append(True, apart)])

@@ -24,13 +24,11 @@ def plot_allowed_error(
 ) -> Axes:
     """Draw Figure 1: the p that (23) allows against a, its two curves and their crossing.
 
-    α is √λ₂, which allows the largest p.
-
     Args:
-        lambda2: λ₂ of (23).
+        lambda2: λ₂ of (23); α is √λ₂, which allows the largest p.
         p: ‖Jᵀ − Ĵᵀ‖, drawn dashed.
         unit: Of p.
-        p_label: What p is of.
+        p_label: Name of p.
         own_a: The controller's own a = k_p/k_v, marked if given [1/s]; the axis is logarithmic
             where it is far from the crossing.
         ax: Axes to draw into; new ones by default.
@@ -149,12 +147,8 @@ def plot_map(
         for k, (name, at_x, at_y, value) in enumerate(tests):
             color, line = SERIES[6] if k == 0 else SERIES[k], ("-", "-", "--", ":")[k % 4]
             passes = np.nan_to_num(value, nan=-1.0) > 0.0
-            where = ""
-            if passes.all():
-                where = ": passes everywhere"
-            elif not passes.any():
-                where = ": passes nowhere"
-            else:
+            where = ": passes everywhere" if passes.all() else ": passes nowhere"
+            if passes.any() and not passes.all():
                 drawn = ax.contour(at_x, at_y, value, levels=[0.0], colors=[color],
                                    linestyles=[line], linewidths=2.0)  # fmt: skip
                 drawn.set(path_effects=[Normal(), TickedStroke(angle=-90, length=0.6, spacing=12)])

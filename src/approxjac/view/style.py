@@ -75,11 +75,7 @@ class StyledFigure(Figure):
             super().draw(renderer)
 
     def _repr_png_(self) -> bytes:
-        """Return the picture that a notebook shows where the figure is the last line of a cell.
-
-        There is none as SVG beside it: that would be shown instead, and a notebook would keep all
-        points of a run in its file.
-        """
+        """Return the picture that a notebook shows; as SVG it would keep all points of a run."""
         buffer = io.BytesIO()
         self.savefig(buffer, format="png", dpi=_DPI)
         return buffer.getvalue()
@@ -94,8 +90,6 @@ def new_figure(
     columns: int = 1, rows: int = 1, *, size: tuple[float, float] | None = None, title: str = ""
 ) -> tuple[Figure, list[Axes]]:
     """Return an empty figure in the library's look, and its axes row by row.
-
-    In a notebook the figure shows itself.
 
     Args:
         columns: Plots side by side.
@@ -143,17 +137,13 @@ def legend_below(ax: Axes, columns: int | None = None) -> None:
 
 
 def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
-    """Write a figure as `stem`.png and `stem`.svg, without dates inside.
-
-    Returns:
-        The two paths.
+    """Write a figure as `stem`.png and `stem`.svg, without dates inside; return the two paths.
 
     Raises:
         InvalidInputError: The files cannot be written.
     """
     stem = Path(stem)
-    if stem.suffix in (".png", ".svg"):
-        stem = stem.with_suffix("")
+    stem = stem.with_suffix("") if stem.suffix in (".png", ".svg") else stem
     paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
     try:
         with style():

@@ -57,11 +57,7 @@ def robot_joints(robot: Robot) -> tuple[Joint, ...]:
 
 
 class Tree:
-    """The nodes of a robot.
-
-    Args:
-        robot: The robot.
-        root: Name of the node that the whole robot is under, such as "true".
+    """The nodes of a robot, all under one that is named `root`.
 
     Attributes:
         joints: All of them, from the base outwards.
@@ -87,15 +83,10 @@ class Tree:
 
 
 def joint_positions(robot: Robot, q: Array) -> Array:
-    """Return positions of all moving joints, mimic ones and continuous ones too.
+    """Return positions of all moving joints, mimic ones too, in configurations q (N, nq).
 
-    Args:
-        robot: The robot.
-        q: Configurations, shape (N, nq).
-
-    Returns:
-        In the order of `Joint.column`, shape (N, n_all) [rad or m]; those of continuous joints
-        without jumps.
+    They are in the order of `Joint.column`, shape (N, n_all) [rad or m]; those of continuous
+    joints have no jumps.
     """
     mimic = robot.mimic_joints
     q_all = np.array([mimic.q(row) for row in q]).reshape(len(q), mimic.model.nq)

@@ -37,7 +37,7 @@ def title_of(scene: Scene) -> str:
 
 
 def belief_facts(scene: Scene) -> list[tuple[str, str]]:
-    """Return in which lengths of held objects the controller is wrong, each a name and a text."""
+    """Return the lengths of held objects that the controller has wrong: names and texts."""
     true, believed = _object_lengths(scene.truth), _object_lengths(scene.belief or scene.truth)
     return [
         (name, f"{true.get(name, 0.0):.3g} m long, believed {believed.get(name, 0.0):.3g} m")
@@ -70,7 +70,7 @@ def page_data(
     *,
     live: bool = False,
 ) -> dict[str, Any]:
-    """Return what a page is made of, for `document`.
+    """Return the contents of a page, for `document`.
 
     Args:
         stage: The scene, drawn.
@@ -113,7 +113,11 @@ def page_data(
         "image": axes,
         "plots": _plots(scene, list(task_labels), list(task_units)),
         "jointNames": list(scene.truth.joint_names),
-        "columns": {name: _packed(column) for name, column in columns.items()},
+        # base64 of little-endian float32, which the page reads without parsing
+        "columns": {
+            name: base64.b64encode(np.ascontiguousarray(column, dtype="<f4")).decode()
+            for name, column in columns.items()
+        },
         "shapes": {name: list(np.shape(column)[1:]) for name, column in columns.items()},
     }
 
@@ -140,12 +144,17 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
         "licences": "\n\n".join(licences).replace("<", "(").replace(">", ")"),
         "scripts": "\n".join(f"<script>{part}</script>" for part in ended),
     }
-    # all at once: what is put in is not looked at again
-    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _asset("page.html"))
+    return filled("page.html", parts)
+
+
+def filled(template: str, parts: Mapping[str, str]) -> str:
+    """Return an asset with parts in place of their names, {{name}}."""
+    # all at once: parts are not looked at again
+    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _asset(template))
 
 
 def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
-    """Return what the colours mean: colour, kind of mark ("" is a dot) and words."""
+    """Return the meaning of colours: colour, kind of mark ("" is a dot) and words."""
     held, told = bool(held_objects(scene.truth)), scene.belief is not None
     ghost = "arm and camera as the controller believes them"
     ghost = ghost if image else "the arm as the controller believes it"
@@ -171,8 +180,8 @@ def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, 
     """Return the plots beside the scene; names, units and colours as in `approxjac.view`."""
     shown = " or ".join(dict.fromkeys(display_unit(unit)[0] for unit in units))
     known = bool(np.isfinite(scene.torque_limits).any())
-    kinds = [unit for unit in ("rad", "m") if unit in scene.truth.joint_units]
-    torque = " or ".join({"rad": "N m", "m": "N"}[kind] for kind in kinds)
+    kinds = {"rad": "N m", "m": "N"}.items()
+    torque = " or ".join(name for unit, name in kinds if unit in scene.truth.joint_units)
     joints = list(scene.truth.joint_names)
     first = joints[0].partition("_")[0] + "_"
     if len(joints) > 1 and all(name.startswith(first) for name in joints):
@@ -191,8 +200,3 @@ def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, 
 def _asset(name: str) -> str:
     folder = resources.files("approxjac.view.browser") / "assets"
     return (folder / name).read_text(encoding="utf-8")
-
-
-def _packed(column: Array) -> str:
-    """Return numbers as base64 of little-endian float32, which the page reads without parsing."""
-    return base64.b64encode(np.ascontiguousarray(column, dtype="<f4").tobytes()).decode()

@@ -26,13 +26,9 @@ _SINGULAR = 1e-6  # of the largest singular value: forces that hardly any torque
 
 
 class Frames:
-    """Positions, forces and images of a scene.
+    """Positions, forces and images of a scene; one instance a thread.
 
-    Owns scratch memory: one instance a thread.
-
-    Args:
-        scene: Who takes part.
-        task_units: Units of the error's coordinates, length m; those of the sensor by default.
+    The error's coordinates have the `task_units`, length m, by default those of the sensor.
     """
 
     def __init__(self, scene: Scene, task_units: tuple[str, ...] | None = None) -> None:
@@ -52,7 +48,7 @@ class Frames:
         self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
 
     def columns(self, run: Trajectory, kept: Any = None) -> dict[str, Array]:
-        """Return all that the page shows; first axis time, also where there is but one instant.
+        """Return all that the page shows, first axis time.
 
         Args:
             run: A run of the scene.

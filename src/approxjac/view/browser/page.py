@@ -1,13 +1,17 @@
-"""Runs as pages: what a page of a run shows and says; saving it, and opening it."""
+"""Runs as pages: writing them, opening them, and an index of those in a folder."""
 
 from __future__ import annotations
 
 import os
+import re
 import sys
 import tempfile
 import webbrowser
+from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -15,14 +19,16 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.validation import Array, require
-from approxjac.view.browser.document import belief_facts, document, page_data, title_of
+from approxjac.view.browser.document import belief_facts, document, filled, page_data, title_of
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.stage import Stage
-from approxjac.view.style import display_unit
+from approxjac.view.style import COLORS, display_unit
 
 _USUAL = (Status.OK, Status.MEASUREMENT_HELD, LimitStatus.UNLIMITED, LimitStatus.FREE)
 _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
+_HEAD = 4000  # characters of a page in which its name stands
+_MARK = '<meta name="generator" content="approxjac">'
 
 
 def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Path:
@@ -69,6 +75,54 @@ def show(run: Trajectory, title: str | None = None) -> Path:
     if not open_browser(path.as_uri()):
         print(f"No browser could be opened here: the page is {path}")
     return path
+
+
+def write_index(
+    folder: str | Path, title: str = "Runs to look at", pictures: Mapping[str, str] | None = None
+) -> Path:
+    """Write index.html with a link to every run page in a folder, in the order of their names.
+
+    A picture of the same name beside a page (run.png beside run.html) is shown with its link.
+
+    Args:
+        folder: With pages that `save_page` wrote.
+        title: Of the index.
+        pictures: Titles of pictures in the folder that have no page, by the names of their files;
+            none by default. They are shown among the pages.
+
+    Returns:
+        The path of the index.
+
+    Raises:
+        InvalidInputError: A folder without such pages, or that cannot be written to, or a picture
+            that is not in it.
+    """
+    folder = Path(folder)
+    pictures = {} if pictures is None else pictures
+    require("pictures", pictures, Mapping, 'titles by file names, such as {"map.png": "Map"}')
+    try:
+        entries = {}
+        for path in folder.glob("*.html"):
+            with path.open(encoding="utf-8", errors="replace") as file:
+                head = file.read(_HEAD)
+            if _MARK in head:
+                entries[path.name] = _entry(path, head)
+        if not entries:
+            raise InvalidInputError(
+                f"folder must hold pages that save_page(run, path) wrote, got {folder} without any",
+                given=folder,
+            )
+        entries |= {name: _shown(folder, name, said) for name, said in pictures.items()}
+        listed = "\n".join(entries[name] for name in sorted(entries, key=_natural))
+        parts = {"title": escape(title), "entries": listed}
+        parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
+        index = folder / "index.html"
+        index.write_text(filled("index.html", parts), encoding="utf-8")
+    except OSError as error:
+        raise InvalidInputError(
+            f"folder must be one that can be read and written, got {folder}: {error}", given=folder
+        ) from error
+    return index
 
 
 def page(run: Trajectory, title: str | None = None) -> str:
@@ -134,3 +188,31 @@ def _short(value: float) -> str:
     if 0.0 < value < 1e-3:
         return "below 0.001"
     return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+def _entry(path: Path, head: str) -> str:
+    """Return a link to a page, with its title and its description of itself."""
+    title = re.search(r"<title>(.+?)</title>", head, re.DOTALL)
+    text = re.search(r'<meta name="description" content="(.+?)">', head, re.DOTALL)
+    image = path.with_suffix(".png")
+    picture = f'<img src="{quote(image.name)}" alt="">' if image.is_file() else ""
+    named = title[1] if title else escape(path.stem)
+    told = f"<p>{text[1]}</p>" if text else ""
+    return f'<li><a href="{quote(path.name)}">{picture}<b>{named}</b>{told}</a></li>'
+
+
+def _shown(folder: Path, name: str, title: str) -> str:
+    """Return a picture without a page."""
+    texts = isinstance(name, str) and isinstance(title, str)
+    if not texts or Path(name).name != name or not (folder / name).is_file():
+        raise InvalidInputError(
+            f"pictures must be titles by the names of files in {folder}, got {name!r}: {title!r}",
+            given=name,
+        )
+    return f'<li><div><img src="{quote(name)}" alt=""><b>{escape(title)}</b></div></li>'
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Return a key that sorts fig10 after fig9."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

@@ -33,10 +33,6 @@ class PageServer:
         url: Of the page.
         taken: The usual port, where another program has it; else None.
         opened: Set when a page is there.
-
-    Raises:
-        InvalidInputError: The port is taken, or none.
-        MissingPackageError: tornado is not installed.
     """
 
     def __init__(

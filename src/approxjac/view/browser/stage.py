@@ -12,7 +12,6 @@ import pinocchio as pin
 
 from approxjac.robots import Robot
 from approxjac.simulation.scene import Scene
-from approxjac.tasks import Task
 from approxjac.validation import Array
 from approxjac.view.browser.cameras import camera_view, image_feature
 from approxjac.view.browser.viewpoint import reach_points
@@ -21,6 +20,8 @@ from approxjac.view.style import COLORS
 from approxjac.view.tree import Tree
 
 if TYPE_CHECKING:
+    from trimesh import Trimesh
+
     from approxjac.view.look import Look
 
 _GHOST = 0.38  # opacity of the believed arm
@@ -80,55 +81,49 @@ class Stage:
                 `data("believed")`, when the belief has changed.
         """
         roles = roles or tuple(self.robots)
-        cameras = [camera for camera in self.cameras if camera["role"] in roles]
         missing = dict.fromkeys(text for look in self._looks.values() for text in look.missing)
         drawing = _Drawing()
-        built: dict[str, Any] = {"roles": roles, "clones": [], "missing": list(missing)}
-        if "true" in roles:
-            built["links"] = self._true_arm(drawing)
-            self._markers(drawing)
-        if "believed" in roles:
-            built["clones"] = self._ghost(drawing)
-            self._bones(drawing)
-        for role in roles:
-            self._points(role, self._tasks[role], drawing)
-        for camera in cameras:
-            _draw_camera(camera, drawing)
-        return built | {
+        built: dict[str, Any] = {
+            "roles": roles, "missing": list(missing), "links": [], "clones": [], "cameras": [],
             "commands": drawing.commands,
             "joints": {role: _joints(self._trees[role]) for role in roles},
-            "cameras": [
-                {name: np.asarray(value).tolist() for name, value in camera.items()}
-                for camera in cameras
-            ],
-        }
+        }  # fmt: skip
+        for role in roles:
+            self._arm(role, drawing, built)
+            if role == "true":
+                self._markers(drawing)
+            else:
+                self._bones(drawing)
+            self._points(role, drawing)
+        for camera in self.cameras:
+            if camera["role"] in roles:
+                _draw_camera(camera, drawing)
+                listed = {name: np.asarray(value).tolist() for name, value in camera.items()}
+                built["cameras"].append(listed)
+        return built
 
-    def _true_arm(self, drawing: _Drawing) -> list[dict[str, Any]]:
-        """Draw the true arm; return its shapes, whose colours show the state of their joint."""
-        tree, links = self._trees["true"], []
-        objects = held_objects(self.scene.truth)
-        for link, shapes in self._looks["true"].shapes.items():
+    def _arm(self, role: str, drawing: _Drawing, built: dict[str, Any]) -> None:
+        """Draw an arm.
+
+        Links of the true one take the colours that show the state of their joint; shapes that the
+        believed one has as well are listed, not sent twice.
+        """
+        tree, true = self._trees[role], self._trees["true"]
+        objects = held_objects(self.robots[role])
+        ghost = {"opacity": _GHOST, "depthWrite": False}
+        for link, shapes in self._looks[role].shapes.items():
+            twins = self._looks["true"].shapes.get(link, ())
             colour = COLORS["object" if link in objects else "arm"]
             for i, shape in enumerate(shapes):
                 path = (*tree.paths[link], f"shape{i}")
-                drawing.mesh(path, shape.vertices, shape.faces, colour)
-                links.append({"path": path, "driver": tree.drivers[link], "colour": colour})
-        return links
-
-    def _ghost(self, drawing: _Drawing) -> list[dict[str, Any]]:
-        """Draw the believed arm; shapes that the true arm has too are listed, not sent twice."""
-        tree, true = self._trees["believed"], self._trees["true"]
-        clones: list[dict[str, Any]] = []
-        for link, shapes in self._looks["believed"].shapes.items():
-            twins = self._looks["true"].shapes.get(link, ())
-            for i, shape in enumerate(shapes):
-                path = (*tree.paths[link], f"shape{i}")
-                if i < len(twins) and twins[i] is shape:
-                    clones.append({"from": (*true.paths[link], f"shape{i}"), "to": path})
+                if role == "true":
+                    drawing.mesh(path, shape, colour)
+                    driver = tree.drivers[link]
+                    built["links"].append({"path": path, "driver": driver, "colour": colour})
+                elif i < len(twins) and twins[i] is shape:
+                    built["clones"].append({"from": (*true.paths[link], f"shape{i}"), "to": path})
                 else:
-                    look = {"opacity": _GHOST, "depthWrite": False}
-                    drawing.mesh(path, shape.vertices, shape.faces, COLORS["believed"], **look)
-        return clones
+                    drawing.mesh(path, shape, COLORS["believed"], **ghost)
 
     def _bones(self, drawing: _Drawing) -> None:
         """Draw a rod along each link that the controller believes longer, shorter or bent.
@@ -162,9 +157,9 @@ class Stage:
         for name, part in (("shaft", shaft), ("head", head)):
             drawing.put(("force", name), part, COLORS["force"], lit=False, **_THROUGH)
 
-    def _points(self, role: str, task: Task | None, drawing: _Drawing) -> None:
+    def _points(self, role: str, drawing: _Drawing) -> None:
         """Draw the points that a camera sees, of the world or of a frame of the arm."""
-        feature = image_feature(task)
+        feature = image_feature(self._tasks[role])
         if feature is None or (feature.frame is not None and not feature.points.any()):
             return  # the tip, which has a marker
         if feature.frame is None and role == "believed":
@@ -198,12 +193,10 @@ class _Drawing:
         material = g.MeshLambertMaterial if lit else g.MeshBasicMaterial
         self._put(path, g.Mesh(shape, material(color=_number(colour), **look)), placed)
 
-    def mesh(
-        self, path: tuple[str, ...], vertices: Array, faces: Array, colour: str, **look: Any
-    ) -> None:
+    def mesh(self, path: tuple[str, ...], mesh: Trimesh, colour: str, **look: Any) -> None:
         """Put triangles at a node."""
-        shape = self.geometry.TriangularMeshGeometry(vertices, faces.astype(np.int32))
-        self.put(path, shape, colour, **look)
+        triangles = self.geometry.TriangularMeshGeometry(mesh.vertices, mesh.faces.astype(np.int32))
+        self.put(path, triangles, colour, **look)
 
     def lines(self, path: tuple[str, ...], ends: Array, colour: str) -> None:
         """Put lines at a node, from each first of two points (n, 3) to the second."""
@@ -252,7 +245,9 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     edges = np.stack([apexes, corners, corners, following], axis=1).reshape(16, 3)
     drawing.lines((*path, "edges"), edges, colour)
     glass = {"lit": False, "opacity": 0.10, "depthWrite": False}
-    drawing.mesh((*path, "image"), corners, np.array([[0, 1, 2], [0, 2, 3]]), colour, **glass)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    image = drawing.geometry.TriangularMeshGeometry(corners, faces)
+    drawing.put((*path, "image"), image, colour, **glass)
 
 
 def _number(colour: str) -> int:
