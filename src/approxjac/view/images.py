@@ -169,7 +169,7 @@ def _number(ax: Axes, points: Array, color: str, offset: tuple[int, int]) -> Non
     """Write the number of each of several points beside it."""
     for i, point in enumerate(points, start=1):
         if len(points) > 1 and np.isfinite(point).all():
-            look = {"color": color, "fontsize": 8, "annotation_clip": True}
+            look: dict[str, Any] = {"color": color, "fontsize": 8, "annotation_clip": True}
             ax.annotate(str(i), point, offset, textcoords="offset points", **look)
 
 

@@ -115,7 +115,7 @@ def page_data(
         "jointNames": list(scene.truth.joint_names),
         # base64 of little-endian float32, which the page reads without parsing
         "columns": {
-            name: base64.b64encode(np.ascontiguousarray(column, dtype="<f4")).decode()
+            name: base64.b64encode(np.asarray(column, dtype="<f4").tobytes()).decode()
             for name, column in columns.items()
         },
         "shapes": {name: list(np.shape(column)[1:]) for name, column in columns.items()},

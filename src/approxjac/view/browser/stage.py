@@ -244,7 +244,7 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     apexes, following = np.tile(camera["apex"], (4, 1)), np.roll(corners, -1, axis=0)
     edges = np.stack([apexes, corners, corners, following], axis=1).reshape(16, 3)
     drawing.lines((*path, "edges"), edges, colour)
-    glass = {"lit": False, "opacity": 0.10, "depthWrite": False}
+    glass: dict[str, Any] = {"lit": False, "opacity": 0.10, "depthWrite": False}
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     image = drawing.geometry.TriangularMeshGeometry(corners, faces)
     drawing.put((*path, "image"), image, colour, **glass)
