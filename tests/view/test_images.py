@@ -3,7 +3,6 @@ import dataclasses
 import matplotlib
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
 import approxjac as aj
@@ -136,14 +135,6 @@ def test_lanes_are_where_things_were_so():
     assert faces == [view.COLORS["neutral"].lower(), red["b"].lower()]
     with pytest.raises(aj.InvalidInputError, match=r"lane 'c' must have shape \(4,\), got \(2,\)"):
         view.plot_lanes(t, {"c": t[:2] > 0.0})
-
-
-def test_axes_go_in_and_come_out(run, sensor):
-    figure = Figure()
-    ax = figure.subplots()
-    assert view.plot_image(run, sensor.camera, ax) is ax
-    assert view.plot_camera_view(sensor, HOME, figure.subplots()) in figure.axes
-    assert view.plot_lanes(run.t, {"a": run.t > 0.1}, figure.subplots()) in figure.axes
 
 
 def test_bad_views_are_refused(sensor):

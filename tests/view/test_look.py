@@ -11,15 +11,13 @@ from lxml import etree
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.robots.catalog import NAMED, share_dir
+from approxjac.robots.catalog import share_dir
 from approxjac.robots.meshes import find_mesh
 from approxjac.robots.urdf import Urdf
 from approxjac.view.look import robot_look
 from approxjac.view.meshes import load_mesh, shares, simplify, smooth
 
 ROBOTS = share_dir() / "example-robot-data/robots"
-WITHOUT_MESHES = {"two_link", "two_link_point_mass", "double_pendulum"}  # cylinders and boxes
-IDENTITY = np.eye(4)
 
 
 def bounds(vertices):
@@ -309,11 +307,11 @@ def test_primitives_have_their_size_where_their_origin_is(geometry, size):
     assert 0.94 * full < volume < 1.0001 * full
 
 
-def test_an_object_reaches_from_its_parent_to_its_tip(panda):
-    look = robot_look(panda.with_object(0.2, 0.5, radius=0.03))
+def test_an_object_reaches_from_its_parent_to_its_tip(two_link):
+    look = robot_look(two_link.with_object(0.2, 0.5, radius=0.03))
     (cylinder,) = look.shapes["object"]
     assert_allclose(bounds(cylinder.vertices), [[-0.03, -0.03, 0.0], [0.03, 0.03, 0.2]], atol=1e-12)
-    assert "object" not in robot_look(panda.with_object(0.0)).shapes
+    assert "object" not in robot_look(two_link.with_object(0.0)).shapes
 
 
 def test_the_two_link_arm_is_its_cylinders(two_link):
@@ -357,16 +355,9 @@ def test_without_the_package_the_error_says_what_to_install(panda, monkeypatch):
         robot_look(panda)
 
 
-def test_which_arms_have_no_meshes():
-    without = {
-        name for name in NAMED if all(path is None for _, path, *_ in visuals(aj.load_robot(name)))
-    }
-    assert without == WITHOUT_MESHES
-
-
-def test_links_that_are_the_same_share_their_shapes(panda):
-    truth, belief = panda.with_object(0.2, axis="x"), panda.with_object(0.05, axis="x")
-    shorter = belief.with_kinematic_error({"panda_joint4": (0.0, 0.02, 0.0)})
+def test_links_that_are_the_same_share_their_shapes(two_link):
+    truth, belief = two_link.with_object(0.2, axis="x"), two_link.with_object(0.05, axis="x")
+    shorter = belief.with_kinematic_error({"joint2": (0.0, 0.02, 0.0)})
     look = robot_look(truth)
     other = robot_look(shorter, like=(truth, look))
     assert other.shapes.keys() == look.shapes.keys()
@@ -376,17 +367,8 @@ def test_links_that_are_the_same_share_their_shapes(panda):
 
 
 def test_capsules_of_a_link_follow_its_joints_whatever_the_other_looks_like():
-    text = (
-        '<robot name="r"><link name="base"/>'
-        '<joint name="j1" type="revolute"><parent link="base"/><child link="a"/>'
-        '<limit effort="1" velocity="1" lower="-1" upper="1"/></joint>'
-        '<link name="a"><inertial><mass value="1"/>'
-        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'
-        '<joint name="j2" type="fixed"><parent link="a"/><child link="tip"/>'
-        '<origin xyz="0 0 1"/></joint><link name="tip"/></robot>'
-    )
-    arm = aj.load_robot(text)
-    longer = arm.with_kinematic_error({"j2": (0.0, 0.0, 0.5)})
+    arm = aj.Robot(urdf())
+    longer = arm.with_kinematic_error({"tip": (0.0, 0.0, 0.5)})
     alone, compared = robot_look(longer), robot_look(longer, like=(arm, robot_look(arm)))
     assert compared.shapes.keys() == alone.shapes.keys()
     for link, shapes in alone.shapes.items():

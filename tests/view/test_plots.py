@@ -65,29 +65,21 @@ def test_a_slack_that_is_not_known_has_no_line(run):
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["UNLIMITED"]
 
 
-def test_axes_go_in_and_come_out(run):
-    figure = Figure()
-    ax = figure.subplots()
-    assert view.plot_error(run, ax) is ax
-    assert view.plot_torque(run, figure.subplots()) in figure.axes
+def test_a_run_is_drawn_in_two_plots(run):
     figure, axes = view.plot_run(run)
     assert figure.axes == axes
     assert [ax.get_ylabel() for ax in axes] == ["x − x_d [mm]", "τ [N m]"]
 
 
 def test_pictures_are_written_and_repeat_to_the_byte(run, tmp_path):
-    paths = view.save_figure(view.plot_run(run)[0], tmp_path / "run")
+    paths = view.save_figure(view.plot_error(run).figure, tmp_path / "run")
     assert [path.name for path in paths] == ["run.png", "run.svg"]
-    again = view.save_figure(view.plot_run(run)[0], tmp_path / "again")
+    again = view.save_figure(view.plot_error(run).figure, tmp_path / "again.png")
+    assert [path.name for path in again] == ["again.png", "again.svg"]  # no ending is doubled
     for a, b in zip(paths, again, strict=True):
         assert a.read_bytes() == b.read_bytes()
-
-
-def test_endings_are_not_doubled_and_bad_places_are_named(run, tmp_path):
-    paths = view.save_figure(view.plot_run(run)[0], tmp_path / "run.png")
-    assert [path.name for path in paths] == ["run.png", "run.svg"]
     with pytest.raises(aj.InvalidInputError, match="stem must name files that can be written, got"):
-        view.save_figure(view.plot_run(run)[0], tmp_path / "nowhere" / "run")
+        view.save_figure(Figure(), tmp_path / "nowhere" / "run")
 
 
 def test_bad_paths_are_refused(run):
@@ -113,12 +105,8 @@ def test_what_is_believed_and_the_target_are_drawn_if_asked_for(run):
     assert_allclose(np.array(lines["believed path"].get_data()).T, run.x[:, ::-1], atol=1e-12)
     assert np.array(lines["target"].get_data()).T.tolist() == [[1.2, 0.5]]
     assert ax.get_title() == "Path of object_tip, z-x plane"
-    colors = {name: lines[name].get_color() for name in ("end", "believed path", "target")}
-    assert tuple(colors.values()) == (
-        view.COLORS["true"],
-        view.COLORS["believed"],
-        view.COLORS["target"],
-    )
+    for name, role in (("end", "true"), ("believed path", "believed"), ("target", "target")):
+        assert lines[name].get_color() == view.COLORS[role]
     assert "believed path" not in [
         line.get_label() for line in view.plot_path(run, arm).get_lines()
     ]
@@ -146,14 +134,8 @@ def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
     assert view.plot_parameters(learnt, ("j.m",)).get_ylabel() == "θ̂ [kg]"
     assert view.plot_parameters(learnt, ("j.mx", "k.my")).get_ylabel() == "θ̂ [kg m]"
     assert view.plot_parameters(learnt, ("j.mx", "k.m")).get_ylabel() == "θ̂ [kg m or kg]"
-    assert [
-        line.get_ydata()[0]
-        for line in ax.get_lines()
-        if line.get_linestyle() == "--" and line.get_label() != "true values"
-    ] == [
-        0.9,
-        1.9,
-    ]
+    dashed = [line for line in ax.get_lines() if line.get_linestyle() == "--"]
+    assert [line.get_ydata()[0] for line in dashed if len(line.get_ydata())] == [0.9, 1.9]
 
 
 def test_parameters_that_were_not_learnt_are_refused(run):

@@ -1,7 +1,6 @@
 """The same look everywhere: words, units, legends, files and notebooks, over all plots."""
 
 import dataclasses
-import io
 import re
 
 import matplotlib
@@ -92,27 +91,16 @@ def test_no_plot_is_forgotten(plots):
     assert set(plots) == set(NAMES)
 
 
-def drawn(plot, ax=None):
-    """Axes as they are once drawn, in a figure of the library or in that of `ax`."""
-    ax = plot(ax)
-    ax.figure.savefig(io.BytesIO(), format="png")  # the layout is made when drawing
-    return ax
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_a_plot_says_what_is_seen_in_which_unit(plots, name):
+def test_a_plot_says_what_is_seen_in_which_unit_and_covers_none_of_it(plots, name):
     ax = plots[name](None)
+    ax.figure.draw_without_rendering()  # the layout is made when drawing
     assert len(ax.get_title()) > 10
     assert UNIT.fullmatch(ax.get_xlabel())
     if name != "plot_lanes":  # its y axis has names
         assert UNIT.fullmatch(ax.get_ylabel())
     for bar in ax.figure.axes:
         assert bar is ax or "[" in bar.get_ylabel()  # of colours
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_nothing_is_cut_or_covered(plots, name):
-    ax = drawn(plots[name])
     everything, plot = ax.figure.get_tightbbox(), ax.get_window_extent()
     size = ax.figure.get_size_inches()
     assert everything.x0 > -0.01
@@ -126,44 +114,28 @@ def test_nothing_is_cut_or_covered(plots, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_axes_of_the_user_go_in_and_come_out(plots, name):
-    figure = Figure()
+def test_axes_of_the_user_go_in_and_come_out_and_settings_are_left_alone(plots, name):
+    before, figure = dict(matplotlib.rcParams), Figure()
     ax = figure.subplots()
     assert plots[name](ax) is ax
     assert type(figure) is Figure
-    figure.savefig(io.BytesIO())
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_users_own_settings_are_left_alone(plots, name):
-    before = dict(matplotlib.rcParams)
-    drawn(plots[name])
     assert dict(matplotlib.rcParams) == before
 
 
 def test_the_look_does_not_depend_on_the_users_settings_or_on_who_saves(run, tmp_path):
-    view.save_figure(view.plot_run(run)[0], tmp_path / "ours")
-    view.plot_run(run)[0].savefig(tmp_path / "theirs.png", dpi=130)
+    view.save_figure(view.plot_error(run).figure, tmp_path / "ours")
     with matplotlib.rc_context({"font.size": 20.0, "axes.grid": False, "grid.alpha": 1.0}):
-        view.plot_run(run)[0].savefig(tmp_path / "other.png", dpi=130)
-    ours = imread(tmp_path / "ours.png")
-    assert np.array_equal(imread(tmp_path / "theirs.png"), ours)
-    assert np.array_equal(imread(tmp_path / "other.png"), ours)
-
-
-def test_a_notebook_shows_a_figure_of_the_library_and_leaves_those_of_users_alone(run, tmp_path):
+        view.plot_error(run).figure.savefig(tmp_path / "other.png", dpi=130)
     shell = pytest.importorskip("IPython.core.interactiveshell").InteractiveShell
     display = shell.instance().display_formatter
-    figure, _ = view.plot_run(run)
-    shown, _ = display.format(figure)
-    (tmp_path / "shown.png").write_bytes(shown["image/png"])
+    shown, _ = display.format(view.plot_error(run).figure)
     assert set(shown) == {"image/png", "text/plain"}
-    view.save_figure(view.plot_run(run)[0], tmp_path / "saved")
-    assert np.array_equal(imread(tmp_path / "shown.png"), imread(tmp_path / "saved.png"))
-    assert "image/png" in display.format(view.plot_error(run).figure)[0]
+    (tmp_path / "shown.png").write_bytes(shown["image/png"])
+    for name in ("other", "shown"):
+        assert np.array_equal(imread(tmp_path / f"{name}.png"), imread(tmp_path / "ours.png"))
     own = Figure()
     view.plot_error(run, own.subplots())
-    assert set(display.format(own)[0]) == {"text/plain"}
+    assert set(display.format(own)[0]) == {"text/plain"}  # those of users are left alone
 
 
 def test_pictures_of_long_rough_runs_are_small(run, image_run, seen, tmp_path):

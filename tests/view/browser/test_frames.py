@@ -199,8 +199,8 @@ def instant(task, q, task_torque):
     return SimpleNamespace(**{name: row[np.newaxis] for name, row in rows.items()})
 
 
-def test_no_link_has_the_name_of_a_shape(panda):
-    odd = panda.with_object(0.1, name="shape0").with_object(0.1, name="bone_1")
+def test_no_link_has_the_name_of_a_shape(two_link):
+    odd = two_link.with_object(0.1, name="shape0").with_object(0.1, name="bone_1")
     data = Stage(Scene(odd, odd, None, None, odd.effort_limits)).data()
     links = {tuple(link["path"]) for link in data["links"]}
     joints = {tuple(joint["path"]) for joint in data["joints"]["true"]}

@@ -2,7 +2,6 @@
 
 import base64
 import dataclasses
-import importlib.resources
 import json
 import re
 import sys
@@ -16,6 +15,8 @@ import approxjac as aj
 from approxjac import view
 from approxjac.view.browser.frames import _peaks
 from approxjac.view.browser.page import _thinned, page
+
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
 
 @pytest.fixture(scope="module")
@@ -52,19 +53,12 @@ def test_the_page_hands_on_the_licences_of_what_is_inside(run):
         assert name in text, name
 
 
-def test_the_page_is_the_same_for_the_same_run(run):
-    assert page(run) == page(run)
-
-
-def test_a_title_cannot_end_the_script(run):
-    text = page(run, title="</script><script>alert(1)</script>")
-    assert data_of(text)["title"] == "</script><script>alert(1)</script>"
+def test_a_title_may_be_anything_and_cannot_end_the_script(run):
+    title = "{{scripts}} \\1 </script><script>alert(1)</script>"
+    text = page(run, title)
+    assert data_of(text)["title"] == title
     assert text.count("alert(1)") == 3  # title, heading, data
     assert "<script>alert" not in text
-
-
-def test_a_title_may_be_anything(run):
-    assert data_of(page(run, title="{{scripts}} \\1"))["title"] == "{{scripts}} \\1"
 
 
 def test_columns_are_those_of_the_run(run):
@@ -116,17 +110,13 @@ def test_what_the_page_says_of_the_run(run):
 def test_a_page_of_a_panda_is_small(panda):
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
-    regressor = aj.GravityRegressor(belief)
-    gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])
     gains = aj.Gains(kp=400.0, kv=80.0, damping=1.0)
-    controller = aj.SetpointController(aj.PositionTask(belief), gains, gravity=gravity)
-    start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-    target = plant.sensor.value(start) + [0.1, -0.15, 0.16]
-    run = aj.simulate(plant, controller, target, start, 10.0, dt=2e-3)
-    text = page(run)
+    controller = aj.SetpointController(aj.PositionTask(belief), gains)
+    target = plant.sensor.value(START) + [0.1, -0.15, 0.16]
+    text = page(aj.simulate(plant, controller, target, START, 1.0, dt=2e-3))
     data = data_of(text)
     assert len(text.encode()) < 4e6
-    assert len(column(data, "t")) == 601
+    assert len(column(data, "t")) == 61
     # what both arms have in common is sent once: all but the object
     assert len(data["clones"]) == len(data["links"]) - 1
     assert data["missing"] == []
@@ -136,8 +126,7 @@ def test_missing_meshes_are_told(panda, tmp_path):
     lost = aj.Robot(panda.urdf.replace("package://", "package://no_such_place/"), tip=panda.tip)
     task = aj.PositionTask(lost)
     controller = aj.SetpointController(task, aj.Gains(60.0, 20.0, 1.0))
-    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-    run = aj.simulate(aj.Plant(lost, task), controller, task.value(q0), q0, 0.1, dt=0.01)
+    run = aj.simulate(aj.Plant(lost, task), controller, task.value(START), START, 0.1, dt=0.01)
     data = data_of(page(run))
     assert any("link0" in text and "no such file" in text for text in data["missing"])
     assert len(data["links"]) > 5  # capsules
@@ -188,10 +177,3 @@ def test_without_a_screen_no_browser_is_tried(run, monkeypatch, capsys):
     path = view.show(run)
     path.unlink()
     assert capsys.readouterr().out == f"No browser could be opened here: the page is {path}\n"
-
-
-def test_the_assets_are_packaged_with_their_licence():
-    assets = importlib.resources.files("approxjac.view.browser") / "assets"
-    assert "MIT" in (assets / "uPlot.LICENSE").read_text(encoding="utf-8")
-    for name in ("scene.js", "plots.js", "image.js", "page.js", "live.js"):
-        assert len((assets / name).read_text(encoding="utf-8").splitlines()) < 450

@@ -29,7 +29,7 @@ LENGTH = 0.2
 @pytest.fixture(scope="module")
 def panda(panda):
     """A Panda drawn as capsules: simplifying its meshes takes a second for every run."""
-    return aj.Robot(panda.urdf.replace("package://", "package://nowhere/"), tip=panda.tip)
+    return aj.Robot(panda.urdf.replace("/visual/", "/gone/"), tip=panda.tip)
 
 
 @pytest.fixture(autouse=True)
