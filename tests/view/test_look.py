@@ -120,7 +120,7 @@ def test_the_panda_keeps_its_form(panda):
     from scipy.spatial import cKDTree
 
     look = robot_look(panda)
-    for link, path, _, origin in visuals(panda):
+    for link, path, _, origin in list(visuals(panda))[::3]:
         full, light = load_mesh(path).apply_transform(origin), look.shapes[link][0]
         points = [trimesh.sample.sample_surface(mesh, 30_000, seed=1)[0] for mesh in (full, light)]
         for a, b in (points, points[::-1]):
@@ -307,11 +307,12 @@ def test_primitives_have_their_size_where_their_origin_is(geometry, size):
     assert 0.94 * full < volume < 1.0001 * full
 
 
-def test_an_object_reaches_from_its_parent_to_its_tip(two_link):
-    look = robot_look(two_link.with_object(0.2, 0.5, radius=0.03))
+def test_an_object_reaches_from_its_parent_to_its_tip():
+    arm = aj.load_robot("two_link")
+    look = robot_look(arm.with_object(0.2, 0.5, radius=0.03, axis="z"))
     (cylinder,) = look.shapes["object"]
     assert_allclose(bounds(cylinder.vertices), [[-0.03, -0.03, 0.0], [0.03, 0.03, 0.2]], atol=1e-12)
-    assert "object" not in robot_look(two_link.with_object(0.0)).shapes
+    assert "object" not in robot_look(arm.with_object(0.0)).shapes
 
 
 def test_the_two_link_arm_is_its_cylinders(two_link):
@@ -355,8 +356,9 @@ def test_without_the_package_the_error_says_what_to_install(panda, monkeypatch):
         robot_look(panda)
 
 
-def test_links_that_are_the_same_share_their_shapes(two_link):
-    truth, belief = two_link.with_object(0.2, axis="x"), two_link.with_object(0.05, axis="x")
+def test_links_that_are_the_same_share_their_shapes():
+    arm = aj.load_robot("two_link")
+    truth, belief = arm.with_object(0.2, axis="x"), arm.with_object(0.05, axis="x")
     shorter = belief.with_kinematic_error({"joint2": (0.0, 0.02, 0.0)})
     look = robot_look(truth)
     other = robot_look(shorter, like=(truth, look))

@@ -63,13 +63,8 @@ def robot_look(robot: Robot, like: tuple[Robot, Look] | None = None) -> Look:
     radius is 5 % of the length of the arm, along its links from the first moving joint to the last
     (of an arm with one moving joint: to its farthest link).
 
-    Args:
-        robot: The robot.
-        like: Another robot and its look, such as the arm as it is: of links that are the same in
-            both, the very same shapes are taken, which takes no time.
-
-    Raises:
-        MissingPackageError: fast-simplification is not installed.
+    With another robot and its look as `like`, such as the arm as it is, links that are the same in
+    both take the very same shapes, without delay.
     """
     root = robot.tree.root
     taken = {} if like is None else _taken(root, *like)

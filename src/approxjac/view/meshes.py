@@ -66,10 +66,7 @@ def shares(counts: Sequence[int], sizes: Sequence[float], budget: float) -> list
     On a curved surface n triangles leave a gap in proportion to size²/(radius n): shared by size,
     all are off by about the same. No mesh gets more than it has, or less than 200.
 
-    Args:
-        counts: Triangles of each.
-        sizes: Of each [m].
-        budget: Triangles of all, exceeded only where 200 for each is too many.
+    The budget is exceeded only where 200 for each is too many.
     """
     has, weight = np.array(counts, dtype=float), np.array(sizes)
 

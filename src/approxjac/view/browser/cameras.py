@@ -27,10 +27,7 @@ def camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any]
     The image coordinates X are at `corner` + a `right` + b `down` with (a, b) = (X − low)/(high −
     low). Lens distortion is left out of the drawing.
 
-    Args:
-        task: A task with a camera, or another one.
-        size: Of the arm [m].
-        middle: Of the arm, in the world, shape (3,) [m].
+    The arm has a size [m], and its middle (3,) in the world [m].
 
     Returns:
         "apex", "corner", "right", "down" (3,) [m]; "low", "high" (2,) [unit of the image];

@@ -72,15 +72,9 @@ def page_data(
 ) -> dict[str, Any]:
     """Return the contents of a page, for `document`.
 
-    Args:
-        stage: The scene, drawn.
-        columns: What `Frames.columns` returned.
-        q: Configurations of the same instants, shape (N, nq), to look at the right place.
-        title: Of the page.
-        facts: To be said above it, each a name and a text.
-        task_labels: Names of the error's coordinates; those of the sensor by default.
-        task_units: Their units; those of the sensor by default.
-        live: Instants come in while the page is open, and targets can be dragged.
+    It shows the `Frames.columns` of configurations q (N, nq) and says facts, each a name and a
+    text. Names and units of the error's coordinates are by default those of the sensor. A live
+    page gets instants while it is open, and its targets can be dragged.
     """
     scene = stage.scene
     if scene.sensor is not None:

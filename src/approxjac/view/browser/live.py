@@ -103,12 +103,9 @@ class LiveView:
         self.close(error)
 
     def close(self, error: BaseException | None = None) -> None:
-        """Stop serving the page; pages that are open keep what they have been shown.
+        """Stop serving the page, as `simulate` does at the end of a run, or at an error.
 
-        `simulate` does so at the end of a run, however it ends.
-
-        Args:
-            error: What broke the run off, if anything did.
+        Pages that are open keep what they have been shown.
         """
         if self._server is not None and not self._closed:
             if not self._ended:

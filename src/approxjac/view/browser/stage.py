@@ -35,18 +35,13 @@ _THROUGH: Mapping[str, Any] = {
 class Stage:
     """Everything of a scene that is drawn once and then only moved.
 
-    Args:
-        scene: Who takes part.
-        like: The stage of a scene with the same true robot, whose look is taken over.
+    With the stage of a scene with the same true robot as `like`, its look is taken over.
 
     Attributes:
         robots: By role, "true" and, if there is one, "believed".
         size: Of the arm: the farthest that a link gets from the base [m].
         cameras: As `camera_view` draws them, with "role" and "node", the path of what carries it.
         boxes: By role, link → points of the box around its shapes, in its frame, each (k, 3) [m].
-
-    Raises:
-        MissingPackageError: meshcat is not installed.
     """
 
     def __init__(self, scene: Scene, like: Stage | None = None) -> None:
@@ -74,11 +69,9 @@ class Stage:
                 self.cameras.append(camera | {"role": role, "node": node})
 
     def data(self, *roles: str) -> dict[str, Any]:
-        """Return what page.js builds the scene from: texts, numbers, lists and dictionaries.
+        """Return what page.js builds the scene from, by default both roles.
 
-        Args:
-            roles: Both by default. `approxjac.redraw` of a page that has the true robot takes
-                `data("believed")`, when the belief has changed.
+        `approxjac.redraw` of a page takes `data("believed")`, when the belief has changed.
         """
         roles = roles or tuple(self.robots)
         missing = dict.fromkeys(text for look in self._looks.values() for text in look.missing)

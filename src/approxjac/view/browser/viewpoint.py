@@ -45,13 +45,9 @@ def reach_points(robot: Robot) -> Array:
 def viewpoint(
     robot: Robot, moving: Array, points: Array, cameras: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return from where to look, and at what.
+    """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
 
-    Args:
-        robot: The true robot.
-        moving: Points that the eye shall follow, such as the tip; shape (n, 3) [m].
-        points: To be in view, shape (N, 3) [m].
-        cameras: As `camera_view` draws them; those in the world are to be in view, too.
+    Cameras in the world, as `camera_view` draws them, are to be in view, too.
 
     Returns:
         "direction", a unit vector towards the eye; "points", corners of what must be in view;
