@@ -18,6 +18,7 @@ from approxjac.view.look import robot_look
 from approxjac.view.meshes import load_mesh, shares, simplify, smooth
 
 ROBOTS = share_dir() / "example-robot-data/robots"
+FINGER = "panda_description/meshes/visual/finger.dae"
 
 
 def bounds(vertices):
@@ -173,7 +174,7 @@ def moving_joints(robot):
 @pytest.mark.parametrize(
     "name",
     [
-        "panda_description/meshes/visual/finger.dae",
+        FINGER,
         "tiago_description/meshes/arm/arm_6.stl",
         "laikago_description/meshes/hip.obj",
     ],
@@ -194,7 +195,7 @@ def test_a_mirrored_mesh_is_not_inside_out(tmp_path):
 
 
 def test_unit_and_up_axis_of_a_file_are_ignored(tmp_path):
-    text = (ROBOTS / "panda_description/meshes/visual/finger.dae").read_text()
+    text = (ROBOTS / FINGER).read_text()
     text = text.replace('meter="1"', 'meter="0.01"').replace("Z_UP", "Y_UP")
     assert 'meter="0.01"' in text
     path = tmp_path / "finger.dae"
@@ -350,10 +351,10 @@ def test_what_is_small_is_not_touched():
     assert simplify(box, 200) is box
 
 
-def test_without_the_package_the_error_says_what_to_install(panda, monkeypatch):
+def test_without_the_package_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "fast_simplification", None)
     with pytest.raises(aj.MissingPackageError, match=r"pip install 'approxjac\[view\]'$"):
-        robot_look(panda)
+        look_of(visual(f'<mesh filename="package://{FINGER}"/>'), urdf_dir=ROBOTS)
 
 
 def test_links_that_are_the_same_share_their_shapes():

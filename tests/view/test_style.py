@@ -141,9 +141,8 @@ def test_the_look_does_not_depend_on_the_users_settings_or_on_who_saves(run, tmp
 def test_pictures_of_long_rough_runs_are_small(run, image_run, seen, tmp_path):
     t = np.linspace(0.0, 10.0, 10_001)
     rough = rng.normal(size=(len(t), 7))
-    errors = np.exp(-np.outer(t, [1.0, 2.0, 3.0]))  # of a true arm: smooth
-    long = dataclasses.replace(run, t=t, error=errors, tau=rough)
-    paths = view.save_figure(view.plot_run(long)[0], tmp_path / "run")
+    long = dataclasses.replace(run, t=t, tau=rough)
+    paths = view.save_figure(view.plot_torque(long).figure, tmp_path / "run")
     images = np.cumsum(rough[:, :4], axis=0) + 200.0
     noisy = images + rng.normal(size=images.shape)
     long = dataclasses.replace(image_run, t=t, x=images, x_measured=noisy, error=rough[:, :4])
