@@ -10,13 +10,13 @@ import numpy as np
 
 
 def short(value: Any) -> str:
-    """Numbers to four digits: one, one where all entries are equal, or a list."""
+    """Return numbers to four digits: one, one where all entries are equal, or a list."""
     entries = [f"{entry:.4g}" for entry in np.ravel(value)]
     return entries[0] if len(set(entries)) == 1 else listed(value)
 
 
 def listed(values: Any) -> str:
-    """Numbers to four digits, as a list of all of them; what are no numbers as it is."""
+    """Return numbers to four digits, as a list of all of them; what are no numbers as it is."""
     try:
         return f"[{', '.join(f'{entry:.4g}' for entry in np.ravel(values))}]"
     except (TypeError, ValueError):  # a record that is refused still has to be printed
@@ -24,7 +24,7 @@ def listed(values: Any) -> str:
 
 
 def short_fields(record: Any) -> str:
-    """A dataclass with its fields, without those that are as by default."""
+    """Return a dataclass with its fields, without those that are as by default."""
     shown = []
     for field in filter(lambda field: field.repr, dataclasses.fields(record)):
         value = getattr(record, field.name)
@@ -39,5 +39,5 @@ def short_fields(record: Any) -> str:
 
 
 def joined(units: Iterable[str]) -> str:
-    """Units as one text; different ones are joined by "or"."""
+    """Return units as one text; different ones are joined by "or"."""
     return " or ".join(dict.fromkeys(units))

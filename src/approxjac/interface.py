@@ -18,7 +18,19 @@ from approxjac.tasks import Task
 from approxjac.validation import Array
 
 
-class Status(enum.IntEnum):
+class _Outcome(enum.IntEnum):
+    """An outcome with a name and a message."""
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def message(self) -> str:
+        """A sentence a person can act on."""
+        return _MESSAGES[self.name]
+
+
+class Status(_Outcome):
     """Outcome of one step of a controller."""
 
     OK = 0
@@ -27,35 +39,8 @@ class Status(enum.IntEnum):
     TORQUE_SATURATED = 3
     MEASUREMENT_HELD = 4
 
-    def __str__(self) -> str:
-        return self.name
 
-    @property
-    def message(self) -> str:
-        """A sentence a person can act on."""
-        return _MESSAGES[self]
-
-
-_MESSAGES: Mapping[Status, str] = {
-    Status.OK: "the law was evaluated as written",
-    Status.NEAR_SINGULAR: (
-        "the estimated Jacobian is near a singular pose: in one direction hardly any force acts, "
-        "and its pseudo-inverse is damped"
-    ),
-    Status.MEASUREMENT_LOST: (
-        "the task measurement is not finite: no position force, damping and gravity compensation "
-        "only, adaptation frozen"
-    ),
-    Status.TORQUE_SATURATED: (
-        "the law asks for more than the robot's effort limits: what it learns stands still"
-    ),
-    Status.MEASUREMENT_HELD: (
-        "the task measurement is that of an earlier instant: the law was evaluated with it"
-    ),
-}
-
-
-class LimitStatus(enum.IntEnum):
+class LimitStatus(_Outcome):
     """Outcome of limits for the torque that a law asks for, in one step of a controller.
 
     The proof is that of Theorem 1: V̇ ≤ −W, which any torque with yᵀ(τ − τ*) ≤ 0 keeps. Where
@@ -70,35 +55,42 @@ class LimitStatus(enum.IntEnum):
     INFEASIBLE = 5
     SOLVER_FAILED = 6
 
-    def __str__(self) -> str:
-        return self.name
 
-    @property
-    def message(self) -> str:
-        """A sentence a person can act on."""
-        return _LIMIT_MESSAGES[self]
-
-
-_LIMIT_MESSAGES: Mapping[LimitStatus, str] = {
-    LimitStatus.UNLIMITED: "the controller knows no limits",
-    LimitStatus.FREE: "the torque of the law is within all limits",
-    LimitStatus.LIMITED: (
+_MESSAGES: Mapping[str, str] = {
+    "OK": "the law was evaluated as written",
+    "NEAR_SINGULAR": (
+        "the estimated Jacobian is near a singular pose: in one direction hardly any force acts, "
+        "and its pseudo-inverse is damped"
+    ),
+    "MEASUREMENT_LOST": (
+        "the task measurement is not finite: no position force, damping and gravity compensation "
+        "only, adaptation frozen"
+    ),
+    "TORQUE_SATURATED": (
+        "the law asks for more than the robot's effort limits: what it learns stands still"
+    ),
+    "MEASUREMENT_HELD": (
+        "the task measurement is that of an earlier instant: the law was evaluated with it"
+    ),
+    "UNLIMITED": "the controller knows no limits",
+    "FREE": "the torque of the law is within all limits",
+    "LIMITED": (
         "the torque was brought within the limits; nothing is said of the proof, which was not "
         "asked for, or x is lost, or the estimated Jacobian near a singular pose"
     ),
-    LimitStatus.PROOF_KEPT: (
+    "PROOF_KEPT": (
         "the torque was brought within the limits such that V falls no slower than with the law's "
         "own torque: V̇ ≤ −W still holds where it held"
     ),
-    LimitStatus.PROOF_GIVEN_UP: (
+    "PROOF_GIVEN_UP": (
         "the torque was brought within the limits, which adds the slack to V̇; what is learnt "
         "stands still"
     ),
-    LimitStatus.INFEASIBLE: (
+    "INFEASIBLE": (
         "no torque keeps all limits at once: gravity compensation and brakes, within the limits of "
         "torques and their rates"
     ),
-    LimitStatus.SOLVER_FAILED: (
+    "SOLVER_FAILED": (
         "the solver gave no usable torque in time: gravity compensation and brakes, within the "
         "limits of torques and their rates"
     ),
@@ -248,11 +240,5 @@ class ContinuousController(Controller, Protocol):
     def evaluate(
         self, state: Array, measurement: Measurement, target: Target | Array
     ) -> Evaluation:
-        """Return torque, rate of the state and status for one measurement.
-
-        Args:
-            state: Controller state, shape (n_state,).
-            measurement: What was measured.
-            target: Wanted task value: x_d, shape (n_x,), or a `Target` that moves.
-        """
+        """Return torque, rate of the state and status; the arguments are those of `step`."""
         ...

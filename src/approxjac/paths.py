@@ -19,8 +19,15 @@ from approxjac.validation import Array, as_array, as_number, shape_of
 _APART = 1e-12  # relative: points that are no nearer than this are two
 
 
+class _Path:
+    """A dataclass that is printed without its defaults."""
+
+    def __repr__(self) -> str:
+        return short_fields(self)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Circle:
+class Circle(_Path):
     """A circle at constant speed, from the point that is first along the plane's first axis.
 
     Attributes:
@@ -73,12 +80,9 @@ class Circle:
             -(rate**2) * (c * u + s * w),
         )
 
-    def __repr__(self) -> str:
-        return short_fields(self)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Line:
+class Line(_Path):
     """A straight line from rest to rest, with least jerk; it rests at its end.
 
     Attributes:
@@ -111,12 +115,9 @@ class Line:
             60.0 * r * (1.0 - r) * (1.0 - 2.0 * r) / T**2 * way,
         )
 
-    def __repr__(self) -> str:
-        return short_fields(self)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Waypoints:
+class Waypoints(_Path):
     """Straight lines from point to point, at rest in each, within limits of speed.
 
     Each line is gone as fast as the limits allow: speed up, hold the speed, slow down.
@@ -150,8 +151,7 @@ class Waypoints:
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if not (lengths > _APART * np.abs(points).max()).all():
             raise InvalidInputError(
-                f"points must differ from one to the next, got {points.tolist()}",
-                given=self.points,
+                f"points must differ from one to the next, got {points.tolist()}", given=self.points
             )
         tops = np.minimum(speed, np.sqrt(lengths * acceleration))
         times = lengths / tops + tops / acceleration
@@ -184,9 +184,6 @@ class Waypoints:
         return Target(
             points[k] + way * direction, speed * direction, rate * self.acceleration * direction
         )
-
-    def __repr__(self) -> str:
-        return short_fields(self)
 
 
 def _point(name: str, value: object) -> Array:

@@ -1,4 +1,4 @@
-"""Validation shared by everything that takes numbers from a user."""
+"""Validation of what users give, and `Immutable` objects."""
 
 from __future__ import annotations
 
@@ -211,9 +211,8 @@ def axis_rows(name: str, axes: str) -> list[int]:
 class Immutable:
     """An object whose public attributes stay as they were built, and that copies by being built.
 
-    Controllers work out what a step needs when they are built; gains that were exchanged afterwards
-    would be printed, and not used. A copy is built anew from the same arguments, and so has scratch
-    memory of its own.
+    What it works out when it is built would not follow a later change. A copy is built anew from
+    the same arguments, and so has scratch memory of its own.
     """
 
     _arguments: dict[str, Any]
