@@ -85,21 +85,6 @@ def test_acceleration_bounds_stop_what_is_too_fast():
     assert low == -250.0
 
 
-def test_acceleration_rows_predict_the_acceleration(panda, rng):
-    """b₋ ≤ Aτ ≤ b₊ where, and only where, the q̈ of τ is within its bounds."""
-    dynamics = aj.Dynamics(panda)
-    for _ in range(20):
-        q, v = panda.random_configuration(rng), rng.normal(size=7)
-        torque = 20.0 * rng.normal(size=7)
-        q_dd = dynamics.forward(q, v, torque)
-        M_inv = np.linalg.inv(dynamics.M(q))
-        drift = dynamics.forward(q, v, np.zeros(7))
-        bounds = np.array([q_dd - rng.uniform(-1, 5, 7), q_dd + rng.uniform(-1, 5, 7)])
-        A, low, high = rows.acceleration_rows(M_inv, drift, bounds)
-        assert_allclose(high - A @ torque, bounds[1] - q_dd, atol=1e-8 * np.abs(q_dd).max())
-        assert_allclose(low - A @ torque, bounds[0] - q_dd, atol=1e-8 * np.abs(q_dd).max())
-
-
 def test_forward_dynamics_invert_the_inverse_ones(arm, rng):
     dynamics = aj.Dynamics(arm)
     q, v = arm.random_configuration(rng), rng.normal(size=arm.nv)

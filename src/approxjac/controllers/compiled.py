@@ -96,7 +96,7 @@ class CompiledSetpointController(SetpointController):
         vars(self)["evaluate"] = self._compiled_evaluate()
 
     def _compiled_evaluate(self) -> Callable[[Array, Measurement, Target | Array], Evaluation]:
-        """`SetpointController.evaluate`, with its usual steps in machine code.
+        """Return `SetpointController.evaluate`, with its usual steps in machine code.
 
         What it needs are variables of this function: to look up attributes would take longer than
         the law itself.
@@ -188,18 +188,10 @@ def known_gravity(
     torque: Array,
     e: Array,
 ) -> bool:
-    """Eq. (6) into `torque` and x − x_d into `e`; whether it was a usual step.
+    """Write eq. (6) into `torque` and x − x_d into `e`; return whether it was a usual step.
 
-    Args:
-        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
-        v: Joint velocity q̇.
-        x: Measured x.
-        x_d: Target.
-        g: Gravity torque, shape (n_v,).
-        constants: Diagonals of K_p, K_v and B_c, γ, the scale of `law.is_near_singular`, and
-            which of `_SATURATIONS`.
-        torque: Shape (n_v,).
-        e: Shape (m,).
+    `constants` are the diagonals of K_p, K_v and B_c, γ, the scale of `law.is_near_singular`, and
+    which of `_SATURATIONS`.
     """
     if not fits(J_hat, v, x, x_d, g, torque, e):
         return False
@@ -226,25 +218,10 @@ def learnt_gravity(
     e: Array,
     rate: Array,
 ) -> bool:
-    """Eq. (28) into `torque`, (29) into `rate`, x − x_d into `e`; whether it was a usual step.
+    """Write eq. (28) into `torque`, (29) into `rate`, x − x_d into `e`; return if it was usual.
 
-    The first arguments are those of `known_gravity`, with g what is added to what is learnt.
-
-    Args:
-        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
-        v: Joint velocity q̇.
-        x: Measured x.
-        x_d: Target.
-        g: Torque that is added to the learnt gravity, shape (n_v,).
-        constants: As above.
-        Z: Gravity regressor, shape (n_v, p).
-        theta_hat: Estimated gravity parameters θ̂, shape (p,).
-        L: Adaptation gain, shape (p,) or (p, p).
-        alpha: α [1/s].
-        limits: Torques beyond which θ̂ stands still, shape (n_v,).
-        torque: Shape (n_v,).
-        e: Shape (m,).
-        rate: Shape (p,).
+    Here g is what is added to the learnt gravity, and `limits` are the torques beyond which θ̂
+    stands still; the others are those of `known_gravity` and of `law.theta_hat_rate`.
     """
     if not fits(J_hat, v, x, x_d, g, torque, e):
         return False
@@ -269,7 +246,7 @@ def fits(J_hat: Array, v: Array, x: Array, x_d: Array, g: Array, torque: Array, 
 
 
 def taken_apart(constants: Array, m: int) -> tuple[Array, Array, Array, Array, float, float]:
-    """K_p, K_v, B_c, γ, scale and kind: one array takes less time to hand over than each."""
+    """Return K_p, K_v, B_c, γ, scale and kind: one array takes less time to hand over than each."""
     return (
         constants[:m],
         constants[m : 2 * m],
@@ -281,7 +258,7 @@ def taken_apart(constants: Array, m: int) -> tuple[Array, Array, Array, Array, f
 
 
 def saturated(e: Array, gamma: Array, kind: float) -> Array:
-    """s(e) of one of `_SATURATIONS`."""
+    """Return s(e) of one of `_SATURATIONS`."""
     if kind == 1:
         return sine(e / gamma, gamma)
     if kind == 2:

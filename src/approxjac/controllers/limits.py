@@ -50,7 +50,7 @@ class Limits:
 
     @classmethod
     def of(cls, robot: Robot, scale: float = 1.0) -> Limits:
-        """Effort, position and velocity limits of a robot's URDF; it knows no torque rates.
+        """Return the limits of effort, position and velocity of a robot's URDF.
 
         Args:
             robot: The believed robot.
@@ -91,20 +91,15 @@ class Limits:
 def rate_bounds(
     before: Array, rate: Array, dt: float, lower: Array, upper: Array
 ) -> tuple[Array, Array]:
-    """Bounds that are also within reach of the torque before in one step.
+    """Return bounds (n_v,) that are also within reach of the torque before in one step of dt [s].
 
-    Args:
-        before: Torque of the step before, shape (n_v,), within `lower` and `upper`.
-        rate: Largest change, shape (n_v,) [N m/s or N/s].
-        dt: Sampling time [s].
-        lower: Smallest torques, shape (n_v,).
-        upper: Largest torques, shape (n_v,).
+    It lies within the bounds and changes by `rate` (n_v,) [N m/s or N/s] at most.
     """
     return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
 
 
 def position_bounds(motion: Array, position: Array, approach: float | Array) -> Array:
-    """Speeds with which a joint comes to its limit ever more slowly, shape (2, n_v).
+    """Return speeds with which a joint comes to its limit ever more slowly, shape (2, n_v).
 
     A joint at a distance d from its limit may move towards it at κd at most, so it gets there as
     exp(−κt) and needs no sudden stop. One beyond its limit has to come back.
@@ -117,14 +112,13 @@ def position_bounds(motion: Array, position: Array, approach: float | Array) -> 
         position: Their smallest and largest, shape (2, n_v).
         approach: κ [1/s].
     """
-    bounds: Array = approach * (position - motion)
-    return bounds
+    return np.asarray(approach * (position - motion))
 
 
 def acceleration_bounds(
     v: Array, speeds: Array, braking: float | Array, jerk: Array | None = None
 ) -> Array:
-    """Accelerations that lead speeds into their bounds, shape (2, n_v) [rad/s² or m/s²].
+    """Return accelerations that lead speeds into their bounds, shape (2, n_v) [rad/s² or m/s²].
 
     Over the next step q̇ goes at most the share r dt of what is left to its bound, and at least
     that share of the way back from beyond it. A share well below one keeps the joints quiet
@@ -141,23 +135,8 @@ def acceleration_bounds(
     """
     left: Array = speeds - v
     if jerk is None:
-        bounds: Array = braking * left
-        return bounds
+        return np.asarray(braking * left)
     return np.sign(left) * np.minimum(braking * np.abs(left), np.sqrt(jerk * np.abs(left)))
-
-
-def acceleration_rows(
-    M_inv: Array, drift: Array, accelerations: Array
-) -> tuple[Array, Array, Array]:
-    """Rows A, b₋, b₊ with b₋ ≤ Aτ ≤ b₊ where q̈ = M⁻¹τ + q̈₀ is within its bounds.
-
-    Args:
-        M_inv: M̂(q)⁻¹ of the believed robot, shape (n_v, n_v).
-        drift: q̈₀ = −M̂⁻¹(Ĉq̇ + ĝ), the acceleration without a torque, shape (n_v,).
-        accelerations: Smallest and largest, shape (2, n_v).
-    """
-    lower, upper = accelerations - drift
-    return M_inv, lower, upper
 
 
 def _range(position: object) -> tuple[Array, Array]:

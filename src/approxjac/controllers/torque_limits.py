@@ -14,7 +14,6 @@ from approxjac.controllers.limiter import Asked, Limiter
 from approxjac.controllers.limits import (
     Limits,
     acceleration_bounds,
-    acceleration_rows,
     position_bounds,
 )
 from approxjac.controllers.qp_solvers import as_solver
@@ -169,7 +168,7 @@ class TorqueLimited(Limiter):
             return self._nearest(asked)
 
     def _nearest(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
-        """`_limit` itself."""
+        """Return what `_limit` does."""
         answer, _, measurement, lower, upper, torque, free = asked
         wanted, q, v = answer.torque, measurement.q, measurement.v
         y, rho, slack = None, 0.0, math.nan
@@ -192,7 +191,9 @@ class TorqueLimited(Limiter):
             y, rho = self._passive_output(answer, v)
         M_inv, rows = self._dynamics.M_inv(q), self._no_rows
         if q_dd is not None:
-            rows = acceleration_rows(M_inv, q_dd - M_inv.dot(torque), accelerations)
+            # q̈ = M̂⁻¹τ + q̈₀ is within its bounds, with q̈₀ the acceleration without a torque
+            lowest, highest = accelerations - (q_dd - M_inv.dot(torque))
+            rows = M_inv, lowest, highest
         R = self._R
         if R is None:
             R = M_inv if self._is_inertia else _task_force_weight(asked)

@@ -20,18 +20,7 @@ def measured_velocity_torque(
     Implements Eq. (5), the earlier law, kept as a baseline. Departure: the added joint damping
     −B_c q̇ is written out (the paper leaves it to "friction added intentionally").
 
-    Args:
-        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
-        s: Saturated error s(e), shape (m,).
-        x_dot: Measured task velocity Ẋ, shape (m,).
-        v: Joint velocity q̇, shape (n_v,).
-        damping: Diagonal of B_c, shape (n_v,).
-        g: Gravity torque, shape (n_v,).
-
-    Returns:
-        Joint torque τ, shape (n_v,).
+    The arguments are those of `estimated_velocity_torque`, and Ẋ (m,).
     """
     torque: Array = g - damping * v - dot(kp * s + kv * x_dot, J_hat)
     return torque
@@ -92,18 +81,8 @@ def learnt_gravity_torque(
     Implements Eq. (28): eq. (6) with the gravity that has been learnt so far. (`SetpointController`
     composes it from (27) and (6), as its gravity may come from elsewhere.)
 
-    Args:
-        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
-        s: Saturated error s(e), shape (m,).
-        v: Joint velocity q̇, shape (n_v,).
-        damping: Diagonal of B_c, shape (n_v,).
-        Z: Gravity regressor, shape (n_v, p).
-        theta_hat: Estimated gravity parameters θ̂, shape (p,).
-
-    Returns:
-        Joint torque τ, shape (n_v,).
+    The arguments are those of `estimated_velocity_torque` with the gravity regressor Z (n_v, p) and
+    the estimated parameters θ̂ (p,) in place of g.
     """
     return estimated_velocity_torque(J_hat, kp, kv, s, v, damping, gravity(Z, theta_hat))
 

@@ -89,33 +89,9 @@ class NonsingularTask(WrappedTask):
         return float(np.linalg.norm(self.jacobian(q) - self.task.jacobian(q), 2))
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
-        J, J_dot = self.task.jacobian(q), self.task.jacobian_dot(q, v)
-        squares, U = np.linalg.eigh(J @ J.T)
-        weights = self._weights(squares)
-        if not weights.any():
-            return J_dot
-        # Derivative of a function of a symmetric matrix: divided differences in its eigenbasis
-        # (Daleckii and Krein), and the threshold that moves with the largest eigenvalue.
-        A_dot = U.T @ (J_dot @ J.T + J @ J_dot.T) @ U
-        threshold = self._threshold(squares)
-        active = weights > 0.0
-        slopes = np.where(active, -1.0 / threshold, 0.0)
-        gaps = squares[:, None] - squares[None, :]
-        apart = np.abs(gaps) > 1e-12 * squares[-1]
-        divided = np.where(
-            apart,
-            (weights[:, None] - weights[None, :]) / np.where(apart, gaps, 1.0),
-            0.5 * (slopes[:, None] + slopes[None, :]),
-        )
-        follows = squares[-1] > self._scale**2
-        threshold_dot = self._ratio**2 * A_dot[-1, -1] if follows else 0.0
-        moved = np.where(active, squares / threshold**2, 0.0) * threshold_dot
-        P = (U * weights) @ U.T
-        P_dot = U @ (divided * A_dot + np.diag(moved)) @ U.T
-        bent = self._bent(q)
-        difference = self.task.jacobian(bent) - J
-        difference_dot = self.task.jacobian_dot(bent, v) - J_dot
-        return np.asarray(J_dot + P_dot @ difference + P @ difference_dot)
+        J = self.task.jacobian(q)
+        changed = self._weights(np.asarray(np.linalg.eigvalsh(J @ J.T))).any()
+        return super().jacobian_dot(q, v) if changed else self.task.jacobian_dot(q, v)
 
     def _bent(self, q: Array) -> Array:
         q = self.robot.configuration(q)
@@ -123,11 +99,8 @@ class NonsingularTask(WrappedTask):
 
     def _weights(self, squares: Array) -> Array:
         """Return the weight of each left singular vector, 1 where its singular value is 0."""
-        return np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / self._threshold(squares))
-
-    def _threshold(self, squares: Array) -> float:
-        """Return ε², never 0."""
-        return self._ratio**2 * max(float(squares[-1]), self._scale**2, _TINY)
+        threshold = self._ratio**2 * max(float(squares[-1]), self._scale**2, _TINY)
+        return np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / threshold)
 
     def on(self, robot: Robot) -> Task:
         """Return the task that was designed around, of another robot."""
