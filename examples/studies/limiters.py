@@ -140,11 +140,12 @@ def limiter(name, built):
 
 def run_limiter(case, name, built, controller):
     """Run a case with one limiter; what cannot run is an outcome too."""
+    tally = Tally(np.asarray(built.limits.effort))
     try:
-        result = replace(built, controller=controller).run()
+        result = replace(built, controller=controller).run(observer=tally)
     except aj.ApproxJacError as error:
         return Outcome(case, name, reason=f"{error}")
-    run, tally, effort = result.run, result.tally, np.asarray(built.limits.effort)
+    run = result.run
     plant = aj.Plant(built.plant.robot, built.plant.sensor)
     alpha = aj.TorqueLimited(built.law).alpha
     return Outcome(
@@ -161,8 +162,21 @@ def run_limiter(case, name, built, controller):
         peak_speed=result.peak_speed_ratio,
         position_excess=result.joint_limit_excess,
         statuses={status.name: n for status, n in sorted(tally.counts.items())},
-        proof=decrease(plant, built.law, alpha, run, effort),
+        proof=decrease(plant, built.law, alpha, run, tally.effort),
     )
+
+
+class Tally:
+    """An observer that counts what limits did in every step, of which a record has only some."""
+
+    def __init__(self, effort):
+        self.effort, self.counts, self.torque_violation = effort, Counter(), 0.0
+
+    def __call__(self, loop):
+        """Count a step."""
+        self.counts[loop.answer.limit_status] += 1
+        beyond = float((np.abs(loop.answer.torque) - self.effort).max())
+        self.torque_violation = max(self.torque_violation, beyond)
 
 
 # -- tables ---------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ import approxjac as aj
 from approxjac import view
 from approxjac.controllers.tuning import position_gains
 from approxjac.scenario import Scenario
+from approxjac.tasks.analysis import sees
 
 WANTED = 0.95  # share of the starts whose path stays in view that has to converge
 ROLL, FOCAL, DEPTH = math.radians(30.0), 0.3, 0.5  # how wrong the believed camera is
@@ -147,17 +148,19 @@ def run_case(case):
         result = built(case).run()
     except aj.ApproxJacError as error:
         return Outcome(case, reason=f"{error}")
-    unseen = result.unseen
+    run, sensor = result.run, result.built.plant.sensor
+    unseen = np.array([not sees(sensor, q) for q in run.q])
+    last = run.tau[-max(2, len(run.t) // 10) :]
     return Outcome(
         case,
         start_error=float(result.errors[0].max()),
-        final_error=result.final_error,
+        final_error=result.final_error["px"],
         settling_time=result.settling_time,
         peak_torque=result.peak_torque_ratio,
-        roughness=result.torque_roughness,
+        roughness=float(np.sqrt((np.diff(last, axis=0) ** 2).sum(axis=1).mean())),
         converged=result.converged,
         in_view=not unseen.any(),
-        left_at=float(result.run.t[unseen.argmax()]) if unseen.any() else math.nan,
+        left_at=float(run.t[unseen.argmax()]) if unseen.any() else math.nan,
         reason=result.reason,
     )
 

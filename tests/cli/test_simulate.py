@@ -95,13 +95,6 @@ def test_values_that_begin_with_a_minus(tmp_path):
     assert outcome(tmp_path)["scenario"]["true"]["object"]["axis"] == "-x"
 
 
-def test_with_limits_it_says_what_they_did(reach, tmp_path, capsys):
-    words = ["--limits", "0.5", "--settling-time", "0.5", "--duration", "0.2"]
-    assert main(["simulate", str(reach), *words, "--out", str(tmp_path / "run")]) == 1
-    assert "\nlimited     0.5 of the effort limits: " in capsys.readouterr().out
-    assert outcome(tmp_path / "run")["limits"]["steps"] == 101
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

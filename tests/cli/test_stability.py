@@ -174,7 +174,6 @@ def test_regions(tmp_path):
         (["--jobs", "0"], "jobs must be >= 1, got 0"),
         (["--radius", "0"], "stability.radius must be a finite number > 0"),
         (["--stability.roll", "-0.1", "0.1"], "camera"),
-        (["--task.kind", "image", "--task.axes", "xz"], "task.axes are those of a position"),
     ],
 )
 def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):

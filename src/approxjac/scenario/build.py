@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,14 +29,13 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Controller, TargetPath
 from approxjac.law import Linear, Sine
-from approxjac.paths import Circle, Line
+from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.scenario.configurations import configuration_of, regular_configuration
 from approxjac.scenario.images import image_scene
-from approxjac.scenario.records import Belief, Sensor, Truth
-from approxjac.scenario.refusals import require_effect
+from approxjac.scenario.records import Goal, Object, Sensor, Vectors
 from approxjac.scenario.scenario import Scenario
-from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing
+from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing, simulate
 from approxjac.tasks import (
     CombinedTask,
     ImageTask,
@@ -53,21 +53,21 @@ if TYPE_CHECKING:
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
 _RADIUS = 0.01  # of an object [m]
+_RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
 
 
 @dataclass(frozen=True, eq=False)
 class BuiltScenario:
-    """What runs: the truth, the controller with its belief, start and target.
+    """The truth, the controller with its belief, start and target, ready to run.
 
     Attributes:
-        scenario: What it was built from.
+        scenario: The scenario that it was built from.
         plant: The truth; its torque limits are those of the motors.
-        controller: What runs: the law, within its limits and with a held measurement where the
-            scenario has them.
+        controller: The law, within its limits and with a held measurement where there are any.
         law: The law itself.
         q0: Start, shape (nq,).
         target: x_d, shape (n_x,), or its path.
-        limits: What the controller keeps, with an entry for each joint; None if it knows none.
+        limits: Those that the controller keeps, with an entry for each joint; None of unknown ones.
         believe: Makes the believed robot from the length that is believed of the object [m].
     """
 
@@ -82,7 +82,7 @@ class BuiltScenario:
 
     @property
     def motor_limits(self) -> Array:
-        """What the true motors deliver, shape (n_v,) [N m or N]."""
+        """Torques that the true motors deliver, shape (n_v,) [N m or N]."""
         limits = self.plant.torque_limits
         return self.plant.robot.effort_limits if limits is None else limits
 
@@ -91,18 +91,26 @@ class BuiltScenario:
         progress: Callable[[float], None] | None = None,
         observer: Callable[[SampledLoop], None] | None = None,
     ) -> Result:
-        """Simulate for the scenario's duration and judge it.
-
-        Args:
-            progress: As for `simulate`.
-            observer: As for `simulate`.
+        """Simulate for the scenario's duration and judge it; the arguments are those of `simulate`.
 
         Raises:
             SimulationError: The closed loop diverged.
         """
-        from approxjac.scenario.runs import result_of
+        from approxjac.scenario.result import Result
 
-        return result_of(self, progress, observer)
+        run, dt = self.scenario.run, sampling_time(self.scenario)
+        options: dict[str, Any] = {"dt": None, "record_every": run.duration / _CONTINUOUS_RECORDS}
+        duration = run.duration
+        if dt > 0.0:
+            every = max(1, round(duration / (dt * _RECORDS)))
+            duration = max(1, round(duration / (dt * every))) * dt * every
+            options = {"dt": dt, "record_every": every * dt, "seed": run.seed}
+            options |= {"integrator": "semi_implicit_euler"}
+        record = simulate(
+            self.plant, self.controller, self.target, self.q0, duration, progress=progress,
+            observer=observer, **options,
+        )  # fmt: skip
+        return Result(self, record)
 
 
 def build(scenario: Scenario) -> BuiltScenario:
@@ -117,10 +125,15 @@ def loaded_arm(scenario: Scenario) -> Robot:
 
 def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
     """Build a scenario whose arm, without an object, is loaded already."""
-    require_effect(scenario)
-    truth = true_robot(arm, scenario)
-    believe = functools.partial(believed_robot, arm, scenario)
-    belief = believe(scenario.believed.object.length)
+    _require_no_contradiction(scenario)
+    true, believed = scenario.true, scenario.believed
+    truth = holding(arm, true.object, true.shifts, true.rotations)
+
+    def believe(length: float) -> Robot:
+        held = replace(believed.object.like(true.object), length=length)
+        return holding(arm, held, believed.shifts, believed.rotations)
+
+    belief = believe(believed.object.length)
     limits = _limits(scenario, belief)
     motors = truth.effort_limits if limits is None else np.asarray(limits.effort)
     rng = np.random.default_rng(scenario.run.seed)
@@ -128,9 +141,10 @@ def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
     sensor: Task
     if scenario.task.kind == "image" and scenario.true.camera.kind == "pinhole":
         (sensor, task), q0, q_goal = image_scene(truth, belief, arm.tip_or(None), scenario, rng)
-        target: Array | TargetPath = _value(sensor, q0, scenario, lambda: q_goal)
+        target = _target(sensor, q0, scenario, lambda: q_goal)
         if scenario.task.points > 1 and scenario.controller.differentiator is None:
-            task = CombinedTask.balanced(task, target)
+            x_d = target if isinstance(target, np.ndarray) else target.at(0.0).x
+            task = CombinedTask.balanced(task, x_d)
         plant = _plant(truth, sensor, motors, scenario)
     else:
         task = _task(belief, scenario)
@@ -148,32 +162,36 @@ def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
     return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
 
 
-# -- robots -----------------------------------------------------------------------------
+def _require_no_contradiction(scenario: Scenario) -> None:
+    """Refuse what would otherwise be something else than was asked for, without a word.
+
+    Raises:
+        InvalidInputError: Such values.
+    """
+    true, goal, control = scenario.true, scenario.run.target, scenario.controller
+    given = [key for key, value in vars(goal).items() if value != getattr(Goal(), key)]
+    roll = scenario.believed.camera.roll
+    told = ""
+    if true.floor is not None and true.engine != "mujoco":
+        told = f"true.floor needs true.engine mujoco, got {true.floor} with {true.engine}"
+    elif control.torque_rate is not None and control.limits is None:
+        told = (
+            'controller.torque_rate needs controller.limits, "urdf" or a share of the URDF\'s such '
+            f"as 0.5, got {control.torque_rate} with none"
+        )
+    elif len(given) > 1:
+        told = f"run.target must not both be given as {' and as '.join(given)}"
+    elif abs(roll) > math.pi:
+        told = f"believed.camera.roll must be within -pi and pi [rad], got {roll:g}"
+    if told:
+        raise InvalidInputError(told, given=scenario)
 
 
-def true_robot(arm: Robot, scenario: Scenario) -> Robot:
-    """Return the arm as it is, holding what it holds."""
-    true = scenario.true
-    return _holding(arm, true.object.length, true.object.mass, true, scenario)
-
-
-def believed_robot(arm: Robot, scenario: Scenario, length: float) -> Robot:
-    """Return the arm as it is believed, with an object that is believed to have a length [m]."""
-    believed = scenario.believed
-    return _holding(arm, length, believed.object.mass, believed, scenario)
-
-
-def _holding(
-    arm: Robot, length: float, mass: float, part: Truth | Belief, scenario: Scenario
-) -> Robot:
-    """Return an arm that holds an object, as a part of a scenario has it."""
-    mine, true = part.object, scenario.true.object
-    axis = true.axis if mine.axis is None else mine.axis
-    radius = true.radius if mine.radius is None else mine.radius
-    robot = arm.with_object(length, mass, _RADIUS if radius is None else radius, axis=axis)
-    if part.shifts or part.rotations:
-        robot = robot.with_kinematic_error(part.shifts, part.rotations)
-    return robot
+def holding(arm: Robot, held: Object, shifts: Vectors, rotations: Vectors) -> Robot:
+    """Return an arm that holds an object, with errors of its joint origins and axes."""
+    radius = _RADIUS if held.radius is None else held.radius
+    robot = arm.with_object(held.length, held.mass, radius, axis=held.axis)
+    return robot.with_kinematic_error(shifts, rotations) if shifts or rotations else robot
 
 
 # -- tasks ------------------------------------------------------------------------------
@@ -199,7 +217,7 @@ def _task(robot: Robot, scenario: Scenario) -> Task:
 
 
 def _sensor(task: Task, truth: Robot, scenario: Scenario) -> Task:
-    """Return what the true robot measures for a believed task."""
+    """Return the task that the true robot measures for a believed one."""
     if isinstance(task, ImageTask):
         return ImageTask(truth, _planar_camera(scenario))
     return task.on(truth)
@@ -224,22 +242,25 @@ def _start(plant: Plant, scenario: Scenario, draw: Callable[[], Array]) -> Array
 def _target(
     sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array]
 ) -> Array | TargetPath:
-    goal, name = scenario.run.target, "run.target.line.offset"
-    if goal.line.offset is not None:
-        start = sensor.value(q0)
-        way = as_array(name, goal.line.offset, (sensor.m,), joined(sensor.units))
-        return Line(start, start + way, goal.line.duration)
-    if goal.circle.radius is not None:
-        radius, period, center = goal.circle.radius, goal.circle.period, goal.circle.center
-        if center is None:
-            start = sensor.value(q0)
-            center = tuple((2.0 * start - Circle(start, radius, period).at(0.0).x).tolist())
-        return Circle(center, radius, period)
-    return _value(sensor, q0, scenario, draw)
-
-
-def _value(sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array]) -> Array:
     goal = scenario.run.target
+    line, circle, waypoints = goal.line, goal.circle, goal.waypoints
+    start = sensor.value(q0)
+    if line.offset is not None:
+        way = as_array("run.target.line.offset", line.offset, (sensor.m,), joined(sensor.units))
+        return Line(start, start + way, line.duration)
+    if circle.radius is not None:
+        center: Any = circle.center
+        if center is None:
+            center = 2.0 * start - Circle(start, circle.radius, circle.period).at(0.0).x
+        return Circle(center, circle.radius, circle.period)
+    if waypoints.points is not None:
+        shape = (-(-len(waypoints.points) // sensor.m) * sensor.m,)
+        points = as_array("run.target.waypoints.points", waypoints.points, shape)
+        return Waypoints(
+            np.vstack([start, points.reshape(-1, sensor.m)]),
+            waypoints.speed,
+            waypoints.acceleration,
+        )
     if goal.offset is not None:
         offset = as_array("run.target.offset", goal.offset, (sensor.m,), joined(sensor.units))
         return sensor.displaced(sensor.value(q0), offset)
@@ -248,9 +269,7 @@ def _value(sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array
         return sensor.value(configuration_of(sensor.robot, name, goal.configuration))
     if goal.at is None:
         return sensor.value(draw())
-    if (
-        isinstance(sensor, ImageTask) and "px" in sensor.units
-    ):  # the depths of an image are not what one goes to
+    if isinstance(sensor, ImageTask) and "px" in sensor.units:  # a target has no depths
         images = as_array("run.target", goal.at, (sensor.m,), "px")
         drawn = with_error(sensor, sensor.value(draw()), sensor._origin, images)
         return sensor.target(drawn)
@@ -261,7 +280,7 @@ def _value(sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array
 
 
 def gravity_from(truth: Robot, belief: Robot, kind: str) -> Gravity:
-    """Return where a controller has its gravity from: "learnt", "exact", "believed" or "none"."""
+    """Return the gravity of a controller: "learnt", "exact", "believed" or "none"."""
     if kind == "none":
         return NoGravity(belief)
     if kind == "believed":

@@ -1,12 +1,8 @@
-"""The parts of a scenario: what is true, believed, measured, who controls, and where to.
-
-Lengths in m, masses in kg, angles in rad, times in s. The names are those of the tables and keys
-of a scenario file, and of the options of the command line.
-"""
+"""The parts of a scenario; their attributes are the help of its options."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 Numbers = tuple[float, ...]
@@ -30,16 +26,23 @@ class Object:
     Attributes:
         length: From the arm's tip to that of the object, m.
         mass: Its mass, kg.
-        axis: Axis of the arm's tip that the object points along, such as z, or -x as
-            --object-axis=-x; by default the one that leads on from the arm, or that of the true
-            object for a believed one.
-        radius: Of the object, a cylinder, m; 0.01 by default, or that of the true object.
+        axis: Axis of the arm's tip along the object, such as z, or -x as --object-axis=-x; the one
+            that leads on from the arm by default, or that of the true object.
+        radius: Of the cylinder, m; 0.01 by default, or that of the true object.
     """
 
     length: float = _at_least(0.0)
     mass: float = _at_least(0.0)
     axis: str | None = None
     radius: float | None = _at_least(None)
+
+    def like(self, true: Object) -> Object:
+        """Return a believed object, with what is not said of it as it truly is."""
+        return replace(
+            self,
+            axis=true.axis if self.axis is None else self.axis,
+            radius=true.radius if self.radius is None else self.radius,
+        )
 
 
 @dataclass(frozen=True)
@@ -48,13 +51,9 @@ class Camera:
 
     Attributes:
         kind: "pinhole", in px; or "planar", the paper's, parallel to a plane, in m on its sensor.
-        mount: Frame of the arm that carries it, "tip" for the arm's own: an eye in hand that looks
-            along the axis that leads on from the arm, at points of the world. By default it stands
-            in the world and watches the object.
-        position: Where it stands, m, or on its mount relative to that frame; by default in front of
-            the arm, to its right.
-        looking_at: What a camera in the world looks at, m; the middle of where the arm reaches by
-            default.
+        mount: Frame of the arm that carries it, "tip" for the arm's own; the world by default.
+        position: Of the camera in the world, or relative to its mount, m.
+        looking_at: Point that a camera in the world looks at, m.
         focal_length: In px, 600 by default; of a planar camera in m, 0.05 by default.
         size: Width and height, px.
         distortion: Radial distortion (k1 k2 k3), of which the controller knows nothing.
@@ -75,13 +74,12 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraError:
-    """What is wrong with the believed camera, which is otherwise the true one without distortion.
+    """Errors of the believed camera, which is otherwise the true one without distortion.
 
     Attributes:
-        roll: How far it is turned about its optical axis, rad.
-        focal_factor: Its focal length as a multiple of the true one.
-        depth_factor: Depth of the scene as a multiple of the true one: the camera stands so much
-            nearer or farther back, or constant depths are wrong by it.
+        roll: About its optical axis, rad.
+        focal_factor: Focal length as a multiple of the true one.
+        depth_factor: Depth of the scene as a multiple of the true one.
         shift: Further error of its position, along its own axes (right, down, forward), m.
         rotation: Further error of its orientation, a rotation vector in its own axes, rad.
     """
@@ -98,13 +96,13 @@ class Truth:
     """What is true, which only the plant gets to see.
 
     Attributes:
-        object: What the arm holds.
+        object: Held by the arm.
         shifts: Errors of the URDF's joint origins, m, such as panda_joint4 0 0.01 0.
         rotations: Errors of the URDF's joint axes, as rotation vectors, rad.
         friction: Viscous friction of every joint, N m s/rad.
         coulomb: Coulomb friction of every joint, N m.
-        camera: The camera of an image task.
-        engine: What simulates the robot.
+        camera: Of an image task.
+        engine: Simulates the robot.
         floor: Height of a floor, m, for the engine mujoco.
     """
 
@@ -123,10 +121,10 @@ class Belief:
     """What the controller believes.
 
     Attributes:
-        object: What the arm holds.
+        object: Held by the arm.
         shifts: Errors of the believed joint origins, m, such as panda_joint4 0 0.01 0.
         rotations: Errors of the believed joint axes, as rotation vectors, rad.
-        camera: What is wrong with the believed camera of an image task.
+        camera: Errors of the believed camera of an image task.
     """
 
     object: Object = Object()
@@ -140,15 +138,13 @@ class TaskChoice:
     """What is measured and controlled.
 
     Attributes:
-        kind: The position of the object's tip, its pose, the image of points in a camera, or
-            stacked: the positions of several frames.
+        kind: Position or pose of the object's tip, image of points, or positions of several frames.
         axes: World axes of a position; those that the arm commands best by default.
         frames: Frames of a stacked task, such as object_tip panda_link4.
-        points: How many points a pinhole camera sees: m is twice as many.
-        spread: How far the points are apart, m.
-        depth: Where the controller takes a point's depth from: the believed camera and robot, a
-            constant (that of the scene, times depth_factor), or a camera that measures it.
-            "believed" in the world, "constant" in hand by default.
+        points: Count of the points that a pinhole camera sees: m is twice as many.
+        spread: Distance between the points, m.
+        depth: Source of a point's depth: the belief, a constant, or a camera that measures it;
+            "believed" with a camera in the world, "constant" in hand by default.
     """
 
     kind: Literal["position", "pose", "image", "stacked"] = "position"
@@ -161,7 +157,7 @@ class TaskChoice:
 
 @dataclass(frozen=True)
 class Sensor:
-    """How measurements differ from the truth; not at all by default.
+    """Errors of measurements; none by default.
 
     Attributes:
         noise: Standard deviation of noise on x, m, rad or px.
@@ -170,13 +166,11 @@ class Sensor:
         delay: Age of x when it arrives, s.
         dropout: Probability that a frame of x is lost, 0 to 1.
         lost: Time from which and to which x is lost, such as 2 3, s.
-        lost_part: Which part of x is lost then, such as the point of an image, 1 for the first;
-            all by default.
+        lost_part: Part of x that is lost then, such as a point of an image, 1 for the first.
         frozen: Time from which and to which the sensor delivers the same x, s.
         q_noise: Standard deviation of noise on the encoders, rad or m.
         q_quantum: Steps of the encoders, rad or m.
-        velocity_filter: Time constant of q̇ from differences of q, s; an exact tachometer by
-            default.
+        velocity_filter: Time constant of q̇ from differences of q, s; exact by default.
     """
 
     noise: float = _at_least(0.0)
@@ -194,27 +188,23 @@ class Sensor:
 
 @dataclass(frozen=True)
 class ControllerChoice:
-    """Who controls, and within which limits.
+    """The law, its gains, and its limits.
 
     Attributes:
         law: "setpoint", the paper's.
-        differentiator: Time constant of Ẋ from the differentiated x, s, the law (5); by default Ẋ
-            is Ĵq̇, the law (6).
-        gravity: "learnt" (the law (28), (29)), "exact" (the parameters with which the believed
-            robot's regressor fits the true gravity, which wrong joint axes keep it from doing
-            exactly), "believed" (the believed robot's), or "none".
+        differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
+        gravity: "learnt" (the law (28), (29)), "exact" (fitted to the true one), "believed" (the
+            believed robot's), or "none".
         settling_time: Wanted by the default gains, s.
-        kp: K_p instead of the default gains' one; one number, or one a task coordinate.
-        kv: K_v instead of the default gains' one; one number, or one a task coordinate.
-        damping: Added joint damping instead of the default gains' one; one number, or one a joint.
+        kp: K_p, one number or one a task coordinate; the default gains' one by default.
+        kv: K_v, one number or one a task coordinate; the default gains' one by default.
+        damping: Added joint damping, one number or one a joint; the default gains' one by default.
         gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; none by default.
         posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
-        limits: Lets the controller know limits and keep them: "urdf" those of the URDF, a number
-            the effort limits times it, which are then the motors' too. Unknown by default.
-            They are kept by `TorqueLimited`, with those of positions and velocities.
-        torque_rate: Largest change of a torque that it allows, N m/s; any by default.
-        unseen: Goes on with the x that was last seen until it must have moved by more than this,
-            m, rad or px, and only brakes then; by default x is held at no time.
+        limits: Known to the controller and kept: "urdf" those of the URDF, a number the effort
+            limits times it, which are then the motors' too. Unknown by default.
+        torque_rate: Largest change of a torque within limits, N m/s; any by default.
+        unseen: Motion for which the x that was last seen will do, m, rad or px; none by default.
     """
 
     law: Literal["setpoint"] = "setpoint"
@@ -233,11 +223,10 @@ class ControllerChoice:
 
 @dataclass(frozen=True)
 class Loop:
-    """At which period and delay.
+    """Period and delay of control.
 
     Attributes:
-        dt: Sampling time of control, s; or "continuous", which integrates arm and controller as
-            one differential equation.
+        dt: Sampling time of control, s; "continuous" integrates one differential equation.
         actuator_delay: From a torque to its effect, s.
     """
 
@@ -274,16 +263,32 @@ class LinePath:
 
 
 @dataclass(frozen=True)
+class WaypointPath:
+    """Straight lines from where the task starts through points, at rest in each.
+
+    Attributes:
+        points: Coordinates of one point after the other, m; no waypoints by default.
+        speed: Largest speed, m/s.
+        acceleration: Largest acceleration, m/s².
+    """
+
+    points: Numbers | None = None
+    speed: float = _above(0.2)
+    acceleration: float = _above(0.5)
+
+
+@dataclass(frozen=True)
 class Goal:
-    """Where to go; a list of numbers in a file is `at`.
+    """Where to go, said in one of these ways; a list of numbers in a file is `at`.
 
     Attributes:
         at: Position (one number for each of axes, m), pose (x y z qx qy qz qw) or image (u v of
             each point); that of a random configuration by default.
-        offset: Relative to where the task starts instead, m (and rad of a pose).
-        configuration: What the true sensor measures at these joint positions instead.
-        circle: A circle of a position to follow instead.
-        line: A line of a position to follow instead.
+        offset: Relative to where the task starts, m (and rad of a pose).
+        configuration: Joint positions at which the true sensor measures the target, rad or m.
+        circle: To follow.
+        line: To follow.
+        waypoints: To follow.
     """
 
     at: Numbers | None = None
@@ -291,6 +296,7 @@ class Goal:
     configuration: Numbers | None = None
     circle: CirclePath = CirclePath()
     line: LinePath = LinePath()
+    waypoints: WaypointPath = WaypointPath()
 
 
 @dataclass(frozen=True)
@@ -298,14 +304,12 @@ class Run:
     """From where, where to, and for how long.
 
     Attributes:
-        start: Joint positions at the start, one a joint, rad or m, or "random" for a configuration
-            of the seed; by default one that is far from singular, the same for each seed
-            (`Plant.ready_configuration`), or with a pinhole camera one of the seed.
+        start: Joint positions, one a joint, rad or m, or "random" for a configuration of the seed;
+            one that is far from singular by default, with a pinhole camera one of the seed.
         target: Where to go; what a configuration of the seed has by default.
         duration: Of the run, s.
-        tolerance: Error below which the task counts as done, 1e-3 m (and rad of a pose) by default;
-            for a pinhole camera the RMS of each image coordinate over the last tenth of the run,
-            px, by default the noise or half a pixel.
+        tolerance: Error below which the task counts as done, 1e-3 m (and rad) by default; RMS of
+            an image coordinate over the last tenth of the run, px, by default noise or half a px.
         seed: Of target, noise and dropouts, and of a random start.
     """
 
@@ -323,22 +327,18 @@ class Analysis:
     Attributes:
         object_length: Smallest and largest true length of the object, m.
         object_mass: Smallest and largest true mass of the object, kg.
-        joint_shifts: How far joint origins may be off either way, m, such as panda_joint4 0 0.01 0.
-        joint_rotations: The same for joint axes, as rotation vectors, rad.
-        focal_length: Smallest and largest true focal length of the camera, px, or m of a planar
-            one.
-        distance: Smallest and largest true distance of a planar camera, m; of a pinhole camera how
-            far back it may truly stand from where it is believed to be, m.
-        roll: Smallest and largest true roll of the camera, rad; of a pinhole camera relative to the
-            believed one.
-        around: Joint positions, one a joint, rad or m: look within `radius` of them; by default
-            within the joint limits, where the believed Jacobian is not near singular.
-        radius: How far each joint may be from `around`, or from a run's configurations, rad or m.
+        joint_shifts: Largest errors of joint origins either way, m, such as panda_joint4 0 0.01 0.
+        joint_rotations: The same of joint axes, as rotation vectors, rad.
+        focal_length: Smallest and largest true focal length of the camera, px or m.
+        distance: Smallest and largest true distance of a planar camera, or error of it, m.
+        roll: Smallest and largest true roll of the camera, of a pinhole one its error, rad.
+        around: Joint positions, one a joint, rad or m: look within `radius` of them.
+        radius: Distance of each joint from `around`, or from a run's configurations, rad or m.
         run: File run.npz of `approxjac simulate`: look near its configurations.
         reach_from: Joint positions of a start: look where V lets the arm get to the target.
         sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
         target: The one target; by default all targets within the region.
-        configurations: How many to draw.
+        configurations: Count of those that are drawn.
         runs: Rollouts of 10 s.
         map: Two parameters of the stability map, of error, a, kv and damping.
         map_points: Values of each parameter; 0 draws no map.

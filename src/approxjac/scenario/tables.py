@@ -97,9 +97,9 @@ def plain(record: Any) -> dict[str, Any]:
 def to_toml(table: Table) -> str:
     """Return a table of plain values as TOML, with a heading for each table in it."""
     inner = {name: value for name, value in table.items() if isinstance(value, Mapping)}
-    lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in inner]
+    lines = [f"{name} = {toml(value)}" for name, value in table.items() if name not in inner]
     for name, values in inner.items():
-        lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
+        lines += ["", f"[{name}]", *(f"{key} = {toml(value)}" for key, value in values.items())]
     return "\n".join(lines).strip() + "\n"
 
 
@@ -201,11 +201,12 @@ def _plain(value: Any) -> Any:
     return {k: _plain(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
-def _toml(value: Any) -> str:
+def toml(value: Any) -> str:
+    """Return a plain value as TOML, in one line."""
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(k)} = {toml(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
+        return "[" + ", ".join(map(toml, value)) + "]"
     if isinstance(value, bool):
         return str(value).lower()
     return _quoted(value) if isinstance(value, str) else repr(value)
