@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +14,7 @@ from approxjac.robots.urdf import Follows, Urdf, leader_of
 from approxjac.validation import Array
 
 
+@dataclass(eq=False)
 class MimicJoints:
     """All moving joints as they follow from the n_v that move on their own: q_all = A q + b.
 
@@ -27,11 +29,10 @@ class MimicJoints:
         G: v_all = G v, shape (n_all, n_v), or None where nothing is coupled.
     """
 
-    def __init__(self, model: pin.Model, G: Array | None, A: Array | None, b: Array | None) -> None:
-        self.model = model
-        self.G = G
-        self._A = A
-        self._b = b
+    model: pin.Model
+    G: Array | None = None
+    _A: Array | None = None
+    _b: Array | None = None
 
     def of(self, model: pin.Model) -> MimicJoints:
         """Return the same of a copy of the robot's own model."""
@@ -68,7 +69,7 @@ def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
     names = list(model.names)
     coupled = {joint: follows for joint, follows in urdf.followers.items() if joint in names}
     if not coupled:
-        return model, MimicJoints(model, None, None, None)
+        return model, MimicJoints(model)
     found = {joint: leader_of(joint, coupled) for joint in coupled}
     for joint, (leader, multiplier, offset) in found.items():
         fault = _fault(model, joint, leader, coupled)

@@ -109,7 +109,7 @@ def _again(perturbation: Perturbation, values: tuple[Any, ...], gravity: Array) 
 
 
 class _Parts:
-    """What in a Pinocchio model depends on the object and on the origins of joints.
+    """The parts of a Pinocchio model that depend on the object and on the origins of joints.
 
     Args:
         model: The model without perturbations.
@@ -161,7 +161,7 @@ class _Parts:
 
         The rotations are given as matrices, shape (k, 3, 3).
         """
-        frames = model.frames
+        frames, placements = model.frames, model.jointPlacements
         if self._n is not None:
             across, along = object_moments(length, mass, OBJECT_RADIUS)
             inertia = across * self._across + along * self._along
@@ -171,7 +171,6 @@ class _Parts:
             for k in self._tips:
                 frames[k].placement = tip
         if self._ids:
-            placements = model.jointPlacements
             moved = (self._carriers @ shifts[self._moving, :, None])[:, :, 0] + self._translations
             turned = self._rotations @ turns[self._moving]
             for j, translation, rotation in zip(self._ids, moved, turned, strict=True):
@@ -184,7 +183,7 @@ class _Parts:
             for each in carried:
                 frames[each].placement = change * frames[each].placement
             for j in beyond:
-                model.jointPlacements[j] = change * model.jointPlacements[j]
+                placements[j] = change * placements[j]
         for j, (rest, parts) in self._links.items():
             total = functools.reduce(np.add, (_parameters(frames[k]) for k in parts), rest)
             if total[0] != 0.0:  # or it has no centre of mass
@@ -195,7 +194,7 @@ _NO_TURN = np.eye(3)
 
 
 def _carried(frames: Sequence[pin.Frame], fixed: int) -> tuple[list[int], list[int]]:
-    """Frames that a fixed joint carries on its link, itself first, and moving joints beyond."""
+    """Return frames that a fixed joint carries on its link, it first, and moving joints beyond."""
     carried, beyond = [fixed], []
     for k in range(fixed + 1, len(frames)):  # frames come after those that carry them
         if frames[k].parentFrame in carried:
@@ -207,6 +206,6 @@ def _carried(frames: Sequence[pin.Frame], fixed: int) -> tuple[list[int], list[i
 
 
 def _parameters(frame: pin.Frame) -> Array:
-    """Dynamic parameters of what a frame adds to its link, shape (10,)."""
+    """Return dynamic parameters of what a frame adds to its link, shape (10,)."""
     parameters: Array = frame.placement.act(frame.inertia).toDynamicParameters()
     return parameters

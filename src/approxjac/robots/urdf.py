@@ -50,10 +50,7 @@ class UrdfJoint(NamedTuple):
 class Urdf:
     """A URDF: its XML tree, its links and its joints. Read-only; an edit is made on a `copy`.
 
-    Args:
-        root: XML root.
-        source: What to call it in errors: a path or "URDF text".
-        text: The text that it was read from, if it was.
+    `source` is what to call it in errors, `text` what it was read from, if it was.
     """
 
     def __init__(self, root: Any, source: str, text: str | None = None) -> None:
@@ -111,12 +108,10 @@ class Urdf:
     @functools.cached_property
     def followers(self) -> Mapping[str, Follows]:
         """Mimic joint → what it follows."""
-        found = {}
-        for joint in self.root.iterfind("joint"):
-            mimic = joint.find("mimic")
-            if mimic is not None:
-                numbers = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
-                found[joint.get("name")] = (mimic.get("joint"), *numbers)
+        found: dict[str, Follows] = {}
+        for mimic in self.root.iterfind("joint/mimic"):
+            numbers = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
+            found.setdefault(mimic.getparent().get("name"), (mimic.get("joint"), *numbers))
         return found
 
     @functools.cached_property
@@ -195,9 +190,7 @@ def _floats(text: str | None) -> list[float]:
     words = (text or "").split()
     if len(words) == 1:
         words = [text or ""]  # blanks around a single number are among what it cannot read
-    if not all(map(_NUMBER.fullmatch, words)):
-        return []
-    numbers = [float(word) for word in words]
+    numbers = [float(word) if _NUMBER.fullmatch(word) else math.nan for word in words]
     return numbers if all(map(math.isfinite, numbers)) else []
 
 

@@ -100,8 +100,8 @@ class Plant(Immutable):
             if torque_limits is None
             else as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         )
-        self._has_friction = bool(self.friction.any() or self.coulomb.any())
         self._has_coulomb = bool(self.coulomb.any())
+        self._has_friction = self._has_coulomb or bool(self.friction.any())
         self._has_mimic_joints = robot.mimic_joints.G is not None
         self._model = robot.model
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration

@@ -207,8 +207,8 @@ class Uncertainty:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
-        # as rng.uniform does, which takes its time
-        return self.low + (self.high - self.low) * rng.random(self.d)
+        low = self.low
+        return low + (self.high - low) * rng.random(self.d)  # as rng.uniform, which takes its time
 
     # -- the robots ---------------------------------------------------------------------
 
