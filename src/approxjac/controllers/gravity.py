@@ -42,7 +42,7 @@ class ModelGravity(Immutable):
         return f"ModelGravity({self.robot.name!r})"
 
     def torque(self, q: Array) -> Array:
-        """g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
+        """Return g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
         g: Array = self._torque_at(q)
         return g
 
@@ -64,7 +64,7 @@ class NoGravity(Immutable):
         return f"NoGravity({self.robot.name!r})"
 
     def torque(self, q: Array) -> Array:
-        """Zeros, shape (n_v,)."""
+        """Return zeros, shape (n_v,)."""
         return self._zero.copy()
 
 
@@ -98,7 +98,7 @@ class RegressorGravity(Immutable):
         return f"RegressorGravity({self.robot.name!r}, theta={listed(self.theta)})"
 
     def torque(self, q: Array) -> Array:
-        """Z(q) θ, shape (n_v,) [N m or N]."""
+        """Return Z(q) θ, shape (n_v,) [N m or N]."""
         g: Array = self.regressor.Z(q).dot(self.theta)
         return g
 

@@ -114,15 +114,7 @@ class Limiter(ControllerWrapper):
     ) -> tuple[Array, Evaluation]:
         """Return the state after a step, and a torque within the limits.
 
-        Args:
-            state: Controller state, shape (n_state,).
-            measurement: t, q, v and the measured x.
-            target: x_d, shape (n_x,) [unit of the task], or a `Target` that moves.
-            dt: Time for which the torque is held > 0 [s].
-
-        Raises:
-            MeasurementError: As the controller.
-            InvalidInputError: As the controller.
+        Arguments and errors are those of the controller.
         """
         lower, upper = self._lower, self._upper
         if self._has_rate:

@@ -107,15 +107,8 @@ class HeldMeasurement(ControllerWrapper):
     ) -> tuple[Array, Evaluation]:
         """Return the state after a step, and the answer to this x, or to the one last seen.
 
-        Args:
-            state: State, shape (n_state,).
-            measurement: t, q, v and the measured x, NaN where it is lost.
-            target: x_d, shape (n_x,) [unit of the task], or a `Target` that moves.
-            dt: Time for which the torque is held > 0 [s].
-
-        Returns:
-            The answer of the controller. Its e is that of the x that was used: of an earlier one
-            where it is held, NaN where it is too old.
+        The answer is that of the controller. Its e is that of the x that was used: of an earlier
+        one where it is held, NaN where it is too old.
 
         Raises:
             MeasurementError: As the controller, or an x beyond what a state can keep.

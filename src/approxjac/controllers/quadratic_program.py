@@ -100,7 +100,7 @@ class Solver:
         return (None, found) if isinstance(found, Verdict) else (found, Verdict.SOLVED)
 
     def _minimum(self, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
-        """z of DAQP; low and high are the bounds of z, then of A z."""
+        """Return z of DAQP; low and high are the bounds of z, then of A z."""
         H, f, A = problem.H, problem.f, problem.A
         # what the first tolerance refuses may be the round-off of large bounds
         for tolerance in (_FIRST_TOLERANCE, _TOLERANCE):
@@ -111,7 +111,7 @@ class Solver:
         return Verdict.INFEASIBLE if flag in _CONTRADICTORY else Verdict.FAILED
 
     def _answer(self, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
-        """z of the function, if it is an array of numbers of that shape."""
+        """Return z of the function, if it is an array of numbers of that shape."""
         try:
             answer = self._function(QuadraticProgram(*map(np.copy, problem)))  # type: ignore[misc]
             if answer is None:
@@ -135,7 +135,7 @@ class Solver:
 
 
 def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
-    """z brought inside its bounds; FAILED if it is too far out or a row does not hold."""
+    """Return z brought inside its bounds; FAILED if it is too far out or a row does not hold."""
     n, A = len(z), problem.A
     y = np.concatenate([z, A.dot(z)])
     held = np.minimum(np.maximum(y, low), high)

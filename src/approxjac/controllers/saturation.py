@@ -71,7 +71,7 @@ def _value(saturation: Saturation, name: str, e: Array) -> Array:
 
 
 def _require_law(f: Saturation, m: int) -> None:
-    """The properties (1)–(3) of the paper, and slope 1 at 0."""
+    """Require the properties (1)–(3) of the paper, and slope 1 at 0."""
     at_zero = {name: _value(f, name, np.zeros(m)) for name in ("s", "S", "ds")}
     # the scale of each coordinate: up to there s is within half of e
     far = _DECADES * np.ones(m)
@@ -127,7 +127,7 @@ class _Sample:
             )
 
     def require_slopes(self) -> None:
-        """The mean slope between two points lies between those at the two, kinks or not."""
+        """Require mean slopes between those at the two points, kinks or not."""
         e, s, ds = self._e, self._s, self._ds
         rise, lean = (s[1] - s[0]) / (e[1] - e[0]), (self._S[1] - self._S[0]) / (e[1] - e[0])
         self._require(_is_between(rise, ds, _SLACK), "ds(e) must be the slope of s", rise)
@@ -137,7 +137,7 @@ class _Sample:
         self._require(_is_between(lean, s, slack), "s(e) must be the slope of S", lean)
 
     def require_eq_8(self, f: Saturation) -> None:
-        """The constants keep what they promise."""
+        """Require constants that keep what they promise."""
         d = as_number("d of a saturation", f.d, above=0.0)
         c_bar = as_number("c_bar of a saturation", f.c_bar, above=0.0)
         e_max = float(np.abs(self._e).max())

@@ -133,7 +133,7 @@ class SetpointController(TaskController):
         self._take(task, self._p + (0 if velocity is None else task.m))
 
     def initial_state(self, measurement: Measurement) -> Array:
-        """State before the first evaluation: θ̂(0), and the first measured x for law (5).
+        """Return the state before the first evaluation: θ̂(0), and the first measured x for law (5).
 
         Raises:
             InvalidInputError: A measurement of the wrong shapes.
@@ -315,7 +315,7 @@ class SetpointController(TaskController):
     def _pull_within_null_space(
         self, q: Array, J_hat: Array, G: Array, posture: Array, stiffness: Array
     ) -> Array:
-        """N τ₀ of `Posture`, shape (n_v,)."""
+        """Return N τ₀ of `Posture`, shape (n_v,)."""
         pull: Array = stiffness * pin.difference(self.task.robot.model, q, posture)
         w, damped = law.damped_gram_solve(G, J_hat.dot(pull), scale=self._scale)
         if damped == 0.0:
@@ -330,7 +330,7 @@ class SetpointController(TaskController):
         return faded
 
     def _resolved_adaptation(self, task: Task) -> Adaptation | None:
-        """The adaptation with its defaults filled in."""
+        """Return the adaptation with its defaults filled in."""
         gravity = self.gravity
         if not isinstance(gravity, AdaptiveGravity):
             return None

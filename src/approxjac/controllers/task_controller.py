@@ -45,13 +45,7 @@ class TaskController(Immutable, ABC):
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after dt, one Euler step of its rate, and the answer of `evaluate`.
-
-        Args:
-            state: Controller state, shape (n_state,).
-            measurement: t, q, v and the measured x.
-            target: x_d, shape (n_x,) [unit of the task], or a `Target` that moves.
-            dt: Time for which the torque is held > 0 [s].
+        """Return the state after dt [s], one Euler step of its rate, and the answer of `evaluate`.
 
         Raises:
             MeasurementError: As `evaluate`.

@@ -53,15 +53,7 @@ def estimated_velocity_torque(
 def feed_forward_torque(J_hat: Array, kv: Array, x_d_dot: Array) -> Array:
     """Ĵᵀ K_v ẋ_d, with which K_v of eqs. (5), (6) and (28) acts on the velocity to the target.
 
-    No equation of the paper, whose targets rest.
-
-    Args:
-        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
-        kv: Diagonal of K_v, shape (m,).
-        x_d_dot: Velocity of the target ẋ_d, shape (m,).
-
-    Returns:
-        Joint torque, shape (n_v,).
+    No equation of the paper, whose targets rest. ẋ_d is the target's velocity, shape (m,).
     """
     return dot(kv * x_d_dot, J_hat)
 

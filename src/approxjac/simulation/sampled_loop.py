@@ -100,7 +100,7 @@ class SampledLoop:
         try:
             self.truth = self.plant.measure(self.step * self.dt, q, v)
         except InvalidInputError as error:
-            raise self._diverged(error) from error
+            raise diverged(self.step * self.dt, self.steps * self.dt, error) from error
         self.measurement = self._read(self.truth)
         self._aim()
         self._control()
@@ -159,15 +159,12 @@ class SampledLoop:
             if not math.isfinite(math.hypot(*self._after.tolist())):
                 as_array("state", self._after, self._after.shape)
         except (InvalidInputError, MeasurementError) as error:
-            raise self._diverged(error) from error
+            raise diverged(self.step * self.dt, self.steps * self.dt, error) from error
         # a controller may use one buffer for all its torques, and `aim_at` asks it once more
         self.answer: Evaluation = answer._replace(torque=answer.torque.copy())
 
     def _read(self, truth: Measurement) -> Measurement:
         return truth if self._readings is None else self._readings.read(truth)
-
-    def _diverged(self, error: Exception) -> SimulationError:
-        return diverged(self.step * self.dt, self.steps * self.dt, error)
 
 
 Wanted = Target | TargetPath | Array

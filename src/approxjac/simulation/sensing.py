@@ -222,7 +222,7 @@ def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:
 
 
 def _lost(interval: tuple[Any, ...], task: Task) -> tuple[float, float, slice]:
-    """Start and end of an interval of `Sensing.x_lost`, and which entries of x are lost in it."""
+    """Return start and end of an interval of `Sensing.x_lost`, and the entries of x lost in it."""
     start, end, *part = interval
     if not part:
         return start, end, slice(None)

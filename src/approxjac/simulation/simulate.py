@@ -143,7 +143,7 @@ def simulate(
 
 
 def _overflow_is_expected() -> np.errstate:
-    """A loop that diverges overflows before it is told; the error says so, no warning is needed."""
+    """Hide warnings: a loop that diverges overflows before the error says so."""
     return np.errstate(over="ignore", invalid="ignore")
 
 

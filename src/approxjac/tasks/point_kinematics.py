@@ -1,4 +1,4 @@
-"""How points move as a camera sees them: the kinematics behind an image."""
+"""`PointKinematics`: points as a camera sees them, and their motion."""
 
 from __future__ import annotations
 

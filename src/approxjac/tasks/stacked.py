@@ -46,16 +46,16 @@ class StackedTask(Task):
             [unit for task in tasks for unit in task.units],
             sum(task.n_x for task in tasks),
         )
-        self._entries = _one_after_the_other([task.n_x for task in tasks])
-        self._rows = _one_after_the_other([task.m for task in tasks])
+        entries = _one_after_the_other([task.n_x for task in tasks])
+        rows = _one_after_the_other([task.m for task in tasks])
+        self._each = list(zip(tasks, entries, rows, strict=True))
         self._uses_x = any(task._uses_x for task in tasks)
         self._subtracts = all(task._subtracts for task in tasks)
         self._origin = np.concatenate([task._origin for task in tasks])
-        placed = list(zip(tasks, self._entries, self._rows, strict=True))
-        self._untold = [entries.start + i for task, entries, _ in placed for i in task._untold]
+        self._untold = [where.start + i for task, where, _ in self._each for i in task._untold]
         self._parts = tuple(
             (_moved(part, entries.start), _moved(coordinates, rows.start))
-            for task, entries, rows in placed
+            for task, entries, rows in self._each
             for part, coordinates in task._parts
         )
 
@@ -63,24 +63,21 @@ class StackedTask(Task):
         return np.concatenate([task.value(q) for task in self.tasks])
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        each = zip(self.tasks, self._entries, strict=True)
-        parts = [task.jacobian(q, None if x is None else x[entries]) for task, entries in each]
-        return np.concatenate(parts)
+        given = [(task, None if x is None else x[i]) for task, i, _ in self._each]
+        return np.concatenate([task.jacobian(q, part) for task, part in given])
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return np.concatenate([task.jacobian_dot(q, v) for task in self.tasks])
 
     def error(self, x: Array, x_d: Array) -> Array:
-        each = zip(self.tasks, self._entries, strict=True)
-        return np.concatenate([task.error(x[entries], x_d[entries]) for task, entries in each])
+        return np.concatenate([task.error(x[i], x_d[i]) for task, i, _ in self._each])
 
     def displaced(self, x: Array, e: Array) -> Array:
-        each = zip(self.tasks, self._entries, self._rows, strict=True)
-        return np.concatenate([task.displaced(x[entries], e[rows]) for task, entries, rows in each])
+        return np.concatenate([task.displaced(x[i], e[rows]) for task, i, rows in self._each])
 
     def target(self, x_d: object) -> Array:
         target = super().target(x_d)
-        for task, entries in zip(self.tasks, self._entries, strict=True):
+        for task, entries, _ in self._each:
             task.target(target[entries])  # as it may have edges, such as those of an image
         return target
 
@@ -94,20 +91,18 @@ class StackedTask(Task):
         return self if same else StackedTask(*plain)
 
     def _seen(self, x: Array) -> Array:
-        each = zip(self.tasks, self._entries, strict=True)
-        return np.concatenate([task._seen(x[entries]) for task, entries in each])
+        return np.concatenate([task._seen(x[i]) for task, i, _ in self._each])
 
     def _sensor_jacobian(self, q: Array) -> Array:
         return np.concatenate([task._sensor_jacobian(q) for task in self.tasks])
 
     def _error_jacobian(self, e: Array, J: Array) -> Array:
-        each = zip(self.tasks, self._rows, strict=True)
-        return np.concatenate([task._error_jacobian(e[rows], J[rows]) for task, rows in each])
+        return np.concatenate([task._error_jacobian(e[i], J[i]) for task, _, i in self._each])
 
     def _features(self) -> tuple[Feature, ...]:
         return tuple(
             feature._replace(entries=_moved(feature.entries, entries.start))
-            for task, entries in zip(self.tasks, self._entries, strict=True)
+            for task, entries, _ in self._each
             for feature in task._features()
         )
 
