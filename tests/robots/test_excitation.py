@@ -9,9 +9,9 @@ import approxjac as aj
 BENT = np.array([0.0, -0.4, 0.3, -1.9, 0.2, 1.6, 0.4])
 
 
-def by_least_squares(regressor, postures):
+def by_least_squares(regressor, configurations):
     """Effect, own and rank: each column's residual when the others explain it as they can."""
-    Z = np.vstack([regressor.Z(q) for q in postures]) / np.sqrt(len(postures))
+    Z = np.vstack([regressor.Z(q) for q in configurations]) / np.sqrt(len(configurations))
     own = []
     for k in range(regressor.p):
         others = np.delete(Z, k, axis=1)
@@ -25,8 +25,8 @@ def motions(robot):
     rng = np.random.default_rng(2)
     anywhere = np.array([robot.random_configuration(rng) for _ in range(40)])
     return {
-        "one posture": anywhere[:1],
-        "two postures": anywhere[:2],
+        "one configuration": anywhere[:1],
+        "two configurations": anywhere[:2],
         "a small motion": anywhere[0] + 0.05 * rng.normal(size=(30, robot.nv)),
         "the first joint": anywhere[0] + np.outer(np.linspace(-1, 1, 20), np.eye(robot.nv)[0]),
         "the last joint": anywhere[0] + np.outer(np.linspace(-1, 1, 20), np.eye(robot.nv)[-1]),
@@ -38,19 +38,19 @@ def motions(robot):
 @pytest.mark.parametrize("name", ["two_link", "so100", "panda", "xarm7"])
 def test_effect_and_own_are_those_of_least_squares(name, motion):
     robot = aj.load_robot(name)
-    regressor, postures = aj.GravityRegressor(robot), motions(robot)[motion]
-    report = aj.excitation(regressor, postures)
-    effect, own = by_least_squares(regressor, postures)
+    regressor, configurations = aj.GravityRegressor(robot), motions(robot)[motion]
+    report = aj.excitation(regressor, configurations)
+    effect, own = by_least_squares(regressor, configurations)
     assert report.names == regressor.names
     assert_allclose(report.effect, effect, atol=1e-12)
     assert_allclose(report.own, own, rtol=1e-4, atol=1e-5 * effect.max())
     assert (report.own <= report.effect * (1 + 1e-9)).all()
     large = (own >= 0.05 * effect) & (effect > 1e-9)
     assert report.excited == tuple(np.array(regressor.names)[large])
-    assert report.rank <= min(regressor.p, robot.nv * len(postures))
+    assert report.rank <= min(regressor.p, robot.nv * len(configurations))
 
 
-def test_one_posture_tells_no_more_combinations_than_it_has_torques(two_link):
+def test_one_configuration_tells_no_more_combinations_than_it_has_torques(two_link):
     """Two torques for four parameters: two combinations are seen, and no parameter by itself."""
     regressor = aj.GravityRegressor(aj.load_robot("two_link"))
     assert regressor.p == 4
@@ -58,7 +58,7 @@ def test_one_posture_tells_no_more_combinations_than_it_has_torques(two_link):
     assert report.rank == 2
     assert_allclose(report.own, np.zeros(4), atol=0)
     assert report.excited == ()
-    # the paper's two parameters are told apart by one posture
+    # the paper's two parameters are told apart by one configuration
     papers = aj.GravityRegressor(two_link, "x")
     report = aj.excitation(papers, [[0.5, 1.0]])
     assert report.rank == 2
@@ -81,7 +81,7 @@ def test_moving_the_last_joint_leaves_what_is_before_it_unexcited(panda):
     assert_allclose(report.own[:-2], np.zeros(10), atol=0)
 
 
-def test_a_vertical_joint_axis_excites_nothing_more_than_one_posture(panda):
+def test_a_vertical_joint_axis_excites_nothing_more_than_one_configuration(panda):
     """Turning about the vertical changes no gravity torque."""
     regressor = aj.GravityRegressor(panda)
     turning = aj.excitation(
@@ -109,11 +109,13 @@ def test_a_parameter_without_any_effect_is_not_excited(two_link):
 
 def test_the_threshold_decides_what_counts(panda):
     regressor = aj.GravityRegressor(panda)
-    postures = motions(panda)["a small motion"]
-    counts = [len(aj.excitation(regressor, postures, t).excited) for t in (1e-3, 0.05, 0.5, 1.0)]
+    configurations = motions(panda)["a small motion"]
+    counts = [
+        len(aj.excitation(regressor, configurations, t).excited) for t in (1e-3, 0.05, 0.5, 1.0)
+    ]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > counts[-1]
-    ranks = [aj.excitation(regressor, postures, t).rank for t in (1e-4, 0.05, 1.0)]
+    ranks = [aj.excitation(regressor, configurations, t).rank for t in (1e-4, 0.05, 1.0)]
     assert ranks == sorted(ranks, reverse=True)
     assert ranks[0] > ranks[-1]
 

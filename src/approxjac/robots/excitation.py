@@ -13,7 +13,7 @@ from approxjac.validation import Array, as_array, as_number, require, shape_of
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation:
-    """How well the configurations of a motion tell the parameters θ of g = Z(q)θ apart.
+    """Report of which parameters θ of g = Z(q)θ the configurations of a motion tell apart.
 
     Attributes:
         names: Names of the parameters, length p.
