@@ -96,7 +96,7 @@ class Setup:
         target: Configuration whose image is the target X_d [rad].
         friction: B, the same at both joints [N m s/rad].
         gamma: γ of s(e) = γ sin(e/γ) [m on the sensor]; None is s(e) = e.
-        inertia: "rod" for uniform rods, "point-mass" for masses at the middles of the rods.
+        inertia: Uniform rods, or point masses at the middles of the rods.
         duration: Length of each run [s].
 
     Raises:

@@ -116,10 +116,7 @@ def write_pages(results: Sequence[Result], out: Path) -> str:
 
 
 def write_result(result: Result, setup: Setup, truth: Robot, out: Path) -> None:
-    """Write figN.png, figN.svg and the trajectory figN.npz.
-
-    The figure has the task error, the arm's path in its plane, and the joint torques.
-    """
+    """Write figN.png and .svg (task error, path in the plane, torques) and the run, figN.npz."""
     e, learns = result.experiment, result.theta_hat is not None
     gains = f"(K_p = {e.kp:g} I, K_v = {e.kv:g} I)"
     title = f"Figure {e.figure}: {e.title} {gains} — {result.verdict}"

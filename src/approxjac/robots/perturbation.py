@@ -111,10 +111,7 @@ def _again(perturbation: Perturbation, values: tuple[Any, ...], gravity: Array) 
 class _Parts:
     """The parts of a Pinocchio model that depend on the object and on the origins of joints.
 
-    Args:
-        model: The model without perturbations.
-        joints: Joints whose origins may be elsewhere.
-        n: Axis of the object, shape (3,), or None without one.
+    The model is that without perturbations; n is the object's axis, shape (3,), None without one.
     """
 
     def __init__(self, model: pin.Model, joints: Sequence[str], n: Array | None) -> None:

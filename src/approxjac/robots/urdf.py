@@ -141,9 +141,7 @@ class Urdf:
 def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
     """Return the joint at the end of a chain of followers, and the multiplier and offset to it.
 
-    Args:
-        joint: Where to start; itself, 1 and 0 are returned if it follows no other.
-        following: As `Urdf.followers`. Of joints that follow each other, one is returned.
+    Itself, 1 and 0 if it follows no other; one of them where joints follow each other.
     """
     multiplier, offset = 1.0, 0.0
     for _ in following:

@@ -131,7 +131,7 @@ def with_moved_origins(urdf: Urdf, errors: Mapping[str, tuple[Array, Array]]) ->
     """Return a URDF with the origins of joints moved.
 
     Args:
-        urdf: The URDF.
+        urdf: What is edited.
         errors: Joint → shift in the parent link's frame, shape (3,) [m], and rotation vector in the
             joint's own frame, shape (3,) [rad].
     """
@@ -148,9 +148,7 @@ def with_moved_origins(urdf: Urdf, errors: Mapping[str, tuple[Array, Array]]) ->
 def with_locked_joints(urdf: Urdf, positions: Mapping[str, float]) -> Urdf:
     """Return a URDF with joints fixed at positions [rad or m], and those that mimic them.
 
-    Args:
-        urdf: The URDF.
-        positions: Moving joint → position. A mimic joint that is named is fixed where this says.
+    A mimic joint that is named itself is fixed where this says.
     """
     locked = dict(positions)
     moving = {joint.name for joint in urdf.joints.values() if joint.type != "fixed"}
