@@ -24,7 +24,7 @@ from approxjac.simulation.sampled_loop import (
     wanted_of,
 )
 from approxjac.simulation.trajectory import Trajectory
-from approxjac.validation import Array, as_array, as_number, require
+from approxjac.validation import Array, as_array, as_integer, as_number, require
 
 Progress = Callable[[float], None]
 Observer = Callable[[SampledLoop], None]
@@ -98,8 +98,7 @@ def simulate(
     rtol, atol = as_number("rtol", rtol, above=0.0), as_number("atol", atol, above=0.0)
     if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, "the integrators", INTEGRATORS)
-    if type(seed) is not int or seed < 0:
-        raise InvalidInputError(f"seed must be an integer >= 0, got {seed!r}", given=seed)
+    as_integer("seed", seed, 0)
     for name, function, of in (
         ("progress", progress, "the time reached [s]"),
         ("observer", observer, "a SampledLoop"),

@@ -28,7 +28,6 @@ class RadialDistortion:
     def __init__(self, coefficients: Sequence[float]) -> None:
         self._k = (*coefficients, 0.0, 0.0, 0.0)[:3]
         self._none = not any(self._k)
-        # ‖p‖ from which on the image folds back; infinite where it never does
         self.largest_radius = self._largest_radius()
 
     def _factors(self, rho: float) -> tuple[float, float, float]:
@@ -41,6 +40,7 @@ class RadialDistortion:
         )
 
     def _largest_radius(self) -> float:
+        """Return ‖p‖ from which on the image folds back; infinite where it never does."""
         k1, k2, k3 = self._k
         slope = np.array([1.0, 3.0 * k1, 5.0 * k2, 7.0 * k3])  # of the radius, in ρ
         slope = np.trim_zeros(np.where(np.abs(slope) > _TINY, slope, 0.0), "b")

@@ -54,14 +54,9 @@ class FrameKinematics:
         return partial(pin.computeFrameJacobian, self._model, self._data)
 
     @cached_property
-    def _rotation(self) -> Array:
-        rotation: Array = self._data.oMf[self._id].rotation
-        return rotation
-
-    @cached_property
-    def _translation(self) -> Array:
-        translation: Array = self._data.oMf[self._id].translation
-        return translation
+    def _placed(self) -> tuple[Array, Array]:
+        placement = self._data.oMf[self._id]
+        return placement.rotation, placement.translation
 
     @cached_property
     def _all_data(self) -> pin.Data:
@@ -80,8 +75,8 @@ class FrameKinematics:
 
     def placement(self, q: Array) -> tuple[Array, Array]:
         """Return the rotation (3, 3) of the frame's axes in the world's, and `position`."""
-        self._placement(q)
-        return np.array(self._rotation), np.array(self._translation)
+        M = self._placement(q)
+        return np.array(M.rotation), np.array(M.translation)
 
     def pose(self, q: Array) -> Array:
         """Return position [m] and unit quaternion (x, y, z, w) in the world, shape (7,)."""
@@ -104,7 +99,7 @@ class FrameKinematics:
         Rotation and position are scratch memory: use them before the next call, do not keep them.
         """
         J = self.jacobian(q)  # places the frame, too
-        return J, self._rotation, self._translation
+        return J, *self._placed
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Return the time derivative of `jacobian` along q̇, shape (6, n_v)."""
