@@ -133,12 +133,12 @@ def local_stability(
             friction and gravity acting all the time. None is the continuous loop.
 
     Raises:
-        InvalidInputError: A controller of law (5), or with a `Posture`, whose linearisation is
-            another; one whose gravity is not exact near `q_target` and cannot become so by
-            learning, or whose θ̂ stands still there (torque_limits, bounds), so that it is no
-            equilibrium; another task than the sensor's; a `q_target` of the wrong shape, or that
-            the sensor does not see; a plant with Coulomb friction, frames, noise, rounding,
-            dropouts or torque limits; delays or a filter of q̇ without dt, or of very many samples.
+        InvalidInputError: A controller of law (5) or with a `Posture`; gravity that is not exact
+            near `q_target` and cannot become so by learning, or θ̂ that stands still there
+            (torque_limits, bounds); another task than the sensor's; a `q_target` of the wrong
+            shape, or that the sensor does not see; a plant with Coulomb friction, frames, noise,
+            rounding, dropouts or torque limits; delays or a filter of q̇ without dt, or of very
+            many samples.
     """
     require("plant", plant, Plant, "a Plant")
     require_setpoint(controller)

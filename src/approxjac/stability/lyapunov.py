@@ -20,9 +20,6 @@ class LyapunovValue(NamedTuple):
     V: float
     W: float
 
-    def __repr__(self) -> str:
-        return f"LyapunovValue(V={self.V:.4g} J, W={self.W:.4g} W)"
-
 
 def lyapunov(
     plant: Plant,

@@ -69,14 +69,8 @@ class StabilityMap:
     rollouts: Array
 
     def __repr__(self) -> str:
-        stable = float((self.decay_rate > 0.0).mean())
-        certified = float((self.matrix > 0.0).mean())
-        grid = f"{self.names[0]} {self.x[0]:g} to {self.x[-1]:g}"
-        grid += f", {self.names[1]} {self.y[0]:g} to {self.y[-1]:g}"
-        return (
-            f"StabilityMap({grid}: locally stable in {100 * stable:.3g} %, "
-            f"certified by the matrix form in {100 * certified:.3g} %)"
-        )
+        stable, size = 100.0 * (self.decay_rate > 0.0).mean(), self.decay_rate.shape
+        return f"StabilityMap({' × '.join(self.names)}: {stable:.3g} % of {size} locally stable)"
 
 
 def stability_map(

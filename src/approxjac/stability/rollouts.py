@@ -163,9 +163,6 @@ def rollouts(
             Threads are no faster than none: a run is mostly Python.
         progress: Called with the number of runs that are done, in the calling process.
 
-    Returns:
-        All runs, their count and interval.
-
     Raises:
         InvalidInputError: Numbers out of range, a controller of another task than the sensor's, a
             region of which a true camera sees nothing, or something that cannot be sent to the

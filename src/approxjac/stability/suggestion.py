@@ -135,10 +135,8 @@ def suggest_gains(
     rng = np.random.default_rng(seed)
     samples, targets = loop.draw(configurations, rng), loop.targets(_TARGETS, rng)
     singular = singular_configuration(loop, samples) is not None
-    weighing = [heavy.plant(values) for values in loop.corners]
-    weight = np.array(
-        [weighing[t].dynamics.g(q) for t, q in zip(samples.truth, samples.q, strict=True)]
-    )
+    weighing = [heavy.plant(values).dynamics for values in loop.corners]
+    weight = np.array([weighing[t].g(q) for t, q in zip(samples.truth, samples.q, strict=True)])
 
     def demands(gains: Gains) -> Candidate:
         controller = with_gains(first, gains)

@@ -263,7 +263,6 @@ class Uncertainty:
         return dict(zip(self.names, array.tolist(), strict=True))
 
     def _perturbed(self) -> Perturbation:
-        """What the truth may be, about the belief."""
         given = self.object_length is not None or self.object_mass is not None
         if not given and self.believed_length == 0.0 and self.believed_mass == 0.0:
             return Perturbation(self.arm, joints=self._joints)
