@@ -72,7 +72,7 @@ class Perturbation:
             object_size(length, mass, OBJECT_RADIUS)
         values = (length, mass, shifts, rotations)
         robot = PerturbedRobot.like(self.base, _outward=self._outward, _made_by=(self, values))
-        del robot.__dict__["tree"]  # that of `base`
+        robot.__dict__.pop("tree", None)  # that of `base`
         turns = np.array([pin.exp3(turn) for turn in rotations]).reshape(-1, 3, 3)
         for model, parts in zip(robot.models, self._parts, strict=True):
             parts.change(model, length, mass, shifts, turns)
