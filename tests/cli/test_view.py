@@ -131,13 +131,6 @@ def test_a_run_is_shown_and_stopped_from_the_page(kind, tmp_path):
     assert 0.0 < run.t[-1] < 30.0
 
 
-@pytest.mark.parametrize("option", ["--speed", "--port"])
-def test_options_of_the_view_need_it(option, tmp_path, capsys):
-    assert main(["simulate", "panda", option, "2", "--out", str(tmp_path)]) == 2
-    message = f"{option} is for a run that is shown with --view, got 2 without"
-    assert message in capsys.readouterr().err
-
-
 def test_ctrl_c_stops_a_run_that_is_shown_and_keeps_it(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "approxjac", "simulate", "panda", "--duration", "60", "--view",

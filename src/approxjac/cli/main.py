@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    """Let the chosen command, with all its text, and the list of the others read the arguments."""
+    """Read the arguments, with all text of the chosen command and a line of each other one."""
     chosen = arguments[0] if arguments else ""
     app = tyro.extras.SubcommandApp()
     scenario, arguments = options.from_file(arguments)

@@ -45,14 +45,11 @@ def paper(
     from approxjac import paper as study
     from approxjac.paper import report
 
-    known = [1, *study.EXPERIMENTS]
     if not figures:
         raise InvalidInputError("figures must name at least one figure, got none", given=figures)
-    for figure in figures:
-        if figure not in known:
-            raise InvalidInputError(
-                f"figures must be among {', '.join(map(str, known))}, got {figure}", given=figure
-            )
+    for figure in set(figures) - {1, *study.EXPERIMENTS}:
+        known = ", ".join(map(str, (1, *study.EXPERIMENTS)))
+        raise InvalidInputError(f"figures must be among {known}, got {figure}", given=figure)
     setup = study.Setup(
         start=(math.radians(start[0]), math.radians(start[1])),
         target=(math.radians(target[0]), math.radians(target[1])),

@@ -43,38 +43,26 @@ def robots(
 
 
 def _table() -> str:
-    """All arms that load by name: joints, n_v, n_q, effort limits, tip and moving mass."""
+    """Return all arms that load by name: joints, n_v, n_q, effort limits, tip and moving mass."""
     rows = [("name", "nv", "nq", "joints", "effort limits", "suggested tip", "kg")]
-    for name in robot_names():
-        robot = load_robot(name)
-        rows.append(
-            (
-                name,
-                str(robot.nv),
-                str(robot.nq),
-                _kinds(robot),
-                _efforts(robot),
-                str(robot.tip),
-                f"{robot.mass:.3g}",
-            )
-        )
+    for robot in map(load_robot, robot_names()):
+        size = str(robot.nv), str(robot.nq)
+        kinds, mass = _kinds(robot), f"{robot.mass:.3g}"
+        rows.append((robot.name, *size, kinds, _efforts(robot), str(robot.tip), mass))
     return f"{_aligned(rows)}\n\nEffort limits are in N m, those of prismatic joints in N."
 
 
 def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]) -> str:
-    """One robot: its joints with their kinds and limits, and what was locked."""
+    """Return one robot: its joints with their kinds and limits, and those that are locked."""
     robot = load_robot(source, tip=tip, base=base, free=free)
-    lower, upper = robot.position_limits
     rows = [("joint", "kind", "limits", "effort")]
-    for i, (name, kind) in enumerate(_kind_of_each(robot).items()):
-        unit = robot.joint_units[i]
-        limits = "none known"
-        if math.isfinite(lower[i]):
-            limits = f"{lower[i]:.4g} to {upper[i]:.4g} {unit}"
-        elif kind == "continuous":
-            limits = "none"
-        effort = f"{robot.effort_limits[i]:g} {'N' if unit == 'm' else 'N m'}"
-        rows.append((name, kind, limits, effort if "inf" not in effort else "none known"))
+    kinds = _kind_of_each(robot).items()
+    limits = zip(*robot.position_limits, robot.effort_limits, robot.joint_units, strict=True)
+    for (name, kind), (low, high, effort, unit) in zip(kinds, limits, strict=True):
+        known = f"{low:.4g} to {high:.4g} {unit}" if math.isfinite(low) else "none known"
+        known = "none" if kind == "continuous" else known
+        most = f"{effort:g} {'N' if unit == 'm' else 'N m'}"
+        rows.append((name, kind, known, most if math.isfinite(effort) else "none known"))
     leads = robot.tip or "not clear, as it has more than one end: name one as tip"
     lines = [
         f"{source}: {_kinds(robot)}; nv {robot.nv}, nq {robot.nq}; {robot.mass:.4g} kg",
@@ -82,20 +70,20 @@ def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]
         "",
         _aligned(rows),
     ]
-    together = [
-        name for name in robot.mimic_joints.model.names[1:] if name not in robot.joint_names
-    ]
-    for title, joints in (
-        ("locked", locked_joints(source, robot)),
-        ("moving with another joint", together),
-    ):
+    others = {
+        "locked": locked_joints(source, robot),
+        "moving with another joint": [
+            name for name in robot.mimic_joints.model.names[1:] if name not in robot.joint_names
+        ],
+    }
+    for title, joints in others.items():
         if joints:
             lines += ["", *textwrap.wrap(f"{title}: {', '.join(joints)}", _WIDTH)]
     return "\n".join(lines)
 
 
 def _kind_of_each(robot: Robot) -> dict[str, str]:
-    """Joint name → revolute, continuous or prismatic, in the order of v."""
+    """Return joint name → revolute, continuous or prismatic, in the order of v."""
     kinds = {}
     for name, unit in zip(robot.joint_names, robot.joint_units, strict=True):
         turns = robot.model.joints[robot.model.getJointId(name)].nq == 2
@@ -104,30 +92,25 @@ def _kind_of_each(robot: Robot) -> dict[str, str]:
 
 
 def _kinds(robot: Robot) -> str:
-    """Such as "1 prismatic, 7 revolute"."""
+    """Return the joints by kind, such as "1 prismatic, 7 revolute"."""
     kinds = list(_kind_of_each(robot).values())
     return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
 
 
 def _efforts(robot: Robot) -> str:
-    """Range of the effort limits, apart for torques and forces."""
+    """Return the range of the effort limits, apart for torques and forces."""
     units = np.array(robot.joint_units)
     ranges = []
     for unit in dict.fromkeys(robot.joint_units):
         limits = robot.effort_limits[units == unit]
-        known = limits[np.isfinite(limits)]
-        if not known.size:
-            ranges.append("none known")
-            continue
-        low, high = f"{known.min():g}", f"{known.max():g}"
-        ranges.append(low if known.min() == known.max() else f"{low}-{high}")
-        if known.size < limits.size:
-            ranges[-1] += " or none"
+        known = [f"{limit:g}" for limit in np.unique(limits[np.isfinite(limits)])]
+        text = "-".join(dict.fromkeys([*known[:1], *known[-1:]])) or "none known"
+        ranges.append(text + (" or none" if known and not np.isfinite(limits).all() else ""))
     return ", ".join(ranges)
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of words in columns, the first row underlined."""
+    """Return rows of words in columns, the first row underlined."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     rows = [rows[0], ["-" * width for width in widths], *rows[1:]]
     return "\n".join(

@@ -23,7 +23,7 @@ def stability(
     Exit code 0 if Theorem 1 or the matrix form certifies the region, 1 if not.
 
     Args:
-        scenario: What to look at.
+        scenario: The scenario.
         jobs: Processes that share the rollouts.
         out: Folder for figure1, workspace and map as .png and .svg, summary.json, scenario.toml.
     """
@@ -47,7 +47,7 @@ def stability(
             bar.update(share - bar.n)
 
         result = study.analyse(
-            scenario, loop, executor, tell, lambda found: bar.write(report.verdicts(found))
+            scenario, loop, executor, tell, lambda tests: bar.write(f"{loop.truth!r}\n{tests}\n")
         )
     report.write(result, out)
     print(report.consequences(result))

@@ -23,18 +23,10 @@ def regular_configuration(
     tries: int = 1000,
     ratio: float = REGULAR,
 ) -> Array:
-    """Random configuration that can be a start or a target.
+    """Return a random configuration that can be a start or a target.
 
     Within the joint limits, neither J nor Ĵ is near singular, and holding it takes at most 70 % of
-    the effort limits.
-
-    Args:
-        sensor: Task of the true robot.
-        task: That of the believed robot.
-        rng: Draws the configuration.
-        effort: The effort limits, shape (n_v,) [N m or N]; those of the URDF by default.
-        tries: Configurations to draw at most.
-        ratio: σ_min/σ_max above which a Jacobian is not near singular.
+    the effort limits, shape (n_v,) [N m or N], by default those of the URDF.
 
     Raises:
         InvalidInputError: None was found.
@@ -61,20 +53,20 @@ def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bo
     return all(v[-1] > ratio * v[0] for v in values)
 
 
-def configuration_of(robot: Robot, name: str, joints: tuple[float, ...]) -> Array:
-    """Configuration (nq,) from one number a joint, continuous joints included.
+def configuration_of(
+    robot: Robot, name: str, joints: tuple[float, ...], within_limits: bool = True
+) -> Array:
+    """Return the configuration (nq,) of one number a joint, continuous joints included.
 
     Raises:
         InvalidInputError: Another count, or beyond the joint limits.
     """
     motion = as_array(name, joints, (robot.nv,), "rad or m")
     low, high = robot.position_limits
-    limits = zip(robot.joint_names, robot.joint_units, motion, low, high, strict=True)
-    for joint, unit, value, a, b in limits:
-        if not a <= value <= b:
-            raise InvalidInputError(
-                f"{name} must be within the joint limits, got {value:g} for {joint} "
-                f"({a:.4g} to {b:.4g} {unit})",
-                given=joints,
-            )
+    for i in np.nonzero((motion < low) | (motion > high))[0] if within_limits else ():
+        raise InvalidInputError(
+            f"{name} must be within the joint limits, got {motion[i]:g} for {robot.joint_names[i]} "
+            f"({low[i]:.4g} to {high[i]:.4g} {robot.joint_units[i]})",
+            given=joints,
+        )
     return np.array(pin.integrate(robot.model, robot.neutral(), motion))

@@ -1,9 +1,9 @@
-"""What a pinhole camera of a scenario sees: where it stands, what it watches, and from where to."""
+"""Scenes of a pinhole camera: cameras, points, start and goal."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -11,12 +11,11 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.scenario.configurations import REGULAR, configuration_of, is_regular
-from approxjac.scenario.records import Camera, CameraError
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation.plant import holdable
 from approxjac.tasks import FrameKinematics, ImageTask, PinholeCamera
 from approxjac.tasks.analysis import seen_configurations
-from approxjac.validation import Array, as_array
+from approxjac.validation import Array
 
 _FOCAL_LENGTH = 600.0  # [px]
 _FRONT = np.array([0.75, -0.6, 0.3])  # of the arm, to its right and above
@@ -30,35 +29,25 @@ _STARTS = 20  # tries to find a start to a goal
 _AROUND = 0.5  # how far a camera in hand starts from its goal in each joint [rad]
 _SINGULAR = 1e-6  # σ_min/σ_max of J below which an arm is singular in a configuration
 
-
-class ImageScene(NamedTuple):
-    """The true sensor and the believed task of an image scenario.
-
-    Attributes:
-        sensor: Task of the true robot and the true camera.
-        task: Task of the believed robot and the believed camera.
-    """
-
-    sensor: ImageTask
-    task: ImageTask
+Scene = tuple[ImageTask, ImageTask]  # of the true robot and camera, of the believed ones
 
 
 def image_scene(
     truth: Robot, belief: Robot, mount: str, scenario: Scenario, rng: np.random.Generator
-) -> tuple[ImageScene, Array, Array]:
-    """Return what a pinhole camera sees, the start, and a goal, shape (nq,) each.
+) -> tuple[Scene, Array, Array]:
+    """Return the tasks of a pinhole camera, the start, and a goal, shape (nq,) each.
 
     Args:
         truth: The true robot.
         belief: The believed robot.
         mount: Frame of both that "tip" means for a camera in hand.
-        scenario: What was asked for.
+        scenario: The scenario.
         rng: Draws the goal, and the start where it is not given.
 
     Raises:
         InvalidInputError: A camera that does not see the points, or too many of them.
     """
-    points = scenario.task.points
+    points, camera = scenario.task.points, scenario.true.camera
     if not 1 <= points <= 3:
         raise InvalidInputError(f"task.points must be 1, 2 or 3, got {points!r}", given=points)
     if 2 * points > truth.nv:
@@ -67,67 +56,60 @@ def image_scene(
             f"coordinates: {truth.nv // 2} for {truth.name}, got {points}",
             given=points,
         )
-    camera = scenario.true.camera
     if camera.mount is None:
-        return _watched(truth, belief, scenario, rng)
-    mount = mount if camera.mount == "tip" else camera.mount
-    scene, q0, q_goal = _carried(truth, belief, mount, scenario, rng)
+        scene = _scene_in_world(truth, belief, scenario)
+        return scene, *_start_and_goal(scene, scenario, rng)
+    frame = mount if camera.mount == "tip" else camera.mount
+    scene, q0, q_goal = _carried(
+        truth, scenario, rng, lambda q: _scene_in_hand(truth, belief, frame, q, scenario)
+    )
     _require_in_view(scene)
     return scene, q0, q_goal
 
 
-def _watched(
-    truth: Robot, belief: Robot, scenario: Scenario, rng: np.random.Generator
-) -> tuple[ImageScene, Array, Array]:
-    """Scene, start and goal for a camera in the world."""
-    scene = _scene_in_world(truth, belief, scenario)
-    sensor, q0 = scene.sensor, None
-    if isinstance(scenario.run.start, tuple):
-        q0 = configuration_of(truth, "run.start", scenario.run.start)
-        _require_seen(sensor, q0)
+def _start_and_goal(
+    scene: Scene, scenario: Scenario, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return start and goal for a camera in the world."""
+    sensor = scene[0]
+    q0 = _given_start(sensor, scenario)
     _require_in_view(scene)
     ratio = _usual_ratio([(sensor, q) for q in seen_configurations(sensor, _SAMPLES)])
-
-    def draw() -> Array:
-        for _ in range(_TRIES):
-            q = truth.random_configuration(rng)
-            if _is_usable(scene, q, ratio):
-                return q
-        raise _none_found(sensor)
-
-    q0 = draw() if q0 is None else q0
-    return scene, q0, draw()
+    drawn = (sensor.robot.random_configuration(rng) for _ in range(2 * _TRIES))
+    usable = (q for q in drawn if _is_usable(scene, q, ratio))
+    try:
+        return next(usable) if q0 is None else q0, next(usable)
+    except StopIteration:
+        raise _none_found(sensor) from None
 
 
 def _carried(
-    truth: Robot, belief: Robot, mount: str, scenario: Scenario, rng: np.random.Generator
-) -> tuple[ImageScene, Array, Array]:
-    """Scene, start and goal for a camera on the arm: points are put before it at the goal."""
-    usual = []
-    for _ in range(_SAMPLES):
-        q = truth.random_configuration(rng)
-        usual.append((_scene_in_hand(truth, belief, mount, q, scenario).sensor, q))
-    ratio = _usual_ratio(usual)
+    truth: Robot, scenario: Scenario, rng: np.random.Generator, look: Callable[[Array], Scene]
+) -> tuple[Scene, Array, Array]:
+    """Return scene, start and goal for a camera on the arm: points are before it at the goal."""
+    drawn = [truth.random_configuration(rng) for _ in range(_SAMPLES)]
+    ratio = _usual_ratio([(look(q)[0], q) for q in drawn])
     for _ in range(_TRIES):
         q_goal = truth.random_configuration(rng)
-        scene = _scene_in_hand(truth, belief, mount, q_goal, scenario)
+        scene = look(q_goal)
         if not _is_usable(scene, q_goal, ratio):
             continue
-        if isinstance(scenario.run.start, tuple):
-            q0 = configuration_of(truth, "run.start", scenario.run.start)
-            _require_seen(scene.sensor, q0)
+        q0 = _given_start(scene[0], scenario)
+        if q0 is not None:
             return scene, q0, q_goal
         for _ in range(_STARTS):
-            motion = rng.uniform(-_AROUND, _AROUND, truth.nv)
-            q0 = pin.integrate(truth.model, q_goal, motion)
+            q0 = pin.integrate(truth.model, q_goal, rng.uniform(-_AROUND, _AROUND, truth.nv))
             if _is_usable(scene, q0, ratio):
                 return scene, q0, q_goal
-    raise _none_found(scene.sensor)
+    raise _none_found(scene[0])
 
 
-def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> ImageScene:
-    """A camera in the world that watches points of the object that the arm holds."""
-    given, wrong, task = scenario.true.camera, scenario.believed.camera, scenario.task
+# -- cameras and points -----------------------------------------------------------------
+
+
+def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> Scene:
+    """Return the tasks of a camera in the world that watches points of the object."""
+    given, wrong = scenario.true.camera, scenario.believed.camera
     reach = _reach(truth)
     middle = _MIDDLE * reach if given.looking_at is None else np.array(given.looking_at)
     position = middle + _AWAY * reach * _FRONT / np.linalg.norm(_FRONT)
@@ -137,47 +119,41 @@ def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> ImageSce
         distortion=given.distortion,
     )  # fmt: skip
     depth = float(np.linalg.norm(middle - position))
-    believed = _believed(camera, wrong, (wrong.depth_factor - 1.0) * depth)
-    points = _point_pattern(task.points, task.spread)
-    chosen = task.depth or "believed"
+    believed = _believed(camera, scenario, (wrong.depth_factor - 1.0) * depth)
+    chosen, points = scenario.task.depth or "believed", _points(scenario)
     constant = wrong.depth_factor * depth
-    return _image_tasks(truth, belief, camera, believed, points, chosen, constant)
+    return _tasks(truth, belief, camera, believed, points, chosen, constant)
 
 
 def _scene_in_hand(
     truth: Robot, belief: Robot, mount: str, q_goal: Array, scenario: Scenario
-) -> ImageScene:
-    """A camera on the arm that watches points of the world, before it at the goal."""
-    given, wrong, task = scenario.true.camera, scenario.believed.camera, scenario.task
-    camera = _camera_in_hand(truth, mount, given)
-    chosen = task.depth or "constant"
-    # a constant depth is wrong by itself, and nothing else then needs to know where points are
-    back = 0.0 if chosen == "constant" else (wrong.depth_factor - 1.0) * _WORKING_DEPTH
-    believed = _believed(camera, wrong, back)
-    R_goal, p_goal = FrameKinematics(truth, mount).placement(q_goal)
-    R_eye, p_eye = camera.placement()
-    # a little out of the plane across the view, where three points tell least of a tilt
-    pattern = _point_pattern(task.points, task.spread)[:, [1, 2, 0]]
-    pattern = pattern - pattern.mean(axis=0) + np.array([0.0, 0.0, _WORKING_DEPTH])
-    points = (pattern @ R_eye.T + p_eye) @ R_goal.T + p_goal
-    constant = wrong.depth_factor * ImageTask(truth, camera, points=points).depths(q_goal)
-    return _image_tasks(truth, belief, camera, believed, points, chosen, constant)
-
-
-def _camera_in_hand(truth: Robot, mount: str, given: Camera) -> PinholeCamera:
-    """A camera that looks along the axis that leads on from the arm, a little above it."""
+) -> Scene:
+    """Return the tasks of a camera on the arm that watches points before it at the goal."""
+    given, wrong = scenario.true.camera, scenario.believed.camera
     axis = truth.outward_axis()
     view = np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis.startswith("-") else 1.0)
     right = np.cross(view, np.roll(np.abs(view), 1))
     R = np.column_stack([np.cross(right, view), right, view])
-    position = given.position or tuple((-0.05 * R[:, 1]).tolist())
-    return PinholeCamera(
-        given.focal_length or _FOCAL_LENGTH, given.size, position, R, distortion=given.distortion,
-        mount=mount,
+    camera = PinholeCamera(
+        given.focal_length or _FOCAL_LENGTH, given.size,
+        given.position or tuple((-0.05 * R[:, 1]).tolist()),  # a little above the axis
+        R, distortion=given.distortion, mount=mount,
     )  # fmt: skip
+    chosen = scenario.task.depth or "constant"
+    # a constant depth is wrong by itself, and nothing else then needs to know where points are
+    back = 0.0 if chosen == "constant" else (wrong.depth_factor - 1.0) * _WORKING_DEPTH
+    believed = _believed(camera, scenario, back)
+    R_goal, p_goal = FrameKinematics(truth, mount).placement(q_goal)
+    R_eye, p_eye = camera.placement()
+    # a little out of the plane across the view, where three points tell least of a tilt
+    pattern = _points(scenario)[:, [1, 2, 0]]
+    pattern = pattern - pattern.mean(axis=0) + np.array([0.0, 0.0, _WORKING_DEPTH])
+    points = (pattern @ R_eye.T + p_eye) @ R_goal.T + p_goal
+    constant = wrong.depth_factor * ImageTask(truth, camera, points=points).depths(q_goal)
+    return _tasks(truth, belief, camera, believed, points, chosen, constant)
 
 
-def _image_tasks(
+def _tasks(
     truth: Robot,
     belief: Robot,
     camera: PinholeCamera,
@@ -185,22 +161,23 @@ def _image_tasks(
     points: Array,
     depth: str,
     constant: float | Array,
-) -> ImageScene:
+) -> Scene:
     measured = "measured" if depth == "measured" else "believed"
-    return ImageScene(
+    chosen = constant if depth == "constant" else depth
+    return (
         ImageTask(truth, camera, points=points, depth=measured),
-        ImageTask(
-            belief, believed, points=points, depth=constant if depth == "constant" else depth
-        ),
+        ImageTask(belief, believed, points=points, depth=chosen),
     )
 
 
-def _believed(camera: PinholeCamera, wrong: CameraError, back: float) -> PinholeCamera:
-    """What is believed of a camera: no distortion, and the errors of the scenario."""
-    tilt = pin.exp3(np.array(wrong.rotation))
+def _believed(camera: PinholeCamera, scenario: Scenario, back: float) -> PinholeCamera:
+    """Return the believed camera: no distortion, and the errors of the scenario."""
+    wrong = scenario.believed.camera
     off = camera.with_error(
-        shift=as_array("shift", wrong.shift, (3,), "m") - [0.0, 0.0, back],
-        rotation=pin.log3(pin.exp3(np.array([0.0, 0.0, wrong.roll])) @ tilt),
+        shift=np.array(wrong.shift) - [0.0, 0.0, back],
+        rotation=pin.log3(
+            pin.exp3(np.array([0.0, 0.0, wrong.roll])) @ pin.exp3(np.array(wrong.rotation))
+        ),
         focal_factor=wrong.focal_factor,
     )
     return PinholeCamera(
@@ -208,29 +185,30 @@ def _believed(camera: PinholeCamera, wrong: CameraError, back: float) -> Pinhole
     )
 
 
-def _point_pattern(count: int, spread: float) -> Array:
-    """Points of an object: its tip, one beside it, and one off their line; shape (count, 3)."""
-    corner = math.sqrt(0.75)
-    return spread * np.array([[0, 0, 0], [0, 1, 0], [0.7, 0.5, corner]], dtype=float)[:count]
+def _points(scenario: Scenario) -> Array:
+    """Return points of an object: its tip, one beside it, one off their line; shape (k, 3)."""
+    pattern = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.7, 0.5, math.sqrt(0.75)]])
+    return scenario.task.spread * pattern[: scenario.task.points]
 
 
 def _reach(robot: Robot) -> float:
-    """How far from the world's origin the tip gets, over seeded random configurations [m]."""
+    """Return how far from the world's origin the tip gets in random configurations [m]."""
     rng, kinematics = np.random.default_rng(0), FrameKinematics(robot, robot.tip_or(None))
     tips = [kinematics.position(robot.random_configuration(rng)) for _ in range(200)]
     return float(np.max(np.linalg.norm(tips, axis=1)))
 
 
+# -- what is usable ---------------------------------------------------------------------
+
+
 def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
-    """σ_min/σ_max of J above which a configuration is not near singular.
+    """Return σ_min/σ_max of J above which a configuration is not near singular.
 
     Of several points it is small everywhere: what counts is how small it usually is.
     """
-    ratios = []
-    for sensor, q in usual:
-        values = np.linalg.svd(sensor.jacobian(q, sensor.value(q)), compute_uv=False)
-        ratios.append(values[-1] / values[0])
-    if not np.median(ratios) > _SINGULAR:
+    values = [np.linalg.svd(s.jacobian(q, s.value(q)), compute_uv=False) for s, q in usual]
+    ratio = float(np.median([each[-1] / each[0] for each in values]))
+    if not ratio > _SINGULAR:
         sensor = usual[0][0]
         raise InvalidInputError(
             f"task.points must be such that {sensor.robot.name} can move each of their "
@@ -238,49 +216,53 @@ def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
             f"can: give fewer points, or another camera; got {sensor!r}",
             given=sensor,
         )
-    return min(REGULAR, 0.5 * float(np.median(ratios)))
+    return min(REGULAR, 0.5 * ratio)
 
 
-def _is_usable(scene: ImageScene, q: Array, ratio: float) -> bool:
-    """Whether a configuration can be a start or a goal."""
-    robot = scene.sensor.robot
+def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
+    """Return True if a configuration can be a start or a goal."""
+    sensor, robot = scene[0], scene[0].robot
+    assert isinstance(sensor.camera, PinholeCamera)  # the scenes above have no other
     low, high = robot.position_limits
     motion = pin.difference(robot.model, robot.neutral(), q)
+    images, size = _images(sensor, q), np.array(sensor.camera.size)
     return (
         bool(((motion >= low) & (motion <= high)).all())
-        and _well_within(scene.sensor, q)
+        and bool(((images > _MARGIN * size) & (images < (1.0 - _MARGIN) * size)).all())
         and holdable(Dynamics(robot), q, robot.effort_limits)
         and is_regular(*scene, q, ratio)
     )
 
 
-def _well_within(sensor: ImageTask, q: Array) -> bool:
-    """Whether the points are seen, and not near the edges of the image."""
-    assert isinstance(sensor.camera, PinholeCamera)  # the scenes above have no other
-    x = sensor.value(q).reshape(len(sensor.points), -1)[:, :2]
-    size = np.array(sensor.camera.size)
-    low, high = _MARGIN * size, (1.0 - _MARGIN) * size
-    return bool(((x > low) & (x < high)).all())  # NaN is not
+def _images(sensor: ImageTask, q: Array) -> Array:
+    """Return the image of each point, shape (k, 2) [px]; NaN where it has none."""
+    return np.asarray(sensor.value(q).reshape(len(sensor.points), -1)[:, :2])
 
 
-def _require_seen(sensor: ImageTask, q0: Array) -> None:
-    images = sensor.value(q0).reshape(len(sensor.points), -1)[:, :2]
-    for i, (image, Z) in enumerate(zip(images, sensor.depths(q0), strict=True), start=1):
+def _given_start(sensor: ImageTask, scenario: Scenario) -> Array | None:
+    """Return the given start; None if there is none.
+
+    Raises:
+        InvalidInputError: The camera does not see all points there.
+    """
+    if not isinstance(scenario.run.start, tuple):
+        return None
+    q0 = configuration_of(sensor.robot, "run.start", scenario.run.start)
+    for i, (image, Z) in enumerate(zip(_images(sensor, q0), sensor.depths(q0), strict=True), 1):
         if not np.isfinite(sensor.camera.seen(image)).all():
-            behind = f"{-Z:.3g} m behind it"
-            near = f"{Z:.3g} m before it, which is too near or too far aside"
             shown = f"at ({image[0]:.0f}, {image[1]:.0f}) px, outside its image"
-            where = behind if Z <= 0.0 else shown if np.isfinite(image).all() else near
+            where = f"{-Z:.3g} m behind it" if Z <= 0.0 else shown
             raise InvalidInputError(
                 "run.start must be a configuration in which the camera sees all points, and point "
                 f"{i} is {where}: give another start, or none for one of the seed, or move the "
                 f"camera; got {q0.tolist()} for {sensor.camera!r}",
                 given=q0,
             )
+    return q0
 
 
-def _require_in_view(scene: ImageScene) -> None:
-    for which, task in (("true", scene.sensor), ("believed", scene.task)):
+def _require_in_view(scene: Scene) -> None:
+    for which, task in zip(("true", "believed"), scene, strict=True):
         try:
             seen_configurations(task, 1)
         except InvalidInputError as error:

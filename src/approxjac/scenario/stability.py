@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.scenario.build import BuiltScenario, build_with, loaded_arm
+from approxjac.scenario.configurations import configuration_of
 from approxjac.scenario.records import Analysis
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import Plant, Trajectory
@@ -36,7 +37,7 @@ from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.map import PARAMETERS
 from approxjac.stability.tolerance import Test
 from approxjac.tasks import Camera, CombinedTask, ImageTask, Task
-from approxjac.validation import Array, as_array
+from approxjac.validation import Array
 
 _RANGES = (
     "object_length", "object_mass", "joint_shifts", "joint_rotations", "focal_length", "distance",
@@ -48,18 +49,17 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class StabilityResult:
-    """What was found.
+    """The tests of a loop, and what follows.
 
     Attributes:
-        scenario: What was looked at.
-        loop: Its controller, what may be true, and where it was looked.
+        scenario: The scenario.
+        loop: Its controller, its truth, or what may be true, and the region.
         report: The four tests.
         tolerances: How far the errors may be scaled for each test; nothing if none are given.
-        raised_damping: The smallest damping tried, times the given one, with which a report on as
-            many configurations certifies all errors; None if they are certified already, or not
-            with any.
-        certified_part: The errors, scaled down, that a report on as many configurations certifies
-            as it is; None if they are certified as a whole, or no part tried is.
+        raised_damping: Factor of the damping with which all errors are certified; None if they are
+            already, or with none that was tried.
+        certified_part: The errors, scaled down, that are certified as it is; None if all are, or
+            none that were tried.
         map: The stability map, or None.
     """
 
@@ -115,13 +115,13 @@ def analyse(
     progress: Progress | None = None,
     found: Callable[[StabilityReport], None] = lambda report: None,
 ) -> StabilityResult:
-    """Make the tests, find what they tolerate, and what the map shows.
+    """Return the tests of a loop, the errors that they tolerate, and the map.
 
     Args:
-        scenario: What to look at.
-        loop: What `prepare` makes of it.
-        executor: What shares the rollouts; this process by default.
-        progress: Called with what is being done and the share of it that is.
+        scenario: The scenario.
+        loop: Its loop, from `prepare`.
+        executor: Shares the rollouts; this process by default.
+        progress: Called with the name of a part of the work and the share of it that is done.
         found: Called with the report of the tests, long before the rest is known.
 
     Raises:
@@ -139,24 +139,21 @@ def analyse(
     if uncertainty is None:
         return StabilityResult(scenario, loop, report, {}, None, None, None)
 
-    def telling(what: str) -> Callable[[float], None]:
-        return lambda share: tell(what, share)
-
-    tolerances = tolerance(controller, uncertainty, progress=telling("tolerance"), **where)
+    tolerances = tolerance(controller, uncertainty, progress=partial(tell, "tolerance"), **where)
     raised = part = map_ = None
     if report.certified_by is None:
         raised = damping_that_certifies(
-            controller, uncertainty, progress=telling("more damping"), **drawn
+            controller, uncertainty, progress=partial(tell, "more damping"), **drawn
         )
         part = part_that_certifies(
             controller, uncertainty, largest=min(1.0, tolerances["matrix"].scale),
-            progress=telling("smaller errors"), **drawn,
+            progress=partial(tell, "smaller errors"), **drawn,
         )  # fmt: skip
     if analysis.map_points:
         x, y = (_values(name, controller, uncertainty, analysis) for name in analysis.map)
         map_ = stability_map(
             controller, uncertainty, names=analysis.map, x=x, y=y, runs=analysis.map_runs,
-            executor=executor, progress=telling("map"), **where,
+            executor=executor, progress=partial(tell, "map"), **where,
         )  # fmt: skip
     return StabilityResult(scenario, loop, report, tolerances, raised, part, map_)
 
@@ -171,26 +168,22 @@ def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty 
         arm = arm.with_kinematic_error(believed.shifts, believed.rotations)
     sensor, task = built.plant.sensor, built.law.task
     camera: Camera | None = None
-    make: Callable[..., Task] = functools.partial(_task_of, task)
+    make: Callable[[Robot], Task] = task.on
     if isinstance(sensor, ImageTask):
         image = task.task if isinstance(task, CombinedTask) else task
         assert isinstance(image, ImageTask)  # as its sensor is one
         camera = image.camera
-        make = functools.partial(ImageTask, points=sensor.points, depth=sensor.depth)
+        make = partial(ImageTask, points=sensor.points, depth=sensor.depth)
     return Uncertainty(
         arm,
         make,
         believed_length=believed.object.length,
         believed_mass=believed.object.mass,
-        object_axis=believed.object.axis or built.scenario.true.object.axis,
+        object_axis=believed.object.like(built.scenario.true.object).axis,
         camera=camera,
         friction=friction,
         **given,
     )
-
-
-def _task_of(task: Task, robot: Robot) -> Task:
-    return task.on(robot)
 
 
 def _region(
@@ -204,7 +197,7 @@ def _region(
     belief, radius = controller.task.robot, analysis.radius
     region: Region
     if analysis.around is not None:
-        around = _configuration(belief, "stability.around", analysis.around)
+        around = configuration_of(belief, "stability.around", analysis.around, within_limits=False)
         region = JointBox.around(belief, around, radius)
     elif analysis.run is not None:
         region = Tube(belief, Trajectory.load(analysis.run).q, radius)
@@ -214,28 +207,22 @@ def _region(
                 "stability.reach_from needs stability.target, got none", given=None
             )
         nominal = truth.plant(truth.believed) if isinstance(truth, Uncertainty) else truth
-        start = _configuration(belief, "stability.reach_from", analysis.reach_from)
+        start = configuration_of(
+            belief, "stability.reach_from", analysis.reach_from, within_limits=False
+        )
         region = SublevelSet(nominal, controller, analysis.target, start)
     elif analysis.sigma_min is None:
         return None
     else:
         region = JointBox(belief)
-    if analysis.sigma_min is None:
-        return region
-    return RegularPart(region, controller.task, analysis.sigma_min)
-
-
-def _configuration(robot: Robot, name: str, joints: tuple[float, ...]) -> Array:
-    """Configuration from one number a joint, also beyond the joint limits."""
-    motion = as_array(name, joints, (robot.nv,), "rad or m")
-    point = JointBox(robot, motion, motion)
-    return np.array(point.sample(1, np.random.default_rng(0))[0])
+    least = analysis.sigma_min
+    return region if least is None else RegularPart(region, controller.task, least)
 
 
 def _values(
     name: str, controller: SetpointController, uncertainty: Uncertainty, analysis: Analysis
 ) -> Array:
-    """Values of a parameter of the map."""
+    """Return the values of a parameter of the map."""
     shares = np.linspace(0.0, 1.0, analysis.map_points)
     if name == "error":
         return uncertainty.largest_scale(3.0) * shares
