@@ -60,14 +60,11 @@ SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COM
 
 
 def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:
-    """Return the scenario of the file among a command's words, and the words with its robot.
-
-    An option for the target takes the place of any that the file has.
-    """
+    """Return the scenario of the file among a command's words, and the words with its robot."""
     for i, word in enumerate(words):
         if word.endswith(".toml") and words[0] in SHORT and words[i - 1] != "--save":
             scenario = Scenario.load(word)
-            if any(other.startswith(("--target", "--run.target")) for other in words):
+            if any(other.startswith(("--target", "--run.target")) for other in words):  # not both
                 scenario = scenario.with_values({"run": {"target": Goal()}})
             return scenario, [*words[:i], scenario.robot, *words[i + 1 :]]
     return None, words
@@ -78,9 +75,7 @@ def with_options(
 ) -> Callable[..., int]:
     """Return a command that takes the keys of a scenario as options, instead of a scenario.
 
-    Args:
-        command: A function with an argument `scenario`.
-        default: What options say that are not given; the usual by default.
+    What options do not say is as in `default`, or as usual.
     """
     default = _USUAL[command.__name__] if default is None else default
     short: dict[str, list[str]] = {}

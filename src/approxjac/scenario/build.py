@@ -113,18 +113,14 @@ class BuiltScenario:
         return Result(self, record)
 
 
-def build(scenario: Scenario) -> BuiltScenario:
-    """Build the truth, the belief and what stands between them, as `Scenario.build` does."""
-    return build_with(loaded_arm(scenario), scenario)
-
-
 def loaded_arm(scenario: Scenario) -> Robot:
     """Return the arm of a scenario without an object."""
     return load_robot(scenario.robot, tip=scenario.tip, base=scenario.base, free=scenario.free)
 
 
-def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
-    """Build a scenario whose arm, without an object, is loaded already."""
+def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
+    """Build a scenario, as `Scenario.build` does; its arm without an object may be loaded."""
+    arm = loaded_arm(scenario) if arm is None else arm
     _require_no_contradiction(scenario)
     true, believed = scenario.true, scenario.believed
     truth = holding(arm, true.object, true.shifts, true.rotations)
@@ -147,8 +143,7 @@ def build_with(arm: Robot, scenario: Scenario) -> BuiltScenario:
             task = CombinedTask.balanced(task, x_d)
         plant = _plant(truth, sensor, motors, scenario)
     else:
-        task = _task(belief, scenario)
-        sensor = _sensor(task, truth, scenario)
+        sensor, task = _tasks(truth, belief, scenario)
         plant = _plant(truth, sensor, motors, scenario)
         draw = functools.partial(regular_configuration, sensor, task, rng, motors)
         q0 = _start(plant, scenario, draw)
@@ -197,36 +192,22 @@ def holding(arm: Robot, held: Object, shifts: Vectors, rotations: Vectors) -> Ro
 # -- tasks ------------------------------------------------------------------------------
 
 
-def _task(robot: Robot, scenario: Scenario) -> Task:
-    """Return the believed task, where no pinhole camera is in it."""
-    kind, axes = scenario.task.kind, scenario.task.axes
-    if kind == "position":
-        return PositionTask(robot, axes=axes)
-    if kind == "stacked":
-        frames = scenario.task.frames
-        return StackedTask(*(PositionTask(robot, frame, axes) for frame in frames))
-    if kind == "pose":
-        return PoseTask(robot)
-    wrong, true = scenario.believed.camera, _planar_camera(scenario)
-    believed = PlanarCamera(
-        true.focal_length * wrong.focal_factor,
-        true.distance * wrong.depth_factor,
-        true.roll + wrong.roll,
-    )
-    return ImageTask(robot, believed)
+def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]:
+    """Return the sensor of the true robot and the believed task, without a pinhole camera."""
+    chosen, given, wrong = scenario.task, scenario.true.camera, scenario.believed.camera
+    if chosen.kind == "image":
+        f, z, roll = given.focal_length or _PLANAR_FOCAL_LENGTH, given.distance, given.roll
+        believed = PlanarCamera(f * wrong.focal_factor, z * wrong.depth_factor, roll + wrong.roll)
+        return ImageTask(truth, PlanarCamera(f, z, roll)), ImageTask(belief, believed)
+    task: Task = PoseTask(belief) if chosen.kind == "pose" else _positions(belief, scenario)
+    return task.on(truth), task
 
 
-def _sensor(task: Task, truth: Robot, scenario: Scenario) -> Task:
-    """Return the task that the true robot measures for a believed one."""
-    if isinstance(task, ImageTask):
-        return ImageTask(truth, _planar_camera(scenario))
-    return task.on(truth)
-
-
-def _planar_camera(scenario: Scenario) -> PlanarCamera:
-    camera = scenario.true.camera
-    focal_length = camera.focal_length or _PLANAR_FOCAL_LENGTH
-    return PlanarCamera(focal_length, camera.distance, camera.roll)
+def _positions(robot: Robot, scenario: Scenario) -> Task:
+    chosen = scenario.task
+    if chosen.kind == "stacked":
+        return StackedTask(*(PositionTask(robot, each, chosen.axes) for each in chosen.frames))
+    return PositionTask(robot, axes=chosen.axes)
 
 
 # -- start and target -------------------------------------------------------------------
@@ -244,10 +225,17 @@ def _target(
 ) -> Array | TargetPath:
     goal = scenario.run.target
     line, circle, waypoints = goal.line, goal.circle, goal.waypoints
-    start = sensor.value(q0)
+    start, unit = sensor.value(q0), joined(sensor.units)
+    ways = {"line": line.offset, "circle": circle.radius, "waypoints": waypoints.points}
+    way = [name for name, value in ways.items() if value is not None]
+    if way and len(start) != sensor.m:
+        raise InvalidInputError(
+            f"run.target.{way[0]} is a path of a task whose error is x - x_d, got {sensor!r}",
+            given=goal,
+        )
     if line.offset is not None:
-        way = as_array("run.target.line.offset", line.offset, (sensor.m,), joined(sensor.units))
-        return Line(start, start + way, line.duration)
+        offset = as_array("run.target.line.offset", line.offset, (sensor.m,), unit)
+        return Line(start, start + offset, line.duration)
     if circle.radius is not None:
         center: Any = circle.center
         if center is None:
@@ -256,14 +244,11 @@ def _target(
     if waypoints.points is not None:
         shape = (-(-len(waypoints.points) // sensor.m) * sensor.m,)
         points = as_array("run.target.waypoints.points", waypoints.points, shape)
-        return Waypoints(
-            np.vstack([start, points.reshape(-1, sensor.m)]),
-            waypoints.speed,
-            waypoints.acceleration,
-        )
+        points = np.vstack([start, points.reshape(-1, sensor.m)])
+        return Waypoints(points, waypoints.speed, waypoints.acceleration)
     if goal.offset is not None:
-        offset = as_array("run.target.offset", goal.offset, (sensor.m,), joined(sensor.units))
-        return sensor.displaced(sensor.value(q0), offset)
+        offset = as_array("run.target.offset", goal.offset, (sensor.m,), unit)
+        return sensor.displaced(start, offset)
     if goal.configuration is not None:
         name = "run.target.configuration"
         return sensor.value(configuration_of(sensor.robot, name, goal.configuration))
@@ -292,24 +277,20 @@ def gravity_from(truth: Robot, belief: Robot, kind: str) -> Gravity:
 
 
 def _law(task: Task, gravity: Gravity, q0: Array, scenario: Scenario) -> SetpointController:
-    chosen = scenario.controller
-    saturation = Linear() if chosen.gamma is None else Sine(chosen.gamma)
-    velocity = None
-    if chosen.differentiator is not None:
-        velocity = DifferentiatedVelocity(chosen.differentiator)
-    stiffness = chosen.posture_stiffness
+    chosen, stiffness = scenario.controller, scenario.controller.posture_stiffness
+    differentiator = chosen.differentiator
     return SetpointController(
         task,
         _gains(task, scenario),
         gravity=gravity,
-        saturation=saturation,
-        velocity=velocity,
+        saturation=Linear() if chosen.gamma is None else Sine(chosen.gamma),
+        velocity=None if differentiator is None else DifferentiatedVelocity(differentiator),
         posture=Posture(q0, stiffness) if stiffness else None,
     )
 
 
 def _gains(task: Task, scenario: Scenario) -> Gains:
-    """Default gains that the loop's lags allow, but for those that are given."""
+    """Return default gains that the loop's lags allow, but for those that are given."""
     chosen, sensor = scenario.controller, scenario.sensor
     lag = sampling_time(scenario) + (sensor.velocity_filter or 0.0) + scenario.loop.actuator_delay
     if chosen.differentiator is not None:  # damping of law (5) acts as late as x tells Ẋ
@@ -363,7 +344,7 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
 
 
 def _sensing(scenario: Scenario) -> Sensing | None:
-    """Return how measurements differ from the truth; None if they do not."""
+    """Return the errors of measurements; None if there are none."""
     given = scenario.sensor
     part = () if given.lost_part is None else (given.lost_part - 1,)
     lost: Any = () if given.lost is None else ((*given.lost, *part),)

@@ -37,14 +37,14 @@ class Scenario:
         tip: End-effector frame that holds the object; the robot's own by default.
         base: Link that the chain to the tip starts from.
         free: Joints that are not locked although the tip does not need them.
-        true: What is true, which only the plant gets to see.
-        believed: What the controller believes.
-        task: What is measured and controlled.
-        sensor: How measurements differ from the truth.
-        controller: Who controls, and within which limits.
-        loop: At which period and delay.
-        run: From where, where to, and for how long.
-        stability: What a stability report looks at.
+        true: The truth, which only the plant gets to see.
+        believed: The belief of the controller.
+        task: The task, measured and controlled.
+        sensor: Errors of measurements.
+        controller: The law, its gains, and its limits.
+        loop: Period and delay of control.
+        run: Start, target, duration.
+        stability: Errors and region of a stability report.
 
     Raises:
         UnknownNameError: A key or a choice that there is not.
@@ -96,13 +96,7 @@ class Scenario:
     def with_values(self, table: Table, where: str = "") -> Scenario:
         """Return this scenario with the values of a table, such as `{"run": {"duration": 5.0}}`.
 
-        Args:
-            table: Of names and values, as in a scenario file.
-            where: The file that it is from, for errors; none by default.
-
-        Raises:
-            UnknownNameError: A key or a choice that there is not.
-            InvalidInputError: A value of another type, or out of range.
+        Errors name `where` the table is from; they are those of `Scenario`.
         """
         return filled(self, table, where)
 

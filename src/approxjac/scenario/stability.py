@@ -13,7 +13,7 @@ import numpy as np
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
-from approxjac.scenario.build import BuiltScenario, build_with, loaded_arm
+from approxjac.scenario.build import BuiltScenario, build, loaded_arm
 from approxjac.scenario.configurations import configuration_of
 from approxjac.scenario.records import Analysis
 from approxjac.scenario.scenario import Scenario
@@ -102,7 +102,7 @@ def prepare(scenario: Scenario) -> ClosedLoop:
         scenario,
         controller=replace(scenario.controller, gravity=gravity, limits=None),
     )
-    built = build_with(arm, plain)
+    built = build(plain, arm)
     truth = _truth(arm, built, analysis)
     region = _region(built.law, truth, analysis)
     return ClosedLoop(built.law, truth, region, analysis.target)

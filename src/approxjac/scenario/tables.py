@@ -6,6 +6,7 @@ import json
 import os
 import types
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import Field, fields, is_dataclass, replace
 from functools import cache
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -48,12 +49,7 @@ def filled(record: Record, values: Table, where: str = "", key: str = "") -> Rec
 def checked(kind: type, base: Any, values: Table, where: str = "", key: str = "") -> dict[str, Any]:
     """Return the values of a table as the fields of a kind of record have them, as `filled` does.
 
-    Args:
-        kind: The kind of record.
-        base: Has the records that tables within the table are filled into, by field.
-        values: As for `filled`.
-        where: As for `filled`.
-        key: As for `filled`.
+    Tables within the table are filled into the fields of `base`.
     """
     known: dict[str, Field[Any]] = {field.name: field for field in fields(kind)}
     table = " ".join(word for word in (where, f"[{key}]" if key else "") if word) or "a scenario"
@@ -64,11 +60,11 @@ def checked(kind: type, base: Any, values: Table, where: str = "", key: str = ""
         dotted, inner = f"{key}.{name}" if key else name, getattr(base, name, None)
         if is_dataclass(inner):
             found[name] = filled(inner, _table_of(inner, value, dotted), where, dotted)
-        else:
-            hint = hints(kind)[name]
-            found[name] = _value(hint, value, dotted, where)
-            _require_choice(hint, found[name], dotted, table)
-            _require_bounds(dotted, found[name], known[name].metadata)
+            continue
+        found[name] = made = _value(hints(kind)[name], value, dotted, where, table)
+        for number in made if isinstance(made, tuple) else (made,):
+            if isinstance(number, int | float):
+                as_number(dotted, number, **known[name].metadata)
     return found
 
 
@@ -115,21 +111,38 @@ def _table_of(record: Any, value: Any, key: str) -> Table:
     raise InvalidInputError(f"{key} must be a table of {names}, got {value!r}", given=value)
 
 
-def _value(hint: Any, value: Any, key: str, where: str) -> Any:
+def _value(hint: Any, value: Any, key: str, where: str, table: str) -> Any:
+    """Return a value as a field of that type has it."""
     try:
         return _converted(hint, value)
     except (TypeError, ValueError):  # such as a number, which has no length
+        words = [word for kind in _kinds(hint) for word in _words(kind)]
+        if isinstance(value, str) and all(_words(kind) for kind in _kinds(hint)):
+            raise UnknownNameError(key, value, table, words) from None
         told = f"{key} must be {_wanted(hint)}, got {value!r}" + (f" in {where}" if where else "")
         raise InvalidInputError(told, given=value) from None
+
+
+def _kinds(hint: Any) -> tuple[Any, ...]:
+    """Return the types that a field may have, but None."""
+    kinds = get_args(hint) if get_origin(hint) in _UNIONS else (hint,)
+    return tuple(kind for kind in kinds if kind is not type(None))
+
+
+def _words(kind: Any) -> tuple[Any, ...]:
+    return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 def _converted(hint: Any, value: Any) -> Any:
     """Return a value as a field of that type has it; a TypeError where it is of another."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in _UNIONS:
-        return _first_that_fits(inner, value)
-    if origin is Literal:
-        return _converted(str, value)  # which one is looked at with all that there are
+        for kind in inner:
+            with suppress(TypeError, ValueError):
+                return _converted(kind, value)
+        raise TypeError
+    if origin is Literal and isinstance(value, str) and value in inner:
+        return value
     if origin is dict:
         return {_converted(str, k): _converted(inner[1], v) for k, v in dict(value).items()}
     if origin is tuple:
@@ -147,44 +160,18 @@ def _converted(hint: Any, value: Any) -> Any:
         return float(value)
     if hint is int and number and value == int(value):
         return int(value)
-    if hint not in (float, int) and isinstance(value, hint):
+    if hint in (str, type(None)) and isinstance(value, hint):
         return value
     if hint is str and isinstance(value, os.PathLike):
         return os.fspath(value)
     raise TypeError
 
 
-def _first_that_fits(kinds: Sequence[Any], value: Any) -> Any:
-    for kind in kinds:
-        try:
-            return _converted(kind, value)
-        except (TypeError, ValueError):
-            continue
-    raise TypeError
-
-
-def _require_choice(hint: Any, value: Any, key: str, table: str) -> None:
-    """Refuse a word that is none of those that a field may be."""
-    kinds = get_args(hint) if get_origin(hint) in _UNIONS else (hint,)
-    choices = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
-    if not isinstance(value, str) or str in kinds or value in choices:
-        return
-    if all(kind is type(None) or get_origin(kind) is Literal for kind in kinds):
-        raise UnknownNameError(key, value, table, choices)
-    raise InvalidInputError(f"{key} must be {_wanted(hint)}, got {value!r}", given=value)
-
-
-def _require_bounds(key: str, value: Any, bounds: Mapping[str, Any]) -> None:
-    for number in value if isinstance(value, tuple) else (value,):
-        if isinstance(number, int | float):
-            as_number(key, number, **bounds)
-
-
 def _wanted(hint: Any) -> str:
     """Return what a value of a type is, in words."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in _UNIONS:
-        return " or ".join(_wanted(each) for each in inner if each is not type(None))
+        return " or ".join(map(_wanted, _kinds(hint)))
     if origin is Literal:
         return " or ".join(json.dumps(word) for word in inner)
     if origin is dict:
