@@ -1,14 +1,9 @@
 """`approxjac simulate`: files and options say the same, and what becomes of them."""
 
 import json
-import subprocess
-import sys
 
-import numpy as np
 import pytest
-from PIL import Image
 
-import approxjac as aj
 from approxjac.cli import main
 from approxjac.scenario import Scenario
 
@@ -51,26 +46,9 @@ def reach(tmp_path):
     return path
 
 
-def test_it_prints_and_writes_what_became_of_it(tmp_path):
-    process = subprocess.run(
-        [sys.executable, "-m", "approxjac", *OPTIONS, "--out", str(tmp_path)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert process.returncode == 0, process.stderr
-    assert process.stderr == ""
-    assert "verdict     converged" in process.stdout
-    summary = outcome(tmp_path)
-    assert summary["verdict"] == "converged"
-    assert summary["final_error_m"] < 1e-3
-    for name in ("final_error_m", "settling_time_s", "peak_torque_ratio"):
-        assert isinstance(summary[name], float)
-    picture = Image.open(tmp_path / "run.png")
-    assert len(np.unique(np.asarray(picture.convert("L")))) > 50
-    assert aj.Trajectory.load(tmp_path / "run.npz").t[-1] == pytest.approx(6.0)
-
-
-def test_a_file_says_the_same_as_options_and_options_come_before_it(reach, tmp_path):
+def test_a_file_says_the_same_as_options_and_options_come_before_it(reach, tmp_path, capsys):
     assert main(["simulate", str(reach), "--out", str(tmp_path / "a")]) == 0
+    assert "verdict     converged" in capsys.readouterr().out
     assert main([*OPTIONS, "--out", str(tmp_path / "b"), "--save", str(tmp_path / "b.toml")]) == 0
     assert outcome(tmp_path / "a") == outcome(tmp_path / "b")
     assert Scenario.load(reach) == Scenario.load(tmp_path / "b.toml")

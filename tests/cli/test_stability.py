@@ -195,6 +195,7 @@ def test_without_errors_there_is_nothing_to_scale(tmp_path, capsys):
     assert not (tmp_path / "map.png").exists()
 
 
+@pytest.mark.study
 def test_a_region_without_full_rank_is_never_said_to_be_certified(tmp_path, capsys):
     code = stability(
         tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.3", "0.1", "--radius",
@@ -207,6 +208,7 @@ def test_a_region_without_full_rank_is_never_said_to_be_certified(tmp_path, caps
     assert "certifies it" not in shown
 
 
+@pytest.mark.study
 def test_no_map_of_another_run_stays(tmp_path):
     (tmp_path / "map.png").write_bytes(b"of another arm")
     stability(

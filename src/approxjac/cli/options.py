@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, asdict, field, is_dataclass, make_dataclass
+from functools import partial
 from typing import Annotated, Any, get_type_hints
 
 import tyro
@@ -111,10 +112,6 @@ def _options(record: Any, short: Mapping[str, list[str]], key: str = "") -> type
             made.append((name, kind, field(default_factory=kind)))
         else:
             argument = tyro.conf.arg(help=texts[name], aliases=short.get(dotted))
-            made.append((name, Annotated[hint, argument], _holding(value)))
+            default = partial(getattr, record, name)  # which may be a table
+            made.append((name, Annotated[hint, argument], field(default_factory=default)))
     return make_dataclass(type(record).__name__, made)
-
-
-def _holding(value: Any) -> Any:
-    """A field with a default, which may be a table."""
-    return field(default_factory=lambda: value)

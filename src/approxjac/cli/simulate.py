@@ -26,11 +26,13 @@ def simulate(
     Exit code 0 if the error ended within the tolerance, 1 if not.
 
     Args:
-        scenario: What to simulate.
-        live: How to see it while it goes on.
+        scenario: The scenario.
+        live: View of the run while it goes on.
         save: Write the scenario to this .toml file, too.
         out: Folder for the pictures, run.npz, summary.json and scenario.toml.
     """
+    if live.view and scenario.loop.dt == "continuous":  # what is shown are steps
+        scenario = scenario.with_values({"loop": {"dt": 1e-3}})
     built = scenario.build()
     make_folder(out)
     if save is not None:

@@ -26,8 +26,7 @@ class Object:
     Attributes:
         length: From the arm's tip to that of the object, m.
         mass: Its mass, kg.
-        axis: Axis of the arm's tip along the object, such as z, or -x as --object-axis=-x; the one
-            that leads on from the arm by default, or that of the true object.
+        axis: Axis of the tip along it, such as z, or -x as --object-axis=-x; outward by default.
         radius: Of the cylinder, m; 0.01 by default, or that of the true object.
     """
 
@@ -93,7 +92,7 @@ class CameraError:
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true, which only the plant gets to see.
+    """The truth, which only the plant gets to see.
 
     Attributes:
         object: Held by the arm.
@@ -118,7 +117,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Belief:
-    """What the controller believes.
+    """The belief of the controller.
 
     Attributes:
         object: Held by the arm.
@@ -135,16 +134,15 @@ class Belief:
 
 @dataclass(frozen=True)
 class TaskChoice:
-    """What is measured and controlled.
+    """The task, measured and controlled.
 
     Attributes:
-        kind: Position or pose of the object's tip, image of points, or positions of several frames.
+        kind: Position or pose of the object's tip, image of points, positions of several frames.
         axes: World axes of a position; those that the arm commands best by default.
         frames: Frames of a stacked task, such as object_tip panda_link4.
         points: Count of the points that a pinhole camera sees: m is twice as many.
         spread: Distance between the points, m.
-        depth: Source of a point's depth: the belief, a constant, or a camera that measures it;
-            "believed" with a camera in the world, "constant" in hand by default.
+        depth: Source of depths; "believed" of a camera in the world, "constant" in hand by default.
     """
 
     kind: Literal["position", "pose", "image", "stacked"] = "position"
@@ -193,16 +191,14 @@ class ControllerChoice:
     Attributes:
         law: "setpoint", the paper's.
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
-        gravity: "learnt" (the law (28), (29)), "exact" (fitted to the true one), "believed" (the
-            believed robot's), or "none".
+        gravity: "learnt" (law (28)), "exact" (fitted to the true one), "believed", or "none".
         settling_time: Wanted by the default gains, s.
         kp: K_p, one number or one a task coordinate; the default gains' one by default.
         kv: K_v, one number or one a task coordinate; the default gains' one by default.
         damping: Added joint damping, one number or one a joint; the default gains' one by default.
         gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; none by default.
         posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
-        limits: Known to the controller and kept: "urdf" those of the URDF, a number the effort
-            limits times it, which are then the motors' too. Unknown by default.
+        limits: To be kept: "urdf", or a number of times the effort limits, then the motors' too.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
         unseen: Motion for which the x that was last seen will do, m, rad or px; none by default.
     """
@@ -279,11 +275,10 @@ class WaypointPath:
 
 @dataclass(frozen=True)
 class Goal:
-    """Where to go, said in one of these ways; a list of numbers in a file is `at`.
+    """The target, said in one of these ways; a list of numbers in a file is `at`.
 
     Attributes:
-        at: Position (one number for each of axes, m), pose (x y z qx qy qz qw) or image (u v of
-            each point); that of a random configuration by default.
+        at: Position (m), pose (x y z qx qy qz qw), images (u v of each point); random by default.
         offset: Relative to where the task starts, m (and rad of a pose).
         configuration: Joint positions at which the true sensor measures the target, rad or m.
         circle: To follow.
@@ -304,12 +299,10 @@ class Run:
     """From where, where to, and for how long.
 
     Attributes:
-        start: Joint positions, one a joint, rad or m, or "random" for a configuration of the seed;
-            one that is far from singular by default, with a pinhole camera one of the seed.
-        target: Where to go; what a configuration of the seed has by default.
+        start: Joint positions, rad or m, or "random" by the seed; far from singular by default.
+        target: Value or path of the task; random by the seed by default.
         duration: Of the run, s.
-        tolerance: Error below which the task counts as done, 1e-3 m (and rad) by default; RMS of
-            an image coordinate over the last tenth of the run, px, by default noise or half a px.
+        tolerance: Error below which it is done, m, rad or px; 1e-3, or the noise of an image.
         seed: Of target, noise and dropouts, and of a random start.
     """
 
@@ -322,7 +315,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What `approxjac stability` looks at. Without ranges of errors it looks at the true robot.
+    """Errors and region of `approxjac stability`; without ranges of errors those of the true robot.
 
     Attributes:
         object_length: Smallest and largest true length of the object, m.

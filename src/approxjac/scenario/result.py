@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy as np
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions, reach_bound
 from approxjac.scenario.build import BuiltScenario
-from approxjac.scenario.tables import plain
 from approxjac.simulation import Trajectory
 from approxjac.tasks import PoseTask, PositionTask
 from approxjac.validation import Array
@@ -23,7 +22,7 @@ _TOLERANCE, _HALF_A_PIXEL = 1e-3, 0.5  # [m and rad], [px]
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What became of a scenario.
+    """The record of a scenario, and the verdict.
 
     Of an image in px, noise hides what an error is at one instant: its errors are the distances of
     the points, settled is what stays within three tolerances, and the final error is an RMS.
@@ -199,7 +198,7 @@ class Result:
             "controller": repr(built.law),
             "gains": {name: d.tolist() for name, d in built.law.diagonals._asdict().items()},
             "status_counts": {status.name: n for status, n in run.status_counts().items()},
-            "scenario": plain(built.scenario),
+            "scenario": asdict(built.scenario),
         }
 
     def _limits_summary(self) -> dict[str, Any] | None:

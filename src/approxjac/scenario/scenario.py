@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What a run, a report and a live view are about, said once.
+    """The description of a run, a report and a live view, said once.
 
     Each part may be given as its record or as a table of what differs from the defaults:
     `Scenario("panda", true={"object": {"length": 0.3}}, run={"target": {"offset": (0.1, 0, 0)}})`.

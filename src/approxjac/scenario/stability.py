@@ -55,7 +55,7 @@ class StabilityResult:
         scenario: The scenario.
         loop: Its controller, its truth, or what may be true, and the region.
         report: The four tests.
-        tolerances: How far the errors may be scaled for each test; nothing if none are given.
+        tolerances: Largest scale of the errors for each test; nothing if none are given.
         raised_damping: Factor of the damping with which all errors are certified; None if they are
             already, or with none that was tried.
         certified_part: The errors, scaled down, that are certified as it is; None if all are, or
@@ -98,11 +98,8 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
     # a report is of eq. (1), and of whatever target
-    plain = replace(
-        scenario,
-        controller=replace(scenario.controller, gravity=gravity, limits=None),
-    )
-    built = build(plain, arm)
+    law = replace(scenario.controller, gravity=gravity, limits=None, torque_rate=None)
+    built = build(replace(scenario, controller=law), arm)
     truth = _truth(arm, built, analysis)
     region = _region(built.law, truth, analysis)
     return ClosedLoop(built.law, truth, region, analysis.target)
@@ -150,7 +147,7 @@ def analyse(
             progress=partial(tell, "smaller errors"), **drawn,
         )  # fmt: skip
     if analysis.map_points:
-        x, y = (_values(name, controller, uncertainty, analysis) for name in analysis.map)
+        x, y = (_values(name, loop, uncertainty, analysis.map_points) for name in analysis.map)
         map_ = stability_map(
             controller, uncertainty, names=analysis.map, x=x, y=y, runs=analysis.map_runs,
             executor=executor, progress=partial(tell, "map"), **where,
@@ -194,39 +191,37 @@ def _region(
     given = [name for name in names if getattr(analysis, name) is not None]
     if len(given) > 1:
         raise InvalidInputError(f"one region must be given, got {' and '.join(given)}", given=given)
-    belief, radius = controller.task.robot, analysis.radius
-    region: Region
+    belief = controller.task.robot
+    region: Region | None = None
+
+    def at(name: str) -> Array:
+        joints = getattr(analysis, name)
+        return configuration_of(belief, f"stability.{name}", joints, within_limits=False)
+
     if analysis.around is not None:
-        around = configuration_of(belief, "stability.around", analysis.around, within_limits=False)
-        region = JointBox.around(belief, around, radius)
+        region = JointBox.around(belief, at("around"), analysis.radius)
     elif analysis.run is not None:
-        region = Tube(belief, Trajectory.load(analysis.run).q, radius)
+        region = Tube(belief, Trajectory.load(analysis.run).q, analysis.radius)
     elif analysis.reach_from is not None:
         if analysis.target is None:
             raise InvalidInputError(
                 "stability.reach_from needs stability.target, got none", given=None
             )
         nominal = truth.plant(truth.believed) if isinstance(truth, Uncertainty) else truth
-        start = configuration_of(
-            belief, "stability.reach_from", analysis.reach_from, within_limits=False
-        )
-        region = SublevelSet(nominal, controller, analysis.target, start)
-    elif analysis.sigma_min is None:
-        return None
-    else:
+        region = SublevelSet(nominal, controller, analysis.target, at("reach_from"))
+    elif analysis.sigma_min is not None:
         region = JointBox(belief)
     least = analysis.sigma_min
-    return region if least is None else RegularPart(region, controller.task, least)
+    if region is None or least is None:
+        return region
+    return RegularPart(region, controller.task, least)
 
 
-def _values(
-    name: str, controller: SetpointController, uncertainty: Uncertainty, analysis: Analysis
-) -> Array:
+def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -> Array:
     """Return the values of a parameter of the map."""
-    shares = np.linspace(0.0, 1.0, analysis.map_points)
+    shares = np.linspace(0.0, 1.0, count)
     if name == "error":
         return uncertainty.largest_scale(3.0) * shares
-    kp, kv, _ = controller.diagonals
+    kp, kv, _ = loop.controller.diagonals
     middle = float(np.mean(kp / kv)) if name == "a" else 1.0
-    values: Array = middle * 10.0 ** (2.0 * shares - 1.0)
-    return values
+    return np.asarray(middle * 10.0 ** (2.0 * shares - 1.0))

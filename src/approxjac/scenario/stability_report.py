@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import textwrap
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,6 @@ import numpy as np
 from approxjac.formatting import joined, short
 from approxjac.scenario.result import number
 from approxjac.scenario.stability import StabilityResult
-from approxjac.scenario.tables import plain
 from approxjac.simulation import Plant
 from approxjac.stability.map import PARAMETERS
 from approxjac.tasks import FrameKinematics
@@ -171,8 +170,8 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             for name, value in result.loop.controller.diagonals._asdict().items()
         },
         "map": found
-        and {field.name: _plain(getattr(found, field.name)) for field in dataclasses.fields(found)},
-        "scenario": plain(result.scenario),
+        and {field.name: _plain(getattr(found, field.name)) for field in fields(found)},
+        "scenario": asdict(result.scenario),
     }
 
 

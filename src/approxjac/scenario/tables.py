@@ -81,15 +81,6 @@ def differences(record: Any, default: Any) -> dict[str, Any]:
     return found
 
 
-def plain(record: Any) -> dict[str, Any]:
-    """Return all of a record as tables of plain values, as JSON has them."""
-    values = {field.name: getattr(record, field.name) for field in fields(record)}
-    return {
-        name: plain(value) if is_dataclass(value) else _plain(value)
-        for name, value in values.items()
-    }
-
-
 def to_toml(table: Table) -> str:
     """Return a table of plain values as TOML, with a heading for each table in it."""
     inner = {name: value for name, value in table.items() if isinstance(value, Mapping)}
@@ -102,7 +93,7 @@ def to_toml(table: Table) -> str:
 def _table_of(record: Any, value: Any, key: str) -> Table:
     """Return the table that a value is for a field that is a record."""
     if isinstance(value, type(record)):
-        return {field.name: getattr(value, field.name) for field in fields(record)}
+        return vars(value)
     if isinstance(record, Goal) and isinstance(value, Sequence | np.ndarray):
         return {"at": value}
     if isinstance(value, Mapping):
