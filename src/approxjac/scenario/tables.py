@@ -75,7 +75,7 @@ def differences(record: Any, default: Any) -> dict[str, Any]:
         mine, usual = getattr(record, field.name), getattr(default, field.name)
         if mine == usual:
             continue
-        found[field.name] = differences(mine, usual) if is_dataclass(mine) else _plain(mine)
+        found[field.name] = differences(mine, usual) if is_dataclass(mine) else mine
         if isinstance(mine, Goal) and set(found[field.name]) == {"at"}:
             found[field.name] = found[field.name]["at"]
     return found
@@ -93,7 +93,7 @@ def to_toml(table: Table) -> str:
 def _table_of(record: Any, value: Any, key: str) -> Table:
     """Return the table that a value is for a field that is a record."""
     if isinstance(value, type(record)):
-        return vars(value)
+        return dict(vars(value))
     if isinstance(record, Goal) and isinstance(value, Sequence | np.ndarray):
         return {"at": value}
     if isinstance(value, Mapping):
@@ -173,17 +173,11 @@ def _wanted(hint: Any) -> str:
     return {float: "a number", int: "a whole number", str: "a word"}[hint]
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain(entry) for entry in value]
-    return {k: _plain(v) for k, v in value.items()} if isinstance(value, dict) else value
-
-
 def toml(value: Any) -> str:
     """Return a plain value as TOML, in one line."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_key(k)} = {toml(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list):
+    if isinstance(value, tuple | list):
         return "[" + ", ".join(map(toml, value)) + "]"
     if isinstance(value, bool):
         return str(value).lower()
