@@ -17,6 +17,7 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.tasks import PlanarCamera
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -24,8 +25,8 @@ out = arguments.parse_args().out
 out.mkdir(parents=True, exist_ok=True)
 
 arm = aj.load_robot("two_link").with_object(length=0.5, mass=0.5, radius=0.0, axis="x")
-true_camera = aj.PlanarCamera(focal_length=0.05, distance=3.0)
-believed_camera = aj.PlanarCamera(focal_length=0.05, distance=3.0, roll=np.radians(60.0))
+true_camera = PlanarCamera(focal_length=0.05, distance=3.0)
+believed_camera = PlanarCamera(focal_length=0.05, distance=3.0, roll=np.radians(60.0))
 plant = aj.Plant(arm, sensor=aj.ImageTask(arm, true_camera))
 
 start, goal = np.radians([60.0, 90.0]), np.radians([90.0, 90.0])

@@ -16,6 +16,7 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.robots import GravityRegressor
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -30,7 +31,7 @@ plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
 task = aj.PositionTask(belief)
 gains = aj.Gains(kp=400.0, kv=120.0, damping=2.0)
 
-regressor = aj.GravityRegressor(belief)
+regressor = GravityRegressor(belief)
 gravities = {
     "believed": aj.ModelGravity(belief),
     "learnt": aj.AdaptiveGravity(regressor, L=0.5, alpha=2.0),  # starts from the belief

@@ -17,6 +17,8 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.controllers import Posture, RegressorGravity
+from approxjac.robots import GravityRegressor
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -41,10 +43,10 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
     truth, belief = arm.with_object(**tool), arm.with_object(length=0.0, mass=0.0)
     plant, task = aj.Plant(truth, sensor=aj.PositionTask(truth)), aj.PositionTask(belief)
     target = plant.sensor.value(np.array(home)) + [0.05, 0.05, -0.05]
-    regressor = aj.GravityRegressor(belief)  # the tool's weight is known here, its length is not
-    gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])
+    regressor = GravityRegressor(belief)  # the tool's weight is known here, its length is not
+    gravity = RegressorGravity(regressor, regressor.fit(truth)[0])
     error, away = axes[column], axes[3 + column]
-    for label, posture in (("damped only", None), ("posture kept", aj.Posture(home, POSTURE))):
+    for label, posture in (("damped only", None), ("posture kept", Posture(home, POSTURE))):
         controller = aj.SetpointController(task, gravity=gravity, posture=posture)  # default gains
         run = aj.simulate(plant, controller, target, home + PUSHED, duration=5.0, dt=1e-3)
         distance = np.linalg.norm(run.q - home, axis=1)

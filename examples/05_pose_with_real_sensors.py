@@ -17,6 +17,7 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.robots import excitation
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -58,7 +59,7 @@ print(
     f"{1e3 * np.linalg.norm(position[-1]):.2g} mm, orientation "
     f"{np.degrees(np.linalg.norm(turn[0])):.0f} -> {np.degrees(np.linalg.norm(turn[-1])):.2g} deg"
 )
-print(aj.excitation(controller.adaptation.regressor, run.q[::100]))
+print(excitation(controller.adaptation.regressor, run.q[::100]))
 
 figure, (left, middle, right) = view.new_figure(3, title="A Panda turns an unknown 15 cm tool")
 for i, label in enumerate("xyz"):

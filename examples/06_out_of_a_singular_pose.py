@@ -16,6 +16,9 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import GravityRegressor
+from approxjac.tasks import NonsingularTask
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -27,12 +30,12 @@ truth = arm.with_object(length=0.5, mass=0.5, axis="x")
 belief = arm.with_object(length=0.2, mass=0.2, axis="x")
 plant = aj.Plant(truth, sensor=aj.PositionTask(truth, axes="xz"))
 plain = aj.PositionTask(belief, axes="xz")
-designed = aj.NonsingularTask(plain, bend={"joint2": 0.4}, ratio=0.2)
+designed = NonsingularTask(plain, bend={"joint2": 0.4}, ratio=0.2)
 
 stretched = np.array([np.radians(-60.0), 0.0])
 target = 0.6 * plant.sensor.value(stretched)  # straight towards the shoulder
-regressor = aj.GravityRegressor(belief)
-gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])
+regressor = GravityRegressor(belief)
+gravity = RegressorGravity(regressor, regressor.fit(truth)[0])
 
 runs = {}
 for name, task in (("Ĵ as it is", plain), ("Ĵ designed", designed)):

@@ -18,6 +18,8 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import GravityRegressor
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -27,8 +29,8 @@ out.mkdir(parents=True, exist_ok=True)
 arm = aj.load_robot("panda")
 truth, belief = arm.with_object(0.2, 0.5, axis="x"), arm.with_object(0.0)
 task = aj.PositionTask(belief)
-regressor = aj.GravityRegressor(belief)
-gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])  # known from elsewhere
+regressor = GravityRegressor(belief)
+gravity = RegressorGravity(regressor, regressor.fit(truth)[0])  # known from elsewhere
 law = aj.SetpointController(task, aj.default_gains(task, settling_time=0.5), gravity=gravity)
 
 limits = aj.Limits.of(belief, scale=0.5)

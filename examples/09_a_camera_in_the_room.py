@@ -17,6 +17,9 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import GravityRegressor
+from approxjac.tasks import CombinedTask
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -42,9 +45,9 @@ start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 goal = np.array([0.5, -0.1, -0.2, -2.2, 0.2, 2.1, 0.3])
 target = sensor.value(goal)  # an image: what of the arm it takes to get there is not used
 
-regressor = aj.GravityRegressor(belief)
-gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])  # known from elsewhere
-task = aj.CombinedTask.balanced(task, target)  # all directions of an error count alike
+regressor = GravityRegressor(belief)
+gravity = RegressorGravity(regressor, regressor.fit(truth)[0])  # known from elsewhere
+task = CombinedTask.balanced(task, target)  # all directions of an error count alike
 law = aj.SetpointController(task, aj.default_gains(task, settling_time=1.5), gravity=gravity)
 held = aj.HeldMeasurement(law, unseen=40.0)  # beyond 40 px of motion without an image it brakes
 

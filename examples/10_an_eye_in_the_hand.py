@@ -18,7 +18,9 @@ from studies.velocity_servo import VelocityServo
 
 import approxjac as aj
 from approxjac import view
-from approxjac.tasks import FrameKinematics
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import GravityRegressor
+from approxjac.tasks import CombinedTask, FrameKinematics
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
@@ -43,10 +45,10 @@ points = (in_camera @ axes_of_camera.T + camera.position) @ R.T + p
 sensor = aj.ImageTask(truth, camera, points=points)
 task = aj.ImageTask(belief, wrong, points=points, depth=0.6)  # in truth 0.4 m, at the goal
 target = sensor.value(goal)
-task = aj.CombinedTask.balanced(task, target)
+task = CombinedTask.balanced(task, target)
 
-regressor = aj.GravityRegressor(belief)
-gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])  # known from elsewhere
+regressor = GravityRegressor(belief)
+gravity = RegressorGravity(regressor, regressor.fit(truth)[0])  # known from elsewhere
 laws = {
     "law (6)": aj.SetpointController(
         task, aj.default_gains(task, settling_time=1.5), gravity=gravity

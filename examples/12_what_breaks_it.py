@@ -16,11 +16,12 @@ import numpy as np
 
 import approxjac as aj
 from approxjac import view
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import GravityRegressor
 
 arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 arguments.add_argument("--out", type=Path, default=Path("results/examples"))
-out = arguments.parse_args().out
-out.mkdir(parents=True, exist_ok=True)
+(out := arguments.parse_args().out).mkdir(parents=True, exist_ok=True)
 
 FAR = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 GOAL = FAR + [0.3, 0.2, -0.2, 0.3, 0.2, -0.2, 0.1]
@@ -28,8 +29,8 @@ NEAR = GOAL + 0.05 * (FAR - GOAL)
 arm = aj.load_robot("panda")
 truth, belief = arm.with_object(0.2, 0.5, axis="x"), arm.with_object(0.0)
 sensor, task = aj.PositionTask(truth), aj.PositionTask(belief)
-plant, Z, tip = aj.Plant(truth, sensor), aj.GravityRegressor(belief), sensor.value(GOAL)
-known, gains = aj.RegressorGravity(Z, Z.fit(truth)[0]), aj.default_gains(task)
+plant, Z, tip = aj.Plant(truth, sensor), GravityRegressor(belief), sensor.value(GOAL)
+known, gains = RegressorGravity(Z, Z.fit(truth)[0]), aj.default_gains(task)
 camera = aj.PinholeCamera.looking_at(tip, tip + [1.0, -0.7, 0.5], 600.0, (640, 480))
 watched = aj.Plant(truth, aj.ImageTask(truth, camera))
 usual = aj.default_gains(aj.ImageTask(belief, camera))
@@ -59,8 +60,8 @@ def tilted(degrees, learns):
     """Each joint axis of the believed arm turned, in a direction of its own."""
     turns = dict(zip(arm.joint_names, np.radians(degrees) * aside, strict=True))
     wrong = belief.with_kinematic_error(rotations=turns)
-    Z = aj.GravityRegressor(wrong)
-    gravity = aj.AdaptiveGravity(Z) if learns else aj.RegressorGravity(Z, Z.fit(truth)[0])
+    Z = GravityRegressor(wrong)
+    gravity = aj.AdaptiveGravity(Z) if learns else RegressorGravity(Z, Z.fit(truth)[0])
     return plant, aj.SetpointController(aj.PositionTask(wrong), gravity=gravity), 4e-3
 
 
@@ -73,9 +74,9 @@ def loaded(mass, learns):
 
 def weak(share, proof):
     """Motors with a share of their torques."""
-    law, limits = aj.SetpointController(task, gravity=known), aj.Limits.of(belief, scale=share)
-    limits = limits if proof else aj.Limits(limits.effort)
-    return plant, aj.TorqueLimited(law, limits, proof=proof), 1e-3
+    law, urdf = aj.SetpointController(task, gravity=known), aj.Limits.of(belief, scale=share)
+    limited = aj.TorqueLimited(law, urdf if proof else aj.Limits(urdf.effort), proof=proof)
+    return plant, limited, 1e-3
 
 
 def left(truly, law, dt, start, shown):
@@ -83,7 +84,7 @@ def left(truly, law, dt, start, shown):
     how = {"duration": round(6.0 / dt) * dt, "dt": dt, "integrator": "semi_implicit_euler"}
     try:
         run = aj.simulate(truly, law, truly.sensor.value(GOAL), start, **how)
-    except aj.SimulationError:  # it diverged
+    except aj.errors.SimulationError:  # it diverged
         return np.inf
     e = run.error_norm[run.t > 5.4].max()
     return {SHARE: e / run.error_norm[0], MM: 1e3 * e, SPEED: np.abs(run.v).max()}[shown]
@@ -113,8 +114,7 @@ for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=T
             ax.semilogy(values, np.clip(y, 1e-6, 1e4), "o-", color=color, markersize=3, label=label)
             if limit:
                 ax.axvline(low, color=color, linestyle="--", linewidth=1.0)
-        told = f" (stable up to {low:.4g})" if limit else ""
-        print(f"{name}, {label}{told}: {', '.join(f'{each:.2g}' for each in y)}")
+        print(name, label, f"stable up to {low:.4g}" if limit else "", [f"{e:.2g}" for e in y])
     ax.set(xlabel=name, ylabel=shown, ylim=(5e-7, 2e4))
     view.legend_below(ax)
 for path in view.save_figure(figure, out / "what_breaks_it"):

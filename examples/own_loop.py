@@ -11,6 +11,7 @@ import time
 import numpy as np
 
 import approxjac as aj
+from approxjac.errors import MeasurementError
 
 DT = 1e-3  # of the loop, and of the controllers in it [s]
 UNKNOWN = -1  # in place of a Status, where q or q̇ was not finite
@@ -96,7 +97,7 @@ def control(
                 state[own], answer = acting.step(state[own], measured, wanted, DT)
                 torque, status, unknown = answer.torque, answer.status, 0
                 limit, slack = answer.limit_status, answer.slack
-            except aj.MeasurementError:  # nothing may depend on q and q̇ now: the last torque once
+            except MeasurementError:  # nothing may depend on q and q̇ now: the last torque once
                 status, unknown = UNKNOWN, unknown + 1  # more, which no limit has to object to
             arm.send(torque)
             before, sent = sent, time.perf_counter()

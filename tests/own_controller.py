@@ -1,9 +1,9 @@
 """The least that a controller of one's own is, for tests to derive from."""
 
-import approxjac as aj
+from approxjac.controllers import ContinuousController
 
 
-class OwnController(aj.ContinuousController):
+class OwnController(ContinuousController):
     """A controller of a task without a state; derive from it to write `evaluate`."""
 
     def __init__(self, task):

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.robots import Dynamics
 
 FOLDER = Path(__file__).parent / "benchmarks"
 
@@ -43,7 +44,7 @@ def test_the_operational_space_torque_is_the_one_by_pinocchio(benchmark):
     control_step, others = benchmark("control_step"), benchmark("other_libraries")
     robot, _, inputs = control_step.arm("panda")
     step, task = others.operational_space(robot, slice(0, 3), np.zeros(3)), aj.PositionTask(robot)
-    dynamics = aj.Dynamics(robot)
+    dynamics = Dynamics(robot)
     for q, v, x in inputs[:20]:
         J, M = task.jacobian(q), dynamics.M(q)
         force = np.linalg.inv(J @ np.linalg.inv(M) @ J.T) @ (-100.0 * x - 20.0 * J @ v)

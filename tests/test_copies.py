@@ -8,6 +8,11 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
+from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
+from approxjac.errors import SimulationError, UnknownNameError
+from approxjac.law import Sine
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.tasks import NonsingularTask, PlanarCamera
 
 COPIES = {"pickle": lambda thing: pickle.loads(pickle.dumps(thing)), "deepcopy": copy.deepcopy}
 
@@ -24,8 +29,8 @@ def tasks(robot):
         "plane": aj.PositionTask(robot, axes="xz"),
         "pose": aj.PoseTask(robot),
         "stacked": aj.StackedTask(position, aj.PositionTask(robot, "panda_link4", "z")),
-        "nonsingular": aj.NonsingularTask(position, {"panda_joint4": 0.3}),
-        "image": aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0, 0.3)),
+        "nonsingular": NonsingularTask(position, {"panda_joint4": 0.3}),
+        "image": aj.ImageTask(robot, PlanarCamera(0.05, 3.0, 0.3)),
         "pinhole": aj.ImageTask(
             robot,
             aj.PinholeCamera.looking_at(
@@ -38,13 +43,13 @@ def tasks(robot):
 
 def controllers(robot):
     task, gains = aj.PositionTask(robot), aj.Gains(400.0, 80.0, 1.0)
-    regressor = aj.GravityRegressor(robot)
+    regressor = GravityRegressor(robot)
     return {
         "defaults": aj.SetpointController(task),
         "no gravity": aj.SetpointController(task, gains, gravity=aj.NoGravity(robot)),
-        "saturated": aj.SetpointController(task, gains, saturation=aj.Sine(0.05)),
+        "saturated": aj.SetpointController(task, gains, saturation=Sine(0.05)),
         "regressor": aj.SetpointController(
-            task, gains, gravity=aj.RegressorGravity(regressor, 0.9 * regressor.theta)
+            task, gains, gravity=RegressorGravity(regressor, 0.9 * regressor.theta)
         ),
         "adaptive": aj.SetpointController(
             task, gains, gravity=aj.AdaptiveGravity(regressor, bounds=(-50.0, 50.0))
@@ -52,10 +57,8 @@ def controllers(robot):
         "full L": aj.SetpointController(
             task, gains, gravity=aj.AdaptiveGravity(regressor, np.eye(regressor.p), 0.5)
         ),
-        "law (5)": aj.SetpointController(task, gains, velocity=aj.DifferentiatedVelocity()),
-        "posture": aj.SetpointController(
-            task, gains, posture=aj.Posture(robot.neutral() + 0.1, 5.0)
-        ),
+        "law (5)": aj.SetpointController(task, gains, velocity=DifferentiatedVelocity()),
+        "posture": aj.SetpointController(task, gains, posture=Posture(robot.neutral() + 0.1, 5.0)),
         "pose": aj.SetpointController(aj.PoseTask(robot)),
         "held": aj.HeldMeasurement(aj.TorqueLimited(aj.SetpointController(task, gains)), 0.1),
     }
@@ -110,7 +113,7 @@ def test_controllers(holding, copied, rng, kind):
 def test_mimic_joints_and_continuous_ones(copied, rng):
     """Where Pinocchio's model is not the one that every joint moves in."""
     for robot in (aj.load_robot("panda", free="all"), aj.load_robot("kinova")):
-        task, dynamics = aj.PositionTask(robot), aj.Dynamics(robot)
+        task, dynamics = aj.PositionTask(robot), Dynamics(robot)
         other, others = copied(task), copied(dynamics)
         q, v = robot.random_configuration(rng), rng.normal(size=robot.nv)
         assert_array_equal(other.jacobian_dot(q, v), task.jacobian_dot(q, v))
@@ -148,9 +151,9 @@ def test_a_pickle_is_not_much_larger_than_its_urdf(holding):
 @pytest.mark.parametrize(
     "error",
     [
-        aj.UnknownNameError("frame", "tcp", "panda", ["panda_hand_tcp"]),
+        UnknownNameError("frame", "tcp", "panda", ["panda_hand_tcp"]),
         aj.InvalidInputError("dt must be > 0", given=-1.0),
-        aj.SimulationError("diverged", given=0.5),
+        SimulationError("diverged", given=0.5),
     ],
 )
 def test_errors_come_back_from_other_processes(copied, error):

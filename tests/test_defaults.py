@@ -7,6 +7,7 @@ from common import carried_object
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.robots import GravityRegressor, robot_names
 from approxjac.robots.catalog import NAMED, urdf_path
 from approxjac.tasks import best_axes
 from approxjac.tasks.analysis import sees
@@ -35,7 +36,7 @@ def test_the_ten_lines_on_a_panda():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", [name for name in aj.robot_names() if name != "panda"])
+@pytest.mark.parametrize("name", [name for name in robot_names() if name != "panda"])
 def test_the_ten_lines_on_every_other_arm(name):
     assert ten_lines(name).error_norm[-1] < 1e-3
 
@@ -98,7 +99,7 @@ def test_a_planar_arm_of_four_joints_has_two_axes(panda):
 
 
 def test_learnt_gravity_needs_the_believed_robot_only(panda):
-    short, long = aj.AdaptiveGravity(panda), aj.AdaptiveGravity(aj.GravityRegressor(panda))
+    short, long = aj.AdaptiveGravity(panda), aj.AdaptiveGravity(GravityRegressor(panda))
     assert short.regressor.names == long.regressor.names
     assert_array_equal(short.theta0, long.theta0)
     with pytest.raises(

@@ -13,6 +13,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import approxjac as aj
+from approxjac.controllers import (
+    CompiledSetpointController,
+    DifferentiatedVelocity,
+    Posture,
+    RegressorGravity,
+)
+from approxjac.law import Sine, Tanh
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.tasks import NonsingularTask
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 LIMITS = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])
@@ -44,7 +53,7 @@ def controllers():
     """Controllers of every kind, by name."""
     panda, kinova, slider = aj.load_robot("panda"), aj.load_robot("kinova"), prismatic_arm()
     task, gains = aj.PositionTask(panda), aj.Gains(400.0, (80.0, 70.0, 60.0), 1.0)
-    regressor = aj.GravityRegressor(panda)
+    regressor = GravityRegressor(panda)
     kinova_task, tool = aj.PositionTask(kinova), aj.PositionTask(slider)
     two = aj.StackedTask(
         aj.PositionTask(panda, axes="xz"), aj.PositionTask(panda, "panda_link4", axes="yz")
@@ -53,35 +62,33 @@ def controllers():
     return {
         "(6)": aj.SetpointController(task, gains),
         "(6), default gains": aj.SetpointController(task),
-        "(6), sine": aj.SetpointController(task, gains, saturation=aj.Sine(0.05)),
-        "(6), tanh": aj.SetpointController(task, gains, saturation=aj.Tanh((0.05, 0.1, 1e-6))),
+        "(6), sine": aj.SetpointController(task, gains, saturation=Sine(0.05)),
+        "(6), tanh": aj.SetpointController(task, gains, saturation=Tanh((0.05, 0.1, 1e-6))),
         "(6), no gravity": aj.SetpointController(task, gains, gravity=aj.NoGravity(panda)),
         "(6), theta": aj.SetpointController(
-            task, gains, gravity=aj.RegressorGravity(regressor, regressor.theta)
+            task, gains, gravity=RegressorGravity(regressor, regressor.theta)
         ),
         "(28)": aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)),
         "(28), bounds": aj.SetpointController(task, gravity=bounded),
         "(28), unlimited": aj.SetpointController(
             task, gains, gravity=aj.AdaptiveGravity(regressor, 0.1, 1.0, torque_limits=np.inf)
         ),
-        "(5)": aj.SetpointController(task, gains, velocity=aj.DifferentiatedVelocity()),
+        "(5)": aj.SetpointController(task, gains, velocity=DifferentiatedVelocity()),
         "(5), learnt": aj.SetpointController(
             task,
             gains,
             gravity=aj.AdaptiveGravity(regressor, 0.1, 1.0),
-            velocity=aj.DifferentiatedVelocity(),
+            velocity=DifferentiatedVelocity(),
         ),
-        "posture": aj.SetpointController(task, gains, posture=aj.Posture(START, 10.0)),
-        "nonsingular": aj.SetpointController(
-            aj.NonsingularTask(task, {"panda_joint4": 0.3}), gains
-        ),
+        "posture": aj.SetpointController(task, gains, posture=Posture(START, 10.0)),
+        "nonsingular": aj.SetpointController(NonsingularTask(task, {"panda_joint4": 0.3}), gains),
         "pose": aj.SetpointController(aj.PoseTask(panda)),
         "pose, learnt": aj.SetpointController(
             aj.PoseTask(panda), gravity=aj.AdaptiveGravity(regressor)
         ),
         "stacked": aj.SetpointController(two, aj.Gains(100.0, 20.0, 1.0)),
         "continuous joints": aj.SetpointController(
-            kinova_task, gravity=aj.AdaptiveGravity(aj.GravityRegressor(kinova))
+            kinova_task, gravity=aj.AdaptiveGravity(GravityRegressor(kinova))
         ),
         "continuous joints, pose": aj.SetpointController(
             aj.PoseTask(kinova), aj.Gains(100.0, 20.0)
@@ -90,10 +97,10 @@ def controllers():
         "prismatic, learnt": aj.SetpointController(
             tool,
             aj.Gains(100.0, 20.0, 1.0),
-            gravity=aj.AdaptiveGravity(aj.GravityRegressor(slider)),
+            gravity=aj.AdaptiveGravity(GravityRegressor(slider)),
         ),
         "prismatic, nonsingular": aj.SetpointController(
-            aj.NonsingularTask(tool, {"slide": 0.3}), aj.Gains(100.0, 20.0, 1.0)
+            NonsingularTask(tool, {"slide": 0.3}), aj.Gains(100.0, 20.0, 1.0)
         ),
     }
 
@@ -103,39 +110,37 @@ def compiled_controllers():
     """Compiled controllers by name; to build them takes long in a fresh clone."""
     panda, kinova, slider = aj.load_robot("panda"), aj.load_robot("kinova"), prismatic_arm()
     task, gains = aj.PositionTask(panda), aj.Gains(400.0, (80.0, 70.0, 60.0), 1.0)
-    regressor, sliding = aj.GravityRegressor(panda), aj.GravityRegressor(slider)
+    regressor, sliding = GravityRegressor(panda), GravityRegressor(slider)
     bounded = aj.AdaptiveGravity(regressor, bounds=(regressor.theta - 1.0, regressor.theta + 1.0))
     kinova_task, tool = aj.PositionTask(kinova), aj.PositionTask(slider)
     coupled, two = aj.load_robot("panda", free="all"), controllers()["stacked"].task
     return {
-        "compiled": aj.CompiledSetpointController(task, gains),
-        "compiled, tanh": aj.CompiledSetpointController(
-            task, gains, saturation=aj.Tanh((0.05, 0.1, 1e-6))
+        "compiled": CompiledSetpointController(task, gains),
+        "compiled, tanh": CompiledSetpointController(
+            task, gains, saturation=Tanh((0.05, 0.1, 1e-6))
         ),
-        "compiled, learnt": aj.CompiledSetpointController(task, gravity=bounded),
-        "compiled, posture": aj.CompiledSetpointController(
-            task, gains, posture=aj.Posture(START, 10.0)
-        ),
-        "compiled, stacked": aj.CompiledSetpointController(
+        "compiled, learnt": CompiledSetpointController(task, gravity=bounded),
+        "compiled, posture": CompiledSetpointController(task, gains, posture=Posture(START, 10.0)),
+        "compiled, stacked": CompiledSetpointController(
             two,
             aj.Gains(100.0, 20.0, 1.0),
             gravity=aj.AdaptiveGravity(regressor, 0.1, 1.0, torque_limits=np.inf),
         ),
-        "compiled, continuous joints": aj.CompiledSetpointController(kinova_task),
-        "compiled, prismatic, theta": aj.CompiledSetpointController(
+        "compiled, continuous joints": CompiledSetpointController(kinova_task),
+        "compiled, prismatic, theta": CompiledSetpointController(
             tool,
             aj.Gains(100.0, 20.0, 1.0),
-            gravity=aj.RegressorGravity(sliding, sliding.theta),
+            gravity=RegressorGravity(sliding, sliding.theta),
         ),
-        "compiled, mimic joints": aj.CompiledSetpointController(
+        "compiled, mimic joints": CompiledSetpointController(
             aj.PositionTask(coupled),
             aj.Gains(100.0, 20.0, 1.0),
             gravity=aj.AdaptiveGravity(coupled),
         ),
-        "compiled, prismatic, nonsingular": aj.CompiledSetpointController(
-            aj.NonsingularTask(tool, {"slide": 0.3}),
+        "compiled, prismatic, nonsingular": CompiledSetpointController(
+            NonsingularTask(tool, {"slide": 0.3}),
             aj.Gains(100.0, 20.0, 1.0),
-            gravity=aj.AdaptiveGravity(aj.GravityRegressor(slider)),
+            gravity=aj.AdaptiveGravity(GravityRegressor(slider)),
         ),
     }
 
@@ -240,7 +245,7 @@ def torque_bound(controller, state, measurement, answer):
     elif isinstance(gravity, aj.NoGravity):
         g = 0.0
     else:
-        g = np.linalg.norm(aj.Dynamics(gravity.robot).g(q))
+        g = np.linalg.norm(Dynamics(gravity.robot).g(q))
     if controller.posture is not None:
         g += 10.0 * np.linalg.norm(START - q)
     J = np.linalg.norm(answer.J_hat)
@@ -485,7 +490,7 @@ def parts():
         "panda": panda,
         "task": task,
         "gains": aj.Gains(400.0, 80.0, 1.0),
-        "regressor": aj.GravityRegressor(panda),
+        "regressor": GravityRegressor(panda),
         "plant": aj.Plant(two_link, plane, sensing=late, actuator_delay=0.01),
         "controller": controller,
     }
@@ -539,13 +544,13 @@ ENTRANCES = {
     _controller: ("task", "gains", "gravity", "saturation", "velocity", "posture"),
     lambda **k: aj.default_gains(**{"task": parts()["task"], **k}): ("task", "settling_time"),
     lambda **k: aj.Gains(**{"kp": 1.0, "kv": 1.0, **k}): ("kp", "kv", "damping"),
-    lambda **k: aj.Posture(**{"q": START, "stiffness": 1.0, **k}): ("q", "stiffness"),
+    lambda **k: Posture(**{"q": START, "stiffness": 1.0, **k}): ("q", "stiffness"),
     lambda **k: aj.AdaptiveGravity(parts()["regressor"], **k): (
         "L", "alpha", "theta0", "bounds", "torque_limits",
     ),
-    lambda **k: aj.Sine(**k): ("gamma",),
-    lambda **k: aj.Tanh(**k): ("gamma",),
-    lambda **k: aj.DifferentiatedVelocity(**k): ("time_constant",),
+    lambda **k: Sine(**k): ("gamma",),
+    lambda **k: Tanh(**k): ("gamma",),
+    lambda **k: DifferentiatedVelocity(**k): ("time_constant",),
     lambda **k: aj.load_robot(**{"source": "two_link", **k}): (
         "source", "gravity", "tip", "base", "free",
     ),

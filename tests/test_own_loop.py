@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import approxjac as aj
+from approxjac.controllers import Posture
+from approxjac.robots import GravityRegressor
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 ARM = aj.load_robot("two_link")
@@ -19,7 +21,7 @@ HEAVY = ARM.with_object(0.3, 0.5)
 SENSOR = aj.PositionTask(TRUTH, axes="xz")
 LAW = aj.SetpointController(
     aj.PositionTask(BELIEF, axes="xz"),
-    gravity=aj.AdaptiveGravity(aj.GravityRegressor(BELIEF)),
+    gravity=aj.AdaptiveGravity(GravityRegressor(BELIEF)),
 )
 LIMITED = aj.TorqueLimited(LAW, aj.Limits(effort=(200.0, 100.0)))
 Q0 = np.array([0.6, 1.2])
@@ -275,7 +277,7 @@ def test_a_posture_and_a_joint_at_its_limit_do_not_keep_it_from_beginning(own_lo
     panda = aj.load_robot("panda")
     q = np.array([0.0, 1.763, 0.0, -2.0, 0.0, 1.6, 0.7])  # a hair beyond the limit of joint 2
     task = aj.PositionTask(panda)
-    law = aj.SetpointController(task, posture=aj.Posture(q - 0.3, 5.0))
+    law = aj.SetpointController(task, posture=Posture(q - 0.3, 5.0))
     limited = aj.TorqueLimited(law, dataclasses.replace(aj.Limits.of(panda), rate=1000.0))
 
     class Still(Arm):

@@ -6,6 +6,8 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability.linearization import LinearLoop, Timing, sampled_matrix
 
 
@@ -15,7 +17,7 @@ def loop(panda):
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
     q = np.array([0.3, -0.3, -0.2, -1.7, 0.2, 1.4, 0.8])
     return LinearLoop(
-        M=aj.Dynamics(truth).M(q),
+        M=Dynamics(truth).M(q),
         G=np.zeros((7, 7)),
         J=aj.PositionTask(truth).jacobian(q),
         J_hat=aj.PositionTask(belief).jacobian(q),
@@ -77,11 +79,11 @@ def test_damping_beyond_two_is_unstable(loop):
 def test_without_x_kinetic_energy_falls_by_what_damping_takes(panda):
     """At the rate q̇ᵀ(ĴᵀK_vĴ + B)q̇, where the gravity that is believed is right."""
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0, 0.0)
-    regressor = aj.GravityRegressor(belief)
-    known = aj.RegressorGravity(regressor, regressor.fit(truth)[0])
+    regressor = GravityRegressor(belief)
+    known = RegressorGravity(regressor, regressor.fit(truth)[0])
     task = aj.PositionTask(belief)
     controller = aj.SetpointController(task, aj.Gains(400.0, 80.0, 1.0), gravity=known)
-    sensor, dynamics = aj.PositionTask(truth), aj.Dynamics(truth)
+    sensor, dynamics = aj.PositionTask(truth), Dynamics(truth)
     unseen = aj.Sensing(x_lost=[(0.0, 1.0)])
     plant = aj.Plant(truth, sensor, friction=0.3, sensing=unseen)
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

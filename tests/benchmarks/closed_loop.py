@@ -7,6 +7,7 @@ import control_step
 import turns
 
 import approxjac as aj
+from approxjac.robots import GravityRegressor
 
 ROUNDS, DURATION, DT = 3, 1.0, 1e-3
 HEADS = ("robot", "plant", "law (6), steps/s", "law (28), (29), steps/s", "control's share of (6)")
@@ -17,7 +18,7 @@ def runs(name):
     robot, q0, inputs = control_step.arm(name)
     axes = control_step.ROBOTS[name][0]
     task, gains = aj.PositionTask(robot, axes=axes), aj.Gains(400.0, 80.0, 10.0)
-    learnt = aj.AdaptiveGravity(aj.GravityRegressor(robot), L=0.5, alpha=2.0)
+    learnt = aj.AdaptiveGravity(GravityRegressor(robot), L=0.5, alpha=2.0)
     controllers = {
         "known": aj.SetpointController(task, gains),
         "learnt": aj.SetpointController(task, gains, gravity=learnt),

@@ -17,6 +17,9 @@ import pinocchio as pin
 import turns
 
 import approxjac as aj
+from approxjac.controllers import CompiledSetpointController, DifferentiatedVelocity, Posture
+from approxjac.law import Sine
+from approxjac.robots import GravityRegressor
 
 ROBOTS = {"two_link": ("xz", [0, 2]), "ur5": ("xyz", slice(0, 3)), "panda": ("xyz", slice(0, 3))}
 ROUNDS, STEPS = 60, 200
@@ -62,17 +65,17 @@ def laws(name):
     task, gains = aj.PositionTask(robot, axes=axes), aj.Gains(naive.KP, naive.KV, naive.DAMPING)
     J_of, x_d = naive.jacobian(robot, rows), np.zeros(m)
     law = partial(aj.SetpointController, task, gains)
-    compiled = partial(aj.CompiledSetpointController, task, gains)
+    compiled = partial(CompiledSetpointController, task, gains)
     typed = partial(naive.setpoint, robot, J_of, m, x_d, naive.KP, naive.KV)
     with_checks = partial(naive.checked, robot, J_of, x_d)
-    learnt = aj.AdaptiveGravity(aj.GravityRegressor(robot), L=naive.LEARNING, alpha=naive.ALPHA)
-    sine = aj.Sine(naive.GAMMA)
+    learnt = aj.AdaptiveGravity(GravityRegressor(robot), L=naive.LEARNING, alpha=naive.ALPHA)
+    sine = Sine(naive.GAMMA)
 
     def both(step, learning=False):
         return step, with_checks(step, learning)
 
     found = [
-        Law("(5)", law(velocity=aj.DifferentiatedVelocity(naive.LAG)), *both(typed(lag=naive.LAG)))
+        Law("(5)", law(velocity=DifferentiatedVelocity(naive.LAG)), *both(typed(lag=naive.LAG)))
     ]
     for title, options, step, learning in (
         ("(6)", {}, typed(), False),
@@ -88,7 +91,7 @@ def laws(name):
         found.append(Law(title, law(**options), *both(step, learning)))
         found.append(Law(f"{title}, compiled", compiled(**options), *both(step, learning)))
     if n > m:
-        posture = aj.Posture(middle, naive.STIFFNESS)
+        posture = Posture(middle, naive.STIFFNESS)
         found.append(Law("(6), posture", law(posture=posture), *both(typed(posture=middle))))
     limits = np.minimum(robot.effort_limits, 150.0)  # the two-link arm has none
     limited = aj.TorqueLimited(law(), aj.Limits(effort=limits))

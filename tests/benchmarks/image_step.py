@@ -9,6 +9,7 @@ import numpy as np
 import turns
 
 import approxjac as aj
+from approxjac.tasks import CombinedTask
 
 ROUNDS, STEPS = 15, 200
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -26,7 +27,7 @@ def controllers():
         "one point": aj.ImageTask(robot, camera),
         "one point, constant depth": aj.ImageTask(robot, camera, depth=1.0),
         "two points": aj.ImageTask(robot, camera, points=pair),
-        "two points, combined": aj.CombinedTask.balanced(
+        "two points, combined": CombinedTask.balanced(
             aj.ImageTask(robot, camera, points=pair), x_d
         ),
         "camera on the arm, two points": aj.ImageTask(robot, carried, points=away, depth=0.5),

@@ -8,7 +8,7 @@ controllers, whose torque is the same to rounding (tests/test_benchmarks.py).
 import numpy as np
 import pinocchio as pin
 
-import approxjac as aj
+from approxjac.robots import GravityRegressor
 
 KP, KV, DAMPING = 400.0, 80.0, 1.0
 IMAGE_KP, IMAGE_KV = 1e-3, 1e-3
@@ -51,7 +51,7 @@ def setpoint(robot, J_of, m, x_d, kp, kv, *, sine=False, learning=False, lag=Non
     model, data, n = robot.model, robot.model.createData(), robot.nv
     Kp, Kv, B = kp * np.eye(m), kv * np.eye(m), DAMPING * np.eye(n)
     if learning:
-        regressor = aj.GravityRegressor(robot)
+        regressor = GravityRegressor(robot)
         movers, offsets = list(model.names)[1:], ["m", "mx", "my", "mz"]
         pairs = [name.rsplit(".", 1) for name in regressor.names]
         columns = np.array([10 * movers.index(a) + offsets.index(b) for a, b in pairs])

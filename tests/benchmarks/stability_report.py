@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 import approxjac as aj
+from approxjac.stability import stability_map
 
 POSTURES, ROUNDS = 10_000, 3
 CENTRE = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
@@ -51,7 +52,7 @@ def measured(rounds=ROUNDS):
         float(np.median([seconds(work) for _ in range(rounds)]))
         for work in (
             lambda: aj.stability_report(controller, truth, region, configurations=POSTURES),
-            lambda: aj.stability_map(
+            lambda: stability_map(
                 controller, errors, region, names=("error", "a"), x=axes[0], y=axes[1], coarse=0
             ),
             lambda: pinocchio_alone(truth.robot, drawn),

@@ -5,6 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.controllers import DifferentiatedVelocity
+from approxjac.robots import Dynamics, GravityRegressor
 
 START = np.array([0.0, -0.4, 0.3, -1.9, 0.2, 1.6, 0.4])
 GOAL = START + [0.3, 0.2, -0.1, 0.2, 0.1, -0.2, 0.2]
@@ -15,7 +17,7 @@ def arms():
     """A panda with a 15 cm, 1 kg tool that is believed absent, and the regressor of the belief."""
     panda = aj.load_robot("panda")
     truth, belief = panda.with_object(0.15, 1.0), panda.with_object(0.0)
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     theta, residual = regressor.fit(truth)
     assert residual < 1e-10
     return truth, belief, regressor, theta
@@ -87,7 +89,7 @@ def test_explicit_ones_are_kept(arms):
 
 def test_every_arm_has_defaults(arm):
     axes = "yz" if arm.name == "double_pendulum" else "xz" if arm.nv == 2 else "xyz"
-    gravity = aj.AdaptiveGravity(aj.GravityRegressor(arm))
+    gravity = aj.AdaptiveGravity(GravityRegressor(arm))
     filled = aj.SetpointController(aj.PositionTask(arm, axes=axes), gravity=gravity).adaptation
     assert np.isfinite(filled.L).all()
     assert (filled.L > 0.0).all()
@@ -103,7 +105,7 @@ def test_with_default_gains_an_unknown_payload_is_learnt(arms, from_zero):
     assert np.abs(run.v[-1]).max() < 1e-3
     # what is learnt is gravity where the arm stands
     truth, _, regressor, _ = arms
-    g, Z = aj.Dynamics(truth).g(run.q[-1]), regressor.Z(run.q[-1])
+    g, Z = Dynamics(truth).g(run.q[-1]), regressor.Z(run.q[-1])
     assert_allclose(Z @ run.state[-1], g, atol=0.05)
     assert np.abs(Z @ regressor.theta - g).max() > 1.0
 
@@ -159,7 +161,7 @@ def test_inside_the_bounds_nothing_changes(arms):
 )
 def test_bad_bounds_and_limits_are_refused(two_link, arguments, text):
     with pytest.raises(aj.InvalidInputError, match=text):
-        aj.AdaptiveGravity(aj.GravityRegressor(two_link, "x"), **arguments)
+        aj.AdaptiveGravity(GravityRegressor(two_link, "x"), **arguments)
 
 
 # -- saturated motors -----------------------------------------------------------------------
@@ -212,7 +214,7 @@ def test_the_differentiator_goes_on_while_learning_stands_still(arms):
     controller = aj.SetpointController(
         aj.PositionTask(belief),
         gravity=aj.AdaptiveGravity(regressor, torque_limits=1e-3),
-        velocity=aj.DifferentiatedVelocity(0.01),
+        velocity=DifferentiatedVelocity(0.01),
     )
     measurement = aj.Measurement(0.0, START, np.zeros(7), np.full(3, 0.5))
     state = controller.initial_state(measurement)

@@ -11,8 +11,18 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.controllers import compiled, machine_code
-from approxjac.law import products
+from approxjac.controllers import (
+    CompiledSetpointController,
+    DifferentiatedVelocity,
+    Posture,
+    RegressorGravity,
+    compiled,
+    machine_code,
+)
+from approxjac.errors import MeasurementError, MissingPackageError
+from approxjac.law import Linear, Sine, Tanh, products
+from approxjac.robots import GravityRegressor
+from approxjac.tasks import NonsingularTask
 
 pytestmark = pytest.mark.study  # compiling takes its time in a fresh clone
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
@@ -23,7 +33,7 @@ def pair(task, gains=None, **options):
     """The same controller in NumPy and compiled."""
     return (
         aj.SetpointController(task, gains, **options),
-        aj.CompiledSetpointController(task, gains, **options),
+        CompiledSetpointController(task, gains, **options),
     )
 
 
@@ -55,7 +65,7 @@ def asked(monkeypatch):
     steps, ordinary = [], aj.SetpointController.evaluate
 
     def counted(controller, *arguments):
-        if isinstance(controller, aj.CompiledSetpointController):
+        if isinstance(controller, CompiledSetpointController):
             steps.append(arguments)
         return ordinary(controller, *arguments)
 
@@ -79,11 +89,11 @@ def learning(robot, **options):
 
 LAWS = {
     "(6)": lambda task: {},
-    "sine": lambda task: {"saturation": aj.Sine(0.05)},
-    "tanh, a γ each": lambda task: {"saturation": aj.Tanh(0.1 * np.arange(1, task.m + 1))},
+    "sine": lambda task: {"saturation": Sine(0.05)},
+    "tanh, a γ each": lambda task: {"saturation": Tanh(0.1 * np.arange(1, task.m + 1))},
     "no gravity": lambda task: {"gravity": aj.NoGravity(task.robot)},
     "(28)": lambda task: {"gravity": learning(task.robot)},
-    "(28), sine": lambda task: {"gravity": learning(task.robot), "saturation": aj.Sine(0.05)},
+    "(28), sine": lambda task: {"gravity": learning(task.robot), "saturation": Sine(0.05)},
 }
 
 
@@ -105,7 +115,7 @@ def test_on_every_arm_it_is_the_same_law(arm, name, rng, asked):
 
 def kinds(panda, kinova):
     """Controllers as (task, gains, options), one for each way through a step."""
-    position, regressor = aj.PositionTask(panda), aj.GravityRegressor(panda)
+    position, regressor = aj.PositionTask(panda), GravityRegressor(panda)
     held = panda.random_configuration(np.random.default_rng(1))
     symmetric = 0.1 * (np.eye(regressor.p) + 0.1)
     return {
@@ -124,18 +134,18 @@ def kinds(panda, kinova):
         ),
         "an image": (aj.ImageTask(panda, CAMERA), None, {}),
         "a nonsingular Jacobian": (
-            aj.NonsingularTask(position, {"panda_joint4": 0.3}),
+            NonsingularTask(position, {"panda_joint4": 0.3}),
             aj.Gains(400.0, 80.0, 1.0),
             {},
         ),
         "continuous joints": (aj.PositionTask(kinova), None, {"gravity": learning(kinova)}),
-        "a posture": (position, None, {"posture": aj.Posture(held, 5.0)}),
+        "a posture": (position, None, {"posture": Posture(held, 5.0)}),
         "a posture, learnt": (
             position,
             None,
-            {"posture": aj.Posture(held, 5.0), "gravity": learning(panda)},
+            {"posture": Posture(held, 5.0), "gravity": learning(panda)},
         ),
-        "known θ": (position, None, {"gravity": aj.RegressorGravity(regressor, regressor.theta)}),
+        "known θ": (position, None, {"gravity": RegressorGravity(regressor, regressor.theta)}),
         "bounds": (
             position,
             None,
@@ -178,7 +188,7 @@ def test_every_kind_of_controller(panda, kind, rng, asked):
 def test_usual_steps_are_compiled_whatever_the_arrays_are(panda, name, rng, only_compiled):
     """Other strides, read-only, not aligned: one machine code takes them all."""
     task = aj.PositionTask(panda)
-    ours = aj.CompiledSetpointController(task, **LAWS[name](task))
+    ours = CompiledSetpointController(task, **LAWS[name](task))
     measurement, target = measured(task, rng, 0.01)
     q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     measurement = measurement._replace(q=q)
@@ -215,7 +225,7 @@ def test_what_is_not_usual_is_answered_as_in_numpy(rng):
     task = aj.PositionTask(aj.load_robot("two_link"))
     learnt = aj.AdaptiveGravity(task.robot, L=0.5, alpha=1.0, torque_limits=100.0)
     seen = set()
-    for options in ({}, {"gravity": learnt}, {"saturation": aj.Sine(0.05)}):
+    for options in ({}, {"gravity": learnt}, {"saturation": Sine(0.05)}):
         plain, ours = pair(task, aj.Gains(400.0, 80.0), **options)
         measurement, target = measured(task, rng)
         state = plain.initial_state(measurement)
@@ -350,14 +360,14 @@ def test_a_rate_that_overflows_is_a_named_error(panda):
     q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     measurement = aj.Measurement(0.0, q, np.full(7, 1e300), task.value(q))
     for controller in pair(task, aj.Gains(1.0, 1e-290, 1e-290), gravity=gravity):
-        with pytest.raises(aj.MeasurementError, match="the torque overflows or is no number"):
+        with pytest.raises(MeasurementError, match="the torque overflows or is no number"):
             controller.evaluate(controller.initial_state(measurement), measurement, measurement.x)
 
 
 def test_nothing_is_derived_from_it():
     text = "Mine cannot be derived from CompiledSetpointController, whose machine code would not "
     with pytest.raises(TypeError, match=text):
-        type("Mine", (aj.CompiledSetpointController,), {})
+        type("Mine", (CompiledSetpointController,), {})
 
 
 def test_a_whole_run_with_limits_ends_at_the_same_place(panda):
@@ -376,9 +386,9 @@ def test_a_whole_run_with_limits_ends_at_the_same_place(panda):
 def test_made_from_one_it_is_compiled_too(panda):
     belief = panda.with_object(0.1)
     task = aj.PositionTask(panda)
-    ours = aj.CompiledSetpointController(task, posture=aj.Posture(np.zeros(7), 1.0))
-    assert type(ours.with_task(aj.PositionTask(belief))) is aj.CompiledSetpointController
-    assert type(ours.with_gravity(aj.NoGravity(panda))) is aj.CompiledSetpointController
+    ours = CompiledSetpointController(task, posture=Posture(np.zeros(7), 1.0))
+    assert type(ours.with_task(aj.PositionTask(belief))) is CompiledSetpointController
+    assert type(ours.with_gravity(aj.NoGravity(panda))) is CompiledSetpointController
     assert repr(ours).startswith("CompiledSetpointController(law (6), PositionTask(")
     with pytest.raises(aj.InvalidInputError, match="cannot be changed once it is built"):
         ours.evaluate = None
@@ -388,7 +398,7 @@ def test_made_from_one_it_is_compiled_too(panda):
 def test_numbers_of_other_types_are_refused(panda, dtype, asked):
     task = aj.PositionTask(panda)
     for gravity in (None, learning(panda)):
-        ours = aj.CompiledSetpointController(task, gravity=gravity)
+        ours = CompiledSetpointController(task, gravity=gravity)
         good = {"q": np.zeros(7), "v": np.zeros(7), "x": np.zeros(3), "target": np.ones(3)}
         good["state"] = np.zeros(0 if gravity is None else gravity.regressor.p)
         for name in good:
@@ -400,13 +410,13 @@ def test_numbers_of_other_types_are_refused(panda, dtype, asked):
 
 
 def test_what_is_not_compiled_is_refused(panda):
-    class Own(aj.Tanh):
+    class Own(Tanh):
         pass
 
     task = aj.PositionTask(panda)
     for given, text in (
         (
-            {"task": task, "velocity": aj.DifferentiatedVelocity()},
+            {"task": task, "velocity": DifferentiatedVelocity()},
             "velocity of a CompiledSetpointController must be None: law (5) is not compiled, got "
             "DifferentiatedVelocity(time_constant=0.02); SetpointController takes it",
         ),
@@ -422,15 +432,15 @@ def test_what_is_not_compiled_is_refused(panda):
         ),
     ):
         with pytest.raises(aj.InvalidInputError) as refused:
-            aj.CompiledSetpointController(**given)
+            CompiledSetpointController(**given)
         assert str(refused.value) == text
 
 
 def test_without_numba_it_says_what_to_install(panda, monkeypatch):
     machine_code.compiled.cache_clear()
     monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(aj.MissingPackageError, match=r"pip install 'approxjac\[fast\]'$"):
-        aj.CompiledSetpointController(aj.PositionTask(panda))
+    with pytest.raises(MissingPackageError, match=r"pip install 'approxjac\[fast\]'$"):
+        CompiledSetpointController(aj.PositionTask(panda))
 
 
 def test_nothing_else_loads_numba():
@@ -447,7 +457,7 @@ def test_nothing_else_loads_numba():
 
 def test_its_functions_are_what_they_are_compiled_from(panda, rng):
     task = aj.PositionTask(panda)
-    for saturation, kind in ((aj.Linear(), 0), (aj.Sine(0.05), 1), (aj.Tanh(0.05), 2)):
+    for saturation, kind in ((Linear(), 0), (Sine(0.05), 1), (Tanh(0.05), 2)):
         plain = aj.SetpointController(task, saturation=saturation, gravity=learning(panda))
         measurement, target = measured(task, rng)
         _, q, v, x = measurement
@@ -530,7 +540,7 @@ def test_an_equation_that_was_changed_is_compiled_anew(tmp_path):
         "task = aj.PositionTask(aj.load_robot('ur5'))\n"
         "q = np.array([0.1, -1.0, 1.2, 0.3, 0.4, 0.5])\n"
         "m = aj.Measurement(0.0, q, np.ones(6), task.value(q))\n"
-        "c = aj.CompiledSetpointController(task, aj.Gains(100.0, 20.0, 1.0))\n"
+        "c = CompiledSetpointController(task, aj.Gains(100.0, 20.0, 1.0))\n"
         "print(*c.evaluate(np.zeros(0), m, m.x + 0.1).torque, aj.__file__)"
     )
 

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import limits as rows
+from approxjac.robots import Dynamics
 
 
 def test_of_a_robot_takes_what_its_urdf_says(panda):
@@ -86,7 +87,7 @@ def test_acceleration_bounds_stop_what_is_too_fast():
 
 
 def test_forward_dynamics_invert_the_inverse_ones(arm, rng):
-    dynamics = aj.Dynamics(arm)
+    dynamics = Dynamics(arm)
     q, v = arm.random_configuration(rng), rng.normal(size=arm.nv)
     tau = rng.normal(size=arm.nv)
     M = dynamics.M(q)

@@ -11,6 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import Status
+from approxjac.controllers import ContinuousController, DifferentiatedVelocity
+from approxjac.errors import MeasurementError
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.tasks import CombinedTask
 
 DT = 1e-3
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -30,13 +34,13 @@ def pair(panda):
 
 def controllers(task):
     """Everything that may be inside."""
-    regressor = aj.GravityRegressor(task.robot)
+    regressor = GravityRegressor(task.robot)
     law = aj.SetpointController(task)
     limits = aj.Limits(effort=0.5 * task.robot.effort_limits, rate=500.0)
     return {
         "known gravity": law,
         "learnt gravity": aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)),
-        "law (5)": aj.SetpointController(task, velocity=aj.DifferentiatedVelocity(0.1)),
+        "law (5)": aj.SetpointController(task, velocity=DifferentiatedVelocity(0.1)),
         "limited": aj.TorqueLimited(law, limits),
         "clipped": aj.TorqueLimited(law, aj.Limits(law.task.robot.effort_limits), proof=False),
     }
@@ -194,7 +198,7 @@ def test_any_first_x_is_one_that_was_seen_even_where_others_are_measured_from(ta
 
 def test_without_a_first_x_there_is_nothing_to_differentiate(task):
     held = aj.HeldMeasurement(INSIDE["law (5)"], 0.1)
-    with pytest.raises(aj.MeasurementError, match=r"the first x must be finite for law \(5\)"):
+    with pytest.raises(MeasurementError, match=r"the first x must be finite for law \(5\)"):
         held.initial_state(aj.Measurement(0.0, START, V, LOST))
 
 
@@ -305,7 +309,7 @@ def test_a_camera_that_hangs_in_mid_motion_stops_the_arm_and_it_goes_on_after(ta
     assert 0.09 < moved < 0.11
     assert np.abs(run.v[last]).max() < 1e-3  # it slows to rest
     assert np.abs(run.x[last] - run.x[first]).max() < 0.1
-    kinetic = [0.5 * v @ aj.Dynamics(PANDA).M(q) @ v for q, v in zip(run.q, run.v, strict=True)]
+    kinetic = [0.5 * v @ Dynamics(PANDA).M(q) @ v for q, v in zip(run.q, run.v, strict=True)]
     assert (np.diff(kinetic[first : last + 1]) < 1e-12).all()
     assert run.error_norm[last] > 0.02
     assert run.error_norm[-1] < 1e-3
@@ -417,7 +421,7 @@ def test_copies(task, kind, copied):
         assert first.status is second.status
 
 
-class Alone(aj.ContinuousController):
+class Alone(ContinuousController):
     """A controller without a Jacobian."""
 
     def __init__(self, task):
@@ -466,7 +470,7 @@ def test_bad_states_and_things_that_are_no_measurement_are_refused(task):
             held.step(state, good, loop.target, DT)
     with pytest.raises(aj.InvalidInputError, match=r"measurement must be Measurement\(t, q, v, x"):
         held.step(loop.state, None, loop.target, DT)
-    with pytest.raises(aj.MeasurementError, match="q must be finite"):
+    with pytest.raises(MeasurementError, match="q must be finite"):
         held.step(loop.state, good._replace(q=np.full(7, np.nan)), loop.target, DT)
 
 
@@ -484,7 +488,7 @@ def two_points(panda, **options):
 
 def test_of_combined_points_one_is_new_while_the_other_is_lost(panda, rng):
     image = two_points(panda)
-    task = aj.CombinedTask(image, rng.normal(size=(4, 4)))
+    task = CombinedTask(image, rng.normal(size=(4, 4)))
     held = aj.HeldMeasurement(aj.SetpointController(task), unseen=40.0)
     x = image.value(START)
     first = aj.Measurement(0.0, START, np.zeros(7), x)
@@ -499,7 +503,7 @@ def test_of_combined_points_one_is_new_while_the_other_is_lost(panda, rng):
 @pytest.mark.parametrize("x", [np.inf, 1e300, -1e306, 1e308])
 def test_absurd_images_have_a_finite_answer_or_a_named_error(panda, rng, combined, x):
     image = two_points(panda)
-    task = aj.CombinedTask(image, 1e9 * rng.normal(size=(4, 4))) if combined else image
+    task = CombinedTask(image, 1e9 * rng.normal(size=(4, 4))) if combined else image
     gains = aj.Gains(kp=1e-4, kv=1e-4, damping=1.0)
     held = aj.HeldMeasurement(aj.SetpointController(task, gains), unseen=40.0)
     seen = image.value(START)
@@ -507,7 +511,7 @@ def test_absurd_images_have_a_finite_answer_or_a_named_error(panda, rng, combine
     state = held.initial_state(measurement)
     try:
         state, answer = held.step(state, measurement, seen, DT)
-    except aj.MeasurementError:
+    except MeasurementError:
         return
     assert np.isfinite(answer.torque).all()
     assert np.isfinite(state).all()

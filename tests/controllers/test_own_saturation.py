@@ -10,8 +10,11 @@ from hypothesis import strategies as st
 
 import approxjac as aj
 from approxjac.controllers.saturation import require_saturation
+from approxjac.errors import MeasurementError
+from approxjac.law import Linear, Sine, Tanh
+from approxjac.tasks import PlanarCamera
 
-BUILT_IN = (aj.Sine, aj.Tanh)
+BUILT_IN = (Sine, Tanh)
 TWO_LINK = aj.load_robot("two_link")
 TASKS = {
     1: aj.PositionTask(TWO_LINK, axes="x"),
@@ -72,13 +75,13 @@ def test_and_whatever_the_gamma_of_each_coordinate(gamma):
 
 @pytest.mark.parametrize("m", TASKS)
 def test_no_saturation_is_taken(m):
-    assert fault_of(aj.Linear(), TASKS[m]) == ""
+    assert fault_of(Linear(), TASKS[m]) == ""
 
 
 def test_where_two_points_lie_on_either_side_of_a_kink():
     """However the sine's last point, γπ/2, lies to those that are looked at."""
     for gamma in np.geomspace(1.0, np.sqrt(10.0), 500):
-        assert fault_of(aj.Sine(gamma), TASKS[1]) == ""
+        assert fault_of(Sine(gamma), TASKS[1]) == ""
 
 
 class Algebraic(Own):
@@ -152,9 +155,9 @@ def slope_two(self, e):
 
 FAULTS = {
     "a number": (0.2, "got 0.2: it has no s, S, ds, d, c_bar, d_bar"),
-    "a class": (aj.Tanh, "that is a class, give an object of it"),
+    "a class": (Tanh, "that is a class, give an object of it"),
     "parts that are missing": (OnlySlopes(), "it has no d, c_bar, d_bar"),
-    "another length of γ": (aj.Sine((0.1, 0.2)), "fails for an e of shape (3,) with ValueError: "),
+    "another length of γ": (Sine((0.1, 0.2)), "fails for an e of shape (3,) with ValueError: "),
     "a part that fails": (
         own(ds=raises),
         "ds(e) fails for an e of shape (3,) with ZeroDivisionError: division by zero (control has "
@@ -212,8 +215,8 @@ FAULTS = {
         "s, S and ds must be finite, got s(e) = 0.1, S(e) = inf and ds(e) = 0 at e = ",
     ),
     "entries that are mixed": (own(s=radial), "s must act entry by entry, got s(["),
-    "d": (aj.Tanh(0.1, d=1.01), "eq. (8) asks for e s(e) >= d s(e)² with d = 1.01, got s(e) = "),
-    "c_bar": (aj.Linear(c_bar=5.0), "eq. (8) asks for S(e) >= c_bar s(e)² with c_bar = 5, got s"),
+    "d": (Tanh(0.1, d=1.01), "eq. (8) asks for e s(e) >= d s(e)² with d = 1.01, got s(e) = "),
+    "c_bar": (Linear(c_bar=5.0), "eq. (8) asks for S(e) >= c_bar s(e)² with c_bar = 5, got s"),
     "d_bar": (
         own(d_bar=lambda *_: 1.5),
         "eq. (8) asks for d_bar(e_max) s(e)² >= e s(e) with d_bar(",
@@ -260,8 +263,8 @@ def test_the_controller_asks():
 
 def test_a_slope_of_two_is_a_stiffness_of_two():
     """γ tanh(2e/γ) is 2 (γ/2) tanh(e/(γ/2)): said in the gains, the local test sees it."""
-    true_camera = aj.PlanarCamera(focal_length=0.05, distance=3.0)
-    believed_camera = aj.PlanarCamera(focal_length=0.05, distance=3.0, roll=np.radians(60.0))
+    true_camera = PlanarCamera(focal_length=0.05, distance=3.0)
+    believed_camera = PlanarCamera(focal_length=0.05, distance=3.0, roll=np.radians(60.0))
     plant = aj.Plant(TWO_LINK, aj.ImageTask(TWO_LINK, true_camera))
     task, goal = aj.ImageTask(TWO_LINK, believed_camera), np.radians([90.0, 90.0])
 
@@ -283,7 +286,7 @@ def test_a_report_of_an_own_saturation_is_that_of_the_librarys():
             aj.SetpointController(believed, aj.Gains(60.0, 40.0, 1.0), saturation=s),
             plant, box, configurations=50,
         )
-        for s in (Own(0.1), aj.Tanh(0.1))
+        for s in (Own(0.1), Tanh(0.1))
     )  # fmt: skip
     assert str(own_report) == str(report)
 
@@ -293,7 +296,7 @@ def test_what_rounding_leaves_at_zero_is_no_fault():
         assert fault_of(own(S=lambda self, e, left=left: Own.S(self, e) + left), TASKS[3]) == ""
 
 
-class Gap(aj.Tanh):
+class Gap(Tanh):
     """Not a number at one error, which no look at some hundred of them finds."""
 
     def s(self, e):
@@ -307,8 +310,8 @@ def test_a_saturation_that_fails_on_the_way_is_an_error_and_no_torque():
     measurement = aj.Measurement(0.0, q, np.zeros(7), x)
     state = controller.initial_state(measurement)
     assert np.isfinite(controller.evaluate(state, measurement, x - 0.02).torque).all()
-    with pytest.raises(aj.MeasurementError, match="the torque overflows or is no number"):
+    with pytest.raises(MeasurementError, match="the torque overflows or is no number"):
         controller.evaluate(state, measurement, x - 0.0123)
     limited = aj.TorqueLimited(aj.SetpointController(task, saturation=Gap(0.1)))
-    with pytest.raises(aj.MeasurementError, match="the torque overflows or is no number"):
+    with pytest.raises(MeasurementError, match="the torque overflows or is no number"):
         limited.step(limited.initial_state(measurement), measurement, x - 0.0123, 1e-3)

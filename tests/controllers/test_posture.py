@@ -7,6 +7,8 @@ from arms import among
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.controllers import Posture, RegressorGravity
+from approxjac.robots import GravityRegressor
 
 START = {
     "panda": np.array([0.0, -0.4, 0.3, -1.9, 0.2, 1.6, 0.4]),
@@ -26,7 +28,7 @@ def test_the_torque_is_that_of_the_law_and_n_tau_0(name, stiffness, rng):
     task, gains = aj.PositionTask(robot), aj.Gains(400.0, 80.0, damping=1.0)
     wanted = robot.random_configuration(rng)
     plain = aj.SetpointController(task, gains)
-    drawn = aj.SetpointController(task, gains, posture=aj.Posture(wanted, stiffness))
+    drawn = aj.SetpointController(task, gains, posture=Posture(wanted, stiffness))
     checked = 0
     while checked < 10:
         q, v = robot.random_configuration(rng), rng.uniform(-1, 1, robot.nv)
@@ -52,7 +54,7 @@ def test_a_lost_measurement_leaves_the_posture(panda, rng):
     task, gains = aj.PositionTask(panda), aj.Gains(400.0, 80.0, damping=1.0)
     lost = aj.Measurement(0.0, START["panda"], rng.uniform(-1, 1, 7), np.full(3, np.nan))
     torques = []
-    for posture in (None, aj.Posture(POSTURE["panda"], 5.0)):
+    for posture in (None, Posture(POSTURE["panda"], 5.0)):
         controller = aj.SetpointController(task, gains, posture=posture)
         answer = controller.evaluate(np.zeros(0), lost, np.zeros(3))
         assert answer.status is aj.Status.MEASUREMENT_LOST
@@ -67,7 +69,7 @@ def test_the_task_is_reached_exactly_and_the_self_motion_comes_to_rest(name):
     """Unknown 15 cm, 0.5 kg tool: e < 1e-6 m all the same, and N (q ⊖ q_posture) → 0."""
     robot = aj.load_robot(name)
     truth, belief = robot.with_object(0.15, 0.5), robot.with_object(0.0)
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     theta, _ = regressor.fit(truth)
     sensor, task = aj.PositionTask(truth), aj.PositionTask(belief)
     target = sensor.value(START[name] + [0.3, 0.2, -0.1, 0.2, 0.1, -0.2, 0.2])
@@ -76,8 +78,8 @@ def test_the_task_is_reached_exactly_and_the_self_motion_comes_to_rest(name):
         controller = aj.SetpointController(
             task,
             aj.default_gains(task, 0.6),
-            gravity=aj.RegressorGravity(regressor, theta),
-            posture=None if stiffness is None else aj.Posture(POSTURE[name], stiffness),
+            gravity=RegressorGravity(regressor, theta),
+            posture=None if stiffness is None else Posture(POSTURE[name], stiffness),
         )
         run = aj.simulate(
             aj.Plant(truth, sensor), controller, target, START[name], 14.0,
@@ -102,12 +104,12 @@ def test_it_is_for_arms_with_self_motion(panda, two_link):
         aj.SetpointController(
             aj.PositionTask(two_link, axes="xz"),
             aj.Gains(50.0, 20.0, 1.0),
-            posture=aj.Posture((0.0, 1.0), 1.0),
+            posture=Posture((0.0, 1.0), 1.0),
         )
     ur5 = aj.load_robot("ur5")
     with pytest.raises(aj.InvalidInputError, match="got one for ur5 with 6 joints and 6 coordinat"):
-        aj.SetpointController(aj.PoseTask(ur5), posture=aj.Posture(ur5.neutral(), 1.0))
-    aj.SetpointController(aj.PositionTask(ur5), posture=aj.Posture(ur5.neutral(), 1.0))
+        aj.SetpointController(aj.PoseTask(ur5), posture=Posture(ur5.neutral(), 1.0))
+    aj.SetpointController(aj.PositionTask(ur5), posture=Posture(ur5.neutral(), 1.0))
 
 
 @pytest.mark.parametrize(
@@ -130,7 +132,7 @@ def test_it_is_for_arms_with_self_motion(panda, two_link):
 )
 def test_bad_postures_are_refused(panda, arguments, text):
     with pytest.raises(aj.InvalidInputError, match=text):
-        aj.SetpointController(aj.PositionTask(panda), posture=aj.Posture(*arguments))
+        aj.SetpointController(aj.PositionTask(panda), posture=Posture(*arguments))
 
 
 def test_what_is_no_posture_is_refused(panda):
@@ -140,12 +142,12 @@ def test_what_is_no_posture_is_refused(panda):
         aj.SetpointController(aj.PositionTask(panda), posture=START["panda"])
     pr2 = aj.load_robot("pr2_left_arm")
     with pytest.raises(aj.InvalidInputError, match=r"cos\^2 \+ sin\^2 = 1"):
-        aj.SetpointController(aj.PositionTask(pr2), posture=aj.Posture(2 * pr2.neutral(), 1.0))
+        aj.SetpointController(aj.PositionTask(pr2), posture=Posture(2 * pr2.neutral(), 1.0))
 
 
 def test_a_posture_is_a_copy():
     q = np.zeros(7)
-    posture = aj.Posture(q, np.ones(7))
+    posture = Posture(q, np.ones(7))
     q[:] = 1.0
     assert_allclose(posture.q, np.zeros(7), atol=0)
     with pytest.raises(ValueError, match="read-only"):
@@ -162,7 +164,7 @@ def test_near_a_singular_posture_it_fades_out_and_still_leaves_the_task_alone():
     direction = np.array([0.0, 0.3, 0.2, 1.0, 0.1, -0.4, 0.0])
     gains, still = aj.Gains(100.0, 20.0, 1.0), np.zeros(7)
     plain = aj.SetpointController(task, gains)
-    kept = aj.SetpointController(task, gains, posture=aj.Posture(np.zeros(7), 10.0))
+    kept = aj.SetpointController(task, gains, posture=Posture(np.zeros(7), 10.0))
     pulls, faded = [], 0
     for step in np.linspace(-0.2, 0.2, 4001):
         q = singular + step * direction

@@ -14,7 +14,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
 from approxjac.controllers.qp_solvers import as_solver
+from approxjac.errors import MeasurementError
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.stability import lyapunov
 
 DT = 1e-3
 
@@ -24,7 +28,7 @@ def law_of(robot, gravity=None, **options):
 
 
 def learning(robot):
-    return law_of(robot, aj.AdaptiveGravity(aj.GravityRegressor(robot), L=0.1, alpha=1.0))
+    return law_of(robot, aj.AdaptiveGravity(GravityRegressor(robot), L=0.1, alpha=1.0))
 
 
 def some_measurement(robot, rng, speed=1.0, error=0.3):
@@ -116,7 +120,7 @@ def V_dot(plant, controller, q, v, tau, target, alpha, h=1e-6, **state):
 
     def V(t):
         q_t = pin.integrate(plant.robot.model, q, t * v + 0.5 * t * t * a)
-        return aj.lyapunov(plant, controller, q_t, v + t * a, target, alpha, **state).V
+        return lyapunov(plant, controller, q_t, v + t * a, target, alpha, **state).V
 
     return (V(h) - V(-h)) / (2.0 * h)
 
@@ -126,8 +130,8 @@ def test_V_decreases_as_promised_along_the_true_dynamics(panda, rng, weight):
     """V̇ ≤ −W where the slack is 0, V̇ ≤ −W + σ elsewhere; J, M, C, g of the true robot."""
     truth = panda.with_object(0.2, 0.5, axis="x")
     belief = panda.with_object(0.0)
-    regressor = aj.GravityRegressor(belief)
-    law = law_of(belief, aj.RegressorGravity(regressor, regressor.fit(truth)[0]))
+    regressor = GravityRegressor(belief)
+    law = law_of(belief, RegressorGravity(regressor, regressor.fit(truth)[0]))
     limited = aj.TorqueLimited(law, aj.Limits.of(panda, scale=0.5), weight=weight)
     plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
     seen = set()
@@ -135,7 +139,7 @@ def test_V_decreases_as_promised_along_the_true_dynamics(panda, rng, weight):
         measurement, target = some_measurement(truth, rng, speed=0.3, error=0.2)
         q, v = measurement.q, measurement.v
         answer = answered(limited, np.zeros(0), measurement, target)
-        W = aj.lyapunov(plant, law, q, v, target, limited.alpha).W
+        W = lyapunov(plant, law, q, v, target, limited.alpha).W
         rate = V_dot(plant, law, q, v, answer.torque, target, limited.alpha)
         assert rate <= -W + answer.slack + 1e-5 * (1.0 + abs(W))
         if answer.slack > 1e-3:  # and the slack is not larger than it has to be
@@ -191,7 +195,7 @@ def test_V_with_learnt_parameters_decreases_as_promised_too(panda, rng):
     truth = panda.with_object(0.0, 0.0)
     law = aj.SetpointController(
         aj.PositionTask(truth),
-        gravity=aj.AdaptiveGravity(aj.GravityRegressor(truth), L=0.05, alpha=0.5),
+        gravity=aj.AdaptiveGravity(GravityRegressor(truth), L=0.05, alpha=0.5),
     )
     limited = aj.TorqueLimited(law, aj.Limits.of(panda, scale=0.6))
     plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
@@ -209,11 +213,11 @@ def test_V_with_learnt_parameters_decreases_as_promised_too(panda, rng):
 
         def V(t, q=q, v=v, a=a, state=state, rate=rate, target=target):
             q_t = pin.integrate(truth.model, q, t * v + 0.5 * t * t * a)
-            return aj.lyapunov(
+            return lyapunov(
                 plant, law, q_t, v + t * a, target, 0.5, state=state + t * rate, theta=theta
             ).V
 
-        W = aj.lyapunov(plant, law, q, v, target, 0.5, state=state, theta=theta).W
+        W = lyapunov(plant, law, q, v, target, 0.5, state=state, theta=theta).W
         assert (V(h) - V(-h)) / (2.0 * h) <= -W + 1e-5 * (1.0 + abs(W))
     assert kept > 5
 
@@ -222,7 +226,7 @@ def test_where_learning_stands_still_V_has_the_slack_and_what_would_be_learnt(pa
     """V̇ = −W + σ − yᵀZ(θ − θ̂) where θ̂ stands still."""
     law = aj.SetpointController(
         aj.PositionTask(panda),
-        gravity=aj.AdaptiveGravity(aj.GravityRegressor(panda), L=0.05, alpha=0.5),
+        gravity=aj.AdaptiveGravity(GravityRegressor(panda), L=0.05, alpha=0.5),
     )
     limited = aj.TorqueLimited(law, effort_only(panda, 0.5))
     plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
@@ -238,7 +242,7 @@ def test_where_learning_stands_still_V_has_the_slack_and_what_would_be_learnt(pa
         seen += 1
         assert_array_equal(after, state)
         given = {"state": state, "theta": theta}
-        W = aj.lyapunov(plant, law, q, v, target, 0.5, **given).W
+        W = lyapunov(plant, law, q, v, target, 0.5, **given).W
         y = law.passive_output(answer, v, 0.5)
         unlearnt = y @ regressor.Z(q) @ (theta - state)
         rate = V_dot(plant, law, q, v, answer.torque, target, 0.5, **given)
@@ -271,7 +275,7 @@ def test_nothing_is_said_of_the_proof_near_a_singular_pose(two_link):
 def test_with_a_posture_V_changes_by_the_power_of_the_change(panda, rng):
     """What the posture costs, it costs without limits too: V̇ is no more than with τ*."""
     q_rest = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-    law = law_of(panda, posture=aj.Posture(q_rest, 20.0))
+    law = law_of(panda, posture=Posture(q_rest, 20.0))
     limited = aj.TorqueLimited(law, aj.Limits.of(panda, scale=0.5))
     plant = aj.Plant(panda, sensor=aj.PositionTask(panda))
     kept = 0
@@ -293,8 +297,8 @@ def test_with_a_posture_V_changes_by_the_power_of_the_change(panda, rng):
 def test_the_differentiator_of_law_5_goes_on_while_learning_stands_still(panda, rng):
     law = aj.SetpointController(
         aj.PositionTask(panda),
-        gravity=aj.AdaptiveGravity(aj.GravityRegressor(panda), L=0.1, alpha=1.0),
-        velocity=aj.DifferentiatedVelocity(0.02),
+        gravity=aj.AdaptiveGravity(GravityRegressor(panda), L=0.1, alpha=1.0),
+        velocity=DifferentiatedVelocity(0.02),
     )
     limited = aj.TorqueLimited(law, effort_only(panda, 0.1), proof=False)
     measurement, target = some_measurement(panda, rng, error=1.0)
@@ -387,7 +391,7 @@ def infeasible_state(robot):
 
 def test_where_nothing_keeps_all_limits_the_arm_is_held_and_braked(panda):
     measurement, target = infeasible_state(panda)
-    hold = aj.Dynamics(panda).g(measurement.q)
+    hold = Dynamics(panda).g(measurement.q)
     limits = replace(aj.Limits.of(panda), effort=np.abs(hold) + 2.0)
     limited = aj.TorqueLimited(law_of(panda), limits)
     answer = answered(limited, np.zeros(0), measurement, target)
@@ -429,7 +433,7 @@ def test_a_solver_that_fails_leaves_a_torque_that_holds_and_brakes(panda, fault)
     assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
     assert np.isfinite(answer.torque).all()
     assert (np.abs(answer.torque) <= panda.effort_limits).all()
-    hold = aj.Dynamics(panda).g(measurement.q)
+    hold = Dynamics(panda).g(measurement.q)
     assert_allclose(answer.torque[1:], hold[1:], atol=1e-9)
     assert answer.torque[0] < -1.0  # it brakes
     assert math.isfinite(answer.slack)
@@ -528,7 +532,7 @@ def test_a_weight_of_ones_own_is_kept_as_it_was(panda, rng):
 def test_the_first_torque_needs_q(panda):
     limited = aj.TorqueLimited(law_of(panda), aj.Limits(rate=100.0))
     measurement = aj.Measurement(0.0, np.full(7, np.nan), np.zeros(7), np.zeros(3))
-    with pytest.raises(aj.MeasurementError, match="q must be finite"):
+    with pytest.raises(MeasurementError, match="q must be finite"):
         limited.initial_state(measurement)
 
 

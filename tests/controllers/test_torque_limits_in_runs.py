@@ -7,6 +7,8 @@ import pytest
 from arms import among
 
 import approxjac as aj
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import Dynamics, GravityRegressor
 
 DT = 1e-3
 
@@ -25,7 +27,7 @@ def test_the_rate_is_kept_over_a_run(panda):
     run = aj.simulate(plant, limited, x_d, q0, 1.0, dt=DT, integrator="semi_implicit_euler")
     assert np.abs(np.diff(run.tau, axis=0)).max() <= 500.0 * DT + 1e-9
     assert np.abs(np.diff(run.tau, axis=0)).max() > 0.99 * 500.0 * DT
-    hold = aj.Dynamics(panda).g(q0)
+    hold = Dynamics(panda).g(q0)
     assert (np.abs(run.tau[0] - hold) <= 500.0 * DT + 1e-9).all()
     assert run.error_norm[-1] < 0.5 * run.error_norm[0]
 
@@ -53,10 +55,10 @@ def test_speeds_stay_within_their_limits_where_the_model_is_exact(panda):
 def test_a_joint_driven_into_its_limit_stops_at_it_without_chatter(panda, tool):
     truth = panda.with_object(tool, 2.5 * tool, axis="x")
     belief = panda.with_object(0.0)
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     theta = regressor.fit(truth)[0]
     plant = aj.Plant(truth, sensor=aj.PositionTask(truth))
-    limited = aj.TorqueLimited(law_of(belief, aj.RegressorGravity(regressor, theta)))
+    limited = aj.TorqueLimited(law_of(belief, RegressorGravity(regressor, theta)))
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     run = aj.simulate(
         plant, limited, [0.0, -0.1, -0.5], q0, 6.0, dt=DT, integrator="semi_implicit_euler"

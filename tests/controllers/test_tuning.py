@@ -7,6 +7,8 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law
+from approxjac.robots import Dynamics
+from approxjac.tasks import PlanarCamera
 
 
 def position_task(robot):
@@ -16,7 +18,7 @@ def position_task(robot):
 def by_the_documented_rule(task, settling_time):
     """Independently of the code: torque to motion, posture by posture."""
     robot, rng, rate = task.robot, np.random.default_rng(0), 4.0 / settling_time
-    dynamics = aj.Dynamics(robot)
+    dynamics = Dynamics(robot)
     shown, own, singular, sampled, mobility = [], [], [], [], []
     kept = []
     for _ in range(100):
@@ -96,7 +98,7 @@ def test_half_the_settling_time_takes_four_times_the_stiffness(name):
     assert_allclose(fast.kv, 2.0 * slow.kv)
     assert (fast.damping <= 2.0 * slow.damping * (1 + 1e-12)).all()
     assert (fast.damping >= slow.damping).all()
-    camera = aj.PlanarCamera(0.05, 3.0, plane="xy")
+    camera = PlanarCamera(0.05, 3.0, plane="xy")
     if name == "panda":  # another unit of the task: kp goes with its square
         image = aj.default_gains(aj.ImageTask(task.robot, camera))
         plane = aj.default_gains(aj.PositionTask(task.robot, axes="xy"))
@@ -110,7 +112,7 @@ def test_the_damping_can_be_applied_at_1_khz(arm, settling_time, rng):
     axes = "yz" if arm.name == "double_pendulum" else "xz" if arm.nv == 2 else "xyz"
     task = aj.PositionTask(arm, axes=axes)
     gains = aj.default_gains(task, settling_time)
-    dynamics, postures = aj.Dynamics(arm), np.random.default_rng(0)
+    dynamics, postures = Dynamics(arm), np.random.default_rng(0)
     largest = np.zeros(arm.nv)
     for _ in range(100):
         q = arm.random_configuration(postures)

@@ -5,6 +5,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.controllers import DifferentiatedVelocity, Posture
+from approxjac.law import Tanh
+from approxjac.robots import GravityRegressor
 
 Q = np.array([0.1, -0.4, 0.2, -1.9, 0.1, 1.7, 0.5])
 V = np.linspace(-0.2, 0.3, 7)
@@ -17,16 +20,16 @@ def beliefs(panda):
 
 
 def learning(task):
-    regressor = aj.GravityRegressor(task.robot)
+    regressor = GravityRegressor(task.robot)
     return aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor))
 
 
 MADE = {
     "setpoint": lambda task: aj.SetpointController(
-        task, aj.Gains(kp=300.0, kv=70.0, damping=2.0), saturation=aj.Tanh(0.1),
-        posture=aj.Posture(Q, 5.0),
+        task, aj.Gains(kp=300.0, kv=70.0, damping=2.0), saturation=Tanh(0.1),
+        posture=Posture(Q, 5.0),
     ),
-    "law 5": lambda task: aj.SetpointController(task, velocity=aj.DifferentiatedVelocity()),
+    "law 5": lambda task: aj.SetpointController(task, velocity=DifferentiatedVelocity()),
     "learning": learning,
     "limited": lambda task: aj.TorqueLimited(learning(task), LIMITS),
     "clipped": lambda task: aj.TorqueLimited(learning(task), LIMITS, proof=False),

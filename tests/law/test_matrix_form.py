@@ -7,6 +7,8 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law
+from approxjac.law import Sine, Tanh
+from approxjac.stability import lyapunov
 
 
 def closed_loop(name, saturation, seed=0):
@@ -65,7 +67,7 @@ def V_dot(plant, controller, x_d, q, v, A1, A2, w):
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur5", "panda", "xarm7", "kinova"])
-@pytest.mark.parametrize("saturation", [None, aj.Sine(0.3), aj.Tanh(0.2)], ids=repr)
+@pytest.mark.parametrize("saturation", [None, Sine(0.3), Tanh(0.2)], ids=repr)
 def test_decrease_is_that_of_v_along_the_closed_loop(name, saturation):
     plant, controller, rng = closed_loop(name, saturation)
     m, n = controller.task.m, plant.robot.nv
@@ -91,13 +93,13 @@ def test_decrease_is_that_of_v_along_the_closed_loop(name, saturation):
 
 
 def test_the_papers_weights_give_the_papers_v_and_w(panda):
-    plant, controller, rng = closed_loop("panda", aj.Sine(0.3))
+    plant, controller, rng = closed_loop("panda", Sine(0.3))
     kp, kv, _ = controller.diagonals
     for _ in range(5):
         q, v = plant.robot.random_configuration(rng), rng.normal(size=7)
         x_d = plant.sensor.value(q) + rng.uniform(-0.4, 0.4, 3)
         alpha = rng.uniform(0.1, 5.0)
-        known = aj.lyapunov(plant, controller, q, v, x_d, alpha)
+        known = lyapunov(plant, controller, q, v, x_d, alpha)
         weights = (alpha * np.eye(3), np.zeros((3, 3)), kp + alpha * kv)
         assert_allclose(V(plant, controller, x_d, q, v, *weights), known.V, rtol=1e-12)
         assert_allclose(V_dot(plant, controller, x_d, q, v, *weights), -known.W, rtol=1e-9)

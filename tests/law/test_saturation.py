@@ -5,13 +5,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.law import Linear, Sine, Tanh
 
 gammas = st.floats(1e-3, 1e3)
 ratios = st.floats(-20.0, 20.0).filter(lambda u: abs(u) > 1e-3)
 
 
 def saturations(gamma):
-    return [aj.Linear(), aj.Sine(gamma), aj.Tanh(gamma)]
+    return [Linear(), Sine(gamma), Tanh(gamma)]
 
 
 @given(gammas, ratios)
@@ -63,7 +64,7 @@ def test_derivatives_by_finite_differences(u):
 
 def test_the_sine_is_the_papers_example():
     gamma = 0.01
-    f = aj.Sine(gamma)
+    f = Sine(gamma)
     inside, outside = 0.004, 0.5 * np.pi * gamma + 0.003
     assert_allclose(f.s(np.array([inside, outside, -outside])), [
         gamma * np.sin(inside / gamma), gamma, -gamma])  # fmt: skip
@@ -73,21 +74,21 @@ def test_the_sine_is_the_papers_example():
 
 def test_a_large_gamma_is_no_saturation():
     e = np.array([-0.3, 0.0, 2.0])
-    for f in (aj.Sine(1e6), aj.Tanh(1e6)):
-        assert_allclose(f.s(e), aj.Linear().s(e), rtol=1e-9)
-        assert_allclose(f.S(e), aj.Linear().S(e), rtol=1e-6)
+    for f in (Sine(1e6), Tanh(1e6)):
+        assert_allclose(f.s(e), Linear().s(e), rtol=1e-9)
+        assert_allclose(f.S(e), Linear().S(e), rtol=1e-6)
 
 
 def test_gamma_may_differ_from_coordinate_to_coordinate():
     gamma = np.array([0.1, 10.0])
     e = np.array([1.0, 1.0])
-    for kind in (aj.Sine, aj.Tanh):
+    for kind in (Sine, Tanh):
         both = kind(gamma)
         each = [kind(g).s(np.array([1.0]))[0] for g in gamma]
         assert_allclose(both.s(e), each)
 
 
-@pytest.mark.parametrize("kind", [aj.Sine, aj.Tanh])
+@pytest.mark.parametrize("kind", [Sine, Tanh])
 @given(st.floats(1e-9, 1e-3), st.floats(1.0, 1e20))
 def test_the_potential_keeps_its_digits_near_zero(kind, e, gamma):
     """However large γ is: γ (e/γ) need not be e."""
@@ -95,7 +96,7 @@ def test_the_potential_keeps_its_digits_near_zero(kind, e, gamma):
 
 
 @pytest.mark.parametrize("gamma", [0.0, -1.0, np.nan, np.inf])
-@pytest.mark.parametrize("kind", [aj.Sine, aj.Tanh])
+@pytest.mark.parametrize("kind", [Sine, Tanh])
 def test_bad_gamma_is_refused(kind, gamma):
     with pytest.raises(
         aj.InvalidInputError, match=r"gamma must be (finite|> 0) \[unit of the task\], got"
@@ -106,25 +107,25 @@ def test_bad_gamma_is_refused(kind, gamma):
 
 def test_gamma_is_a_copy_and_may_be_a_list():
     gamma = np.array([0.1, 0.2])
-    f = aj.Sine(gamma)
+    f = Sine(gamma)
     gamma[:] = 9.0
     assert_allclose(f.s(np.array([1.0, 1.0])), [0.1, 0.2])
-    for kind in (aj.Sine, aj.Tanh):
+    for kind in (Sine, Tanh):
         both = kind([0.1, 0.2])
         for call in (both.s, both.S, both.ds):
             assert call(np.array([0.3, 0.4])).shape == (2,)
     with pytest.raises(aj.InvalidInputError, match="gamma must be numbers of shape"):
-        aj.Sine("small")
+        Sine("small")
 
 
-@pytest.mark.parametrize("kind", [aj.Sine, aj.Tanh])
+@pytest.mark.parametrize("kind", [Sine, Tanh])
 def test_gamma_is_kept_as_it_acts(kind):
     assert type(kind(1).gamma) is float
     assert kind(np.array(0.5)).gamma == 0.5
     assert_allclose(kind([0.1, 0.2]).gamma, [0.1, 0.2], atol=0.0)
 
 
-@pytest.mark.parametrize("f", [aj.Linear(), aj.Sine(0.1), aj.Tanh(0.1)], ids=repr)
+@pytest.mark.parametrize("f", [Linear(), Sine(0.1), Tanh(0.1)], ids=repr)
 def test_each_entry_is_alone_whatever_the_shape(f):
     e = np.array([[0.01, -0.02, 0.03], [0.1, -0.2, 5.0]])
     for call in (f.s, f.S, f.ds):
@@ -136,15 +137,15 @@ def test_each_entry_is_alone_whatever_the_shape(f):
 
 def test_where_the_sine_is_at_its_top_it_is_flat():
     """Property (2) of the paper: from γπ/2 on the slope is zero, not nearly so."""
-    assert (aj.Sine(1.0).ds(np.array([-0.5 * np.pi, 0.5 * np.pi])) == 0.0).all()
+    assert (Sine(1.0).ds(np.array([-0.5 * np.pi, 0.5 * np.pi])) == 0.0).all()
 
 
 def test_d_bar_at_zero_is_one():
-    assert aj.Sine(0.1).d_bar(0.0) == aj.Tanh(0.1).d_bar(0.0) == aj.Linear().d_bar(0.0) == 1.0
+    assert Sine(0.1).d_bar(0.0) == Tanh(0.1).d_bar(0.0) == Linear().d_bar(0.0) == 1.0
 
 
 def test_the_sine_is_the_same_where_some_or_no_coordinates_saturate():
-    s = aj.Sine(np.array([0.1, 0.2, 0.3]))
+    s = Sine(np.array([0.1, 0.2, 0.3]))
     for e in ([0.01, -0.02, 0.03], [0.1, -0.2, 0.3], [0.1, -5.0, 0.3], [9.0, 9.0, -9.0]):
         u = np.clip(np.array(e) / s.gamma, -0.5 * np.pi, 0.5 * np.pi)
         assert_allclose(s.s(np.array(e)), s.gamma * np.sin(u), rtol=1e-15)

@@ -9,6 +9,8 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import paper
+from approxjac.errors import UnknownNameError
+from approxjac.robots import Dynamics
 
 # figure: max Re λ, ‖e‖/‖e(0)‖ at 5, 20, 60, 120 s, verdict, as THEORY.md prints them
 TABLE = {
@@ -74,7 +76,7 @@ def test_the_page_of_the_study_has_the_numbers_of_the_code():
     assert "\n".join(rows) in page
     setup = paper.Setup()
     start, target = (f"({a:g}°, {b:g}°)" for a, b in np.degrees([setup.start, setup.target]))
-    assert f"q(0) = {start} at rest, and its target is the image of the posture {target}" in page
+    assert f"q(0) = {start} at rest, and its target is the image of the configuration {target}" in page
     assert f"each run lasts {setup.duration:g} s" in page
 
 
@@ -243,8 +245,8 @@ def test_friction_helps_as_the_paper_says():
 def test_point_masses_have_the_same_gravity_and_another_inertia(rng):
     rod, point = paper.build_arm(inertia="rod"), paper.build_arm(inertia="point-mass")
     q = rng.uniform(-3, 3, 2)
-    assert_allclose(aj.Dynamics(point).g(q), aj.Dynamics(rod).g(q), atol=1e-13)
-    assert aj.Dynamics(point).M(q)[1, 1] < aj.Dynamics(rod).M(q)[1, 1] - 0.1
+    assert_allclose(Dynamics(point).g(q), Dynamics(rod).g(q), atol=1e-13)
+    assert Dynamics(point).M(q)[1, 1] < Dynamics(rod).M(q)[1, 1] - 0.1
 
 
 @pytest.mark.parametrize(
@@ -255,7 +257,7 @@ def test_point_masses_have_the_same_gravity_and_another_inertia(rng):
         ({"friction": -1.0}, aj.InvalidInputError, r"friction must be a finite number >= 0"),
         ({"gamma": 0.0}, aj.InvalidInputError, r"gamma must be a finite number > 0 \[m\], got 0.0"),
         ({"duration": 0.0}, aj.InvalidInputError, r"duration must be a finite number > 0 \[s\]"),
-        ({"inertia": "ring"}, aj.UnknownNameError, "inertia 'ring' not in the study; valid are p"),
+        ({"inertia": "ring"}, UnknownNameError, "inertia 'ring' not in the study; valid are p"),
         (
             {"start": (math.pi / 2, math.pi / 2)},
             aj.InvalidInputError,

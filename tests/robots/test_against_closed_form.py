@@ -5,6 +5,7 @@ from two_link_closed_form import TwoLink
 
 import approxjac as aj
 from approxjac import paper
+from approxjac.robots import Dynamics, GravityRegressor
 
 
 @pytest.mark.parametrize("inertia", ["rod", "point-mass"])
@@ -12,7 +13,7 @@ from approxjac import paper
 def test_pinocchio_agrees_with_the_closed_form_to_1e_12(inertia, lengths, rng):
     robot = paper.build_arm(lengths, inertia)
     exact = TwoLink(*lengths, rods=inertia == "rod")
-    dynamics = aj.Dynamics(robot)
+    dynamics = Dynamics(robot)
     task = aj.PositionTask(robot, axes="xz")
     for _ in range(20):
         q, v = rng.uniform(-np.pi, np.pi, 2), rng.uniform(-5.0, 5.0, 2)
@@ -25,7 +26,7 @@ def test_pinocchio_agrees_with_the_closed_form_to_1e_12(inertia, lengths, rng):
 
 
 def test_the_two_link_arm_has_exactly_the_papers_parameters(two_link, rng):
-    regressor = aj.GravityRegressor(two_link, moments="x")
+    regressor = GravityRegressor(two_link, moments="x")
     exact = TwoLink()
     assert regressor.names == ("joint1.mx", "joint2.mx")
     assert_allclose(regressor.theta, [3.5, 1.625], rtol=1e-14)

@@ -4,10 +4,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.robots import Dynamics, GravityRegressor
 
 
 def test_forward_and_inverse_dynamics_agree_on_every_arm(arm, rng):
-    dynamics = aj.Dynamics(arm)
+    dynamics = Dynamics(arm)
     for _ in range(10):
         q, v = arm.random_configuration(rng), rng.uniform(-1, 1, arm.nv)
         tau = rng.uniform(-1, 1, arm.nv)
@@ -18,7 +19,7 @@ def test_forward_and_inverse_dynamics_agree_on_every_arm(arm, rng):
 
 
 def test_inertia_rate_by_finite_differences_and_skew_symmetry(arm, rng):
-    dynamics = aj.Dynamics(arm)
+    dynamics = Dynamics(arm)
     q, v = arm.random_configuration(rng), rng.uniform(-1, 1, arm.nv)
     h = 1e-5
     ahead, behind = (pin.integrate(arm.model, q, step * v) for step in (h, -h))
@@ -29,7 +30,7 @@ def test_inertia_rate_by_finite_differences_and_skew_symmetry(arm, rng):
 
 
 def test_gravity_is_the_slope_of_potential_energy(arm, rng):
-    dynamics = aj.Dynamics(arm)
+    dynamics = Dynamics(arm)
     q = arm.random_configuration(rng)
     h = 1e-6
     rest = np.zeros(arm.nv)
@@ -46,14 +47,14 @@ def test_gravity_is_the_slope_of_potential_energy(arm, rng):
 
 def test_gravity_turns_with_its_direction(panda, rng):
     q = panda.random_configuration(rng)
-    g = [aj.Dynamics(panda.with_gravity(9.81 * axis)).g(q) for axis in np.eye(3)]
-    both = aj.Dynamics(panda.with_gravity((1.0, -2.0, 3.0))).g(q)
+    g = [Dynamics(panda.with_gravity(9.81 * axis)).g(q) for axis in np.eye(3)]
+    both = Dynamics(panda.with_gravity((1.0, -2.0, 3.0))).g(q)
     assert_allclose(both, (g[0] - 2 * g[1] + 3 * g[2]) / 9.81, atol=1e-12)
-    assert_allclose(aj.Dynamics(panda).g(q), -g[2], atol=1e-12)
+    assert_allclose(Dynamics(panda).g(q), -g[2], atol=1e-12)
 
 
 def test_what_is_returned_is_not_scratch_memory(panda, rng):
-    dynamics = aj.Dynamics(panda)
+    dynamics = Dynamics(panda)
     q, v = panda.random_configuration(rng), rng.uniform(-1, 1, 7)
     calls = (dynamics.M, dynamics.g)
     first = [call(q) for call in calls] + [dynamics.C(q, v)]
@@ -65,8 +66,8 @@ def test_what_is_returned_is_not_scratch_memory(panda, rng):
 
 
 def test_bad_states_are_refused_everywhere(panda):
-    dynamics, task = aj.Dynamics(panda), aj.PositionTask(panda)
-    regressor, good = aj.GravityRegressor(panda), np.zeros(7)
+    dynamics, task = Dynamics(panda), aj.PositionTask(panda)
+    regressor, good = GravityRegressor(panda), np.zeros(7)
     bad = {
         r"q must have shape \(7,\), got shape \(6,\)": np.zeros(6),
         r"q must be finite, got \[nan": np.full(7, np.nan),
@@ -96,11 +97,11 @@ def test_bad_states_are_refused_everywhere(panda):
 def test_lists_of_numbers_are_taken(panda):
     q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]
     assert_allclose(aj.PositionTask(panda).value(q), aj.PositionTask(panda).value(np.array(q)))
-    assert_allclose(aj.Dynamics(panda).g(q), aj.Dynamics(panda).g(np.array(q)))
+    assert_allclose(Dynamics(panda).g(q), Dynamics(panda).g(np.array(q)))
 
 
 def test_the_gradient_of_gravity_by_finite_differences(arm, rng):
-    dynamics, q, h = aj.Dynamics(arm), arm.random_configuration(rng), 1e-5
+    dynamics, q, h = Dynamics(arm), arm.random_configuration(rng), 1e-5
     steps = h * np.eye(arm.nv)
     slopes = [
         dynamics.g(pin.integrate(arm.model, q, step))

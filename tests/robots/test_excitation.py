@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.robots import GravityRegressor, excitation
 
 BENT = np.array([0.0, -0.4, 0.3, -1.9, 0.2, 1.6, 0.4])
 
@@ -38,8 +39,8 @@ def motions(robot):
 @pytest.mark.parametrize("name", ["two_link", "so100", "panda", "xarm7"])
 def test_effect_and_own_are_those_of_least_squares(name, motion):
     robot = aj.load_robot(name)
-    regressor, configurations = aj.GravityRegressor(robot), motions(robot)[motion]
-    report = aj.excitation(regressor, configurations)
+    regressor, configurations = GravityRegressor(robot), motions(robot)[motion]
+    report = excitation(regressor, configurations)
     effect, own = by_least_squares(regressor, configurations)
     assert report.names == regressor.names
     assert_allclose(report.effect, effect, atol=1e-12)
@@ -52,29 +53,29 @@ def test_effect_and_own_are_those_of_least_squares(name, motion):
 
 def test_one_configuration_tells_no_more_combinations_than_it_has_torques(two_link):
     """Two torques for four parameters: two combinations are seen, and no parameter by itself."""
-    regressor = aj.GravityRegressor(aj.load_robot("two_link"))
+    regressor = GravityRegressor(aj.load_robot("two_link"))
     assert regressor.p == 4
-    report = aj.excitation(regressor, [[0.5, 1.0]])
+    report = excitation(regressor, [[0.5, 1.0]])
     assert report.rank == 2
     assert_allclose(report.own, np.zeros(4), atol=0)
     assert report.excited == ()
     # the paper's two parameters are told apart by one configuration
-    papers = aj.GravityRegressor(two_link, "x")
-    report = aj.excitation(papers, [[0.5, 1.0]])
+    papers = GravityRegressor(two_link, "x")
+    report = excitation(papers, [[0.5, 1.0]])
     assert report.rank == 2
     assert report.excited == papers.names
 
 
 def test_a_rich_motion_excites_everything(panda):
-    regressor = aj.GravityRegressor(panda)
-    report = aj.excitation(regressor, motions(panda)["anywhere"])
+    regressor = GravityRegressor(panda)
+    report = excitation(regressor, motions(panda)["anywhere"])
     assert report.rank == 12
     assert report.excited == regressor.names
 
 
 def test_moving_the_last_joint_leaves_what_is_before_it_unexcited(panda):
-    report = aj.excitation(
-        aj.GravityRegressor(panda), BENT + np.outer(np.linspace(-1, 1, 20), np.eye(7)[6])
+    report = excitation(
+        GravityRegressor(panda), BENT + np.outer(np.linspace(-1, 1, 20), np.eye(7)[6])
     )
     assert report.rank == 7
     assert report.excited == ("panda_joint7.mx", "panda_joint7.my")
@@ -83,11 +84,11 @@ def test_moving_the_last_joint_leaves_what_is_before_it_unexcited(panda):
 
 def test_a_vertical_joint_axis_excites_nothing_more_than_one_configuration(panda):
     """Turning about the vertical changes no gravity torque."""
-    regressor = aj.GravityRegressor(panda)
-    turning = aj.excitation(
+    regressor = GravityRegressor(panda)
+    turning = excitation(
         regressor, BENT + np.outer(np.linspace(-1, 1, 20), np.eye(7)[0])
     )  # fmt: skip
-    still = aj.excitation(regressor, [BENT])
+    still = excitation(regressor, [BENT])
     assert turning.rank == still.rank == 6
     assert turning.excited == still.excited == ()
     assert_allclose(turning.effect, still.effect, rtol=1e-9)
@@ -95,34 +96,32 @@ def test_a_vertical_joint_axis_excites_nothing_more_than_one_configuration(panda
 
 def test_a_parameter_without_any_effect_is_not_excited(two_link):
     """The inner link upright: its first moment along it has no lever, the outer one's neither."""
-    regressor = aj.GravityRegressor(two_link, "x")
+    regressor = GravityRegressor(two_link, "x")
     upright = -np.pi / 2  # x up
-    report = aj.excitation(regressor, [[upright, 0.0]])
+    report = excitation(regressor, [[upright, 0.0]])
     assert_allclose(report.effect, np.zeros(2), atol=1e-14)
-    exact = aj.excitation(regressor, [[0.0, 0.0]])
+    exact = excitation(regressor, [[0.0, 0.0]])
     assert exact.effect.min() > 1.0
-    level = aj.excitation(regressor, [[upright, 0.5]])
+    level = excitation(regressor, [[upright, 0.5]])
     assert level.effect[0] < 1e-14
     assert "joint2.mx" in level.excited
     assert "joint1.mx" not in level.excited
 
 
 def test_the_threshold_decides_what_counts(panda):
-    regressor = aj.GravityRegressor(panda)
+    regressor = GravityRegressor(panda)
     configurations = motions(panda)["a small motion"]
-    counts = [
-        len(aj.excitation(regressor, configurations, t).excited) for t in (1e-3, 0.05, 0.5, 1.0)
-    ]
+    counts = [len(excitation(regressor, configurations, t).excited) for t in (1e-3, 0.05, 0.5, 1.0)]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > counts[-1]
-    ranks = [aj.excitation(regressor, configurations, t).rank for t in (1e-4, 0.05, 1.0)]
+    ranks = [excitation(regressor, configurations, t).rank for t in (1e-4, 0.05, 1.0)]
     assert ranks == sorted(ranks, reverse=True)
     assert ranks[0] > ranks[-1]
 
 
 def test_repr_has_one_line_for_each_parameter(panda):
-    regressor = aj.GravityRegressor(panda)
-    report = aj.excitation(regressor, BENT + np.outer(np.linspace(-1, 1, 20), np.eye(7)[6]))
+    regressor = GravityRegressor(panda)
+    report = excitation(regressor, BENT + np.outer(np.linspace(-1, 1, 20), np.eye(7)[6]))
     head, columns, *lines = repr(report).splitlines()
     assert head == "Excitation: 7 of 12 combinations"
     assert columns.split() == ["effect", "own", "excited", "[N", "m", "per", "unit]"]
@@ -146,9 +145,9 @@ def test_repr_has_one_line_for_each_parameter(panda):
 )
 def test_bad_arguments_are_refused(panda, arguments, text):
     with pytest.raises(aj.InvalidInputError, match=text):
-        aj.excitation(aj.GravityRegressor(panda), *arguments)
+        excitation(GravityRegressor(panda), *arguments)
 
 
 def test_another_object_than_a_regressor_is_refused(panda):
     with pytest.raises(aj.InvalidInputError, match="regressor must be a GravityRegressor, got Rob"):
-        aj.excitation(panda, BENT[None])
+        excitation(panda, BENT[None])

@@ -4,6 +4,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.errors import UnknownNameError
+from approxjac.robots import Dynamics, GravityRegressor
 
 
 def held(robot):
@@ -19,7 +21,7 @@ def shifted(robot, rng, size=0.1):
 
 def test_regressor_times_parameters_is_gravity_on_every_arm(arm, rng):
     robot = held(arm)
-    regressor, dynamics = aj.GravityRegressor(robot), aj.Dynamics(robot)
+    regressor, dynamics = GravityRegressor(robot), Dynamics(robot)
     for _ in range(50):
         q = robot.random_configuration(rng)
         g = dynamics.g(q)
@@ -28,7 +30,7 @@ def test_regressor_times_parameters_is_gravity_on_every_arm(arm, rng):
 
 
 def test_the_parameters_are_independent_on_every_arm(arm, rng):
-    regressor = aj.GravityRegressor(held(arm))
+    regressor = GravityRegressor(held(arm))
     Z = np.vstack([regressor.Z(regressor.robot.random_configuration(rng)) for _ in range(100)])
     values = np.linalg.svd(Z / np.linalg.norm(Z, axis=0), compute_uv=False)
     assert values[-1] > 1e-4 * values[0]
@@ -38,10 +40,10 @@ def test_the_parameters_are_independent_on_every_arm(arm, rng):
 def test_gravity_is_in_the_span_with_wrong_lengths_on_every_arm(arm, rng):
     truth = held(arm)
     belief = shifted(arm, rng)
-    theta, residual = aj.GravityRegressor(belief).fit(truth)
+    theta, residual = GravityRegressor(belief).fit(truth)
     assert residual < 1e-10
-    g = aj.Dynamics(truth).g(q := truth.random_configuration(rng))
-    assert_allclose(aj.GravityRegressor(belief).Z(q) @ theta, g, atol=1e-9)
+    g = Dynamics(truth).g(q := truth.random_configuration(rng))
+    assert_allclose(GravityRegressor(belief).Z(q) @ theta, g, atol=1e-9)
 
 
 def test_wrong_axis_directions_break_the_span(panda, rng):
@@ -53,31 +55,31 @@ def test_wrong_axis_directions_break_the_span(panda, rng):
         turns = np.radians(3.0) * directions / np.linalg.norm(directions, axis=1, keepdims=True)
         rotations = dict(zip(panda.joint_names, turns, strict=True))
         belief = panda.with_kinematic_error(rotations=rotations)
-        residuals.append(aj.GravityRegressor(belief).fit(truth)[1])
+        residuals.append(GravityRegressor(belief).fit(truth)[1])
     assert 0.04 < np.median(residuals) < 0.08
     assert 0.03 < min(residuals) < max(residuals) < 0.12
 
 
 def test_panda_has_twelve_base_parameters(panda):
-    assert aj.GravityRegressor(panda).p == 12
+    assert GravityRegressor(panda).p == 12
 
 
 def test_the_general_two_link_arm_has_two_more_parameters_that_are_zero(two_link):
-    regressor = aj.GravityRegressor(two_link)
+    regressor = GravityRegressor(two_link)
     assert regressor.names == ("joint1.mx", "joint1.mz", "joint2.mx", "joint2.mz")
     assert_allclose(regressor.theta, [3.5, 0.0, 1.625, 0.0], atol=1e-14)
 
 
 def test_bad_moments_are_refused(two_link):
     with pytest.raises(aj.InvalidInputError, match="moments must name each axis once, such as"):
-        aj.GravityRegressor(two_link, moments="xx")
-    with pytest.raises(aj.UnknownNameError, match="axis 'w' not in moments; valid are x, y, z"):
-        aj.GravityRegressor(two_link, moments="xw")
+        GravityRegressor(two_link, moments="xx")
+    with pytest.raises(UnknownNameError, match="axis 'w' not in moments; valid are x, y, z"):
+        GravityRegressor(two_link, moments="xw")
 
 
 def test_moments_that_do_not_cover_the_robot_are_refused(panda):
     with pytest.raises(aj.InvalidInputError, match="moments must cover the centres of mass of pan"):
-        aj.GravityRegressor(panda, moments="x")
+        GravityRegressor(panda, moments="x")
 
 
 ROD = """<link name="{name}"><inertial><origin xyz="0.1 0.2 0.3"/><mass value="1"/>
@@ -111,7 +113,7 @@ def chain(*joints):
 )  # fmt: skip
 def test_limits_and_prismatic_joints_do_not_hide_a_parameter(joints, rng):
     robot = chain(*joints)
-    regressor, dynamics = aj.GravityRegressor(robot), aj.Dynamics(robot)
+    regressor, dynamics = GravityRegressor(robot), Dynamics(robot)
     lower, upper = robot.position_limits
     for _ in range(50):
         q = robot.random_configuration(rng)
@@ -126,15 +128,15 @@ def test_limits_and_prismatic_joints_do_not_hide_a_parameter(joints, rng):
 
 def test_nothing_to_learn_without_gravity(two_link):
     with pytest.raises(aj.InvalidInputError, match="gravity exerts no torque on two_link"):
-        aj.GravityRegressor(two_link.with_gravity((0.0, 0.0, 0.0)))
+        GravityRegressor(two_link.with_gravity((0.0, 0.0, 0.0)))
 
 
 def test_fit_refuses_another_arm(two_link, panda):
     with pytest.raises(
         aj.InvalidInputError, match=r"robot must have the joints of two_link \(joint1, jo"
     ):
-        aj.GravityRegressor(two_link).fit(panda)
+        GravityRegressor(two_link).fit(panda)
     with pytest.raises(
         aj.InvalidInputError, match=r"robot must be under the gravity \[0.0, 0.0, -9"
     ):
-        aj.GravityRegressor(panda).fit(panda.with_gravity((0.0, 0.0, 9.81)))
+        GravityRegressor(panda).fit(panda.with_gravity((0.0, 0.0, 9.81)))

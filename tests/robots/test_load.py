@@ -9,6 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.errors import MissingPackageError, UnknownNameError, UrdfError
+from approxjac.robots import Dynamics, robot_names
 from approxjac.robots.catalog import NAMED, share_dir, urdf_path
 from approxjac.tasks.frame_kinematics import FrameKinematics
 
@@ -102,7 +104,7 @@ def test_a_follower_moves_where_its_leader_must():
 def test_joints_that_could_not_move_may_be_locked():
     planar = BRANCHED.replace('name="wheel" type="continuous"', 'name="wheel" type="planar"')
     assert aj.load_robot(planar, tip="palm").nv == 3
-    with pytest.raises(aj.UrdfError, match="joint 'wheel' has 3 degrees of freedom"):
+    with pytest.raises(UrdfError, match="joint 'wheel' has 3 degrees of freedom"):
         aj.load_robot(planar)
 
 
@@ -122,25 +124,25 @@ def test_a_path_gives_the_same_arm_as_the_name(name):
     [
         (
             {"free": ["fingr"]},
-            aj.UnknownNameError,
+            UnknownNameError,
             "moving joint 'fingr' not in branched; did you mean 'finger'?",
         ),
         (
             {"free": "hand"},
-            aj.UnknownNameError,
+            UnknownNameError,
             "moving joint 'hand' not in branched; valid are elbow, finger, neck, shoulder, torso, "
             "wheel",
         ),
         ({"free": 5}, aj.InvalidInputError, "free must be names of joints, or 'all', got 5"),
-        ({"tip": "plam"}, aj.UnknownNameError, "frame 'plam' not in branched; did you mean 'palm'"),
-        ({"tip": None, "free": ["neckk"]}, aj.UnknownNameError, "did you mean 'neck'?"),
+        ({"tip": "plam"}, UnknownNameError, "frame 'plam' not in branched; did you mean 'palm'"),
+        ({"tip": None, "free": ["neckk"]}, UnknownNameError, "did you mean 'neck'?"),
         (
             {"tip": "floor"},
             aj.InvalidInputError,
             "tip must be a frame that a joint moves, got 'floor': there is no moving joint between "
             "the root and it in branched",
         ),
-        ({"base": "trnk"}, aj.UnknownNameError, "frame 'trnk' not in branched; did you mean 'trun"),
+        ({"base": "trnk"}, UnknownNameError, "frame 'trnk' not in branched; did you mean 'trun"),
         (
             {"base": "head"},
             aj.InvalidInputError,
@@ -182,7 +184,7 @@ def test_the_named_arms_have_their_joints(name, nq, nv):
 
 def test_every_named_arm_has_its_test():
     marks = test_the_named_arms_have_their_joints.pytestmark
-    assert {case[0] for case in marks[0].args[1]} == set(aj.robot_names())
+    assert {case[0] for case in marks[0].args[1]} == set(robot_names())
 
 
 def test_arms_are_picked_out_of_larger_robots():
@@ -219,7 +221,7 @@ def test_a_prismatic_joint():
     assert_allclose(task.value(raised) - task.value(tiago.neutral()), [0, 0, 0.2], atol=1e-12)
     assert_allclose(task.jacobian(tiago.neutral())[:, 0], [0, 0, 1], atol=1e-12)
     # a force that carries everything above it
-    assert aj.Dynamics(tiago).g(raised)[0] == pytest.approx(9.81 * tiago.mass)
+    assert Dynamics(tiago).g(raised)[0] == pytest.approx(9.81 * tiago.mass)
     lower, upper = tiago.position_limits
     assert (lower[0], upper[0]) == (0.0, 0.35)
 
@@ -241,7 +243,7 @@ def test_joints_without_limits():
     arm = aj.load_robot(one + bare.replace("</joint>", "--></joint>") + "</robot>")
     assert arm.effort_limits.tolist() == [np.inf]
     missing = joint("j", "floor", "arm").replace("<limit", "<!-- <limit")
-    with pytest.raises(aj.UrdfError, match="joint 'j' is revolute and has no <limit>; with effort"):
+    with pytest.raises(UrdfError, match="joint 'j' is revolute and has no <limit>; with effort"):
         aj.load_robot(one + missing.replace("</joint>", "--></joint>") + "</robot>")
 
 
@@ -293,6 +295,6 @@ def test_relative_names_resolve_from_the_folder_of_the_urdf(tmp_path, monkeypatc
 
 def test_without_the_package_of_the_named_robots_only_our_own_load(monkeypatch):
     monkeypatch.setattr("approxjac.robots.catalog.share_dir", lambda: None)
-    with pytest.raises(aj.MissingPackageError, match=r"pip install example-robot-data$"):
+    with pytest.raises(MissingPackageError, match=r"pip install example-robot-data$"):
         aj.load_robot("panda")
     assert aj.load_robot("two_link").velocity_limits.shape == (2,)

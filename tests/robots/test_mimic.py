@@ -6,6 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.errors import UrdfError
+from approxjac.robots import Dynamics, GravityRegressor
 
 
 def link(name, mass):
@@ -68,7 +70,7 @@ def test_a_mimic_joint_is_no_degree_of_freedom(coupled):
 
 def test_dynamics_are_those_of_all_joints_moving_together(coupled, rng):
     robot, model, G, b = coupled
-    data, dynamics = model.createData(), aj.Dynamics(robot)
+    data, dynamics = model.createData(), Dynamics(robot)
     for _ in range(5):
         q, v, a = robot.random_configuration(rng), rng.normal(size=3), rng.normal(size=3)
         q_all, v_all, a_all = G @ q + b, G @ v, G @ a
@@ -108,17 +110,17 @@ def test_jacobians_are_those_of_all_joints_moving_together(coupled, rng):
 
 def test_gravity_regressor_with_mimic_joints(coupled, rng):
     robot = coupled[0]
-    regressor, dynamics = aj.GravityRegressor(robot), aj.Dynamics(robot)
+    regressor, dynamics = GravityRegressor(robot), Dynamics(robot)
     q = robot.random_configuration(rng)
     assert_allclose(regressor.Z(q) @ regressor.theta, dynamics.g(q), atol=1e-10)
     heavier = robot.with_object(0.2, 0.5, parent="d")
     theta, residual = regressor.fit(heavier)
     assert residual < 1e-10
-    assert_allclose(regressor.Z(q) @ theta, aj.Dynamics(heavier).g(q), atol=1e-8)
+    assert_allclose(regressor.Z(q) @ theta, Dynamics(heavier).g(q), atol=1e-8)
     sideways = robot.with_gravity((3.0, 1.0, -2.0))
-    regressor = aj.GravityRegressor(sideways)
+    regressor = GravityRegressor(sideways)
     assert_allclose(
-        regressor.Z(q) @ regressor.theta, aj.Dynamics(sideways).g(q), atol=1e-10
+        regressor.Z(q) @ regressor.theta, Dynamics(sideways).g(q), atol=1e-10
     )  # gravity reaches both models
 
 
@@ -133,7 +135,7 @@ def test_two_fingers_in_closed_form():
         + finger.format(i=2, m=0.2, mimic=mimic("jf1", -2, 0.1))
         + "</robot>"
     )
-    dynamics = aj.Dynamics(aj.load_robot(text))
+    dynamics = Dynamics(aj.load_robot(text))
     q, v = np.array([0.3]), np.array([0.7])
     mass, weight = 0.3 + 4 * 0.2, 9.81 * (0.3 - 2 * 0.2)
     assert_allclose(dynamics.M(q), [[mass]])
@@ -180,10 +182,10 @@ def test_both_fingers_of_the_panda_move_as_one(rng):
     # the hand has one motor, which both fingers pull on; other joints as if they were locked
     locked = aj.load_robot("panda")
     q = np.append(locked.random_configuration(rng), 0.0)
-    M = aj.Dynamics(panda).M(q)
+    M = Dynamics(panda).M(q)
     fingers = [panda.model.inertias[i].mass for i in (8, 9)]
     assert M[7, 7] == pytest.approx(sum(fingers))
-    assert_allclose(M[:7, :7], aj.Dynamics(locked).M(q[:7]), atol=1e-12)
+    assert_allclose(M[:7, :7], Dynamics(locked).M(q[:7]), atol=1e-12)
 
 
 def test_a_run_with_a_free_finger():
@@ -216,7 +218,7 @@ def test_a_run_with_a_free_finger():
     ],
 )
 def test_mimic_joints_that_cannot_be_coupled_are_refused(joints, text):
-    with pytest.raises(aj.UrdfError) as caught:
+    with pytest.raises(UrdfError) as caught:
         aj.load_robot(chain(*joints))
     assert text in str(caught.value)
     assert "is not a valid URDF: URDF text" not in str(caught.value)
@@ -228,11 +230,11 @@ def test_pinocchio_alone_would_be_wrong():
     model, robot = pin.buildModelFromXML(text, True), aj.load_robot(text)
     q, v = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, -1.0])
     C = pin.computeCoriolisMatrix(model, model.createData(), q, v)
-    assert np.abs(C - aj.Dynamics(robot).C(q, v)).max() > 1e-3
+    assert np.abs(C - Dynamics(robot).C(q, v)).max() > 1e-3
 
 
 def test_the_gradient_of_gravity_is_coupled(coupled, rng):
     robot, _, _, _ = coupled
-    dynamics, q, h = aj.Dynamics(robot), robot.random_configuration(rng), 1e-5
+    dynamics, q, h = Dynamics(robot), robot.random_configuration(rng), 1e-5
     slopes = [(dynamics.g(q + h * u) - dynamics.g(q - h * u)) / (2 * h) for u in np.eye(robot.nv)]
     assert_allclose(dynamics.g_gradient(q), np.array(slopes).T, atol=1e-6)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import approxjac as aj
+from approxjac.robots import robot_names
 from approxjac.robots.catalog import NAMED, urdf_path
 from approxjac.robots.joint_limits import reach_bound
 from approxjac.tasks import FrameKinematics
@@ -45,7 +46,7 @@ def test_of_another_parent_it_is_asked_anew():
         branched.with_object(0.1)
 
 
-@pytest.mark.parametrize("name", aj.robot_names())
+@pytest.mark.parametrize("name", robot_names())
 def test_no_posture_is_beyond_the_reach(name, rng):
     robot = aj.load_robot(name).with_object(0.1)
     first, most = reach_bound(robot, "object_tip")

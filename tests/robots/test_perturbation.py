@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.robots import Perturbation
+from approxjac.errors import UrdfError
+from approxjac.robots import Dynamics, Perturbation
 
 
 def assert_same(models, others):
@@ -60,7 +61,7 @@ def test_on_every_arm(arm, rng, held):
     assert_same(robot.models, built.models)
     assert pickle.dumps(arm.model) == before  # the copy is one
     q, v = robot.random_configuration(rng), rng.normal(size=robot.nv)
-    ours, theirs = aj.Dynamics(robot), aj.Dynamics(built)
+    ours, theirs = Dynamics(robot), Dynamics(built)
     assert_allclose(ours.inverse(q, v, v), theirs.inverse(q, v, v), rtol=1e-9, atol=1e-9)
 
 
@@ -100,7 +101,7 @@ def test_it_is_a_robot_like_others(panda, rng):
         again = pickle.loads(pickle.dumps(each))
         assert again == each
         q = each.random_configuration(rng)
-        assert_array_equal(aj.Dynamics(again).g(q), aj.Dynamics(each).g(q))
+        assert_array_equal(Dynamics(again).g(q), Dynamics(each).g(q))
     longer = robot.with_kinematic_error({"object_tip_joint": (0.1, 0.0, 0.0)})
     assert_same(longer.models, aj.Robot(longer.urdf).models)
     assert robot.outward_axis() == panda.with_object(0.1).outward_axis()
@@ -117,7 +118,7 @@ def test_a_singular_inertia_matrix_is_refused():
     perturbation = Perturbation(aj.Robot(point), joints=["f"])
     none = np.zeros((1, 3))
     assert perturbation.robot(0.0, 0.0, np.array([[0.1, 0.0, 0.0]]), none).nv == 1
-    with pytest.raises(aj.UrdfError, match="nothing with inertia is moved by joint 'j'"):
+    with pytest.raises(UrdfError, match="nothing with inertia is moved by joint 'j'"):
         perturbation.robot(0.0, 0.0, np.array([[-0.5, 0.0, 0.0]]), none)
 
 

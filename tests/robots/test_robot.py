@@ -6,6 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.errors import UnknownNameError, UrdfError
+from approxjac.robots import Dynamics, GravityRegressor, robot_names
 
 MINIMAL = """
 <robot name="minimal">
@@ -84,9 +86,9 @@ def test_a_mesh_that_cannot_be_found_does_not_matter():
 
 
 def test_every_name_loads():
-    assert {"two_link", "panda", "ur5", "kinova"} < set(aj.robot_names())
-    assert all(aj.load_robot(name).nv >= 2 for name in aj.robot_names())
-    with pytest.raises(aj.UnknownNameError, match="frame '' not in panda; valid are"):
+    assert {"two_link", "panda", "ur5", "kinova"} < set(robot_names())
+    assert all(aj.load_robot(name).nv >= 2 for name in robot_names())
+    with pytest.raises(UnknownNameError, match="frame '' not in panda; valid are"):
         aj.load_robot("panda", tip="")
 
 
@@ -120,28 +122,28 @@ def test_repr_says_what_it_is():
 @pytest.mark.parametrize(
     ("source", "error", "text"),
     [
-        ("pnada", aj.UnknownNameError, "robot 'pnada' not in the robots known by name; did you me"),
-        ("/nope", aj.UrdfError, "URDF file /nope does not exist"),
-        ("arm.xacro", aj.UrdfError, "URDF file arm.xacro does not exist"),
-        ("missing.urdf", aj.UrdfError, "URDF file missing.urdf does not exist"),
-        ("<robot name='r'><link", aj.UrdfError, "URDF text is not well-formed XML"),
-        ("<sdf/>", aj.UrdfError, "must have <robot> as its root element, got <sdf>"),
+        ("pnada", UnknownNameError, "robot 'pnada' not in the robots known by name; did you me"),
+        ("/nope", UrdfError, "URDF file /nope does not exist"),
+        ("arm.xacro", UrdfError, "URDF file arm.xacro does not exist"),
+        ("missing.urdf", UrdfError, "URDF file missing.urdf does not exist"),
+        ("<robot name='r'><link", UrdfError, "URDF text is not well-formed XML"),
+        ("<sdf/>", UrdfError, "must have <robot> as its root element, got <sdf>"),
         (
             minimal(kind="hinge"),
-            aj.UrdfError,
+            UrdfError,
             "The <joint> tag misses a 'type' attribute or value is not part",
         ),
-        (minimal(child="leg"), aj.UrdfError, "joint 'hinge' refers to link 'leg', which does not"),
-        (minimal(kind="fixed"), aj.UrdfError, "URDF text has no moving joint"),
-        (minimal(kind="planar"), aj.UrdfError, "joint 'hinge' has 3 degrees of freedom"),
+        (minimal(child="leg"), UrdfError, "joint 'hinge' refers to link 'leg', which does not"),
+        (minimal(kind="fixed"), UrdfError, "URDF text has no moving joint"),
+        (minimal(kind="planar"), UrdfError, "joint 'hinge' has 3 degrees of freedom"),
         (
             minimal().replace('<mass value="1"/>', '<mass value="one"/>'),
-            aj.UrdfError,
+            UrdfError,
             "<mass value=...> of link 'arm' must be a finite number, got 'one'",
         ),
         (
             minimal().replace("<inertial>", "<!--").replace("</inertial>", "-->"),
-            aj.UrdfError,
+            UrdfError,
             "nothing with inertia is moved by joint 'hinge' (the inertia matrix is singular)",
         ),
     ],
@@ -195,7 +197,7 @@ def test_bad_urdfs_are_refused(source, error, text):
 def test_faults_are_named(change, text):
     urdf = minimal()
     assert change[0] in urdf
-    with pytest.raises(aj.UrdfError) as caught:
+    with pytest.raises(UrdfError) as caught:
         aj.load_robot(urdf.replace(*change))
     assert text in str(caught.value)
 
@@ -248,7 +250,7 @@ def test_mimic_joints_are_locked_with_the_joint_they_follow():
 def test_a_file_that_is_not_text_is_refused(tmp_path):
     path = tmp_path / "binary.urdf"
     path.write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(aj.UrdfError, match="cannot be read"):
+    with pytest.raises(UrdfError, match="cannot be read"):
         aj.load_robot(path)
 
 
@@ -267,7 +269,7 @@ def test_an_object_has_the_inertia_of_a_uniform_cylinder(two_link):
     arm = aj.load_robot("two_link")
     held = arm.with_object(length, mass, radius=radius, axis="x")
     q = np.zeros(2)
-    before, after = aj.Dynamics(arm), aj.Dynamics(held)
+    before, after = Dynamics(arm), Dynamics(held)
     about_joint2 = mass * (3 * radius**2 + length**2) / 12 + mass * (1.0 + length / 2) ** 2
     assert_allclose((after.M(q) - before.M(q))[1, 1], about_joint2, rtol=1e-12)
     assert held.mass == pytest.approx(arm.mass + mass)
@@ -312,9 +314,9 @@ def test_zero_length_and_zero_mass_are_legal(panda, rng):
     q, v = panda.random_configuration(rng), rng.uniform(-1, 1, 7)
     for call in ("M", "g"):
         assert_allclose(
-            getattr(aj.Dynamics(nothing), call)(q), getattr(aj.Dynamics(panda), call)(q), atol=1e-13
+            getattr(Dynamics(nothing), call)(q), getattr(Dynamics(panda), call)(q), atol=1e-13
         )
-    assert_allclose(aj.Dynamics(nothing).coriolis(q, v), aj.Dynamics(panda).coriolis(q, v))
+    assert_allclose(Dynamics(nothing).coriolis(q, v), Dynamics(panda).coriolis(q, v))
     tip, hand = aj.PositionTask(nothing), aj.PositionTask(panda)
     assert tip.frame == "object_tip"
     assert_allclose(tip.value(q), hand.value(q), atol=1e-15)
@@ -338,16 +340,16 @@ def test_objects_can_be_stacked(panda):
         ({"length": 1e308}, aj.InvalidInputError, "length and radius must be at most 10 [m], got"),
         ({"length": np.nan}, aj.InvalidInputError, "length must be a finite number >= 0 [m], got"),
         ({"length": "long"}, aj.InvalidInputError, "got 'long'"),
-        ({"axis": "w"}, aj.UnknownNameError, "axis 'w' not in the axes; valid are -x, -y, -z, x,"),
-        ({"axis": "xy"}, aj.UnknownNameError, "axis 'xy' not in the axes; did you mean 'y' or"),
+        ({"axis": "w"}, UnknownNameError, "axis 'w' not in the axes; valid are -x, -y, -z, x,"),
+        ({"axis": "xy"}, UnknownNameError, "axis 'xy' not in the axes; did you mean 'y' or"),
         ({"axis": (0, 0, 0)}, aj.InvalidInputError, "axis must not be zero"),
         ({"axis": (1, 0)}, aj.InvalidInputError, "axis must have shape (3,), got shape (2,)"),
         (
             {"parent": "panda_hnad"},
-            aj.UnknownNameError,
+            UnknownNameError,
             "frame 'panda_hnad' not in panda; did you mean 'panda_hand'",
         ),
-        ({"parent": "panda_joint4"}, aj.UnknownNameError, "link 'panda_joint4' not in panda; did"),
+        ({"parent": "panda_joint4"}, UnknownNameError, "link 'panda_joint4' not in panda; did"),
         ({"name": "panda_hand"}, aj.InvalidInputError, "panda already has a frame 'panda_hand'"),
         (
             {"name": ""},
@@ -407,7 +409,7 @@ def test_no_error_is_the_same_robot_but_for_round_off(panda):
     [
         (
             ({"panda_jiont4": (0, 0, 0)},),
-            aj.UnknownNameError,
+            UnknownNameError,
             "joint 'panda_jiont4' not in panda; did you mean 'panda_joint4'",
         ),
         (
@@ -442,8 +444,8 @@ def test_locked_joints_stay_where_they_are_put(panda, rng):
     q[2] = angle
     without = np.delete(q, 2)
     assert_allclose(aj.PositionTask(locked).value(without), aj.PositionTask(panda).value(q))
-    M = np.delete(np.delete(aj.Dynamics(panda).M(q), 2, 0), 2, 1)
-    assert_allclose(aj.Dynamics(locked).M(without), M, atol=1e-12)
+    M = np.delete(np.delete(Dynamics(panda).M(q), 2, 0), 2, 1)
+    assert_allclose(Dynamics(locked).M(without), M, atol=1e-12)
 
 
 def test_prismatic_joints_lock_along_their_axis():
@@ -458,7 +460,7 @@ def test_prismatic_joints_lock_along_their_axis():
 
 
 def test_bad_locks_are_refused(panda):
-    with pytest.raises(aj.UnknownNameError, match="moving joint 'panda_joint8' not in panda; did"):
+    with pytest.raises(UnknownNameError, match="moving joint 'panda_joint8' not in panda; did"):
         panda.with_locked_joints({"panda_joint8": 0.0})
     with pytest.raises(aj.InvalidInputError, match="position of panda_joint3 must be a finite"):
         panda.with_locked_joints({"panda_joint3": np.nan})
@@ -480,7 +482,7 @@ def test_an_arm_of_one_joint_reaches_its_target(learnt):
     task = aj.PositionTask(robot, axes="z")
     assert task.jacobian(np.array([0.3])).shape == (1, 1)
     assert task.jacobian_dot(np.array([0.3]), np.ones(1)).shape == (1, 1)
-    regressor = aj.GravityRegressor(robot)
+    regressor = GravityRegressor(robot)
     gravity = aj.AdaptiveGravity(regressor, theta0=np.zeros(regressor.p)) if learnt else None
     controller = aj.SetpointController(task, gravity=gravity)
     plant = aj.Plant(robot, aj.PositionTask(robot, axes="z"))

@@ -13,6 +13,8 @@ from lxml import etree
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.errors import UrdfError
+from approxjac.robots import Dynamics
 from approxjac.robots.catalog import NAMED
 
 OBJECTS = {
@@ -75,7 +77,7 @@ def test_mujoco(saved, rng, tmp_path, monkeypatch):
     assert_allclose(model.body_mass[moved].sum(), robot.mass, rtol=1e-12)
     M = np.zeros((robot.nv, robot.nv))
     mujoco.mj_fullM(model, data, M)
-    assert_allclose(M, aj.Dynamics(robot).M(q), atol=1e-9 + 1e-9 * np.abs(M).max())
+    assert_allclose(M, Dynamics(robot).M(q), atol=1e-9 + 1e-9 * np.abs(M).max())
 
 
 def test_yourdfpy(saved, rng):
@@ -232,7 +234,7 @@ def test_meshes_of_one_name_do_not_overwrite_each_other(tmp_path):
     written = sorted((tmp_path / "out_meshes").iterdir())
     assert [trimesh.load(mesh).extents[0] for mesh in written] == pytest.approx([1.0, 2.0])
     (tmp_path / "a" / "m.ply").write_text("broken")
-    with pytest.raises(aj.UrdfError, match=r"collision mesh .* cannot be converted"):
+    with pytest.raises(UrdfError, match=r"collision mesh .* cannot be converted"):
         aj.load_robot(path).save_urdf(tmp_path / "out.urdf")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import approxjac as aj
+from approxjac.robots import GravityRegressor
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 STATM = Path("/proc/self/statm")  # Linux
@@ -35,7 +36,7 @@ def run_of(panda, duration, record_every, progress):
         actuator_delay=2e-3,
     )
     controller = aj.SetpointController(
-        aj.PositionTask(belief), gravity=aj.AdaptiveGravity(aj.GravityRegressor(belief))
+        aj.PositionTask(belief), gravity=aj.AdaptiveGravity(GravityRegressor(belief))
     )
     return aj.simulate(
         plant,

@@ -9,6 +9,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
+from approxjac.controllers import RegressorGravity
+from approxjac.errors import MissingPackageError, UrdfError
+from approxjac.robots import Dynamics, GravityRegressor
 
 Q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 ARM = aj.load_robot("panda")
@@ -18,12 +21,12 @@ SENSOR = aj.PositionTask(TRUTH)
 X0 = SENSOR.value(Q0)
 TASK = aj.PositionTask(BELIEF)
 GAINS = aj.Gains(kp=400.0, kv=80.0, damping=1.0)
-REGRESSOR = aj.GravityRegressor(TASK.robot)
+REGRESSOR = GravityRegressor(TASK.robot)
 THETA, _ = REGRESSOR.fit(TRUTH)
 LAWS = {
-    "law (6)": aj.SetpointController(TASK, GAINS, gravity=aj.RegressorGravity(REGRESSOR, THETA)),
+    "law (6)": aj.SetpointController(TASK, GAINS, gravity=RegressorGravity(REGRESSOR, THETA)),
     "adaptive": aj.SetpointController(
-        TASK, GAINS, gravity=aj.AdaptiveGravity(aj.GravityRegressor(BELIEF), L=0.5, alpha=2.0)
+        TASK, GAINS, gravity=aj.AdaptiveGravity(GravityRegressor(BELIEF), L=0.5, alpha=2.0)
     ),
 }
 
@@ -290,7 +293,7 @@ def test_the_torque_on_the_floor_is_that_of_the_error(above_floor):
     controller = LAWS["law (6)"]
     run = pressed(above_floor, controller, [X0[0], X0[1], -0.05], 4.0)
     q, v = run.q[-2], run.v[-2]
-    pressing = run.tau[-2] - aj.Dynamics(TRUTH).g(q)
+    pressing = run.tau[-2] - Dynamics(TRUTH).g(q)
     sigma = np.linalg.svd(TASK.jacobian(q), compute_uv=False)[0]
     assert np.linalg.norm(v) < 0.2
     assert np.linalg.norm(pressing) < sigma * (400.0 * run.error_norm[-2] + 80.0 * 0.2) + 0.2
@@ -330,7 +333,7 @@ def test_a_collision_mesh_that_is_missing():
         '<link name="link1">', f'<link name="link1">{mesh}'
     )
     with pytest.raises(
-        aj.UrdfError,
+        UrdfError,
         match=r"^MuJoCo cannot open the URDF of two_link: .*a\.stl.*; it needs every collision",
     ) as caught:
         plants(aj.load_robot(urdf))
@@ -340,7 +343,7 @@ def test_a_collision_mesh_that_is_missing():
 def test_without_mujoco(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(
-        aj.MissingPackageError,
+        MissingPackageError,
         match=r"MujocoPlant needs mujoco, .*: pip install 'approxjac\[mujoco\]'$",
     ):
         aj.MujocoPlant(TRUTH, SENSOR)

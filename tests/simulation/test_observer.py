@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from own_controller import OwnController
 
 import approxjac as aj
+from approxjac.robots import GravityRegressor
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
@@ -16,7 +17,7 @@ def parts(panda, believed_length=0.0):
     truth = panda.with_object(0.2, 0.5, axis="x")
     belief = panda.with_object(believed_length, 0.0, axis="x")
     plant = aj.Plant(truth, aj.PositionTask(truth))
-    gravity = aj.AdaptiveGravity(aj.GravityRegressor(belief), L=0.5, alpha=2.0)
+    gravity = aj.AdaptiveGravity(GravityRegressor(belief), L=0.5, alpha=2.0)
     gains = aj.Gains(kp=400.0, kv=80.0, damping=1.0)
     controller = aj.SetpointController(aj.PositionTask(belief), gains, gravity=gravity)
     return plant, controller, plant.sensor.value(START) + [0.05, -0.05, 0.05]

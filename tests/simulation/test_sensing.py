@@ -15,7 +15,11 @@ from scipy.integrate import cumulative_simpson
 
 import approxjac as aj
 from approxjac import view
+from approxjac.controllers import DifferentiatedVelocity, RegressorGravity
+from approxjac.errors import MeasurementError
+from approxjac.robots import GravityRegressor
 from approxjac.simulation.sensing import SensorReadings
+from approxjac.tasks import CombinedTask
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
@@ -325,7 +329,7 @@ FIELDS = [
 def closed_loop(panda, sensing, seed=0):
     task = aj.PositionTask(panda)
     plant = aj.Plant(panda, task, sensing=sensing, actuator_delay=2e-3, coulomb=0.1)
-    controller = aj.SetpointController(task, gravity=aj.AdaptiveGravity(aj.GravityRegressor(panda)))
+    controller = aj.SetpointController(task, gravity=aj.AdaptiveGravity(GravityRegressor(panda)))
     target = task.value(START) + [0.1, 0.1, 0.1]
     return aj.simulate(plant, controller, target, START, 0.3, dt=1e-3, seed=seed)
 
@@ -609,12 +613,12 @@ def test_the_target_is_reached_with_realistic_measurements(
     0.5 N m of Coulomb friction.
     """
     truth, belief = panda.with_object(0.20, 0.5), panda.with_object(0.0, 0.0)
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     controller = aj.SetpointController(
         aj.PositionTask(belief),
         gravity=aj.AdaptiveGravity(regressor)
         if gravity == "learnt"
-        else aj.RegressorGravity(regressor, regressor.fit(truth)[0]),
+        else RegressorGravity(regressor, regressor.fit(truth)[0]),
     )
     plant = aj.Plant(
         truth,
@@ -643,7 +647,7 @@ def test_a_controller_starts_from_its_first_reading_not_from_the_truth(panda):
     """Law (5) differentiates x from the first one on, and that one is a measured one."""
     task = aj.PositionTask(panda)
     controller = aj.SetpointController(
-        task, aj.Gains(100.0, 20.0, 1.0), velocity=aj.DifferentiatedVelocity(0.02)
+        task, aj.Gains(100.0, 20.0, 1.0), velocity=DifferentiatedVelocity(0.02)
     )
     plant = aj.Plant(panda, task, sensing=aj.Sensing(x_quantum=0.1))
     q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -651,7 +655,7 @@ def test_a_controller_starts_from_its_first_reading_not_from_the_truth(panda):
     assert np.array_equal(run.state[0], run.x_measured[0])
     assert np.abs(run.x_measured[0] - run.x[0]).max() > 0.01
     lost = aj.Plant(panda, task, sensing=aj.Sensing(x_dropout=1.0))
-    with pytest.raises(aj.MeasurementError, match=r"the first x must be finite for law \(5\)"):
+    with pytest.raises(MeasurementError, match=r"the first x must be finite for law \(5\)"):
         aj.simulate(lost, controller, task.value(q0), q0, 0.01, dt=1e-3)
 
 
@@ -935,10 +939,10 @@ def test_rounding_images_leaves_measured_depths_as_they_are(panda):
     camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (1.6, -0.8, 0.9), 600.0, (640, 480))
     points = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]
     image = aj.ImageTask(panda, camera, points=points, depth="measured")
-    for task in (image, aj.StackedTask(image), aj.CombinedTask(image, 2.0 * np.eye(4))):
+    for task in (image, aj.StackedTask(image), CombinedTask(image, 2.0 * np.eye(4))):
         truth = still(task, START, 1)
         read = readings(aj.Sensing(x_quantum=0.5), truth, task)[0].x.reshape(2, 3)
         true = truth[0].x.reshape(2, 3)
         assert_array_equal(read[:, 2], true[:, 2])
-        step = 0.25 if isinstance(task, aj.CombinedTask) else 0.5
+        step = 0.25 if isinstance(task, CombinedTask) else 0.5
         assert_array_equal(read[:, :2], step * np.round(true[:, :2] / step))

@@ -8,6 +8,8 @@ from own_controller import OwnController
 from scipy.integrate import cumulative_simpson
 
 import approxjac as aj
+from approxjac.errors import SimulationError, TrajectoryFileError, UnknownNameError
+from approxjac.robots import GravityRegressor
 
 
 class ConstantTorque(OwnController):
@@ -80,7 +82,7 @@ def test_a_sampled_run_converges_to_the_continuous_one():
     controller = aj.SetpointController(
         aj.PositionTask(robot, axes="xz"),
         aj.Gains(60.0, 20.0),
-        gravity=aj.AdaptiveGravity(aj.GravityRegressor(robot, "x"), 0.1, 1.0, theta0=(0.0, 0.0)),
+        gravity=aj.AdaptiveGravity(GravityRegressor(robot, "x"), 0.1, 1.0, theta0=(0.0, 0.0)),
     )
     arguments = (plant_of(robot), controller, (0.5, 1.2), (0.3, 0.8), 1.0)
     exact = aj.simulate(*arguments, dt=None, record_every=0.1)
@@ -189,16 +191,16 @@ def test_a_run_saves_and_loads(short_run, tmp_path):
 
 
 def test_files_that_are_no_runs_are_refused(tmp_path):
-    with pytest.raises(aj.TrajectoryFileError, match=r"run\.npz does not exist"):
+    with pytest.raises(TrajectoryFileError, match=r"run\.npz does not exist"):
         aj.Trajectory.load(tmp_path / "run.npz")
     (tmp_path / "text.npz").write_text("hello")
-    with pytest.raises(aj.TrajectoryFileError, match=r"text.npz is not a trajectory written by"):
+    with pytest.raises(TrajectoryFileError, match=r"text.npz is not a trajectory written by"):
         aj.Trajectory.load(tmp_path / "text.npz")
     (tmp_path / "empty.npz").write_bytes(b"")
-    with pytest.raises(aj.TrajectoryFileError, match=r"empty.npz is not a trajectory written by"):
+    with pytest.raises(TrajectoryFileError, match=r"empty.npz is not a trajectory written by"):
         aj.Trajectory.load(tmp_path / "empty.npz")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(aj.TrajectoryFileError, match=r"other.npz is not a trajectory written by"):
+    with pytest.raises(TrajectoryFileError, match=r"other.npz is not a trajectory written by"):
         aj.Trajectory.load(tmp_path / "other.npz")
 
 
@@ -217,7 +219,7 @@ def test_files_that_are_no_runs_are_refused(tmp_path):
 def test_files_whose_arrays_do_not_fit_are_refused(short_run, tmp_path, name, value):
     read = aj.Trajectory.load(short_run.save(tmp_path / "good.npz"))
     path = dataclasses.replace(read, **{name: value}).save(tmp_path / "bad.npz")
-    with pytest.raises(aj.TrajectoryFileError, match=r"bad.npz is not a trajectory written by"):
+    with pytest.raises(TrajectoryFileError, match=r"bad.npz is not a trajectory written by"):
         aj.Trajectory.load(path)
 
 
@@ -244,7 +246,7 @@ def test_ratios_are_read_between_records_and_only_within_the_run(short_run):
 
 
 def test_a_run_that_cannot_be_written_is_a_named_error(short_run, tmp_path):
-    with pytest.raises(aj.TrajectoryFileError, match="path must be a file that can be written"):
+    with pytest.raises(TrajectoryFileError, match="path must be a file that can be written"):
         short_run.save(tmp_path / "nowhere" / "run.npz")
 
 
@@ -304,7 +306,7 @@ def test_records_can_be_thinned(short_run):
         ({"rtol": 0.0}, aj.InvalidInputError, r"rtol must be a finite number > 0, got 0.0"),
         (
             {"dt": 0.1, "integrator": "rk5"},
-            aj.UnknownNameError,
+            UnknownNameError,
             "integrator 'rk5' not in the integrators; did you mean 'rk4'",
         ),
     ],
@@ -349,7 +351,7 @@ class Explosive(ConstantTorque):
 )
 def test_a_run_that_explodes_is_a_named_error(dt, text):
     plant = plant_of(aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0)))
-    with pytest.raises(aj.SimulationError, match=text):
+    with pytest.raises(SimulationError, match=text):
         aj.simulate(
             plant, Explosive(PLANE, (0.0, 0.0)), (0.0, 0.0), (0.3, 0.8), 100.0, v0=(1.0, 1.0), dt=dt
         )
@@ -365,7 +367,7 @@ def test_a_loop_that_is_too_stiff_is_a_named_error_not_a_blame(dt):
     plant = aj.Plant(robot, task)
     q0 = np.array([0.0, -1.0, 1.5, -1.0, -1.5, 0.0])
     target = task.value(q0) + [0.1, 0.1, 0.1]
-    with pytest.raises(aj.SimulationError, match=r"the (simulation|integration) .* at t = "):
+    with pytest.raises(SimulationError, match=r"the (simulation|integration) .* at t = "):
         aj.simulate(plant, controller, target, q0, 5.0, dt=dt)
 
 
@@ -452,6 +454,6 @@ def test_damaged_files_are_always_a_named_error(short_run, tmp_path):
         path.write_bytes(damaged)
         try:
             aj.Trajectory.load(path)
-        except aj.TrajectoryFileError:
+        except TrajectoryFileError:
             refused += 1
     assert refused > 150

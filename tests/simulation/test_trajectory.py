@@ -10,6 +10,11 @@ from own_controller import OwnController
 
 import approxjac as aj
 from approxjac import law
+from approxjac.controllers import DifferentiatedVelocity, law_of
+from approxjac.errors import TrajectoryFileError
+from approxjac.robots import GravityRegressor
+from approxjac.stability import lyapunov
+from approxjac.tasks import CombinedTask, NonsingularTask, PlanarCamera
 from approxjac.tasks.analysis import features
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -30,7 +35,7 @@ def reach(panda, controller_of, *, dt=1e-3, axes="xyz"):
 
 
 def setpoint(task, **options):
-    regressor = aj.GravityRegressor(task.robot)
+    regressor = GravityRegressor(task.robot)
     options = {"gravity": aj.AdaptiveGravity(regressor, L=0.5, alpha=2.0), **options}
     return aj.SetpointController(task, GAINS, **options)
 
@@ -49,9 +54,7 @@ def test_the_task_torque_is_the_law_without_damping_and_gravity(panda):
 
 def test_the_task_torque_of_law_5_has_the_measured_velocity(panda):
     def controller_of(task):
-        return setpoint(
-            task, gravity=aj.NoGravity(task.robot), velocity=aj.DifferentiatedVelocity()
-        )
+        return setpoint(task, gravity=aj.NoGravity(task.robot), velocity=DifferentiatedVelocity())
 
     _, _, run = reach(panda, controller_of)
     assert_allclose(run.task_torque, run.tau + 1.5 * run.v, atol=1e-9)
@@ -107,10 +110,10 @@ def test_V_of_a_law_that_is_limited_or_held_is_its_own(panda, wrapped):
 
     kinds = {"limited": limited, "held": lambda task: aj.HeldMeasurement(limited(task), 0.3)}
     plant, controller, run = reach(panda, kinds[wrapped])
-    law_ = aj.law_of(controller)
+    law_ = law_of(controller)
     theta = law_.adaptation.regressor.fit(plant.robot)[0]
     for k in (0, 5, 10):
-        V, _ = aj.lyapunov(
+        V, _ = lyapunov(
             plant, law_, run.q[k], run.v[k], run.target, law_.alpha,
             state=run.state[k][: len(law_.adaptation.theta0)], theta=theta,
         )  # fmt: skip
@@ -125,7 +128,7 @@ def test_V_is_that_of_the_analysis(panda, learnt):
     theta = controller.adaptation.regressor.fit(plant.robot)[0] if learnt else None
     for k in (0, 4, 10):
         state = run.state[k] if learnt else None
-        V, _ = aj.lyapunov(
+        V, _ = lyapunov(
             plant, controller, run.q[k], run.v[k], run.target, controller.alpha,
             state=state, theta=theta,
         )  # fmt: skip
@@ -173,10 +176,10 @@ MOUNTED = aj.PinholeCamera(500.0, (640, 480), mount="panda_hand")
             robot, CAMERA, points=[(0, 0, 0), (0.05, 0, 0)], depth="measured"
         ),
         lambda robot: aj.ImageTask(robot, MOUNTED, None, [(0.6, 0.0, 0.1)], depth=[0.4]),
-        lambda robot: aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0, roll=0.2)),
+        lambda robot: aj.ImageTask(robot, PlanarCamera(0.05, 3.0, roll=0.2)),
         lambda robot: aj.StackedTask(aj.PositionTask(robot, axes="z"), aj.ImageTask(robot, CAMERA)),
-        lambda robot: aj.CombinedTask(aj.ImageTask(robot, CAMERA), np.eye(2)),
-        lambda robot: aj.NonsingularTask(aj.PositionTask(robot), {"panda_joint4": 0.3}),
+        lambda robot: CombinedTask(aj.ImageTask(robot, CAMERA), np.eye(2)),
+        lambda robot: NonsingularTask(aj.PositionTask(robot), {"panda_joint4": 0.3}),
     ],
 )
 def test_every_kind_of_task_is_kept(panda, task_of, tmp_path):
@@ -226,5 +229,5 @@ def test_a_damaged_scene_is_a_named_error(panda, tmp_path):
     ):
         broken = {**texts, "scene": {**texts["scene"], **change}}
         np.savez(path, texts=np.array(json.dumps(broken)), **arrays)
-        with pytest.raises(aj.TrajectoryFileError, match="is not a trajectory written by"):
+        with pytest.raises(TrajectoryFileError, match="is not a trajectory written by"):
             aj.Trajectory.load(path)

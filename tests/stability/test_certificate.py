@@ -11,9 +11,11 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import law, paper
+from approxjac.robots import GravityRegressor
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.matrix_form import FAMILIES, MatrixForm, Setting, Weights, best_weights
 from approxjac.stability.theorem1 import theorem1
+from approxjac.tasks import PlanarCamera
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 
@@ -224,8 +226,8 @@ def test_a_camera_roll_costs_what_theory_says():
     """Large gains, J = R(δ)Ĵ: the paper's weights reach 60°, free ones 90°, the exact limit."""
 
     def passes(roll, family):
-        camera = aj.PlanarCamera(0.05, 3.0)
-        rolled = aj.PlanarCamera(0.05, 3.0, roll=roll)
+        camera = PlanarCamera(0.05, 3.0)
+        rolled = PlanarCamera(0.05, 3.0, roll=roll)
         arm = paper.build_arm()
         plant = aj.Plant(arm, aj.ImageTask(arm, camera))
         controller = aj.SetpointController(
@@ -255,7 +257,7 @@ def test_learnt_gravity_fixes_alpha():
     arm = aj.load_robot("panda")
     truth, belief = arm.with_object(0.1, 0.5), arm.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
-    gravity = aj.AdaptiveGravity(aj.GravityRegressor(belief), L=0.5, alpha=1.5)
+    gravity = aj.AdaptiveGravity(GravityRegressor(belief), L=0.5, alpha=1.5)
     controller = aj.SetpointController(
         aj.PositionTask(belief), aj.Gains(400.0, 80.0, 5.0), gravity=gravity
     )

@@ -6,6 +6,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.controllers import RegressorGravity
+from approxjac.law import Sine
+from approxjac.robots import GravityRegressor
 from approxjac.stability.linearization import (
     Timing,
     continuous_matrix,
@@ -42,18 +45,18 @@ def loop_of(name, rng, learns=False, **options):
     truth = arm.with_object(0.2, 0.4)
     belief = arm.with_object(0.08, 0.1, axis="x")
     axes = "xz" if arm.nv == 2 else "xyz"
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     theta, residual = regressor.fit(truth)
     assert residual < 1e-9
     # a light wrist with much friction is too fast for RK4, with much damping for the samples
     friction, damping = (0.003, 0.01) if name == "kinova" else (0.3, 0.5)
     plant = aj.Plant(truth, aj.PositionTask(truth, axes=axes), friction=friction, **options)
-    gravity = aj.RegressorGravity(regressor, theta)
+    gravity = RegressorGravity(regressor, theta)
     if learns:
         gravity = aj.AdaptiveGravity(regressor, 0.5, 2.0, theta0=theta, torque_limits=np.inf)
     controller = aj.SetpointController(
         aj.PositionTask(belief, axes=axes), aj.Gains(60.0, 30.0, damping), gravity=gravity,
-        saturation=aj.Sine(0.5),
+        saturation=Sine(0.5),
     )  # fmt: skip
     return plant, controller, truth.random_configuration(rng), theta if learns else np.zeros(0)
 

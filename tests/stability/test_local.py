@@ -8,7 +8,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
+from approxjac.law import Sine
+from approxjac.robots import GravityRegressor
 from approxjac.stability import local as local_module
+from approxjac.stability import lyapunov
+from approxjac.tasks import PlanarCamera
 
 
 def linearized_by_differences(plant, controller, q_target):
@@ -33,7 +38,7 @@ def test_eigenvalues_are_those_of_the_flow(name, rng):
     plant = aj.Plant(truth, aj.PositionTask(truth, axes=axes), friction=0.3)
     controller = aj.SetpointController(
         aj.PositionTask(belief, axes=axes), aj.Gains(60.0, 30.0, damping=1.0),
-        saturation=aj.Sine(0.1),
+        saturation=Sine(0.1),
     )  # fmt: skip
     q = truth.random_configuration(rng)
     local = aj.local_stability(plant, controller, q)
@@ -124,10 +129,10 @@ def test_a_target_out_of_view_is_refused(panda, carried, joint, turn, behind):
 
 
 def test_an_exact_model_is_stable_and_a_reversed_camera_is_not(two_link):
-    camera = aj.PlanarCamera(0.05, 3.0)
+    camera = PlanarCamera(0.05, 3.0)
     plant = aj.Plant(two_link, aj.ImageTask(two_link, camera))
     for roll, stable in ((0.0, True), (np.pi, False)):
-        believed = aj.PlanarCamera(0.05, 3.0, roll=roll)
+        believed = PlanarCamera(0.05, 3.0, roll=roll)
         controller = aj.SetpointController(
             aj.ImageTask(two_link, believed), aj.Gains(5000.0, 5000.0)
         )
@@ -150,8 +155,8 @@ GOAL = np.array([0.6, 1.2])
 def two_link_loop(two_link, gravity=None, **options):
     """A two-link arm with a wrong tool; its gravity is known, or learnt with (L, α)."""
     belief = aj.load_robot("two_link").with_object(0.2, 0.1, radius=0.0, axis="x")
-    regressor = aj.GravityRegressor(belief, "x")
-    known = aj.RegressorGravity(regressor, regressor.fit(two_link)[0])
+    regressor = GravityRegressor(belief, "x")
+    known = RegressorGravity(regressor, regressor.fit(two_link)[0])
     plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"), friction=0.3, **options)
     controller = aj.SetpointController(
         aj.PositionTask(belief, axes="xz"), aj.Gains(60.0, 30.0),
@@ -164,9 +169,9 @@ def two_link_loop(two_link, gravity=None, **options):
 def panda_loop(panda, gravity=None, moments="xyz", **options):
     """A Panda that does not know of its tool; gravity known, or learnt with (L, α)."""
     truth = panda.with_object(0.2, 0.5)
-    regressor = aj.GravityRegressor(panda, moments)
+    regressor = GravityRegressor(panda, moments)
     theta, _ = regressor.fit(truth)
-    known = aj.RegressorGravity(regressor, theta)
+    known = RegressorGravity(regressor, theta)
     controller = aj.SetpointController(
         aj.PositionTask(panda), aj.Gains(400.0, 80.0, 2.0),
         gravity=known if gravity is None
@@ -373,10 +378,10 @@ def test_what_it_says_can_be_acted_on(two_link, panda):
 def controllers_without_a_linearization(robot):
     task, gains = aj.PositionTask(robot, axes="xz"), aj.Gains(50.0, 20.0)
     heavier = robot.with_object(0.1, 0.5, name="more")
-    image = aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0))
+    image = aj.ImageTask(robot, PlanarCamera(0.05, 3.0))
     return {
         r"those of the laws \(6\) and \(28\) .*got SetpointController\(law \(5\)": (
-            aj.SetpointController(task, gains, velocity=aj.DifferentiatedVelocity())
+            aj.SetpointController(task, gains, velocity=DifferentiatedVelocity())
         ),
         r"gravity must be exact near the target .* with NoGravity": (
             aj.SetpointController(task, gains, gravity=aj.NoGravity(robot))
@@ -388,7 +393,7 @@ def controllers_without_a_linearization(robot):
             aj.SetpointController(
                 aj.PositionTask(robot, axes="x"),
                 aj.Gains(50.0, 20.0, 1.0),
-                posture=aj.Posture((0.5, 1.0), 1.0),
+                posture=Posture((0.5, 1.0), 1.0),
             )
         ),
         r"the controller's task must have the coordinates of the plant's sensor": (
@@ -426,7 +431,7 @@ def test_what_eq_1_does_not_have_is_refused(two_link, options):
     with pytest.raises(aj.InvalidInputError, match="the local test is for a plant without Coulomb"):
         aj.local_stability(plant, controller, q)
     with pytest.raises(aj.InvalidInputError, match="the Lyapunov function is for a plant without"):
-        aj.lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
+        lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -463,7 +468,7 @@ def test_a_dt_that_makes_no_sense_is_refused(two_link):
 
 
 def test_gravity_that_is_not_learnt_there_is_refused(two_link, panda):
-    regressor = aj.GravityRegressor(two_link, "x")
+    regressor = GravityRegressor(two_link, "x")
     plant, controller = two_link_loop(two_link)
     for text, options in {
         r"gravity at the target must be within torque_limits": {"torque_limits": 5.0},
@@ -476,7 +481,7 @@ def test_gravity_that_is_not_learnt_there_is_refused(two_link, panda):
         with pytest.raises(aj.InvalidInputError, match=text):
             aj.local_stability(plant, stuck, GOAL)
     turned = panda.with_kinematic_error(rotations={"panda_joint4": (0.05, 0.0, 0.05)})
-    learnt = aj.AdaptiveGravity(aj.GravityRegressor(turned), 1.0, 1.0)
+    learnt = aj.AdaptiveGravity(GravityRegressor(turned), 1.0, 1.0)
     wrong = aj.SetpointController(
         aj.PositionTask(turned), aj.Gains(400.0, 80.0, 2.0), gravity=learnt
     )
@@ -488,7 +493,7 @@ def test_gravity_that_is_not_learnt_there_is_refused(two_link, panda):
 
 
 def test_bounds_that_hold_the_parameters_change_nothing(two_link):
-    regressor = aj.GravityRegressor(two_link, "x")
+    regressor = GravityRegressor(two_link, "x")
     plant, controller = two_link_loop(two_link)
     found = []
     for bounds in (None, (0.0, 4.0)):

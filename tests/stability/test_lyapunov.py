@@ -9,6 +9,11 @@ import pytest
 
 import approxjac as aj
 from approxjac import law
+from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
+from approxjac.law import Linear, Sine, Tanh
+from approxjac.robots import GravityRegressor
+from approxjac.stability import lyapunov
+from approxjac.tasks import PlanarCamera
 
 
 def flow_V(plant, controller, target, alpha, theta):
@@ -29,7 +34,7 @@ def flow_V(plant, controller, target, alpha, theta):
         return q_new, v_new, state + h / 6 * (r1 + 2 * r2 + 2 * r3 + r4)
 
     def value(q, v, state):
-        return aj.lyapunov(plant, controller, q, v, target, alpha, state=state, theta=theta)
+        return lyapunov(plant, controller, q, v, target, alpha, state=state, theta=theta)
 
     return value, step
 
@@ -62,11 +67,11 @@ def assert_v_dot_is_minus_w(plant, controller, target, alpha, samples, h, theta=
         checked += 1
 
 
-@pytest.mark.parametrize("saturation", [aj.Sine(0.01), aj.Linear(), aj.Tanh(0.01)])
+@pytest.mark.parametrize("saturation", [Sine(0.01), Linear(), Tanh(0.01)])
 def test_two_link_with_the_wrong_camera(two_link, saturation):
     """THEORY.md's case: K_p = 5000, K_v = 10000, γ = 0.01, B = 0.3, δ̂ = 60°."""
-    camera = aj.PlanarCamera(0.05, 3.0)
-    rolled = aj.PlanarCamera(0.05, 3.0, roll=np.radians(60.0))
+    camera = PlanarCamera(0.05, 3.0)
+    rolled = PlanarCamera(0.05, 3.0, roll=np.radians(60.0))
     plant = aj.Plant(two_link, aj.ImageTask(two_link, camera), friction=0.3)
     controller = aj.SetpointController(
         aj.ImageTask(two_link, rolled), aj.Gains(5000.0, 10000.0), saturation=saturation
@@ -87,14 +92,14 @@ def true_and_believed(name):
 def test_seven_joints_with_an_unknown_tool(name):
     truth, belief = true_and_believed(name)
     plant = aj.Plant(truth, aj.PositionTask(truth), friction=np.linspace(0.1, 0.7, 7))
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     theta, residual = regressor.fit(truth)
     assert residual < 1e-10
     controller = aj.SetpointController(
         aj.PositionTask(belief),
         aj.Gains((400.0, 300.0, 500.0), (80.0, 60.0, 90.0), damping=1.0),
-        gravity=aj.RegressorGravity(regressor, theta),
-        saturation=aj.Sine(0.1),
+        gravity=RegressorGravity(regressor, theta),
+        saturation=Sine(0.1),
     )
     target = plant.sensor.value(truth.neutral()) + [0.1, 0.2, -0.1]
     assert_v_dot_is_minus_w(plant, controller, target, alpha=0.5, samples=8, h=2e-5)
@@ -104,7 +109,7 @@ def test_seven_joints_with_learnt_gravity():
     """Eq. (31): the potential of the parameter error makes up for the gravity not yet learnt."""
     truth, belief = true_and_believed("panda")
     plant = aj.Plant(truth, aj.PositionTask(truth), friction=0.2)
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     theta, _ = regressor.fit(truth)
     controller = aj.SetpointController(
         aj.PositionTask(belief),
@@ -112,7 +117,7 @@ def test_seven_joints_with_learnt_gravity():
         gravity=aj.AdaptiveGravity(
             regressor, L=np.linspace(0.1, 2.0, 12), alpha=0.5, torque_limits=np.inf
         ),
-        saturation=aj.Sine(0.1),
+        saturation=Sine(0.1),
     )
     target = plant.sensor.value(truth.neutral()) + [0.1, 0.2, -0.1]
     assert_v_dot_is_minus_w(plant, controller, target, alpha=0.5, samples=6, h=2e-5, theta=theta)
@@ -122,7 +127,7 @@ def test_seven_joints_with_learnt_gravity():
 def adaptive_two_link(two_link):
     """A closed loop of (28), (29), its V along the flow, and one state of it."""
     plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"), friction=0.3)
-    regressor = aj.GravityRegressor(two_link, "x")
+    regressor = GravityRegressor(two_link, "x")
     gravity = aj.AdaptiveGravity(regressor, L=(0.1, 0.4), alpha=0.5)
     controller = aj.SetpointController(
         aj.PositionTask(two_link, axes="xz"), aj.Gains(50.0, 20.0), gravity=gravity
@@ -163,24 +168,24 @@ def test_what_v_and_w_are_not_for_is_refused(adaptive_two_link, two_link):
     plant, controller, target, *_ = adaptive_two_link
     arguments = (np.array([0.4, 1.1]), np.zeros(2), target)
     with pytest.raises(aj.InvalidInputError, match="state and theta must be given and alpha must"):
-        aj.lyapunov(plant, controller, *arguments, 0.5)
+        lyapunov(plant, controller, *arguments, 0.5)
     with pytest.raises(aj.InvalidInputError, match=r"alpha must be the controller's 0\.5, got"):
-        aj.lyapunov(plant, controller, *arguments, 0.4, state=np.zeros(2), theta=np.zeros(2))
+        lyapunov(plant, controller, *arguments, 0.4, state=np.zeros(2), theta=np.zeros(2))
     with pytest.raises(aj.InvalidInputError, match="q must not be a singular configuration of "):
-        aj.lyapunov(
+        lyapunov(
             plant, controller, (0.3, 0.0), np.zeros(2), target, 0.5, state=(0, 0), theta=(0, 0)
         )
     with pytest.raises(aj.InvalidInputError, match="plant must be a Plant, got SetpointControlle"):
-        aj.lyapunov(controller, plant, *arguments, 0.5)
+        lyapunov(controller, plant, *arguments, 0.5)
     task = aj.PositionTask(two_link, axes="xz")
-    law_5 = aj.SetpointController(task, aj.Gains(1.0, 1.0), velocity=aj.DifferentiatedVelocity())
+    law_5 = aj.SetpointController(task, aj.Gains(1.0, 1.0), velocity=DifferentiatedVelocity())
     with pytest.raises(aj.InvalidInputError, match=r"V and W are those of the laws \(6\) and \(28"):
-        aj.lyapunov(plant, law_5, *arguments, 0.5)
+        lyapunov(plant, law_5, *arguments, 0.5)
     swapped = aj.SetpointController(aj.PositionTask(two_link, axes="zx"), aj.Gains(1.0, 1.0))
     with pytest.raises(aj.InvalidInputError, match="must have the coordinates of the plant's sens"):
-        aj.lyapunov(plant, swapped, *arguments, 0.5)
+        lyapunov(plant, swapped, *arguments, 0.5)
     with pytest.raises(aj.InvalidInputError, match=r"alpha must be a finite number > 0 \[1/s\]"):
-        aj.lyapunov(plant, law_5, *arguments, np.nan)
+        lyapunov(plant, law_5, *arguments, np.nan)
 
 
 # -- orientation and posture ----------------------------------------------------------------
@@ -194,12 +199,10 @@ def unknown_tool(name):
 
 def controller_of(truth, task, gains, **options):
     """A controller with wrong lengths, whose gravity is exact all the same."""
-    regressor = aj.GravityRegressor(task.robot)
+    regressor = GravityRegressor(task.robot)
     theta, residual = regressor.fit(truth)
     assert residual < 1e-10
-    return aj.SetpointController(
-        task, gains, gravity=aj.RegressorGravity(regressor, theta), **options
-    )
+    return aj.SetpointController(task, gains, gravity=RegressorGravity(regressor, theta), **options)
 
 
 def states_with_large_orientation_errors(plant, controller, target, samples):
@@ -242,8 +245,8 @@ def test_a_posture_adds_the_power_of_its_torque(name):
         truth,
         aj.PositionTask(belief),
         aj.Gains(400.0, 80.0, damping=1.0),
-        posture=aj.Posture(wanted, stiffness),
-        saturation=aj.Sine(0.1),
+        posture=Posture(wanted, stiffness),
+        saturation=Sine(0.1),
     )
     target = plant.sensor.value(truth.neutral()) + [0.1, 0.2, -0.1]
     value, step = flow_V(plant, controller, target, 0.5, None)
@@ -267,7 +270,7 @@ def test_learning_within_bounds_keeps_v_falling():
     """Projection, Eq. (29): at a bound, with θ in the box, V̇ ≤ −W, and < −W where it is at work."""
     truth, belief = unknown_tool("panda")
     plant = aj.Plant(truth, aj.PositionTask(truth), friction=0.2)
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     theta, _ = regressor.fit(truth)
     lower, upper = np.minimum(theta, regressor.theta) - 0.05, np.maximum(theta, regressor.theta)
     upper = upper + 0.05

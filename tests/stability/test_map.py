@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
+from approxjac.stability import stability_map
 from approxjac.stability.map import PARAMETERS
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
@@ -29,7 +30,7 @@ def box(tools):
 
 @pytest.fixture(scope="module")
 def found(controller, tools, box):
-    return aj.stability_map(
+    return stability_map(
         controller, tools, box, names=("error", "a"), x=(0.0, 1.0, 2.0, 4.0), y=(2.0, 5.0, 20.0),
         coarse=2, configurations=40,
     )  # fmt: skip
@@ -71,7 +72,7 @@ def test_a_point_is_what_the_local_test_says(found, controller, tools, box):
 
 
 def test_axes_may_be_swapped(found, controller, tools, box):
-    swapped = aj.stability_map(
+    swapped = stability_map(
         controller, tools, box, names=("a", "error"), x=(2.0, 5.0, 20.0), y=(0.0, 1.0, 2.0, 4.0),
         coarse=0,
     )  # fmt: skip
@@ -81,7 +82,7 @@ def test_axes_may_be_swapped(found, controller, tools, box):
 
 
 def test_any_two_parameters(controller, tools, box):
-    damped = aj.stability_map(
+    damped = stability_map(
         controller, tools, box, names=("damping", "kv"), x=(0.2, 1.0, 5.0), y=(0.5, 2.0),
         coarse=2, configurations=20, runs=1, duration=0.2, targets=4,
     )  # fmt: skip
@@ -93,7 +94,7 @@ def test_any_two_parameters(controller, tools, box):
 def test_it_repeats_bit_by_bit_and_progress_grows_to_one(controller, tools, box):
     seen = []
     maps = [
-        aj.stability_map(
+        stability_map(
             controller, tools, box, names=("error", "a"), x=(0.0, 1.0), y=(2.0, 5.0), targets=2,
             coarse=2, configurations=8, progress=progress,
         )
@@ -118,4 +119,4 @@ def test_it_repeats_bit_by_bit_and_progress_grows_to_one(controller, tools, box)
 )
 def test_refused(controller, tools, box, names, x, text):
     with pytest.raises(aj.ApproxJacError, match=text):
-        aj.stability_map(controller, tools, box, names=names, x=x, y=(1.0, 2.0))
+        stability_map(controller, tools, box, names=names, x=x, y=(1.0, 2.0))

@@ -11,7 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import paper
-from approxjac.stability import advice, suggestion
+from approxjac.controllers import DifferentiatedVelocity
+from approxjac.errors import UnknownNameError
+from approxjac.law import Sine
+from approxjac.robots import GravityRegressor
+from approxjac.stability import advice, stability_map, suggestion
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.local import local_test
@@ -152,7 +156,7 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert "0 gravity" in str(known)
     assert "unless gravity is learnt (AdaptiveGravity)" in str(known)
     assert "leave it out (Robot.with_gravity((0, 0, 0)), NoGravity)" in str(known)
-    regressor = aj.GravityRegressor(tools.belief())
+    regressor = GravityRegressor(tools.belief())
     learnt = aj.stability_report(
         controller_of(tools, gravity=aj.AdaptiveGravity(regressor, L=0.2, alpha=1.0)),
         tools, region, configurations=20,
@@ -190,7 +194,7 @@ def test_bad_input_is_named(tools, box, weightless):
         aj.stability_report(controller, tools, region=3)
     with pytest.raises(aj.InvalidInputError, match="truth must be a Plant, a Robot or an Uncert"):
         aj.stability_report(controller, truth="panda")
-    law_5 = controller_of(tools, velocity=aj.DifferentiatedVelocity())
+    law_5 = controller_of(tools, velocity=DifferentiatedVelocity())
     with pytest.raises(aj.InvalidInputError, match=r"the laws \(6\) and \(28\) without a posture"):
         aj.stability_report(law_5, tools, box)
     with pytest.raises(aj.InvalidInputError, match="kp must be > 0"):
@@ -265,7 +269,7 @@ def test_tolerance_of_a_controller_that_never_passes(tools, box):
 
 def test_tolerance_refuses(tools, box, weightless):
     controller = controller_of(tools)
-    with pytest.raises(aj.UnknownNameError, match="test 'theorem' not in the tests"):
+    with pytest.raises(UnknownNameError, match="test 'theorem' not in the tests"):
         aj.tolerance(controller, tools, box, tests=("theorem",))
     with pytest.raises(aj.InvalidInputError, match="largest must be a finite number > 0"):
         aj.tolerance(controller, tools, box, largest=0.0)
@@ -341,7 +345,7 @@ def test_relaxations_keep_the_other_demands():
 
 
 def test_suggest_refuses(tools, small_box):
-    with pytest.raises(aj.UnknownNameError, match="test 'lyapunov' not in the tests"):
+    with pytest.raises(UnknownNameError, match="test 'lyapunov' not in the tests"):
         aj.suggest_gains(tools, small_box, test="lyapunov")
     with pytest.raises(aj.InvalidInputError, match="settling_time must be a finite number > 0"):
         aj.suggest_gains(tools, small_box, settling_time=0.0)
@@ -360,7 +364,7 @@ def test_a_saturated_error_is_looked_at_where_it_is_not():
     arm = paper.build_arm().with_gravity((0.0, 0.0, 0.0))
     errors = aj.Uncertainty(arm, camera=paper.CAMERA, roll=(-math.pi / 3, 0.0))
     controller = aj.SetpointController(
-        errors.believed_task(), aj.Gains(5000.0, 5000.0), saturation=aj.Sine(1e-5)
+        errors.believed_task(), aj.Gains(5000.0, 5000.0), saturation=Sine(1e-5)
     )
     region = aj.JointBox.around(arm, (1.57, 1.57), 0.3)
     found = aj.stability_report(controller, errors, region, configurations=100)
@@ -407,7 +411,7 @@ def test_a_target_that_grown_errors_put_out_of_reach_is_where_tolerance_ends(wei
         largest=60.0,
     )["local"]  # fmt: skip
     assert 1.0 < found.scale < found.fails_at < 60.0
-    grown = aj.stability_map(
+    grown = stability_map(
         controller_of(tools), tools, region, names=("error", "a"), x=(1.0, 60.0), y=(4.0, 5.0),
         target=target, coarse=0,
     )  # fmt: skip

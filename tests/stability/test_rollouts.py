@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
+from approxjac.robots import GravityRegressor
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import _judged, clopper_pearson
 
@@ -108,9 +109,7 @@ def test_threads_and_processes_give_the_same(controller, uncertainty, serial):
 
 def test_learnt_gravity_in_threads(uncertainty):
     task = uncertainty.believed_task()
-    learning = aj.SetpointController(
-        task, gravity=aj.AdaptiveGravity(aj.GravityRegressor(task.robot))
-    )
+    learning = aj.SetpointController(task, gravity=aj.AdaptiveGravity(GravityRegressor(task.robot)))
     serial = aj.rollouts(learning, uncertainty, REGION, **SHORT)
     with ThreadPoolExecutor(2) as pool:
         require_same(aj.rollouts(learning, uncertainty, REGION, executor=pool, **SHORT), serial)

@@ -7,7 +7,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.controllers import NoGravity
-from approxjac.stability import JointBox, RegularPart, stability_report, suggestion
+from approxjac.stability import JointBox, RegularPart, stability_map, stability_report, suggestion
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_nor_does_tolerance_a_map_or_a_suggestion(straight, monkeypatch):
     tests = ("theorem1", "matrix")
     found = aj.tolerance(controller, errors, box, tests=tests, configurations=40)
     assert [found[test].scale for test in tests] == [0.0, 0.0]
-    drawn = aj.stability_map(
+    drawn = stability_map(
         controller, errors, box, names=("error", "a"), x=(0.0, 1.0), y=(1.0, 2.0), coarse=2,
         configurations=40,
     )  # fmt: skip

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.tasks import FrameKinematics
+from approxjac.errors import UnknownNameError
+from approxjac.tasks import FrameKinematics, PlanarCamera
 
-CAMERA = aj.PlanarCamera(0.05, 3.0, 0.1)
+CAMERA = PlanarCamera(0.05, 3.0, 0.1)
 PLANE = functools.partial(aj.PositionTask, axes="xz")
 
 
@@ -76,7 +77,7 @@ def test_the_truth_has_the_values(everything):
     assert_allclose(plant.robot.mass, by_hand.mass, rtol=1e-14)
     true, expected = (FrameKinematics(r, "object_tip").pose(q) for r in (plant.robot, by_hand))
     assert_allclose(true, expected, atol=1e-12)
-    assert plant.sensor.camera == aj.PlanarCamera(0.06, 4.0, -0.2)
+    assert plant.sensor.camera == PlanarCamera(0.06, 4.0, -0.2)
     assert_array_equal(plant.friction, (0.1, 0.2))
 
 
@@ -210,11 +211,11 @@ class Fixed(aj.tasks.Camera):
 def test_what_a_calibration_does_not_have_is_refused(arm, watched):
     assert aj.Uncertainty(arm, camera=Fixed(["roll"]), roll=(0.0, 0.1)).names == ("camera roll",)
     with pytest.raises(
-        aj.UnknownNameError,
+        UnknownNameError,
         match="range 'distance' not in the calibration of Fixed; valid are roll",
     ):
         aj.Uncertainty(arm, camera=Fixed(["roll"]), roll=(0.0, 0.1), distance=(2.0, 4.0))
-    with pytest.raises(aj.UnknownNameError, match=r"range 'roll' not in the calibration of Fixed$"):
+    with pytest.raises(UnknownNameError, match=r"range 'roll' not in the calibration of Fixed$"):
         aj.Uncertainty(arm, camera=Fixed(), roll=(0.0, 0.1))
     with pytest.raises(
         aj.InvalidInputError, match=r"roll must hold what is believed, 0 \[rad\], got \(0.1, 0.2\)"
@@ -420,9 +421,7 @@ def test_refused_arms_tasks_and_joints(arm):
         ):
             aj.Uncertainty(arm, task, camera=CAMERA)
     for field in ("joint_shifts", "joint_rotations"):
-        with pytest.raises(
-            aj.UnknownNameError, match="joint 'joint' not in two_link; did you mean"
-        ):
+        with pytest.raises(UnknownNameError, match="joint 'joint' not in two_link; did you mean"):
             aj.Uncertainty(arm, PLANE, **{field: {"joint": (0.1, 0.0, 0.0)}})
 
 

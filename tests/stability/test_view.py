@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 import approxjac as aj
+from approxjac.stability import lyapunov, stability_map
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.visibility import UnattainedError, VisiblePart
+from approxjac.tasks import CombinedTask
 from approxjac.tasks.analysis import sees
 
 ARM = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
@@ -175,7 +177,7 @@ def test_v_and_w_out_of_view_are_refused():
     with pytest.raises(
         aj.InvalidInputError, match="q must be a configuration that the sensor sees, or no"
     ):
-        aj.lyapunov(plant, controller, (-1.4, -1.5), np.zeros(2), np.array([100.0, 100.0]), 1.0)
+        lyapunov(plant, controller, (-1.4, -1.5), np.zeros(2), np.array([100.0, 100.0]), 1.0)
 
 
 # -- Jacobians that use the measured x ------------------------------------------------------
@@ -189,7 +191,7 @@ def test_a_jacobian_that_uses_x_has_the_local_test_and_rollouts(depth):
         controller, errors, region, tests=("local",), configurations=8, largest=6.0
     )
     assert 3.0 < found["local"].scale < 0.5 * math.pi / 0.3
-    sketch = aj.stability_map(
+    sketch = stability_map(
         controller, errors, region, names=("error", "damping"), x=(0.5, 1.0), y=(1.0, 2.0),
         coarse=0, targets=4,
     )  # fmt: skip
@@ -209,7 +211,7 @@ def test_the_other_tests_refuse_it():
             lambda: aj.suggest_gains(errors, region, configurations=20),
         ],
         "the Lyapunov function": [
-            lambda: aj.lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
+            lambda: lyapunov(plant, controller, q, np.zeros(2), task.value(q), 1.0)
         ],
     }
     for what, calls in tests.items():
@@ -252,7 +254,7 @@ def test_a_panda_before_a_camera(panda):
 
 def test_rollouts_take_a_combined_task_with_the_sensor_as_it_is():
     plain, errors = loop()
-    task = aj.CombinedTask(plain.task, [[1.0, 0.3], [-0.2, 1.1]])
+    task = CombinedTask(plain.task, [[1.0, 0.3], [-0.2, 1.1]])
     controller = aj.SetpointController(task, GAINS, gravity=aj.NoGravity(errors.belief()))
     region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
     found = aj.rollouts(

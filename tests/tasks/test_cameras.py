@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.errors import UnknownNameError
+from approxjac.tasks import PlanarCamera
 
 LENSES = {
     "no distortion": (),
@@ -141,7 +143,7 @@ def test_what_is_within_the_image_is_seen():
         ((np.nan, 0.0), False), ((np.inf, 0.0), False),
     ):  # fmt: skip
         assert np.isfinite(cam.seen(np.array(x))).all() == inside
-    assert aj.PlanarCamera(0.05, 3.0).seen(np.array([1e9, 0.0]))[0] == 1e9  # has no edges
+    assert PlanarCamera(0.05, 3.0).seen(np.array([1e9, 0.0]))[0] == 1e9  # has no edges
 
 
 def test_what_is_behind_the_camera_has_no_image_but_a_bounded_jacobian():
@@ -182,15 +184,15 @@ def test_errors_of_a_camera():
     assert_allclose(same.project(r), wrong.project(r))
     with pytest.raises(aj.InvalidInputError, match=r"focal_length must be .* > 0 \[px\], got -5.0"):
         cam.recalibrated({"focal_length": -5.0})
-    planar = aj.PlanarCamera(0.05, 3.0)
-    assert planar.recalibrated({"roll": 0.2, "distance": 2.0}) == aj.PlanarCamera(0.05, 2.0, 0.2)
+    planar = PlanarCamera(0.05, 3.0)
+    assert planar.recalibrated({"roll": 0.2, "distance": 2.0}) == PlanarCamera(0.05, 2.0, 0.2)
 
 
 @pytest.mark.parametrize("plane", ["xz", "zx", "xy", "yz"])
 def test_the_planar_camera_is_a_pinhole_camera_at_one_depth(plane, rng):
     """Within the arm's plane: same images, and same J_I for motions within it."""
     f, z, roll, d = 0.05, 3.0, 0.7, np.array([0.01, -0.02])
-    planar = aj.PlanarCamera(f, z, roll, tuple(d), plane)
+    planar = PlanarCamera(f, z, roll, tuple(d), plane)
     rows = ["xyz".index(axis) for axis in plane]
     right, down = np.eye(3)[rows]
     forward = np.cross(right, down)
@@ -276,9 +278,9 @@ def test_rays_of_absurd_pixels_are_finite(distortion, far):
     assert np.isfinite(cam.ray(np.array([far, -3.0]))).all()
 
 
-@pytest.mark.parametrize("cam", [aj.PlanarCamera(0.05, 3.0), camera()])
+@pytest.mark.parametrize("cam", [PlanarCamera(0.05, 3.0), camera()])
 def test_names_that_are_not_in_the_calibration_are_refused(cam):
-    with pytest.raises(aj.UnknownNameError, match="value 'focal' not in the calibration of P"):
+    with pytest.raises(UnknownNameError, match="value 'focal' not in the calibration of P"):
         cam.recalibrated({"focal": 1.0})
 
 

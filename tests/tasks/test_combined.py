@@ -9,6 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.robots import Dynamics
+from approxjac.tasks import CombinedTask, NonsingularTask
 from approxjac.tasks.analysis import uncombined
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -27,7 +29,7 @@ def C(rng):
 
 
 def test_error_and_jacobian_are_combined_and_values_are_not(image, C, rng):
-    task = aj.CombinedTask(image, C)
+    task = CombinedTask(image, C)
     other = pin.integrate(image.robot.model, Q, 0.1 * rng.normal(size=7))
     x, x_d = image.value(other), image.value(Q)
     assert_array_equal(task.value(other), x)
@@ -48,7 +50,7 @@ def test_error_and_jacobian_are_combined_and_values_are_not(image, C, rng):
 def test_of_a_pose_the_error_is_combined_too(panda, rng):
     C = rng.normal(size=(6, 6))
     pose = aj.PoseTask(panda)
-    task = aj.CombinedTask(pose, C)
+    task = CombinedTask(pose, C)
     h, other = 1e-6, pin.integrate(panda.model, Q, 0.3 * rng.normal(size=7))
     x_d = pose.value(Q)
     J_e = task._error_jacobian(task.error(task.value(other), x_d), task.jacobian(other))
@@ -69,7 +71,7 @@ def test_gains_along_coordinates_are_the_same_as_with_the_identity(image):
     rotation = np.linalg.qr(np.random.default_rng(1).normal(size=(4, 4)))[0]
     plain = aj.SetpointController(image, aj.Gains(4e-3, 1e-3, 1.0))
     turned = aj.SetpointController(
-        aj.CombinedTask(image, 2.0 * rotation), aj.Gains(1e-3, 0.25e-3, 1.0)
+        CombinedTask(image, 2.0 * rotation), aj.Gains(1e-3, 0.25e-3, 1.0)
     )
     x_d = image.value(Q)
     measured = aj.Measurement(0.0, Q, np.full(7, 0.1), x_d + [30.0, -20.0, 5.0, 8.0])
@@ -78,9 +80,9 @@ def test_gains_along_coordinates_are_the_same_as_with_the_identity(image):
 
 
 def test_balanced_makes_the_arm_as_heavy_along_all_directions(image):
-    task = aj.CombinedTask.balanced(image, image.value(Q))
+    task = CombinedTask.balanced(image, image.value(Q))
     assert np.linalg.norm(task.C, 2) == pytest.approx(1.0)
-    M_inv = np.linalg.inv(aj.Dynamics(image.robot).M(Q))
+    M_inv = np.linalg.inv(Dynamics(image.robot).M(Q))
 
     def spread(one):
         J = one.jacobian(Q)
@@ -88,13 +90,13 @@ def test_balanced_makes_the_arm_as_heavy_along_all_directions(image):
         return values[-1] / values[0]
 
     assert spread(task) < 0.5 * spread(image)
-    again = aj.CombinedTask.balanced(image, image.value(Q))
+    again = CombinedTask.balanced(image, image.value(Q))
     assert_array_equal(again.C, task.C)
 
 
 def test_a_plant_whose_sensor_is_the_task_itself(image):
     x_d = image.value(Q)
-    task = aj.CombinedTask.balanced(image, x_d)
+    task = CombinedTask.balanced(image, x_d)
     start = pin.integrate(image.robot.model, Q, np.full(7, 0.1))
     plant = aj.Plant(image.robot, image)
     run = aj.simulate(plant, aj.SetpointController(task), x_d, start, 4.0, dt=2e-3)
@@ -105,7 +107,7 @@ def test_a_plant_whose_sensor_is_the_task_itself(image):
     # stability tests compare J and Ĵ, so they take both combined alike
     with pytest.raises(aj.InvalidInputError, match="the coordinates of the plant's sensor"):
         aj.local_stability(plant, aj.SetpointController(task), Q)
-    combined = aj.Plant(image.robot, aj.CombinedTask(image, task.C))
+    combined = aj.Plant(image.robot, CombinedTask(image, task.C))
     report = aj.local_stability(combined, aj.SetpointController(task), Q)
     assert report.stable
     late = run.t > 2.0
@@ -118,7 +120,7 @@ def test_held_measurements_count_in_pixels(image):
     x_d = image.value(Q)
     v = np.full(7, 0.5)
     for C in (np.eye(4), np.diag([1e-3, 1e3, 1.0, 1.0])):
-        task = aj.CombinedTask(image, C)
+        task = CombinedTask(image, C)
         held = aj.HeldMeasurement(aj.SetpointController(task), unseen=20.0)
         measured = aj.Measurement(0.0, Q, v, x_d + 50.0)
         state = held.initial_state(measured)
@@ -134,7 +136,7 @@ def test_held_measurements_count_in_pixels(image):
 
 
 def test_copies(image, C):
-    task = aj.CombinedTask(image, C)
+    task = CombinedTask(image, C)
     for other in (pickle.loads(pickle.dumps(task)), copy.deepcopy(task)):
         assert repr(other) == repr(task)
         assert_array_equal(other.jacobian(Q), task.jacobian(Q))
@@ -151,21 +153,21 @@ def test_copies(image, C):
 )
 def test_bad_combinations_are_refused(image, C, text):
     with pytest.raises(aj.InvalidInputError, match=text):
-        aj.CombinedTask(image, C)
+        CombinedTask(image, C)
 
 
 def test_what_is_no_task_or_no_target_is_refused(image):
     with pytest.raises(aj.InvalidInputError, match=r"task must be a task, such as ImageTask\("):
-        aj.CombinedTask(None, np.eye(4))
+        CombinedTask(None, np.eye(4))
     with pytest.raises(aj.InvalidInputError, match="target must be within the image of 640 x 480"):
-        aj.CombinedTask.balanced(image, [700.0, 0.0, 10.0, 10.0])
+        CombinedTask.balanced(image, [700.0, 0.0, 10.0, 10.0])
 
 
 def test_a_plant_with_another_combination_is_refused_by_the_local_test(image, C, rng):
-    controller = aj.SetpointController(aj.CombinedTask(image, C))
-    aj.local_stability(aj.Plant(image.robot, aj.CombinedTask(image, C)), controller, Q)
+    controller = aj.SetpointController(CombinedTask(image, C))
+    aj.local_stability(aj.Plant(image.robot, CombinedTask(image, C)), controller, Q)
     for other in (rng.normal(size=(4, 4)), 2.0 * C):
-        plant = aj.Plant(image.robot, aj.CombinedTask(image, other))
+        plant = aj.Plant(image.robot, CombinedTask(image, other))
         with pytest.raises(aj.InvalidInputError, match="must combine its coordinates as"):
             aj.local_stability(plant, controller, Q)
 
@@ -173,8 +175,8 @@ def test_a_plant_with_another_combination_is_refused_by_the_local_test(image, C,
 def test_stacked_and_designed_tasks_take_what_is_measured(image, rng):
     C = rng.normal(size=(4, 4))
     posture = aj.PositionTask(image.robot, "panda_link4", axes="z")
-    stacked = aj.StackedTask(aj.CombinedTask(image, C), posture)
-    designed = aj.NonsingularTask(aj.CombinedTask(image, C), {"panda_joint4": 0.2})
+    stacked = aj.StackedTask(CombinedTask(image, C), posture)
+    designed = NonsingularTask(CombinedTask(image, C), {"panda_joint4": 0.2})
     v = rng.normal(size=7)
     for task, sensor in ((stacked, aj.StackedTask(image, posture)), (designed, image)):
         assert task._measured.labels == sensor.labels
@@ -193,7 +195,7 @@ def test_depths_of_a_target_are_not_used_to_balance(image):
     x_d = depth.value(Q)
     other = x_d.copy()
     other[2::3] = 1e3
-    found = [aj.CombinedTask.balanced(depth, target).C for target in (x_d, other)]
+    found = [CombinedTask.balanced(depth, target).C for target in (x_d, other)]
     assert_array_equal(*found)
 
 
@@ -201,8 +203,8 @@ def test_inertias_along_pixels_and_metres_do_not_compare(image):
     height = aj.PositionTask(image.robot, "panda_link4", "z")
     stack = aj.StackedTask(image, height)
     with pytest.raises(aj.InvalidInputError, match="must have coordinates of one unit to be"):
-        aj.CombinedTask.balanced(stack, stack.value(Q))
-    parts = aj.StackedTask(aj.CombinedTask.balanced(image, image.value(Q)), height)
+        CombinedTask.balanced(stack, stack.value(Q))
+    parts = aj.StackedTask(CombinedTask.balanced(image, image.value(Q)), height)
     start = pin.integrate(image.robot.model, Q, np.full(7, 0.05))
     run = aj.simulate(
         aj.Plant(image.robot, stack), aj.SetpointController(parts), stack.value(Q), start, 4.0,

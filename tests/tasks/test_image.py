@@ -6,7 +6,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.tasks import FrameKinematics
+from approxjac.errors import UnknownNameError
+from approxjac.robots import Dynamics
+from approxjac.tasks import CombinedTask, FrameKinematics, NonsingularTask, PlanarCamera
 from approxjac.tasks.analysis import sees
 
 SIZE = (640, 480)
@@ -44,7 +46,7 @@ def cases(robot, q):
         yield watching(robot, q, points=points)
         yield carried(robot, q, points=points)
         yield watching(robot, q, points=points, depth="measured")
-        yield aj.ImageTask(robot, aj.PlanarCamera(0.05, 3.0, 0.3), points=POINTS[:points])
+        yield aj.ImageTask(robot, PlanarCamera(0.05, 3.0, 0.3), points=POINTS[:points])
 
 
 def test_jacobians_by_finite_differences_on_every_arm_and_camera(arm, rng):
@@ -123,7 +125,7 @@ def test_a_sensor_moves_by_the_depths_that_are_so(panda, rng, depth):
     stacked = aj.StackedTask(sensor, position)
     assert_allclose(stacked._sensor_jacobian(q)[:4], exact.jacobian(q))
     assert_allclose(stacked._sensor_jacobian(q)[4:], position.jacobian(q))
-    designed = aj.NonsingularTask(sensor, {"panda_joint4": 0.3})
+    designed = NonsingularTask(sensor, {"panda_joint4": 0.3})
     assert_allclose(designed._sensor_jacobian(q), exact.jacobian(q))
     with pytest.raises(aj.InvalidInputError, match=r"q must have shape \(7,\)"):
         sensor._sensor_jacobian(q[:3])
@@ -209,7 +211,7 @@ def test_what_is_out_of_view_is_lost_and_the_arm_is_damped(panda, rng):
         state = controller.initial_state(measured)
         answer = controller.evaluate(state, measured, np.array([320.0, 240.0]))
         assert answer.status is aj.Status.MEASUREMENT_LOST
-        assert_allclose(answer.torque, aj.Dynamics(panda).g(q))
+        assert_allclose(answer.torque, Dynamics(panda).g(q))
 
 
 def test_a_run_out_of_view_records_where_the_point_really_is(panda):
@@ -259,20 +261,20 @@ def test_default_gains_in_pixels(panda):
         ({"depth": (1.0, 2.0)}, r"depth must have shape \(1,\) \[m\], got shape \(2,\)"),
         ({"depth": (-1.0,)}, r"depth must be > 0 in every entry \[m\], got \[-1.0\]"),
         (
-            {"camera": aj.PlanarCamera(0.05, 3.0), "depth": 1.0},
+            {"camera": PlanarCamera(0.05, 3.0), "depth": 1.0},
             "camera of a task with depths must be a PinholeCamera, got PlanarCamera",
         ),
     ],
 )
 def test_bad_image_tasks_are_refused(panda, options, text):
     arguments = {"camera": aj.PinholeCamera(500.0, SIZE), **options}
-    with pytest.raises((aj.InvalidInputError, aj.UnknownNameError), match=text):
+    with pytest.raises((aj.InvalidInputError, UnknownNameError), match=text):
         aj.ImageTask(panda, **arguments)
 
 
 def test_bad_mounts_targets_and_uses_are_refused(panda, rng):
     q = panda.random_configuration(rng)
-    with pytest.raises(aj.UnknownNameError, match="frame 'hand' not in panda"):
+    with pytest.raises(UnknownNameError, match="frame 'hand' not in panda"):
         aj.ImageTask(panda, aj.PinholeCamera(500.0, SIZE, mount="hand"), points=POINTS[:1])
     with pytest.raises(aj.InvalidInputError, match="points must be given for a camera"):
         aj.ImageTask(panda, aj.PinholeCamera(500.0, SIZE, mount="panda_hand"))
@@ -291,7 +293,7 @@ def test_bad_mounts_targets_and_uses_are_refused(panda, rng):
     with pytest.raises(aj.InvalidInputError, match="takes depth='believed', got ImageTask"):
         constant.jacobian_dot(q, np.zeros(7))
     with pytest.raises(aj.InvalidInputError, match="depths are those of a PinholeCamera"):
-        aj.ImageTask(panda, aj.PlanarCamera(0.05, 3.0)).depths(q)
+        aj.ImageTask(panda, PlanarCamera(0.05, 3.0)).depths(q)
     measured = watching(panda, q, depth="measured")
     with pytest.raises(aj.InvalidInputError, match="the coordinates of the plant's sensor"):
         aj.simulate(
@@ -313,7 +315,7 @@ def test_points_that_move_with_the_camera_are_refused(panda, frame):
 
 
 def test_a_target_that_a_camera_of_ones_own_does_not_see_is_refused(panda):
-    class Narrow(aj.PlanarCamera):
+    class Narrow(PlanarCamera):
         def seen(self, x):
             return x if np.abs(x).max() < 0.01 else np.full(2, np.nan)
 
@@ -328,8 +330,8 @@ def test_a_target_outside_the_image_is_refused_in_every_wrapping(panda):
     height = aj.PositionTask(panda, "panda_link4", axes="z")
     for wrapped, x_d in (
         (task, outside),
-        (aj.CombinedTask(task, np.eye(2)), outside),
-        (aj.NonsingularTask(task, {"panda_joint4": 0.2}), outside),
+        (CombinedTask(task, np.eye(2)), outside),
+        (NonsingularTask(task, {"panda_joint4": 0.2}), outside),
         (aj.StackedTask(height, task), [0.3, *outside]),
     ):
         with pytest.raises(aj.InvalidInputError, match=text):

@@ -9,6 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.errors import UnknownNameError
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.tasks import NonsingularTask
 
 # postures with the arm stretched out, where a position task loses a direction
 XARM7 = (0.0, 0.7, 0.0, 2.741763303, 0.0, 0.442071942, 0.0)
@@ -20,11 +23,11 @@ def stretched(name):
     if name == "two_link":
         robot = aj.load_robot("two_link").with_object(0.5, 0.5, radius=0.0, axis="x")
         task = aj.PositionTask(robot, axes="xz")
-        return task, aj.NonsingularTask(task, {"joint2": 0.3}), np.array([0.6, 0.0])
+        return task, NonsingularTask(task, {"joint2": 0.3}), np.array([0.6, 0.0])
     task = aj.PositionTask(aj.load_robot(name))
     if name == "xarm7":
-        return task, aj.NonsingularTask(task, {"joint4": 0.3}), np.array(XARM7)
-    return task, aj.NonsingularTask(task, {"panda_joint4": -0.3}), np.array(PANDA)
+        return task, NonsingularTask(task, {"joint4": 0.3}), np.array(XARM7)
+    return task, NonsingularTask(task, {"panda_joint4": -0.3}), np.array(PANDA)
 
 
 ARMS = ["two_link", "xarm7", "panda"]
@@ -120,7 +123,7 @@ def test_its_rate_by_finite_differences(name, offset, rng):
 
 
 def test_its_rate_where_several_directions_are_changed(panda, rng):
-    designed = aj.NonsingularTask(aj.PoseTask(panda), {"panda_joint4": 0.3}, ratio=0.5)
+    designed = NonsingularTask(aj.PoseTask(panda), {"panda_joint4": 0.3}, ratio=0.5)
     h = 1e-6
     for _ in range(10):
         q, v = panda.random_configuration(rng), rng.uniform(-1, 1, 7)
@@ -134,7 +137,7 @@ def test_its_rate_where_several_directions_are_changed(panda, rng):
 
 def test_all_else_is_that_of_the_task(panda, rng):
     pose = aj.PoseTask(panda)
-    designed = aj.NonsingularTask(pose, {"panda_joint4": 0.3})
+    designed = NonsingularTask(pose, {"panda_joint4": 0.3})
     x, x_d = (pose.value(panda.random_configuration(rng)) for _ in range(2))
     assert designed.task is pose
     assert designed.robot is panda
@@ -166,7 +169,7 @@ def test_all_else_is_that_of_the_task(panda, rng):
             r"bend of joint2 must be .* \[rad\], got 'far'",
         ),
         (({"joint2": 20.0},), aj.InvalidInputError, r"bend of joint2 must be less than a turn"),
-        (({"elbow": 0.1},), aj.UnknownNameError, "moving joint 'elbow' not in two_link; valid are"),
+        (({"elbow": 0.1},), UnknownNameError, "moving joint 'elbow' not in two_link; valid are"),
         (((0.0, 0.1),), aj.InvalidInputError, "bend must be a mapping from joint names to displ"),
         (({"joint2": 0.1}, 0.0), aj.InvalidInputError, "ratio must be a finite number > 0, got 0"),
         (({"joint2": 0.1}, 1.0), aj.InvalidInputError, "ratio must be < 1, got 1.0"),
@@ -175,12 +178,12 @@ def test_all_else_is_that_of_the_task(panda, rng):
 )
 def test_bad_designs_are_refused(two_link, arguments, kind, text):
     with pytest.raises(kind, match=text):
-        aj.NonsingularTask(aj.PositionTask(two_link, axes="xz"), *arguments)
+        NonsingularTask(aj.PositionTask(two_link, axes="xz"), *arguments)
 
 
 def test_only_a_task_can_be_changed(two_link):
     with pytest.raises(aj.InvalidInputError, match="task must be a task of the believed robot, s"):
-        aj.NonsingularTask(two_link, {"joint2": 0.1})
+        NonsingularTask(two_link, {"joint2": 0.1})
 
 
 # -- closed loop ----------------------------------------------------------------------------
@@ -210,7 +213,7 @@ def test_pulled_inwards_a_stretched_arm_stalls_with_the_plain_jacobian_and_not_w
         for chosen, duration in ((task, 0.5), (designed, 4.0))
     ]  # fmt: skip
     plain, arrived = runs
-    assert_allclose(plain.tau[0], aj.Dynamics(robot).g(q), atol=1e-4)
+    assert_allclose(plain.tau[0], Dynamics(robot).g(q), atol=1e-4)
     assert np.linalg.norm(plain.error[-1]) > (1 - 1e-9) * distance
     assert np.abs(plain.v[-1]).max() < 1e-4
     assert np.abs(arrived.tau[0] - plain.tau[0]).max() > 1.0
@@ -229,7 +232,7 @@ def test_torques_are_bounded_and_continuous_through_a_singular_posture(name, kin
     gravity = None
     if kind == "learnt":
         moments = "x" if name == "two_link" else "xyz"
-        gravity = aj.AdaptiveGravity(aj.GravityRegressor(robot, moments), torque_limits=np.inf)
+        gravity = aj.AdaptiveGravity(GravityRegressor(robot, moments), torque_limits=np.inf)
     controller = aj.SetpointController(
         designed if kind == "designed" else task, aj.default_gains(task), gravity=gravity
     )
@@ -252,7 +255,7 @@ def test_torques_are_bounded_and_continuous_through_a_singular_posture(name, kin
 
 def test_one_coordinate_keeps_its_rank_too(two_link):
     """Where the only singular value vanishes, ε is a share of what it typically is."""
-    task = aj.NonsingularTask(aj.PositionTask(two_link, axes="x"), {"joint2": 0.3}, ratio=0.3)
+    task = NonsingularTask(aj.PositionTask(two_link, axes="x"), {"joint2": 0.3}, ratio=0.3)
     path = [task.jacobian(np.array([turn, 0.0])) for turn in np.linspace(0.2, 0.0, 2001)]
     assert np.linalg.norm(path[-1]) > 0.1
     steps = np.linalg.norm(np.diff(path, axis=0), axis=(1, 2))

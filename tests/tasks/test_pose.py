@@ -10,6 +10,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.controllers import DifferentiatedVelocity
+from approxjac.errors import UnknownNameError
+from approxjac.robots import Dynamics
+from approxjac.tasks import NonsingularTask
 
 
 @functools.cache
@@ -131,7 +135,7 @@ def test_what_is_no_orientation_gives_nan_and_counts_as_lost(panda, quaternion, 
     assert answer.status is aj.Status.MEASUREMENT_LOST
     _, kv, damping = controller.diagonals
     J = task.jacobian(q)
-    expected = aj.Dynamics(panda).g(q) - J.T @ (kv * (J @ v)) - damping * v
+    expected = Dynamics(panda).g(q) - J.T @ (kv * (J @ v)) - damping * v
     assert_allclose(answer.torque, expected, atol=1e-12)
 
 
@@ -254,23 +258,23 @@ def test_the_error_of_a_moving_arm_changes_at_its_rate(panda, rng):
 def test_law_5_is_refused(panda):
     with pytest.raises(aj.InvalidInputError, match=r"law \(5\) .* whose error is x - x_d, got Pos"):
         aj.SetpointController(
-            aj.PoseTask(panda), aj.Gains(100.0, 20.0, 1.0), velocity=aj.DifferentiatedVelocity()
+            aj.PoseTask(panda), aj.Gains(100.0, 20.0, 1.0), velocity=DifferentiatedVelocity()
         )
 
 
 def test_law_5_is_for_what_subtracts(panda):
     """A stack or a design of tasks whose error is x − x_d has such an error too."""
     position, pose = aj.PositionTask(panda), aj.PoseTask(panda)
-    gains, differentiated = aj.Gains(100.0, 20.0, 1.0), aj.DifferentiatedVelocity()
+    gains, differentiated = aj.Gains(100.0, 20.0, 1.0), DifferentiatedVelocity()
     bend = {"panda_joint4": 0.3}
     for task in (
         position,
-        aj.NonsingularTask(position, bend),
+        NonsingularTask(position, bend),
         aj.StackedTask(position, aj.PositionTask(panda, "panda_link4", "z")),
     ):
         assert task._subtracts
         aj.SetpointController(task, gains, velocity=differentiated)
-    for task in (pose, aj.NonsingularTask(pose, bend), aj.StackedTask(pose)):
+    for task in (pose, NonsingularTask(pose, bend), aj.StackedTask(pose)):
         assert not task._subtracts
         with pytest.raises(aj.InvalidInputError, match=r"law \(5\) .* whose error is x - x_d"):
             aj.SetpointController(task, gains, velocity=differentiated)
@@ -278,5 +282,5 @@ def test_law_5_is_for_what_subtracts(panda):
 
 def test_repr_names_robot_and_frame(panda):
     assert repr(aj.PoseTask(panda, "panda_link5")) == "PoseTask('panda', 'panda_link5')"
-    with pytest.raises(aj.UnknownNameError, match="frame 'tcp' not in panda"):
+    with pytest.raises(UnknownNameError, match="frame 'tcp' not in panda"):
         aj.PoseTask(panda, "tcp")

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import view
+from approxjac.tasks import PlanarCamera
 
 POINTS = [(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]
 HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -65,7 +66,7 @@ def test_depths_that_are_measured_are_no_image(run, sensor):
 
 def test_a_planar_camera_has_an_image_without_a_border():
     arm = aj.load_robot("two_link")
-    task = aj.ImageTask(arm, aj.PlanarCamera(0.05, 3.0))
+    task = aj.ImageTask(arm, PlanarCamera(0.05, 3.0))
     controller = aj.SetpointController(task, aj.Gains(100.0, 100.0))
     run = aj.simulate(
         aj.Plant(arm, task), controller, task.value([1.5, 1.5]), (1.0, 1.5), 0.1, dt=None

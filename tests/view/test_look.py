@@ -11,6 +11,7 @@ from lxml import etree
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.errors import MissingPackageError
 from approxjac.robots.catalog import share_dir
 from approxjac.robots.meshes import find_mesh
 from approxjac.robots.urdf import Urdf
@@ -353,7 +354,7 @@ def test_what_is_small_is_not_touched():
 
 def test_without_the_package_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "fast_simplification", None)
-    with pytest.raises(aj.MissingPackageError, match=r"pip install 'approxjac\[view\]'$"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'approxjac\[view\]'$"):
         look_of(visual(f'<mesh filename="package://{FINGER}"/>'), urdf_dir=ROBOTS)
 
 

@@ -18,11 +18,13 @@ from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointContr
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tuning import default_adaptation, default_gains
 from approxjac.controllers.wrapper import ControllerWrapper, law_of
+from approxjac.interface import ContinuousController
 
 __all__ = [
     "Adaptation",
     "AdaptiveGravity",
     "CompiledSetpointController",
+    "ContinuousController",
     "ControllerWrapper",
     "DifferentiatedVelocity",
     "Gains",

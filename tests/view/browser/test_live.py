@@ -20,6 +20,8 @@ from tornado.websocket import websocket_connect
 
 import approxjac as aj
 from approxjac import view
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import GravityRegressor
 from approxjac.view.browser import server
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -40,15 +42,15 @@ def no_browser_of_the_user(monkeypatch):
 def parts(arm):
     truth, belief = arm.with_object(LENGTH, 0.5, axis="x"), believing(arm)(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
-    regressor = aj.GravityRegressor(belief)
-    gravity = aj.RegressorGravity(regressor, regressor.fit(truth)[0])
+    regressor = GravityRegressor(belief)
+    gravity = RegressorGravity(regressor, regressor.fit(truth)[0])
     gains = aj.Gains(kp=600.0, kv=80.0, damping=1.0)
     controller = aj.SetpointController(aj.PositionTask(belief), gains, gravity=gravity)
     return plant, controller, plant.sensor.value(START) + [0.05, -0.1, 0.05]
 
 
 def learning(task):
-    return aj.SetpointController(task, gravity=aj.AdaptiveGravity(aj.GravityRegressor(task.robot)))
+    return aj.SetpointController(task, gravity=aj.AdaptiveGravity(GravityRegressor(task.robot)))
 
 
 def believing(arm):

@@ -13,6 +13,8 @@ from scenarios import camera
 
 import approxjac as aj
 from approxjac import paper, view
+from approxjac.controllers import RegressorGravity
+from approxjac.robots import GravityRegressor
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import FrameKinematics
 from approxjac.view.browser.document import document, page_data
@@ -29,11 +31,11 @@ def reach(panda):
     """A Panda whose controller believes its 20 cm tool absent."""
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
-    regressor = aj.GravityRegressor(belief)
+    regressor = GravityRegressor(belief)
     controller = aj.SetpointController(
         aj.PositionTask(belief),
         aj.Gains(kp=400.0, kv=80.0, damping=1.0),
-        gravity=aj.RegressorGravity(regressor, regressor.fit(truth)[0]),
+        gravity=RegressorGravity(regressor, regressor.fit(truth)[0]),
     )
     target = plant.sensor.value(START) + [0.1, -0.15, 0.16]
     return aj.simulate(plant, controller, target, START, 2.5, dt=1e-3)
