@@ -52,8 +52,8 @@ def late(age, settling_time):
 
 def damped(period, times):
     """So many times the default joint damping, sampled with that period [ms]."""
-    stronger = aj.Gains(gains.kp, gains.kv, times * gains.damping)
-    return plant, aj.SetpointController(task, stronger, gravity=known), 1e-3 * period
+    more = aj.Gains(gains.kp, gains.kv, times * gains.damping)
+    return plant, aj.SetpointController(task, more, gravity=known), 1e-3 * period
 
 
 def tilted(degrees, learns):
@@ -74,9 +74,9 @@ def loaded(mass, learns):
 
 def weak(share, proof):
     """Motors with a share of their torques."""
-    law, urdf = aj.SetpointController(task, gravity=known), aj.Limits.of(belief, scale=share)
-    limited = aj.TorqueLimited(law, urdf if proof else aj.Limits(urdf.effort), proof=proof)
-    return plant, limited, 1e-3
+    law, urdf = aj.SetpointController(task, gravity=known), aj.Limits.of(belief, share)
+    kept = urdf if proof else aj.Limits(urdf.effort)
+    return plant, aj.TorqueLimited(law, kept, proof=proof), 1e-3
 
 
 def left(truly, law, dt, start, shown):
@@ -86,8 +86,8 @@ def left(truly, law, dt, start, shown):
         run = aj.simulate(truly, law, truly.sensor.value(GOAL), start, **how)
     except aj.errors.SimulationError:  # it diverged
         return np.inf
-    e = run.error_norm[run.t > 5.4].max()
-    return {SHARE: e / run.error_norm[0], MM: 1e3 * e, SPEED: np.abs(run.v).max()}[shown]
+    e, e_0 = run.error_norm[run.t > 5.4].max(), run.error_norm[0]
+    return {SHARE: e / e_0, MM: 1e3 * e, SPEED: np.abs(run.v).max()}[shown]
 
 
 SHARE, MM, SPEED = "error left, share of the first", "error left [mm]", "largest speed [rad/s]"
@@ -117,5 +117,4 @@ for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=T
         print(name, label, f"stable up to {low:.4g}" if limit else "", [f"{e:.2g}" for e in y])
     ax.set(xlabel=name, ylabel=shown, ylim=(5e-7, 2e4))
     view.legend_below(ax)
-for path in view.save_figure(figure, out / "what_breaks_it"):
-    print(path)
+print(*view.save_figure(figure, out / "what_breaks_it"), sep="\n")

@@ -14,32 +14,20 @@ from typing import TYPE_CHECKING, Any
 from approxjac import law
 from approxjac.controllers import (
     AdaptiveGravity,
-    CompiledSetpointController,
-    DifferentiatedVelocity,
     Gains,
     HeldMeasurement,
     Limits,
     ModelGravity,
     NoGravity,
-    Posture,
-    RegressorGravity,
     SetpointController,
     TorqueLimited,
     default_gains,
-    law_of,
 )
 from approxjac.errors import (
     ApproxJacError,
     InvalidInputError,
-    MeasurementError,
-    MissingPackageError,
-    SimulationError,
-    TrajectoryFileError,
-    UnknownNameError,
-    UrdfError,
 )
 from approxjac.interface import (
-    ContinuousController,
     Controller,
     Evaluation,
     LimitStatus,
@@ -47,23 +35,15 @@ from approxjac.interface import (
     Status,
     Target,
 )
-from approxjac.law import Linear, Sine, Tanh
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import (
-    Dynamics,
-    GravityRegressor,
     Robot,
-    excitation,
     load_robot,
-    robot_names,
 )
 from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
 from approxjac.tasks import (
-    CombinedTask,
     ImageTask,
-    NonsingularTask,
     PinholeCamera,
-    PlanarCamera,
     PoseTask,
     PositionTask,
     StackedTask,
@@ -77,8 +57,6 @@ if TYPE_CHECKING:
     # from their own modules: through the package, type checkers take functions that are named as
     # modules for these
     from approxjac.stability.local import local_stability
-    from approxjac.stability.lyapunov import lyapunov
-    from approxjac.stability.map import stability_map
     from approxjac.stability.region import JointBox
     from approxjac.stability.report import stability_report
     from approxjac.stability.rollouts import rollouts
@@ -95,15 +73,9 @@ __all__ = [
     "AdaptiveGravity",
     "ApproxJacError",
     "Circle",
-    "CombinedTask",
-    "CompiledSetpointController",
-    "ContinuousController",
     "Controller",
-    "DifferentiatedVelocity",
-    "Dynamics",
     "Evaluation",
     "Gains",
-    "GravityRegressor",
     "HeldMeasurement",
     "ImageTask",
     "InvalidInputError",
@@ -111,51 +83,33 @@ __all__ = [
     "LimitStatus",
     "Limits",
     "Line",
-    "Linear",
     "Measurement",
-    "MeasurementError",
-    "MissingPackageError",
     "ModelGravity",
     "MujocoPlant",
     "NoGravity",
-    "NonsingularTask",
     "PinholeCamera",
-    "PlanarCamera",
     "Plant",
     "PoseTask",
     "PositionTask",
-    "Posture",
-    "RegressorGravity",
     "Robot",
     "Scenario",
     "Sensing",
     "SetpointController",
-    "SimulationError",
-    "Sine",
     "StackedTask",
     "Status",
-    "Tanh",
     "Target",
     "Task",
     "TorqueLimited",
     "Trajectory",
-    "TrajectoryFileError",
     "Uncertainty",
-    "UnknownNameError",
-    "UrdfError",
     "Waypoints",
     "default_gains",
-    "excitation",
     "law",
-    "law_of",
     "load_robot",
     "local_stability",
-    "lyapunov",
-    "robot_names",
     "rollouts",
     "simulate",
     "stability",
-    "stability_map",
     "stability_report",
     "suggest_gains",
     "tolerance",

@@ -15,7 +15,7 @@ def test_robots_lists_every_arm(capsys):
     assert lines[0].split() == [
         "name", "nv", "nq", "joints", "effort", "limits", "suggested", "tip", "kg",
     ]  # fmt: skip
-    assert [line.split()[0] for line in lines[2:-2]] == list(aj.robot_names())
+    assert [line.split()[0] for line in lines[2:-2]] == list(aj.robots.robot_names())
     words = {line.split()[0]: " ".join(line.split()) for line in lines[2:-2]}
     assert words["panda"] == "panda 7 7 7 revolute 12-87 panda_hand_tcp 16.8"
     assert words["kinova"].startswith("kinova 6 9 3 continuous, 3 revolute 20-80 j2s6s200_end_")
