@@ -1,4 +1,4 @@
-"""Which gravity parameters a motion tells apart."""
+"""Gravity parameters that a motion tells apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What would certify a loop that is not certified: more damping, or smaller errors."""
+"""Advice for a loop that is not certified: more damping, or smaller errors."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _MISSED = 0.05 / 3  # three families share the 5 %
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MatrixTest:
-    """What the matrix form says over a region with one family of Lyapunov functions.
+    """Verdict of the matrix form over a region with one family of Lyapunov functions.
 
     Attributes:
         family: The functions that were tried.
@@ -70,7 +70,7 @@ class MatrixTest:
 
     @property
     def certified(self) -> bool:
-        """Whether the function passed in every sample it was chosen or checked on."""
+        """Return whether the function passed in every sample it was chosen or checked on."""
         return self.margin > 0.0 and self.violations == 0
 
     @property

@@ -16,7 +16,7 @@ from approxjac.validation import Array
 
 
 class LinearLoop(NamedTuple):
-    """What the linearised laws (6) and (28), (29) are made of; p = 0 where gravity is known.
+    """Parts of the linearised laws (6) and (28), (29); p = 0 where gravity is known.
 
     Attributes:
         M: Inertia matrix at the target, shape (n_v, n_v).

@@ -85,7 +85,7 @@ class LocalStability:
 
     @property
     def stable(self) -> bool:
-        """Whether every error near the target dies out."""
+        """Return whether every error near the target dies out."""
         return not self.singular and self.max_real_eigenvalue < 0.0
 
     def __repr__(self) -> str:
@@ -179,7 +179,7 @@ def linearised(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LocalTest:
-    """What the exact linearisation says with each configuration taken as a target.
+    """Verdict of the exact linearisation with each configuration taken as a target.
 
     Attributes:
         decay_rates: −max Re λ without the self-motion's zeros, shape (N,) [1/s]; 0 where J or Ĵ is
@@ -212,7 +212,7 @@ class LocalTest:
 
     @property
     def stable(self) -> bool:
-        """Whether all are."""
+        """Return whether all are."""
         return bool((self.decay_rates > 0.0).all())
 
 

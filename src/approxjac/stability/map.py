@@ -33,14 +33,14 @@ PARAMETERS: Mapping[str, str] = MappingProxyType(
         "damping": "added damping B_c, times the controller's [–]",
     }
 )
-"""What a map can have along its axes."""
+"""Parameters that a map can have along its axes."""
 
 _POOL = 200  # targets that the hard ones are chosen from
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StabilityMap:
-    """What the tests say over a grid of two parameters.
+    """Verdicts of the tests over a grid of two parameters.
 
     Attributes:
         names: Of the two parameters, along x and y.

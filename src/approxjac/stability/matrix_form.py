@@ -97,7 +97,7 @@ class Setting:
 
 
 class MatrixForm:
-    """What has to be positive for V to be a Lyapunov function, at many samples."""
+    """Matrices that have to be positive for V to be a Lyapunov function, at many samples."""
 
     def __init__(self, samples: Samples, setting: Setting) -> None:
         self.samples, self.setting = samples, setting

@@ -28,7 +28,7 @@ from approxjac.validation import Array, as_integer
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StabilityReport:
-    """What the four tests say about a controller, strongest claim first.
+    """Findings of the four tests about a controller, strongest claim first.
 
     The first two are sufficient conditions that sampling found to hold; that a region has no
     other configuration where they fail is not proven, only bounded
@@ -61,7 +61,7 @@ class StabilityReport:
 
     @property
     def gravity_is_exact(self) -> bool:
-        """Whether gravity is compensated, or can be learnt, to within 1e-5 N m."""
+        """Return whether gravity is compensated, or can be learnt, to within 1e-5 N m."""
         return self.gravity_error <= EXACT_GRAVITY
 
     @property

@@ -61,7 +61,7 @@ class Rollout:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rollouts:
-    """What became of all runs. Its text is a sentence that says so.
+    """Outcome of all runs. Its text is a sentence that says so.
 
     Attributes:
         runs: The runs, in the order of their index.

@@ -1,4 +1,4 @@
-"""What the conditions are evaluated on: true robots, configurations and targets."""
+"""`Samples` that the conditions are evaluated on: true robots, configurations and targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where Ĵ loses rank within a region: no sample hits it, and no test holds there.
+"""Singular configurations of Ĵ within a region: no sample hits it, and no test holds there.
 
 At a singular configuration Ĵᵀ K_p s = 0 for some s ≠ 0: the arm may stand still there, away from
 its target. G = αĴ⁺ does not exist, and with G = αD⁻¹ĴᵀK_v the block sym(K_pĴG) of Q is singular.

@@ -60,7 +60,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Suggestion:
-    """What `suggest_gains` found.
+    """Answer of `suggest_gains`.
 
     Attributes:
         test: The test that had to pass.

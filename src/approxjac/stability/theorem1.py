@@ -81,7 +81,7 @@ class Theorem1:
 
     @property
     def holds(self) -> bool:
-        """Whether (14) and (22) hold for some α."""
+        """Return whether (14) and (22) hold for some α."""
         return self.margin > 0.0
 
     @property

@@ -29,7 +29,7 @@ _STEPS = 20  # of bisection
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tolerance:
-    """How far a set of errors may be scaled while a test passes.
+    """Factor by which a set of errors may be scaled while a test passes.
 
     Attributes:
         test: The test.

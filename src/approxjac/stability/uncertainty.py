@@ -145,7 +145,7 @@ class Uncertainty:
 
     @property
     def believed(self) -> Array:
-        """What is believed of each, shape (d,)."""
+        """Believed value of each, shape (d,)."""
         return np.array([known.believed for known in self._coordinates], dtype=float)
 
     @property
