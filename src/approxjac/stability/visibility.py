@@ -1,4 +1,4 @@
-"""Part of a region that a true sensor sees: elsewhere no law acts and no condition says anything."""
+"""`VisiblePart` of a region: elsewhere no law acts, and no condition says anything."""
 
 from __future__ import annotations
 
