@@ -49,8 +49,6 @@ pytest_collect_file = Sybil(
 ).pytest()
 
 
-# Pages whose code runs without a marker. That of the others has `study`, for CI.
-QUICK_PAGES = ("README.md",)
 # Files that take long. A worker gets whole files: these come first, so that in the end both have
 # something to do.
 LONG = ("README.md", "test_long_run.py", "test_examples.py", "test_cli.py", "browser", "docs")
@@ -58,9 +56,13 @@ LONG = ("README.md", "test_long_run.py", "test_examples.py", "test_cli.py", "bro
 
 @pytest.hookimpl(tryfirst=True)  # before tests are deselected by their markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests of long files first, and mark the code of pages."""
+    """Put the tests of long files first, and mark the code of pages: `study`, for CI.
+
+    Of the README, commands are marked and Python is not.
+    """
     for item in items:
-        path = item.path.relative_to(ROOT).as_posix()
-        if path.endswith(".md") and path not in QUICK_PAGES:
-            item.add_marker(pytest.mark.study)
+        if item.path.suffix == ".md":
+            python = getattr(item, "example", None) and item.example.parsed.lstrip()[:1] != "$"
+            if item.path.name != "README.md" or not python:
+                item.add_marker(pytest.mark.study)
     items.sort(key=lambda item: not set(LONG) & set(item.path.relative_to(ROOT).parts))

@@ -20,6 +20,7 @@ def benchmark(monkeypatch):
     return importlib.import_module
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["two_link", "ur5", "panda"])
 def test_a_law_that_is_typed_in_gives_the_same_torque(name, benchmark):
     control_step = benchmark("control_step")

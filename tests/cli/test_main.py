@@ -82,6 +82,7 @@ def test_the_command_line_imports_nothing_slow():
     assert not slow & loaded
 
 
+@pytest.mark.study
 def test_a_terminal_gets_a_progress_bar(tmp_path):
     controller, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))

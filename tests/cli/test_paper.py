@@ -13,6 +13,8 @@ from PIL import Image
 import approxjac as aj
 from approxjac.cli import main
 
+pytestmark = pytest.mark.study  # the numbers of the study are tested in tests/paper
+
 
 def run(*arguments):
     return subprocess.run(

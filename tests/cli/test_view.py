@@ -98,6 +98,7 @@ async def watch_and_stop(url):
     return message["ended"]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("kind", ["position", "image"])
 def test_a_run_is_shown_and_stopped_from_the_page(kind, tmp_path):
     """The results of a run that was stopped are written as those of others."""

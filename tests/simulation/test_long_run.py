@@ -89,6 +89,7 @@ def test_ten_minutes_do_not_drift(panda):
     assert resident < 4800 * 3000 + 2_000_000
 
 
+@pytest.mark.study
 def test_a_step_leaves_nothing_behind(panda):
     """To the byte: what Python and NumPy hold grows with the records, not with the steps."""
     sizes = []

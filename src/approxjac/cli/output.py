@@ -23,22 +23,31 @@ class Live:
     Attributes:
         view: Show it in the browser while it goes on; there the target and the believed length
             can be changed, and the run paused or stopped.
-        speed: Of the run with --view, as a multiple of real time.
+        speed: Of the run with --view, as a multiple of real time; 1 by default.
         port: Of the page with --view, on this machine; 7007 by default, or any free one.
     """
 
     view: tyro.conf.FlagCreatePairsOff[bool] = False
-    speed: float = 1.0
+    speed: float | None = None
     port: int | None = None
 
     def observer(self, believe: Any, believed_length: float) -> LiveView | None:
         """Return the observer that shows the steps of `simulate`, if they are to be shown."""
         if not self.view:
+            for name, value in (("speed", self.speed), ("port", self.port)):
+                if value is not None:
+                    raise InvalidInputError(
+                        f"--{name} is for a run that is shown with --view, got {value:g} without",
+                        given=value,
+                    )
             return None
         from approxjac.view import LiveView
 
         return LiveView(
-            speed=self.speed, port=self.port, believe=believe, believed_length=believed_length
+            speed=1.0 if self.speed is None else self.speed,
+            port=self.port,
+            believe=believe,
+            believed_length=believed_length,
         )
 
 

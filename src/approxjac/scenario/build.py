@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -33,7 +32,8 @@ from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.scenario.configurations import configuration_of, regular_configuration
 from approxjac.scenario.images import image_scene
-from approxjac.scenario.records import Goal, Object, Sensor, Vectors
+from approxjac.scenario.records import Object, Sensor, Vectors
+from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing, simulate
 from approxjac.tasks import (
@@ -121,7 +121,7 @@ def loaded_arm(scenario: Scenario) -> Robot:
 def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
     """Build a scenario, as `Scenario.build` does; its arm without an object may be loaded."""
     arm = loaded_arm(scenario) if arm is None else arm
-    _require_no_contradiction(scenario)
+    require_effect(scenario)
     true, believed = scenario.true, scenario.believed
     truth = holding(arm, true.object, true.shifts, true.rotations)
 
@@ -155,31 +155,6 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
     if scenario.controller.unseen is not None:
         controller = HeldMeasurement(controller, scenario.controller.unseen)
     return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
-
-
-def _require_no_contradiction(scenario: Scenario) -> None:
-    """Refuse what would otherwise be something else than was asked for, without a word.
-
-    Raises:
-        InvalidInputError: Such values.
-    """
-    true, goal, control = scenario.true, scenario.run.target, scenario.controller
-    given = [key for key, value in vars(goal).items() if value != getattr(Goal(), key)]
-    roll = scenario.believed.camera.roll
-    told = ""
-    if true.floor is not None and true.engine != "mujoco":
-        told = f"true.floor needs true.engine mujoco, got {true.floor} with {true.engine}"
-    elif control.torque_rate is not None and control.limits is None:
-        told = (
-            'controller.torque_rate needs controller.limits, "urdf" or a share of the URDF\'s such '
-            f"as 0.5, got {control.torque_rate} with none"
-        )
-    elif len(given) > 1:
-        told = f"run.target must not both be given as {' and as '.join(given)}"
-    elif abs(roll) > math.pi:
-        told = f"believed.camera.roll must be within -pi and pi [rad], got {roll:g}"
-    if told:
-        raise InvalidInputError(told, given=scenario)
 
 
 def holding(arm: Robot, held: Object, shifts: Vectors, rotations: Vectors) -> Robot:
