@@ -1,6 +1,5 @@
 import dataclasses
 
-import matplotlib
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -120,22 +119,6 @@ def test_points_behind_the_camera_are_not_drawn(sensor):
     ax = view.plot_camera_view(away, HOME, target=(10, 10, 20, 20))
     assert np.isnan(drawn(ax)["points, true"]).all()
     assert [text.get_text() for text in ax.texts] == ["1", "2"]  # of the targets
-
-
-def test_lanes_are_where_things_were_so():
-    t = np.array([0.0, 1.0, 2.0, 3.0])
-    ax = view.plot_lanes(t, {"a": t < 1.5, "b": t > 1.5, "never": t < 0.0})
-    boxes = [[p.get_extents() for p in lane.get_paths()] for lane in ax.collections]
-    assert [[(b.x0, b.x1) for b in lane] for lane in boxes] == [[(0.0, 2.0)], [(2.0, 3.0)], []]
-    assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b", "never"]
-    assert boxes[0][0].y1 < boxes[1][0].y0
-    assert ax.yaxis_inverted()
-    red = {"b": view.COLORS["saturated"]}
-    coloured = view.plot_lanes(t, {"a": t < 1.5, "b": t > 1.5}, colors=red)
-    faces = [matplotlib.colors.to_hex(lane.get_facecolor()[0]) for lane in coloured.collections]
-    assert faces == [view.COLORS["neutral"].lower(), red["b"].lower()]
-    with pytest.raises(aj.InvalidInputError, match=r"lane 'c' must have shape \(4,\), got \(2,\)"):
-        view.plot_lanes(t, {"c": t[:2] > 0.0})
 
 
 def test_bad_views_are_refused(sensor):

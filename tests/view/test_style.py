@@ -52,7 +52,6 @@ def plots(run, image_run, arm, seen):
     places, margins = rng.normal(size=(N, 3)), rng.uniform(-1.0, 1.0, N)
     x, y = np.linspace(0.1, 1.0, 5), np.linspace(1.0, 2.0, 4)
     decay = x[None, :] - 0.2 * y[:, None]
-    lanes = {"new images": run.t > 0.1, "too old: brakes": run.t < 0.1}
     return {
         "plot_error": lambda ax: view.plot_error(run, ax),
         "plot_torque": lambda ax: view.plot_torque(run, ax),
@@ -66,7 +65,6 @@ def plots(run, image_run, arm, seen):
         "plot_camera_view": lambda ax: view.plot_camera_view(
             seen, HOME, ax, believed=seen, target=image_run.target
         ),
-        "plot_lanes": lambda ax: view.plot_lanes(run.t, lanes, ax),
         "plot_allowed_error": lambda ax: view.plot_allowed_error(
             0.04, 0.3, unit="m/rad", p_label="p of the errors", own_a=0.3, ax=ax
         ),
@@ -80,7 +78,7 @@ def plots(run, image_run, arm, seen):
 
 NAMES = (
     "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
-    "plot_parameters", "plot_image", "plot_camera_view", "plot_lanes", "plot_allowed_error",
+    "plot_parameters", "plot_image", "plot_camera_view", "plot_allowed_error",
     "plot_margins", "plot_map",
 )  # fmt: skip
 
@@ -97,8 +95,7 @@ def test_a_plot_says_what_is_seen_in_which_unit_and_covers_none_of_it(plots, nam
     ax.figure.draw_without_rendering()  # the layout is made when drawing
     assert len(ax.get_title()) > 10
     assert UNIT.fullmatch(ax.get_xlabel())
-    if name != "plot_lanes":  # its y axis has names
-        assert UNIT.fullmatch(ax.get_ylabel())
+    assert UNIT.fullmatch(ax.get_ylabel())
     for bar in ax.figure.axes:
         assert bar is ax or "[" in bar.get_ylabel()  # of colours
     everything, plot = ax.figure.get_tightbbox(), ax.get_window_extent()
@@ -107,10 +104,9 @@ def test_a_plot_says_what_is_seen_in_which_unit_and_covers_none_of_it(plots, nam
     assert everything.y0 > -0.01
     assert everything.x1 < size[0] + 0.01
     assert everything.y1 < size[1] + 0.01
-    if name != "plot_lanes":
-        legend = ax.get_legend().get_window_extent()
-        labels = ax.xaxis.get_tightbbox()
-        assert legend.y1 < labels.y0 < plot.y0
+    legend = ax.get_legend().get_window_extent()
+    labels = ax.xaxis.get_tightbbox()
+    assert legend.y1 < labels.y0 < plot.y0
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -2,7 +2,7 @@
 
 from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
-from approxjac.view.images import plot_camera_view, plot_image, plot_lanes
+from approxjac.view.images import plot_camera_view, plot_image
 from approxjac.view.plots import (
     plot_error,
     plot_parameters,
@@ -24,7 +24,6 @@ __all__ = [
     "plot_camera_view",
     "plot_error",
     "plot_image",
-    "plot_lanes",
     "plot_map",
     "plot_margins",
     "plot_parameters",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -109,43 +109,6 @@ def plot_camera_view(
             ax.plot(*images.T, "x", color=COLORS["target"], ms=9, mew=2, label="target", zorder=6)
             _number(ax, images, COLORS["target"], (-12, -10))
         _frame(ax, sensor.camera, title)
-    return ax
-
-
-def plot_lanes(
-    t: Array,
-    lanes: Mapping[str, np.ndarray[Any, np.dtype[np.bool_]]],
-    ax: Axes | None = None,
-    *,
-    colors: Mapping[str, str] | None = None,
-    title: str = "When each thing was so",
-) -> Axes:
-    """Draw when each of several things was so, a lane for each.
-
-    Args:
-        t: Instants, shape (N,) [s].
-        lanes: Name of each thing, from the uppermost, and whether it was so at each instant,
-            shape (N,); it holds until the next one.
-        ax: Axes to draw into; new ones by default.
-        colors: Of lanes whose colour has a meaning; the others are grey.
-        title: Of the axes.
-    """
-    with styled(ax) as ax:
-        ends = np.append(t[1:], t[-1])
-        for row, (name, mask) in enumerate(lanes.items()):
-            if np.shape(mask) != np.shape(t):
-                raise InvalidInputError(
-                    f"lane {name!r} must have shape {np.shape(t)}, got {np.shape(mask)}", given=mask
-                )
-            edges = np.diff(np.concatenate([[False], np.asarray(mask, dtype=bool), [False]]) * 1)
-            first, last = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0] - 1
-            spans = list(zip(t[first], ends[last] - t[first], strict=True))
-            color = (colors or {}).get(name, COLORS["neutral"])
-            ax.broken_barh(spans, (row - 0.35, 0.7), facecolors=color)
-        ax.set_yticks(range(len(lanes)), list(lanes))
-        ax.set_ylim(len(lanes) - 0.4, -0.6)
-        ax.set_xlim(t[0], t[-1])
-        ax.set(xlabel="time [s]", title=title)
     return ax
 
 
