@@ -17,7 +17,12 @@ import pinocchio as pin
 import turns
 
 import approxjac as aj
-from approxjac.controllers import CompiledSetpointController, DifferentiatedVelocity, Posture
+from approxjac.controllers import (
+    CompiledSetpointController,
+    ControllerWrapper,
+    DifferentiatedVelocity,
+    Posture,
+)
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
 
@@ -116,11 +121,15 @@ def _image_law(robot, middle):
 
 
 def our_step(controller):
-    """`evaluate` as a function of (q, v, x), with its target at zero."""
-    x_d, measurement, evaluate = np.zeros(controller.task.n_x), aj.Measurement, controller.evaluate
+    """`evaluate`, or `step` of what only steps, of (q, v, x), with its target at zero."""
+    x_d, measurement = np.zeros(controller.task.n_x), aj.Measurement
     first = measurement(0.0, controller.task.robot.neutral(), np.zeros(1), x_d)
     first = first._replace(v=np.zeros(controller.task.robot.nv))
     state = controller.initial_state(first)
+    if isinstance(controller, ControllerWrapper):
+        step = controller.step
+        return lambda q, v, x: step(state, measurement(0.0, q, v, x), x_d, 1e-3)[1]
+    evaluate = controller.evaluate
     return lambda q, v, x: evaluate(state, measurement(0.0, q, v, x), x_d)
 
 

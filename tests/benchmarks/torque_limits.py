@@ -60,14 +60,14 @@ def step_table(law, limits, inputs):
     for _ in range(ROUNDS):
         for measurement, target in inputs:
             start = clock()
-            law.evaluate(no_state, measurement, target)
+            law.step(no_state, measurement, target, 1e-3)
             alone.append(clock() - start)
         for name, limiter in limiters.items():
             problems = limiter._solver.problems
             for measurement, target in inputs:
                 problems.clear()
                 start = clock()
-                answer = limiter.evaluate(no_state, measurement, target)
+                _, answer = limiter.step(no_state, measurement, target, 1e-3)
                 taken = clock() - start
                 how = f"{len(problems)} QPs" if problems else "closed form"
                 how = "free" if answer.limit_status is aj.LimitStatus.FREE else how
@@ -90,7 +90,7 @@ def problems_of(law, limits, inputs):
     limiter = aj.TorqueLimited(law, limits)
     limiter._solver = watched = Watched("daqp")
     for measurement, target in inputs:
-        limiter.evaluate(np.zeros(0), measurement, target)
+        limiter.step(np.zeros(0), measurement, target, 1e-3)
     return watched.problems[:PROBLEMS]
 
 

@@ -460,7 +460,7 @@ def test_its_functions_are_what_they_are_compiled_from(panda, rng):
     for saturation, kind in ((Linear(), 0), (Sine(0.05), 1), (Tanh(0.05), 2)):
         plain = aj.SetpointController(task, saturation=saturation, gravity=learning(panda))
         measurement, target = measured(task, rng)
-        _, q, v, x = measurement
+        _, q, v, x, _ = measurement
         state = plain.initial_state(measurement)
         expected = plain.evaluate(state, measurement, target)
         constants = np.concatenate([*plain.diagonals, np.full(3, 0.05), [1e-3, kind]])
@@ -540,7 +540,7 @@ def test_an_equation_that_was_changed_is_compiled_anew(tmp_path):
         "task = aj.PositionTask(aj.load_robot('ur5'))\n"
         "q = np.array([0.1, -1.0, 1.2, 0.3, 0.4, 0.5])\n"
         "m = aj.Measurement(0.0, q, np.ones(6), task.value(q))\n"
-        "c = CompiledSetpointController(task, aj.Gains(100.0, 20.0, 1.0))\n"
+        "c = aj.controllers.CompiledSetpointController(task, aj.Gains(100.0, 20.0, 1.0))\n"
         "print(*c.evaluate(np.zeros(0), m, m.x + 0.1).torque, aj.__file__)"
     )
 

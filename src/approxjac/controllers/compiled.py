@@ -145,10 +145,11 @@ class CompiledSetpointController(SetpointController):
                 )
                 if continuous and usual:
                     robot.configuration(q)
+                if usual:
+                    J_hat = jacobian(q, x)  # which refuses a q that is not finite
             except (AttributeError, TypeError, ValueError):
                 usual = False
             if usual:
-                J_hat = jacobian(q, x)
                 g = gravity(q).copy() if learning is None else nothing
                 bias = g
                 if pull is not None:
@@ -165,10 +166,11 @@ class CompiledSetpointController(SetpointController):
                             J_hat, v, x, target, bias, constants, Z, state,
                             L, alpha, limits, torque, e, rate,
                         )  # fmt: skip
-                        g = Z.dot(state)
                 except (TypeError, ValueError):  # not of float64, or beyond what has eigenvalues
                     usual = False
                 if usual:
+                    if learning is not None:
+                        g = Z.dot(state)
                     if bounds is not None:
                         rate = law.within_bounds(rate, state, *bounds)
                     # made as Evaluation(...) makes it, in a third of the time
