@@ -73,7 +73,7 @@ class Perturbation:
         values = (length, mass, shifts, rotations)
         robot = PerturbedRobot.like(self.base, _outward=self._outward, _made_by=(self, values))
         robot.__dict__.pop("tree", None)  # that of `base`
-        turns = np.array([pin.exp3(turn) for turn in rotations]).reshape(-1, 3, 3)
+        turns = [pin.exp3(turn) for turn in rotations]
         for model, parts in zip(robot.models, self._parts, strict=True):
             parts.change(model, length, mass, shifts, turns)
         if not self._surely_regular:
@@ -119,23 +119,19 @@ class _Parts:
         frames = list(model.frames)
         kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
         places = {frame.name: k for k, frame in enumerate(frames) if frame.type in kinds}
-        at = [places[joint] for joint in joints]
-        is_fixed = [frames[k].type == pin.FrameType.FIXED_JOINT for k in at]
-        self._moving = [i for i, fixed in enumerate(is_fixed) if not fixed]
-        self._ids = [frames[at[i]].parentJoint for i in self._moving]
-        carriers = [frames[frames[at[i]].parentFrame].placement for i in self._moving]
-        placed = [model.jointPlacements[j] for j in self._ids]
-        self._carriers, self._rotations = (
-            np.array([place.rotation for place in each]).reshape(-1, 3, 3)
-            for each in (carriers, placed)
-        )
-        self._translations = np.array([place.translation for place in placed]).reshape(-1, 3)
+        # of each joint that moves its origin, and how the link is turned that carries it
+        self._moving: list[tuple[int, int, Array, Array, Array]] = []
         # with a fixed joint goes all that it carries: frames, and moving joints
-        self._fixed = [
-            (i, at[i], frames[at[i]].parentFrame, *_carried(frames, at[i]))
-            for i, fixed in enumerate(is_fixed)
-            if fixed
-        ]
+        self._fixed: list[tuple[int, int, int, list[int], list[int]]] = []
+        for i, joint in enumerate(joints):
+            k = places[joint]
+            carrier, j = frames[k].parentFrame, frames[k].parentJoint
+            if frames[k].type == pin.FrameType.FIXED_JOINT:
+                self._fixed.append((i, k, carrier, *_carried(frames, k)))
+            else:
+                origin, turned = model.jointPlacements[j], frames[carrier].placement.rotation
+                R, p, A = map(np.array, (origin.rotation, origin.translation, turned))
+                self._moving.append((i, j, R, p, A))
         # inertias of what may move within a link; the rest of the link as dynamic parameters
         loose = {k for _, _, _, carried, _ in self._fixed for k in carried}
         if n is not None:
@@ -152,11 +148,11 @@ class _Parts:
             self._links[j] = rest - _parameters(frames[k]), [*parts, k]
 
     def change(
-        self, model: pin.Model, length: float, mass: float, shifts: Array, turns: Array
+        self, model: pin.Model, length: float, mass: float, shifts: Array, turns: Sequence[Array]
     ) -> None:
         """Change a copy of the model, as `Perturbation.robot` is told.
 
-        The rotations are given as matrices, shape (k, 3, 3).
+        The rotations are given as matrices, shape (3, 3) each.
         """
         frames, placements = model.frames, model.jointPlacements
         if self._n is not None:
@@ -167,11 +163,8 @@ class _Parts:
             tip = held.placement * pin.SE3(_NO_TURN, tip)
             for k in self._tips:
                 frames[k].placement = tip
-        if self._ids:
-            moved = (self._carriers @ shifts[self._moving, :, None])[:, :, 0] + self._translations
-            turned = self._rotations @ turns[self._moving]
-            for j, translation, rotation in zip(self._ids, moved, turned, strict=True):
-                placements[j] = pin.SE3(rotation, translation)
+        for i, j, R, p, A in self._moving:
+            placements[j] = pin.SE3(R @ turns[i], p + A @ shifts[i])
         for i, k, carrier, carried, beyond in self._fixed:
             old = pin.SE3(frames[k].placement)
             new = old * pin.SE3(turns[i], np.zeros(3))
@@ -182,7 +175,7 @@ class _Parts:
             for j in beyond:
                 placements[j] = change * placements[j]
         for j, (rest, parts) in self._links.items():
-            total = functools.reduce(np.add, (_parameters(frames[k]) for k in parts), rest)
+            total = sum((_parameters(frames[k]) for k in parts), rest)
             if total[0] != 0.0:  # or it has no centre of mass
                 model.inertias[j] = pin.Inertia.FromDynamicParameters(total)
 

@@ -24,7 +24,7 @@ from approxjac.stability.coordinates import (
     joint_coordinates,
 )
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
-from approxjac.validation import Array, as_array, as_integer, as_number, is_scalar, require
+from approxjac.validation import Array, as_integer, as_number, as_vector, is_scalar, require
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,20 +143,25 @@ class Uncertainty:
         """Number of uncertain coordinates; 0 where the belief is the truth."""
         return len(self._coordinates)
 
+    @cached_property
+    def _ranges(self) -> Array:
+        """Believed, smallest and largest value of each, shape (3, d)."""
+        return np.array([known[2:] for known in self._coordinates]).reshape(-1, 3).T
+
     @property
     def believed(self) -> Array:
         """Believed value of each, shape (d,)."""
-        return np.array([known.believed for known in self._coordinates], dtype=float)
+        return self._ranges[0].copy()
 
     @property
     def low(self) -> Array:
         """The smallest values that they may have, shape (d,)."""
-        return np.array([known.low for known in self._coordinates], dtype=float)
+        return self._ranges[1].copy()
 
     @property
     def high(self) -> Array:
         """The largest values that they may have, shape (d,)."""
-        return np.array([known.high for known in self._coordinates], dtype=float)
+        return self._ranges[2].copy()
 
     def scaled(self, factor: float) -> Uncertainty:
         """Return a box of the same coordinates, shrunk or grown about what is believed.
@@ -207,8 +212,8 @@ class Uncertainty:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
-        low = self.low
-        return low + (self.high - low) * rng.random(self.d)  # as rng.uniform, which takes its time
+        _, low, high = self._ranges
+        return low + (high - low) * rng.random(self.d)  # as rng.uniform, which takes its time
 
     # -- the robots ---------------------------------------------------------------------
 
@@ -222,16 +227,13 @@ class Uncertainty:
 
     def robot(self, values: Sequence[float] | Array) -> Robot:
         """Return the true robot at some values, the believed one itself where nothing is wrong."""
-        at = self._by_name(values)
-        length = at.get("object_length", self.believed_length)
-        mass = at.get("object_mass", self.believed_mass)
-        errors = np.array([
-            [[at.get(f"{joint} {kind} {axis}", 0.0) for axis in "xyz"] for joint in self._joints]
-            for kind in ("shift", "rotation")
-        ]).reshape(2, -1, 3)  # fmt: skip
-        if (length, mass) == (self.believed_length, self.believed_mass) and not errors.any():
+        believed, places = self._of_robot
+        at = believed.copy()
+        at[places] = self._checked(values)[: len(places)]
+        if (at == believed).all():
             return self.belief()
-        return self._perturbation.robot(length, mass, *errors)
+        length, mass = at[:2].tolist()
+        return self._perturbation.robot(length, mass, *at[2:].reshape(2, -1, 3))
 
     def plant(self, values: Sequence[float] | Array) -> Plant:
         """Return the true robot at some values, with its sensor and friction.
@@ -258,9 +260,23 @@ class Uncertainty:
         ]
         return ", ".join(shown) or "no error"
 
+    def _checked(self, values: Sequence[float] | Array) -> Array:
+        return as_vector("values", values, self.d, ", ".join(self.units))
+
     def _by_name(self, values: Sequence[float] | Array) -> dict[str, float]:
-        array = as_array("values", values, (self.d,), ", ".join(self.units))
-        return dict(zip(self.names, array.tolist(), strict=True))
+        return dict(zip(self.names, self._checked(values).tolist(), strict=True))
+
+    @cached_property
+    def _of_robot(self) -> tuple[Array, list[int]]:
+        """Believed length, mass, shifts and rotations in a row, and where the uncertain ones are.
+
+        These are the first of the coordinates, in their order.
+        """
+        parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
+        of_joints = [f"{joint} {kind} {axis}" for kind, joint, axis in parts]
+        names = ["object_length", "object_mass", *of_joints]
+        believed = np.array([self.believed_length, self.believed_mass, *np.zeros(len(of_joints))])
+        return believed, [names.index(name) for name in self.names if name in names]
 
     def _perturbed(self) -> Perturbation:
         given = self.object_length is not None or self.object_mass is not None
