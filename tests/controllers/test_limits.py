@@ -18,6 +18,7 @@ def test_of_a_robot_takes_what_its_urdf_says(panda):
     assert_allclose(limits.velocity, [2.175] * 4 + [2.61] * 3)
     assert_array_equal(limits.position, panda.position_limits)
     assert limits.rate is None
+    assert_array_equal(aj.Limits.of(panda).effort, panda.effort_limits)
 
 
 def test_unknown_limits_are_none(two_link):
@@ -53,6 +54,15 @@ def test_bad_limits_are_refused(options, text):
     with pytest.raises(aj.InvalidInputError) as error:
         aj.Limits(**options)
     assert text in str(error.value)
+    assert error.value.given is next(iter(options.values()))
+
+
+def test_a_range_of_whole_numbers_becomes_one_of_numbers_that_nobody_changes():
+    limits = aj.Limits(position=([-1, -2], [1, 2]))
+    for side in limits.position:
+        assert side.dtype == np.float64
+        with pytest.raises(ValueError, match="read-only"):
+            side[0] = 0.0
 
 
 @pytest.mark.parametrize(
@@ -84,6 +94,14 @@ def test_acceleration_bounds_stop_what_is_too_fast():
     low, high = rows.acceleration_bounds(np.array([3.0]), np.array([[-2.0], [2.0]]), 50.0)
     assert high == -50.0
     assert low == -250.0
+
+
+def test_where_torques_change_slowly_braking_begins_in_time():
+    """The last of the way to a bound, d, is ramped down: √(jd) there, and rd where that is less."""
+    bounds = rows.acceleration_bounds(
+        np.array([3.0, 1.99]), np.array([[-2.0, -2.0], [2.0, 2.0]]), 50.0, np.array([100.0, 100.0])
+    )
+    assert_allclose(bounds, [[-np.sqrt(500.0), -np.sqrt(399.0)], [-10.0, 0.5]])
 
 
 def test_forward_dynamics_invert_the_inverse_ones(arm, rng):

@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
+from approxjac.controllers.limits import acceleration_bounds, position_bounds
 from approxjac.controllers.qp_solvers import as_solver
 from approxjac.errors import MeasurementError
 from approxjac.robots import Dynamics, GravityRegressor
@@ -355,6 +356,84 @@ def test_the_torque_is_the_minimum_of_the_QP_with_its_slack(panda, rng, weight):
     assert {aj.LimitStatus.PROOF_KEPT, aj.LimitStatus.PROOF_GIVEN_UP} <= statuses
 
 
+def recorded(law, limits, measurement, target, **options):
+    """The first problem that a step solves, and the limiter."""
+    seen = []
+
+    def solver(problem):
+        seen.append(problem)
+        return as_solver("daqp").solve(problem)[0]
+
+    limited = aj.TorqueLimited(law, limits, solver=solver, **options)
+    answer = answered(limited, limited.initial_state(measurement), measurement, target)
+    return seen[0], limited, answer
+
+
+def test_the_weights_are_what_they_say(panda):
+    measurement, target = infeasible_state(panda)
+    law, q = law_of(panda), measurement.q
+    R = {
+        weight: recorded(law, None, measurement, target, weight=weight)[0].H
+        for weight in ("joint inertia", "inertia", "identity", "task force")
+    }
+    assert_allclose(R["inertia"], Dynamics(panda).M_inv(q))
+    assert_array_equal(R["identity"], np.eye(7))
+    # diagonal, and no configuration's (M⁻¹)ᵢᵢ is far above it
+    assert_array_equal(R["joint inertia"], np.diag(np.diag(R["joint inertia"])))
+    rng = np.random.default_rng(5)
+    drawn = [np.diag(Dynamics(panda).M_inv(panda.random_configuration(rng))) for _ in range(500)]
+    share = np.max(drawn, axis=0) / np.diag(R["joint inertia"])
+    assert (share > 0.7).all()
+    assert (share < 1.3).all()
+    # dear across the force, of which the law's own direction is left out
+    values = np.linalg.eigvalsh(R["task force"])
+    assert_allclose(values[:4], 1.0)
+    assert values[-1] == pytest.approx(101.0)
+
+
+@pytest.mark.parametrize("rate", [None, 2000.0])
+def test_the_rows_bound_the_acceleration_that_the_believed_arm_predicts(panda, rate):
+    """M̂⁻¹τ within [low, high] is q̈ within `acceleration_bounds`, here by Pinocchio's ABA."""
+    measurement, target = infeasible_state(panda)
+    measurement = measurement._replace(v=np.linspace(2.0, -2.0, 7))
+    q, v = measurement.q, measurement.v
+    limits = replace(aj.Limits.of(panda), rate=rate)
+    problem, limited, _ = recorded(law_of(panda), limits, measurement, target, weight="inertia")
+    without = pin.aba(panda.model, panda.model.createData(), q, v, np.zeros(7))
+    speeds = position_bounds(q, np.array(panda.position_limits), limited.approach)
+    speeds = np.clip(speeds, -panda.velocity_limits, panda.velocity_limits)
+    wanted = acceleration_bounds(v, speeds, limited.braking)
+    low, high = problem.row_lower[:7] + without, problem.row_upper[:7] + without
+    if rate is None:
+        assert_allclose(np.array([low, high]), wanted, rtol=1e-6, atol=1e-6)
+    else:  # torque needs time to fall, so it is nearer to none, never on the other side
+        assert (np.abs([low, high]) <= np.abs(wanted) + 1e-6).all()
+        assert (np.abs([low, high]) < 0.5 * np.abs(wanted)).any()
+        assert (np.sign([low, high]) == np.sign(wanted)).all()
+
+
+def test_the_proof_pulls_no_joint_faster_than_it_may_move(panda, rng):
+    """ρ is `braking` with R = M̂⁻¹; less where −αĴ⁺s(e) is beyond a limit of speed."""
+    slowed = []
+    for _ in range(30):
+        measurement, target = some_measurement(panda, rng, speed=1.0, error=0.3)
+        try:
+            problem, limited, answer = recorded(
+                law_of(panda), aj.Limits.of(panda, scale=0.5), measurement, target,
+                weight="inertia", alpha=3.0,
+            )  # fmt: skip
+        except IndexError:  # free
+            continue
+        y = limited.controller.passive_output(answer, measurement.v, limited.alpha)
+        wanted = limited.controller.evaluate(np.zeros(0), measurement, target).torque
+        rho = (problem.f + problem.H @ wanted) @ y / (y @ y)
+        share = np.abs((y - measurement.v) / panda.velocity_limits).max()
+        assert rho == pytest.approx(limited.braking / max(1.0, share), rel=1e-6)
+        slowed.append(share > 1.0)
+    assert any(slowed)
+    assert not all(slowed)
+
+
 def test_the_task_force_keeps_its_direction_better_with_its_weight(panda, rng):
     law = law_of(panda)
     turned = {"identity": [], "task force": []}
@@ -437,6 +516,30 @@ def test_a_solver_that_fails_leaves_a_torque_that_holds_and_brakes(panda, fault)
     assert_allclose(answer.torque[1:], hold[1:], atol=1e-9)
     assert answer.torque[0] < -1.0  # it brakes
     assert math.isfinite(answer.slack)
+
+
+def test_a_solver_that_fails_without_limits_of_speed_leaves_a_torque_that_stops(panda, rng):
+    limited = aj.TorqueLimited(
+        law_of(panda), effort_only(panda, 0.5), weight="inertia", solver=Faulty("raises")
+    )
+    measurement, target = infeasible_state(panda)
+    measurement = measurement._replace(v=rng.choice([-0.1, 0.1], 7))
+    answer = answered(limited, np.zeros(0), measurement, target + 1.0)
+    assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
+    brakes = answer.torque - Dynamics(panda).g(measurement.q)
+    assert (np.sign(brakes) == -np.sign(measurement.v)).all()
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_solver_that_fails_beyond_a_joint_limit_leaves_a_torque_that_leads_back(panda, side):
+    limited = aj.TorqueLimited(law_of(panda), solver=Faulty("raises"))
+    measurement, target = infeasible_state(panda)
+    outward = (-1.0, 1.0)[side]
+    measurement.q[0] = panda.position_limits[side][0] + 0.1 * outward
+    measurement = measurement._replace(v=np.zeros(7))
+    answer = answered(limited, np.zeros(0), measurement, target)
+    assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
+    assert outward * (answer.torque[0] - Dynamics(panda).g(measurement.q)[0]) < -0.1
 
 
 @pytest.mark.parametrize("size", [1e100, 1e155, 1e200])
@@ -543,6 +646,28 @@ def test_options_survive_a_copy(panda):
     other = copy.deepcopy(limited)
     assert (other.weight, other.proof, other.braking, other.approach) == ("identity", False, 20, 3)
     assert "osqp" in repr(other)
+
+
+def test_rates_of_braking_may_be_what_sampling_allows(panda):
+    limited = aj.TorqueLimited(law_of(panda), dt=DT, braking=1.0 / DT, approach=1.0 / DT)
+    assert (limited.braking, limited.approach) == (1.0 / DT, 1.0 / DT)
+    assert aj.TorqueLimited(law_of(panda), braking=0.5).braking == 0.5
+    for options in ({"braking": 1001.0}, {"braking": 10.0, "approach": 10.1}):
+        with pytest.raises(aj.InvalidInputError, match=r"must be at most 10") as error:
+            aj.TorqueLimited(law_of(panda), dt=DT, **options)
+        assert error.value.given == list(options.values())[-1]
+
+
+def test_only_limits_of_speeds_and_positions_need_their_own_dt(panda, rng):
+    measurement, target = some_measurement(panda, rng, speed=0.02, error=0.01)
+    looking_ahead = aj.TorqueLimited(law_of(panda), dt=DT)
+    looking_ahead.step(np.zeros(0), measurement, target, DT * (1.0 + 1e-12))
+    with pytest.raises(aj.InvalidInputError, match=r"dt must be that of the controller") as error:
+        looking_ahead.step(np.zeros(0), measurement, target, 2.0 * DT)
+    assert error.value.given == 2.0 * DT
+    aj.TorqueLimited(law_of(panda), effort_only(panda, 1.0), dt=DT).step(
+        np.zeros(0), measurement, target, 2.0 * DT
+    )
 
 
 def test_another_alpha_than_the_adaptations_is_refused(panda):
