@@ -73,9 +73,8 @@ class Perturbation:
         values = (length, mass, shifts, rotations)
         robot = PerturbedRobot.like(self.base, _outward=self._outward, _made_by=(self, values))
         robot.__dict__.pop("tree", None)  # that of `base`
-        turns = [pin.exp3(turn) for turn in rotations]
         for model, parts in zip(robot.models, self._parts, strict=True):
-            parts.change(model, length, mass, shifts, turns)
+            parts.change(model, *values)
         if not self._surely_regular:
             require_inertia(robot.model, self.base.tree.source)
         return robot
@@ -115,65 +114,59 @@ class _Parts:
     """
 
     def __init__(self, model: pin.Model, joints: Sequence[str], n: Array | None) -> None:
-        self._n = n
         frames = list(model.frames)
         kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-        places = {frame.name: k for k, frame in enumerate(frames) if frame.type in kinds}
-        # of each joint that moves its origin, and how the link is turned that carries it
-        self._moving: list[tuple[int, int, Array, Array, Array]] = []
-        # with a fixed joint goes all that it carries: frames, and moving joints
-        self._fixed: list[tuple[int, int, int, list[int], list[int]]] = []
-        for i, joint in enumerate(joints):
-            k = places[joint]
-            carrier, j = frames[k].parentFrame, frames[k].parentJoint
-            if frames[k].type == pin.FrameType.FIXED_JOINT:
-                self._fixed.append((i, k, carrier, *_carried(frames, k)))
-            else:
-                origin, turned = model.jointPlacements[j], frames[carrier].placement.rotation
-                R, p, A = map(np.array, (origin.rotation, origin.translation, turned))
-                self._moving.append((i, j, R, p, A))
-        # inertias of what may move within a link; the rest of the link as dynamic parameters
-        loose = {k for _, _, _, carried, _ in self._fixed for k in carried}
+        at = {frame.name: k for k, frame in enumerate(frames) if frame.type in kinds}
+        errors = {at[joint]: i for i, joint in enumerate(joints)}
+        self._n, self._tip = n, -1
         if n is not None:
             self._along = np.outer(n, n)
             self._across = np.eye(3) - self._along
-            self._object = places["object_joint"]
-            tips = "object_tip_joint", "object_tip"
-            self._tips = [k for k, frame in enumerate(frames) if frame.name in tips]
-            loose.add(self._object)
+            self._object, self._tip = at["object_joint"], at["object_tip_joint"]
+        # what moves on the link that carries it, with its origin there: joints that are elsewhere,
+        # the tip of the object, and all that a fixed one of them carries
+        self._places: list[tuple[int, int, pin.SE3, int | None, int | None]] = []
+        carried: list[int] = []
+        for k, frame in enumerate(frames):  # frames come after those that carry them
+            if k not in errors and k != self._tip and frame.parentFrame not in carried:
+                continue
+            place, moving = frame.placement, None
+            if frame.type == pin.FrameType.JOINT:
+                moving = frame.parentJoint
+                place = model.jointPlacements[moving]
+            else:
+                carried.append(k)
+            origin = frames[frame.parentFrame].placement.inverse() * place
+            self._places.append((k, frame.parentFrame, origin, errors.get(k), moving))
+        # inertias of what may move within a link; the rest of the link as dynamic parameters
         self._links: dict[int, tuple[Array, list[int]]] = {}
-        for k in sorted(loose):
+        for k in sorted({*carried, *([] if n is None else [self._object])}):
             j = frames[k].parentJoint
             rest, parts = self._links.get(j, (model.inertias[j].toDynamicParameters(), []))
             self._links[j] = rest - _parameters(frames[k]), [*parts, k]
 
     def change(
-        self, model: pin.Model, length: float, mass: float, shifts: Array, turns: Sequence[Array]
+        self, model: pin.Model, length: float, mass: float, shifts: Array, rotations: Array
     ) -> None:
-        """Change a copy of the model, as `Perturbation.robot` is told.
-
-        The rotations are given as matrices, shape (3, 3) each.
-        """
-        frames, placements = model.frames, model.jointPlacements
+        """Change a copy of the model, as `Perturbation.robot` is told."""
+        frames = model.frames
         if self._n is not None:
+            tip = length * self._n
             across, along = object_moments(length, mass, OBJECT_RADIUS)
             inertia = across * self._across + along * self._along
-            tip, held = length * self._n, frames[self._object]
-            held.inertia = pin.Inertia(mass, 0.5 * tip, inertia)
-            tip = held.placement * pin.SE3(_NO_TURN, tip)
-            for k in self._tips:
-                frames[k].placement = tip
-        for i, j, R, p, A in self._moving:
-            placements[j] = pin.SE3(R @ turns[i], p + A @ shifts[i])
-        for i, k, carrier, carried, beyond in self._fixed:
-            old = pin.SE3(frames[k].placement)
-            new = old * pin.SE3(turns[i], np.zeros(3))
-            new.translation = old.translation + frames[carrier].placement.rotation @ shifts[i]
-            change = new * old.inverse()
-            for each in carried:
-                frames[each].placement = change * frames[each].placement
-            for j in beyond:
-                placements[j] = change * placements[j]
+            frames[self._object].inertia = pin.Inertia(mass, 0.5 * tip, inertia)
+        for k, carrier, origin, error, moving in self._places:
+            if k == self._tip:
+                origin = pin.SE3(_NO_TURN, tip)
+            if error is not None:
+                origin = pin.SE3(
+                    origin.rotation @ pin.exp3(rotations[error]), origin.translation + shifts[error]
+                )
+            place = frames[carrier].placement * origin
+            if moving is None:
+                frames[k].placement = place
+            else:
+                model.jointPlacements[moving] = place
         for j, (rest, parts) in self._links.items():
             total = sum((_parameters(frames[k]) for k in parts), rest)
             if total[0] != 0.0:  # or it has no centre of mass
@@ -181,18 +174,6 @@ class _Parts:
 
 
 _NO_TURN = np.eye(3)
-
-
-def _carried(frames: Sequence[pin.Frame], fixed: int) -> tuple[list[int], list[int]]:
-    """Return frames that a fixed joint carries on its link, it first, and moving joints beyond."""
-    carried, beyond = [fixed], []
-    for k in range(fixed + 1, len(frames)):  # frames come after those that carry them
-        if frames[k].parentFrame in carried:
-            if frames[k].type == pin.FrameType.JOINT:
-                beyond.append(frames[k].parentJoint)
-            else:
-                carried.append(k)
-    return carried, beyond
 
 
 def _parameters(frame: pin.Frame) -> Array:
