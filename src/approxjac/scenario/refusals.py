@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from operator import attrgetter
 from typing import Any
 
 from approxjac.errors import InvalidInputError
@@ -17,23 +19,11 @@ def require_effect(scenario: Scenario) -> None:
     """
     usual = Scenario(scenario.robot)
     for key, useless, what, where in _rules(scenario):
-        value = _value(scenario, key)
-        if useless and value != _value(usual, key):
+        value = attrgetter(key)(scenario)
+        if useless and value != attrgetter(key)(usual):
             raise InvalidInputError(f"{key} {what}, got {value} with {where}", given=value)
-    _require_times(scenario)
-    _require_one_goal(scenario)
-    roll = scenario.believed.camera.roll
-    if abs(roll) > math.pi:
-        raise InvalidInputError(
-            f"believed.camera.roll must be within -pi and pi [rad], got {roll:g}"
-            f" ({math.radians(roll):.4g} rad would be {roll:g} degrees)",
-            given=roll,
-        )
-    if scenario.sensor.dropout > 1.0:
-        raise InvalidInputError(
-            f"sensor.dropout must be a probability from 0 to 1, got {scenario.sensor.dropout}",
-            given=scenario.sensor.dropout,
-        )
+    for value, told in _faults(scenario):
+        raise InvalidInputError(told, given=value)
 
 
 def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
@@ -58,70 +48,51 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("controller.torque_rate", control.limits is None, needs, "none"),
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
     ]
-    if isinstance(scenario.loop.dt, str):
-        at = "needs a loop.dt in s"
-        rules += [(f"controller.{name}", True, at, "continuous") for name in ("limits", "unseen")]
-        rules += [
-            ("sensor", True, at, "continuous"),
-            ("loop.actuator_delay", True, at, "continuous"),
-        ]
-    for kind in ("true", "believed"):  # what a camera in hand watches is not the object
-        held = _value(scenario, f"{kind}.object")
+    for key in ("controller.limits", "controller.unseen", "sensor", "loop.actuator_delay"):
+        continuous = scenario.loop.dt == "continuous"
+        rules.append((key, continuous, "needs a loop.dt in s", "continuous"))
+    # what a camera in hand watches is not the object
+    for kind, held in (("true", true.object), ("believed", scenario.believed.object)):
         weightless = in_hand and held.mass == 0.0 and held.length != 0.0
         needs = f"needs {kind}.object.mass"
         rules.append((f"{kind}.object.length", weightless, needs, "a camera in hand"))
     return rules
 
 
-def _require_times(scenario: Scenario) -> None:
-    dt, duration = scenario.loop.dt, scenario.run.duration
+def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
+    """Say which values cannot be, or not with others."""
+    dt, run, sensor, task = scenario.loop.dt, scenario.run, scenario.sensor, scenario.task
     if isinstance(dt, float):
-        if duration < dt:
-            raise InvalidInputError(
-                f"run.duration must be a finite number >= loop.dt = {dt:g} [s], got {duration}",
-                given=duration,
-            )
-        rate = scenario.sensor.rate
-        if rate is not None and rate > 1.0 / dt * (1.0 + 1e-9):
-            raise InvalidInputError(
-                f"sensor.rate must be at most that of control, {1.0 / dt:g} [Hz], got {rate:g}",
-                given=rate,
-            )
-    parts = max(scenario.task.points, len(scenario.task.frames))
-    if (scenario.sensor.lost_part or 1) > parts:
-        raise InvalidInputError(
-            f"sensor.lost_part must be one of the parts of x, 1 to {parts}, got "
-            f"{scenario.sensor.lost_part}",
-            given=scenario.sensor.lost_part,
-        )
-    for name in ("lost", "frozen"):
-        interval = getattr(scenario.sensor, name)
-        if interval is not None and not max(0.0, interval[0]) < min(duration, interval[1]):
-            raise InvalidInputError(
-                f"sensor.{name} must be the start and the end of a time within the run, "
-                f"0 to {duration:g} [s], got {interval}",
-                given=interval,
-            )
-
-
-def _require_one_goal(scenario: Scenario) -> None:
-    goal, control = scenario.run.target, scenario.controller
+        if run.duration < dt:
+            wanted = f"a finite number >= loop.dt = {dt:g} [s]"
+            yield run.duration, f"run.duration must be {wanted}, got {run.duration}"
+        if sensor.rate is not None and sensor.rate > 1.0 / dt * (1.0 + 1e-9):
+            wanted = f"at most that of control, {1.0 / dt:g} [Hz]"
+            yield sensor.rate, f"sensor.rate must be {wanted}, got {sensor.rate:g}"
+    part, parts = sensor.lost_part, max(task.points, len(task.frames))
+    if (part or 1) > parts:
+        yield part, f"sensor.lost_part must be one of the parts of x, 1 to {parts}, got {part}"
+    for name, interval in (("lost", sensor.lost), ("frozen", sensor.frozen)):
+        if interval is not None and not max(0.0, interval[0]) < min(run.duration, interval[1]):
+            wanted = f"the start and the end of a time within the run, 0 to {run.duration:g} [s]"
+            yield interval, f"sensor.{name} must be {wanted}, got {interval}"
+    if sensor.dropout > 1.0:
+        wanted = "a probability from 0 to 1"
+        yield sensor.dropout, f"sensor.dropout must be {wanted}, got {sensor.dropout}"
+    goal = run.target
     given = {name for name, value in vars(goal).items() if value != getattr(type(goal)(), name)}
     if len(given) > 1:
-        raise InvalidInputError(
-            f"run.target must not both be given as {' and as '.join(sorted(given))}",
-            given=given,
-        )
-    if control.differentiator is not None and scenario.task.depth == "measured":
-        raise InvalidInputError(
+        yield given, f"run.target must not both be given as {' and as '.join(sorted(given))}"
+    if scenario.controller.differentiator is not None and task.depth == "measured":
+        yield (
+            task.depth,
             "task.depth must be believed or constant with a differentiator, which differentiates "
             "the image alone, got measured",
-            given=scenario.task.depth,
         )
-
-
-def _value(scenario: Scenario, key: str) -> Any:
-    value: Any = scenario
-    for name in key.split("."):
-        value = getattr(value, name)
-    return value
+    roll = scenario.believed.camera.roll
+    if abs(roll) > math.pi:
+        yield (
+            roll,
+            f"believed.camera.roll must be within -pi and pi [rad], got {roll:g}"
+            f" ({math.radians(roll):.4g} rad would be {roll:g} degrees)",
+        )
