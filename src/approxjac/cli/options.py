@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, asdict, field, is_dataclass, make_dataclass
+from dataclasses import KW_ONLY, asdict, field, fields, is_dataclass, make_dataclass
 from functools import partial
 from typing import Annotated, Any, get_type_hints
 
 import tyro
-from docstring_parser import DocstringStyle, parse
 
 from approxjac.scenario import Scenario
-from approxjac.scenario.records import Goal
+from approxjac.scenario.records import Analysis, Goal
 from approxjac.scenario.tables import hints
 
 # A report is about errors that are given as ranges, and takes gravity as compensated exactly.
@@ -49,13 +48,8 @@ _COMMON = {
     "--seed": "run.seed",
 }
 _STABILITY = {
-    f"--{name.replace('_', '-')}": f"stability.{name}"
-    for name in (
-        "object_length", "object_mass", "joint_shifts", "joint_rotations", "around", "radius",
-        "run", "reach_from", "sigma_min", "target", "configurations", "runs", "map", "map_points",
-        "map_runs",
-    )
-}  # fmt: skip
+    f"--{each.name.replace('_', '-')}": f"stability.{each.name}" for each in fields(Analysis)
+}
 SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COMMON | _STABILITY}
 """Command → short option → the key that it stands for; a report's errors are ranges."""
 
@@ -97,8 +91,6 @@ def with_options(
 
 def _options(record: Any, short: Mapping[str, list[str]], key: str = "") -> type:
     """Return a type with the fields of a record, which tyro makes options of."""
-    described = parse(str(type(record).__doc__), DocstringStyle.GOOGLE).params
-    texts = {each.arg_name: each.description for each in described}
     made: list[tuple[str, Any, Any]] = []
     kind_of: Any = type(record)
     for name, hint in hints(kind_of).items():
@@ -111,7 +103,8 @@ def _options(record: Any, short: Mapping[str, list[str]], key: str = "") -> type
             kind = _options(value, short, f"{dotted}.")
             made.append((name, kind, field(default_factory=kind)))
         else:
-            argument = tyro.conf.arg(help=texts[name], aliases=short.get(dotted))
+            hint = Annotated[hint, tyro.conf.arg(aliases=short.get(dotted))]
             default = partial(getattr, record, name)  # which may be a table
-            made.append((name, Annotated[hint, argument], field(default_factory=default)))
-    return make_dataclass(type(record).__name__, made)
+            made.append((name, hint, field(default_factory=default)))
+    doc = {"__doc__": record.__doc__}  # the help of its options
+    return make_dataclass(type(record).__name__, made, namespace=doc)

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
-from approxjac.cli.output import Live, make_folder, time_bar
+from approxjac.cli.output import make_folder
+from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
-
-_NOT_LIVE = Live()
 
 
 def simulate(
     scenario: Scenario,
-    live: Annotated[Live, tyro.conf.OmitArgPrefixes] = _NOT_LIVE,
+    view: tyro.conf.FlagCreatePairsOff[bool] = False,
+    speed: float | None = None,
+    port: int | None = None,
     save: Path | None = None,
     out: Path = Path("results/simulate"),
 ) -> int:
@@ -27,19 +27,40 @@ def simulate(
 
     Args:
         scenario: The scenario.
-        live: View of the run while it goes on.
+        view: Show the run in the browser while it goes on; there the target and the believed length
+            can be changed, and the run paused or stopped.
+        speed: Of the run with --view, as a multiple of real time; 1 by default.
+        port: Of the page with --view, on this machine; 7007 by default, or any free one.
         save: Write the scenario to this .toml file, too.
         out: Folder for the pictures, run.npz, summary.json and scenario.toml.
     """
-    if live.view and scenario.loop.dt == "continuous":  # what is shown are steps
+    from tqdm import tqdm
+
+    for name, value in (("speed", speed), ("port", port)):
+        if value is not None and not view:
+            raise InvalidInputError(
+                f"--{name} is for a run that is shown with --view, got {value:g} without",
+                given=value,
+            )
+    if view and scenario.loop.dt == "continuous":  # what is shown are steps
         scenario = scenario.with_values({"loop": {"dt": 1e-3}})
     built = scenario.build()
     make_folder(out)
     if save is not None:
         scenario.save(save)
-    observer = live.observer(built.believe, scenario.believed.object.length)
-    with time_bar(scenario.run.duration, hidden=live.view) as progress:
-        result = built.run(progress, observer)
+    live = None
+    if view:
+        from approxjac.view import LiveView
+
+        live = LiveView(
+            speed=1.0 if speed is None else speed,
+            port=port,
+            believe=built.believe,
+            believed_length=scenario.believed.object.length,
+        )
+    # tqdm shows nothing where the output is not a terminal (disable=None)
+    with tqdm(total=scenario.run.duration, unit="s", disable=True if view else None) as bar:
+        result = built.run(lambda t: bar.update(t - bar.n) and None, live)
     from approxjac.scenario import report
 
     report.write(result, out)
