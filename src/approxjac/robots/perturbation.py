@@ -118,55 +118,59 @@ class _Parts:
         kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
         at = {frame.name: k for k, frame in enumerate(frames) if frame.type in kinds}
         errors = {at[joint]: i for i, joint in enumerate(joints)}
-        self._n, self._tip = n, -1
+        self._n, self._object, self._tip = n, -1, -1
         if n is not None:
             self._along = np.outer(n, n)
             self._across = np.eye(3) - self._along
             self._object, self._tip = at["object_joint"], at["object_tip_joint"]
-        # what moves on the link that carries it, with its origin there: joints that are elsewhere,
-        # the tip of the object, and all that a fixed one of them carries
-        self._places: list[tuple[int, int, pin.SE3, int | None, int | None]] = []
+        # what is elsewhere on its link: joints with an error, the tip of the object, and all that a
+        # fixed one of them carries, each with where it is: on the link, or on a frame that moves
+        self._places: list[tuple[int, int | None, int | None, pin.SE3, Array, int | None]] = []
         carried: list[int] = []
         for k, frame in enumerate(frames):  # frames come after those that carry them
-            if k not in errors and k != self._tip and frame.parentFrame not in carried:
+            on = frame.parentFrame
+            if k not in errors and k != self._tip and on not in carried:
                 continue
-            place, moving = frame.placement, None
-            if frame.type == pin.FrameType.JOINT:
-                moving = frame.parentJoint
-                place = model.jointPlacements[moving]
-            else:
+            moves = frame.type == pin.FrameType.JOINT
+            place = model.jointPlacements[frame.parentJoint] if moves else frame.placement
+            origin = frames[on].placement.inverse() * place
+            back = origin.rotation.T.copy()  # from the frame that carries it, as shifts are in
+            carrier = on if on in carried or k == self._tip else None
+            joint = frame.parentJoint if moves else None
+            place = pin.SE3(place) if carrier is None else origin
+            self._places.append((k, joint, carrier, place, back, errors.get(k)))
+            if not moves:
                 carried.append(k)
-            origin = frames[frame.parentFrame].placement.inverse() * place
-            self._places.append((k, frame.parentFrame, origin, errors.get(k), moving))
         # inertias of what may move within a link; the rest of the link as dynamic parameters
         self._links: dict[int, tuple[Array, list[int]]] = {}
-        for k in sorted({*carried, *([] if n is None else [self._object])}):
-            j = frames[k].parentJoint
-            rest, parts = self._links.get(j, (model.inertias[j].toDynamicParameters(), []))
-            self._links[j] = rest - _parameters(frames[k]), [*parts, k]
+        for k, frame in enumerate(frames):
+            own = _parameters(frame)
+            if k == self._object or (k in carried and own.any()):
+                j = frame.parentJoint
+                rest, parts = self._links.get(j, (model.inertias[j].toDynamicParameters(), []))
+                self._links[j] = rest - own, [*parts, k]
 
     def change(
         self, model: pin.Model, length: float, mass: float, shifts: Array, rotations: Array
     ) -> None:
         """Change a copy of the model, as `Perturbation.robot` is told."""
-        frames = model.frames
+        frames, placements = model.frames, model.jointPlacements
         if self._n is not None:
             tip = length * self._n
             across, along = object_moments(length, mass, OBJECT_RADIUS)
             inertia = across * self._across + along * self._along
             frames[self._object].inertia = pin.Inertia(mass, 0.5 * tip, inertia)
-        for k, carrier, origin, error, moving in self._places:
+        for k, joint, carrier, place, back, error in self._places:
             if k == self._tip:
-                origin = pin.SE3(_NO_TURN, tip)
+                place = pin.SE3(_NO_TURN, tip)
             if error is not None:
-                origin = pin.SE3(
-                    origin.rotation @ pin.exp3(rotations[error]), origin.translation + shifts[error]
-                )
-            place = frames[carrier].placement * origin
-            if moving is None:
+                place = place * pin.SE3(pin.exp3(rotations[error]), back @ shifts[error])
+            if carrier is not None:
+                place = frames[carrier].placement * place
+            if joint is None:
                 frames[k].placement = place
             else:
-                model.jointPlacements[moving] = place
+                placements[joint] = place
         for j, (rest, parts) in self._links.items():
             total = sum((_parameters(frames[k]) for k in parts), rest)
             if total[0] != 0.0:  # or it has no centre of mass
