@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from tornado.websocket import websocket_connect
 
 import approxjac as aj
 from approxjac.cli import main
+from approxjac.scenario import Scenario
 
 
 def run(*arguments):
@@ -99,22 +101,17 @@ async def watch_and_stop(url):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("kind", ["position", "image"])
-def test_a_run_is_shown_and_stopped_from_the_page(kind, tmp_path):
-    """The results of a run that was stopped are written as those of others."""
-    options = [
-        "--task.kind",
-        kind,
-        "--duration",
-        "30",
-        "--view",
-        "--speed",
-        "20",
-        "--out",
-        str(tmp_path),
-    ]
+@pytest.mark.parametrize("name", ["reach", "camera"])
+def test_the_same_file_is_simulated_analysed_and_shown(name, tmp_path):
+    """And a run that was stopped from the page is written as others are."""
+    file = Path(__file__).parents[2] / "examples" / "scenarios" / f"{name}.toml"
+    folders = ran, analysed, shown = [tmp_path / each for each in ("ran", "analysed", "shown")]
+    assert main(["simulate", str(file), "--out", str(ran)]) == 0
+    quick = ["--configurations", "20", "--runs", "0", "--map-points", "0"]
+    assert main(["stability", str(file), *quick, "--out", str(analysed)]) == 1
     process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "approxjac", "simulate", "panda", *options],
+        [sys.executable, "-u", "-m", "approxjac", "simulate", str(file), "--view", "--speed", "10",
+         "--out", str(shown)],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={name: value for name, value in os.environ.items() if "DISPLAY" not in name},
     )  # fmt: skip
@@ -128,8 +125,13 @@ def test_a_run_is_shown_and_stopped_from_the_page(kind, tmp_path):
     assert ended.startswith("The run has ended at ")
     assert "verdict" in out
     assert "the target was moved while it ran" in out
-    run = aj.Trajectory.load(tmp_path / "run.npz")
-    assert 0.0 < run.t[-1] < 30.0
+    scenario = Scenario.load(file)
+    assert 0.0 < aj.Trajectory.load(shown / "run.npz").t[-1] < scenario.run.duration
+    assert (
+        Scenario.load(ran / "scenario.toml") == scenario == Scenario.load(shown / "scenario.toml")
+    )
+    gains = [json.loads((each / "summary.json").read_text())["gains"] for each in folders]
+    assert gains[0] == gains[1] == gains[2]
 
 
 def test_ctrl_c_stops_a_run_that_is_shown_and_keeps_it(tmp_path):
