@@ -1,8 +1,9 @@
-"""Numbers and records in one line of text."""
+"""Numbers and records in one line of text, and as JSON."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -41,3 +42,14 @@ def short_fields(record: Any) -> str:
 def joined(units: Iterable[str]) -> str:
     """Return units as one text; different ones are joined by "or"."""
     return " or ".join(dict.fromkeys(units))
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON knows it: arrays as lists, None for a number that is not finite."""
+    if isinstance(value, dict):
+        return {name: plain(entry) for name, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

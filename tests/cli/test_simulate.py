@@ -67,6 +67,12 @@ def test_a_target_of_the_command_line_takes_the_place_of_that_of_the_file(reach,
         assert outcome(tmp_path)["target"] == [0.4, 0.1, 0.5]
 
 
+def test_a_path_that_was_followed_is_no_failure(tmp_path, capsys):
+    words = ["--start", *map(str, HOME), "--run.target.circle.radius", "0.1", "--duration", "1.5"]
+    assert main(["simulate", "panda", *words, "--out", str(tmp_path)]) == 0
+    assert "verdict     followed" in capsys.readouterr().out
+
+
 def test_values_that_begin_with_a_minus(tmp_path):
     words = ["--object-axis=-x", "--duration", "0.1", "--out", str(tmp_path)]
     assert main(["simulate", "panda", *words]) == 1

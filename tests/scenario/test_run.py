@@ -262,13 +262,71 @@ def test_limits_of_a_robot_that_has_none_are_refused():
         reach("two_link", controller={"limits": "urdf"}).build()
 
 
-@pytest.mark.parametrize("path", ["circle", "line", "waypoints"])
-def test_a_path_begins_where_the_task_starts(path):
-    ways = {"circle": {"radius": 0.1, "period": 4.0}, "line": {"offset": (0.1, 0.0, 0.1)}}
-    ways["waypoints"] = {"points": (0.5, 0.0, 0.4, 0.5, 0.1, 0.4)}
-    goal = {"start": HOME, "target": {path: ways[path]}, "duration": 0.2}
-    built = reach(run=goal).build()
+def test_a_slack_that_is_not_known_is_none(limited):
+    unknown = dataclasses.replace(limited.run, slack=np.full(len(limited.run.t), np.nan))
+    summary = dataclasses.replace(limited, run=unknown).summary()
+    assert summary["limits"]["largest_slack_W"] is None
+    json.dumps(summary, allow_nan=False)
+
+
+# -- paths ------------------------------------------------------------------------------
+
+PATHS = {
+    "circle": {"radius": 0.1, "period": 4.0},
+    "line": {"offset": (0.1, 0.0, 0.1), "duration": 1.0},
+    "waypoints": {"points": (0.5, 0.0, 0.4, 0.5, 0.1, 0.4)},
+}
+
+
+def following(path, duration, **parts):
+    goal = {"start": HOME, "target": {path: PATHS[path]}, "duration": duration}
+    return reach(run=goal, **parts).build()
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_path_begins_where_the_task_starts_and_is_followed(path):
+    built = following(path, 1.2)
     assert_allclose(built.target.at(0.0).x, built.plant.sensor.value(built.q0), atol=1e-12)
     result = built.run()
     assert not (result.run.x_d == result.run.x_d[0]).all()
-    assert "the target was moved" not in report.text(result)
+    away = np.linalg.norm(result.run.x_d - result.run.x_d[0], axis=1).max()
+    assert result.tolerance == pytest.approx(0.5 * away)
+    assert 1e-3 < result.run.error_norm.max() < result.tolerance  # at rest it would not be done
+    assert (result.verdict, result.reason) == ("followed", "")
+    summary = result.summary()
+    assert summary["largest_error_m"] == result.run.error_norm.max()
+    assert 0.0 < summary["rms_error_m"] < summary["largest_error_m"]
+    told = report.text(result)
+    assert f"strayed     up to {1e3 * summary['largest_error_m']:.3g} mm from the path, " in told
+    assert told.endswith("verdict     followed")
+    assert "the target was moved" not in told
+
+
+@pytest.mark.parametrize(
+    ("duration", "parts", "reason"),
+    [
+        (
+            4.0,
+            {"controller": {"gravity": "none"}},
+            "m from its path, where at most 0.1 m is follow",
+        ),
+        (2.0, {"sensor": {"dropout": 1.0}}, "the measurement of x is lost"),
+        (1.0, {"controller": {"gravity": "exact", "kp": 1.0, "kv": 1.0}}, "strays up to 0."),
+    ],
+)
+def test_what_kept_it_from_following_is_named(duration, parts, reason):
+    result = following("circle", duration, **parts).run()
+    assert result.verdict == "not followed"
+    assert reason in result.reason
+    assert "verdict     not followed: " in report.text(result)
+
+
+def test_a_path_is_followed_as_closely_as_wanted_and_only_within_reach():
+    near = following("circle", 2.0, controller={"gravity": "exact"}).run()
+    for tolerance, verdict in ((0.01, "followed"), (0.001, "not followed")):
+        wanted = near.built.scenario.with_values({"run": {"tolerance": tolerance}})
+        built = dataclasses.replace(near.built, scenario=wanted)
+        assert dataclasses.replace(near, built=built).verdict == verdict
+    away = {"line": {"offset": (1.0, 0.0, 0.1), "duration": 0.5}}
+    far = reach(run={"start": HOME, "target": away, "duration": 1.0}).build().run()
+    assert far.reason.startswith("out of reach: 1.43 m from the first joint")

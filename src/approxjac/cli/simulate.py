@@ -23,7 +23,7 @@ def simulate(
 
     Example: approxjac simulate panda --object-length 0.2 --believed-length 0 --seed 1
 
-    Exit code 0 if the error ended within the tolerance, 1 if not.
+    Exit code 0 if the error ended within the tolerance, or a path was followed; 1 if not.
 
     Args:
         scenario: The scenario.
@@ -67,4 +67,4 @@ def simulate(
     print(report.text(result))
     print(f"\nPictures, the run, its scenario and summary.json are in {out}")
     print(f"See it move: approxjac view {out / 'run.npz'}")
-    return 0 if result.converged else 1
+    return 1 if result.reason else 0

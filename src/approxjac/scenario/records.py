@@ -302,7 +302,8 @@ class Run:
         start: Joint positions, rad or m, or "random" by the seed; far from singular by default.
         target: Value or path of the task; random by the seed by default.
         duration: Of the run, s.
-        tolerance: Error below which it is done, m, rad or px; 1e-3, or the noise of an image.
+        tolerance: Error below which it is done, m, rad or px; 1e-3, the noise of an image, or half
+            of how far a path leads from its start.
         seed: Of target, noise and dropouts, and of a random start.
     """
 

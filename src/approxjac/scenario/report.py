@@ -9,12 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from approxjac.formatting import listed
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import farthest_beyond
-from approxjac.scenario.records import CameraError
+from approxjac.scenario.records import Belief
 from approxjac.scenario.result import Result
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.tables import differences, toml
@@ -55,20 +53,23 @@ def text(result: Result) -> str:
         "x": f"{listed(run.x[0])} -> {listed(run.x[-1])} after {run.t[-1]:g} s",
         "target": listed(run.target),
         "error": f"{_size(result.errors_at(0))} -> {_size(result.final_error)}",
-        "tolerance": f"{result.tolerance:g} {run.task_unit}",
+        "tolerance": f"{result.tolerance:.4g} {run.task_unit}",
         "settled": "not" if math.isnan(result.settling_time) else f"{result.settling_time:.3g} s",
         "torque": "no limit known"
         if math.isnan(torque)
         else f"{'asks for up to' if built.limits is None else 'up to'} {torque:.2f} of the limits",
         "status": _shares(run.status_counts()),
     }
+    if result.on_path:
+        largest, rms = (_size({run.task_unit: error}) for error in result.strayed)
+        told["strayed"] = f"up to {largest} from the path, {rms} RMS"
     if built.limits is not None:
         told["limits"] = _shares(run.limit_status_counts())
     if result.joint_limit_excess > 0.0:
         told["beyond"] = farthest_beyond(built.plant.robot, run.q)
-    if isinstance(built.target, np.ndarray) and (run.x_d != run.x_d[0]).any():
+    if not result.on_path and (run.x_d != run.x_d[0]).any():
         told["shown"] = "the target was moved while it ran: errors are to the target then"
-    told["verdict"] = "converged" if result.converged else f"not converged: {result.reason}"
+    told["verdict"] = ": ".join(filter(None, (result.verdict, result.reason)))
     lines = [f"{name:<11} {line}" for name, line in told.items()]
     return "\n".join([repr(built.plant.robot), *lines])
 
@@ -76,15 +77,8 @@ def text(result: Result) -> str:
 def believed(scenario: Scenario) -> str:
     """Return what the controller believes that is wrong, as keys of [believed]."""
     true, belief = scenario.true, scenario.believed
-    right = replace(
-        belief,
-        object=true.object,
-        shifts=true.shifts,
-        rotations=true.rotations,
-        camera=CameraError(),
-    )
-    belief = replace(belief, object=belief.object.like(true.object))
-    wrong = differences(belief, right)
+    right = Belief(true.object, true.shifts, true.rotations)
+    wrong = differences(replace(belief, object=belief.object.like(true.object)), right)
     return ", ".join(f"{key} = {toml(value)}" for key, value in wrong.items()) or "what is true"
 
 
@@ -92,7 +86,7 @@ def draw(result: Result) -> Figure:
     """Draw error, torque, the path of the tip or through the image, and what limits did."""
     run, built = result.run, result.built
     sensor, limited = built.plant.sensor, built.limits is not None
-    title = f"{run.robot_name}: {'' if result.converged else 'not '}converged"
+    title = f"{run.robot_name}: {result.verdict}"
     figure, axes = new_figure(*((2, 2) if limited else (3, 1)), title=title)
     plot_error(run, axes[0])
     plot_torque(run, axes[1], limits=built.motor_limits)

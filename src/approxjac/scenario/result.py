@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions, reach_bound
 from approxjac.scenario.build import BuiltScenario
@@ -18,6 +19,7 @@ from approxjac.validation import Array
 _AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
 _TOLERANCE, _HALF_A_PIXEL = 1e-3, 0.5  # [m and rad], [px]
+_STRAY = 0.5  # of how far a path leads from its start: an error as large is not following it
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +27,8 @@ class Result:
     """The record of a scenario, and the verdict.
 
     Of an image in px, noise hides what an error is at one instant: its errors are the distances of
-    the points, settled is what stays within three tolerances, and the final error is an RMS.
+    the points, settled is what stays within three tolerances, and the final error is an RMS. A path
+    is followed if the error got and stayed within the tolerance, which is wider.
 
     Attributes:
         built: The scenario as it was run.
@@ -43,11 +46,19 @@ class Result:
         return "px" in self.run.task_units
 
     @property
+    def on_path(self) -> bool:
+        """True if the target is a path to follow."""
+        return not isinstance(self.built.target, np.ndarray)
+
+    @property
     def tolerance(self) -> float:
         """Error below which the task counts as done [m, and rad of a pose; px of an image]."""
-        given, noise = self.built.scenario.run.tolerance, self.built.scenario.sensor.noise
-        usual = (noise or _HALF_A_PIXEL) if self.in_pixels else _TOLERANCE
-        return usual if given is None else given
+        given = self.built.scenario.run.tolerance
+        if given is not None:
+            return given
+        if self.on_path:
+            return _STRAY * float(np.linalg.norm(self.run.x_d - self.run.x_d[0], axis=1).max())
+        return (self.built.scenario.sensor.noise or _HALF_A_PIXEL) if self.in_pixels else _TOLERANCE
 
     @property
     def errors(self) -> Array:
@@ -93,6 +104,11 @@ class Result:
             return self.final_error["px"] <= self.tolerance
         return self.settling_time <= 0.9 * float(self.run.t[-1])
 
+    @property
+    def strayed(self) -> tuple[float, float]:
+        """Largest and RMS error over the run, as told of a path [unit of the task]."""
+        return float(self.errors.max()), float(np.sqrt((self.errors**2).mean()))
+
     # -- limits -------------------------------------------------------------------------
 
     @property
@@ -112,12 +128,19 @@ class Result:
         """Distance of a joint beyond its position limits at most [rad or m]; 0 if none was."""
         return max(0.0, float(beyond_positions(self.built.plant.robot, self.run.q).max()))
 
-    # -- why not ------------------------------------------------------------------------
+    # -- verdict ------------------------------------------------------------------------
+
+    @property
+    def verdict(self) -> str:
+        """The verdict: converged, or not converged; of a path followed, or not followed."""
+        done = "followed" if self.on_path else "converged"
+        return f"not {done}" if self.reason else done
 
     @property
     def reason(self) -> str:
         """The reason why the task was not done; nothing if it was done."""
-        if self.converged:
+        away, most = self._distance()
+        if self.converged and not (self.on_path and away > most):
             return ""
         run, size = self.run, np.nan_to_num(self.run.error_norm, nan=math.inf)  # behind the camera
         last = slice(-max(1, len(run.t) // 4), None)
@@ -128,9 +151,8 @@ class Result:
 
         if mostly(run.status[last] == Status.MEASUREMENT_LOST):
             return "the measurement of x is lost"
-        if not math.isnan(self.settling_time) and not self.in_pixels:
+        if not (self.in_pixels or self.converged or math.isnan(self.settling_time)):
             return f"within the tolerance since {self.settling_time:.3g} s only, too late to judge"
-        away, most = self._distance()
         if away > most:
             return (
                 f"out of reach: {away:.3g} m from the first joint, where {most:.3g} m is the most"
@@ -140,6 +162,9 @@ class Result:
             return "the law asks for more torque than the motors deliver"
         if mostly(run.limit_status[last] > LimitStatus.FREE):
             return self._held_back()
+        if self.on_path:
+            told = f"strays up to {self.strayed[0]:.3g} {run.task_unit} from its path"
+            return f"{told}, where at most {self.tolerance:.3g} {run.task_unit} is following it"
         stands = bool(len(before) and size[last].max() > 0.9 * before.max())
         if stands and mostly(run.status[last] == Status.NEAR_SINGULAR):
             return "stands where the believed Jacobian is singular along the error"
@@ -153,13 +178,14 @@ class Result:
         return "moves on without approaching: too short a run, or not stable with these errors"
 
     def _distance(self) -> tuple[float, float]:
-        """Return the least distance of the target from the first joint, the tip's largest [m]."""
+        """Return how far from the first joint the target is, and how far the tip gets [m]."""
         sensor = self.built.plant.sensor
         if not isinstance(sensor, PositionTask | PoseTask):
             return 0.0, math.inf
         first, most = reach_bound(sensor.robot, sensor.frame)
         axes = ["xyz".index(axis) for axis in sensor.labels[:3]]
-        return float(np.linalg.norm(self.run.target[: len(axes)] - first[axes])), most
+        x_d = self.run.x_d if self.on_path else self.run.x_d[-1:]
+        return float(np.linalg.norm(x_d[:, : len(axes)] - first[axes], axis=1).max()), most
 
     def _held_back(self) -> str:
         """Return what limits did at the end, and which."""
@@ -179,27 +205,31 @@ class Result:
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
         run, built = self.run, self.built
-        return {
+        sizes = {"final_error": self.final_error, "start_error": self.errors_at(0)}
+        if self.on_path:
+            largest, rms = self.strayed
+            sizes |= {"largest_error": {run.task_unit: largest}, "rms_error": {run.task_unit: rms}}
+        found = {
             "robot": run.robot_name,
-            **{f"final_error_{unit}": number(e) for unit, e in self.final_error.items()},
-            **{f"start_error_{unit}": number(e) for unit, e in self.errors_at(0).items()},
+            **{f"{name}_{unit}": e for name, errors in sizes.items() for unit, e in errors.items()},
             "tolerance": self.tolerance,
-            "settling_time_s": number(self.settling_time),
-            "peak_torque_ratio": number(self.peak_torque_ratio),
-            "verdict": "converged" if self.converged else "not converged",
+            "settling_time_s": self.settling_time,
+            "peak_torque_ratio": self.peak_torque_ratio,
+            "verdict": self.verdict,
             "reason": self.reason,
             "joint_limit_excess": self.joint_limit_excess,
             "limits": self._limits_summary(),
-            "start": [number(value) for value in run.x[0].tolist()],
-            "target": run.target.tolist(),
-            "end": [number(value) for value in run.x[-1].tolist()],
-            "q_start": built.q0.tolist(),
-            "q_end": run.q[-1].tolist(),
+            "start": run.x[0],
+            "target": run.target,
+            "end": run.x[-1],
+            "q_start": built.q0,
+            "q_end": run.q[-1],
             "controller": repr(built.law),
-            "gains": {name: d.tolist() for name, d in built.law.diagonals._asdict().items()},
+            "gains": built.law.diagonals._asdict(),
             "status_counts": {status.name: n for status, n in run.status_counts().items()},
             "scenario": asdict(built.scenario),
         }
+        return {name: plain(value) for name, value in found.items()}
 
     def _limits_summary(self) -> dict[str, Any] | None:
         """Return what limits did at the recorded instants; None where the controller knows none."""
@@ -209,15 +239,10 @@ class Result:
         known = run.slack[np.isfinite(run.slack)]
         return {
             "status_counts": {s.name: n for s, n in run.limit_status_counts().items()},
-            "largest_slack_W": float(known.max()) if known.size else None,
-            "largest_torque_violation": float((np.abs(run.tau) - limits.effort).max().clip(0.0)),
-            "peak_speed_ratio": number(self.peak_speed_ratio),
+            "largest_slack_W": known.max() if known.size else None,
+            "largest_torque_violation": (np.abs(run.tau) - limits.effort).max().clip(0.0),
+            "peak_speed_ratio": self.peak_speed_ratio,
         }
-
-
-def number(value: float) -> float | None:
-    """Return a number as JSON knows it: None where it is not finite."""
-    return value if math.isfinite(value) else None
 
 
 def _peak(values: Array, limits: Array) -> float:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import textwrap
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.formatting import joined, short
-from approxjac.scenario.result import number
+from approxjac.formatting import joined, plain, short
 from approxjac.scenario.stability import StabilityResult
 from approxjac.simulation import Plant
 from approxjac.stability.map import PARAMETERS
@@ -144,19 +143,19 @@ def draw_map(result: StabilityResult) -> Figure | None:
 
 def summary(result: StabilityResult) -> dict[str, Any]:
     """Return what goes into summary.json."""
-    found, rollouts, part = result.map, result.report.rollouts, result.certified_part
-    return {
+    rollouts, part = result.report.rollouts, result.certified_part
+    found = {
         **result.report.summary(),
         "rollouts": rollouts
         and {
             "runs": rollouts.n,
             "converged": rollouts.n_converged,
-            "interval": list(rollouts.interval),
+            "interval": rollouts.interval,
         },
         "tolerance": {
             test: {
                 "scale": each.scale,
-                "fails_at": number(each.fails_at),
+                "fails_at": each.fails_at,
                 "errors": each.uncertainty.describe_box(),
                 "worst": each.worst_text,
             }
@@ -165,14 +164,11 @@ def summary(result: StabilityResult) -> dict[str, Any]:
         "raised_damping": result.raised_damping,
         "certified_part": part and part.describe_box(),
         "advice": advice(result),
-        "gains": {
-            name: value.tolist()
-            for name, value in result.loop.controller.diagonals._asdict().items()
-        },
-        "map": found
-        and {field.name: _plain(getattr(found, field.name)) for field in fields(found)},
+        "gains": result.loop.controller.diagonals._asdict(),
+        "map": result.map and vars(result.map),
         "scenario": asdict(result.scenario),
     }
+    return {name: plain(value) for name, value in found.items()}
 
 
 def write(result: StabilityResult, out: Path) -> None:
@@ -186,10 +182,3 @@ def write(result: StabilityResult, out: Path) -> None:
         save_figure(drawn, out / "map")
     result.scenario.save(out / "scenario.toml")
     (out / "summary.json").write_text(json.dumps(summary(result), indent=2) + "\n", "utf-8")
-
-
-def _plain(value: Any) -> Any:
-    """Return arrays as lists, with None for what is not finite."""
-    if isinstance(value, np.ndarray):
-        return [_plain(entry) for entry in value]
-    return number(float(value)) if isinstance(value, float | np.floating) else value
