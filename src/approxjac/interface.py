@@ -8,36 +8,51 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
 from approxjac.formatting import listed
 from approxjac.tasks import Task
-from approxjac.validation import Array
+from approxjac.validation import Array, as_number
 
 
 class _Outcome(enum.IntEnum):
-    """An outcome with a name and a message."""
+    """An outcome with a name and a message: a sentence a person can act on.
+
+    They are numbered in their order, which files of runs rely on.
+    """
+
+    message: str
+
+    def __new__(cls, message: str) -> Self:
+        value = len(cls.__members__)
+        outcome = int.__new__(cls, value)
+        outcome._value_, outcome.message = value, message
+        return outcome
 
     def __str__(self) -> str:
         return self.name
-
-    @property
-    def message(self) -> str:
-        """A sentence a person can act on."""
-        return _MESSAGES[self.name]
 
 
 class Status(_Outcome):
     """Outcome of one step of a controller."""
 
-    OK = 0
-    NEAR_SINGULAR = 1
-    MEASUREMENT_LOST = 2
-    TORQUE_SATURATED = 3
-    MEASUREMENT_HELD = 4
+    OK = "the law was evaluated as written"
+    NEAR_SINGULAR = (
+        "the estimated Jacobian is near a singular pose: in one direction hardly any force acts, "
+        "and its pseudo-inverse is damped"
+    )
+    MEASUREMENT_LOST = (
+        "the task measurement is not finite: no position force, damping and gravity compensation "
+        "only, adaptation frozen"
+    )
+    TORQUE_SATURATED = (
+        "the law asks for more than the robot's effort limits: what it learns stands still"
+    )
+    MEASUREMENT_HELD = (
+        "the task measurement is that of an earlier instant: the law was evaluated with it"
+    )
 
 
 class LimitStatus(_Outcome):
@@ -47,54 +62,28 @@ class LimitStatus(_Outcome):
     gravity is learnt, and stands still, V̇ has −yᵀZ(θ − θ̂) besides the slack.
     """
 
-    UNLIMITED = 0
-    FREE = 1
-    LIMITED = 2
-    PROOF_KEPT = 3
-    PROOF_GIVEN_UP = 4
-    INFEASIBLE = 5
-    SOLVER_FAILED = 6
-
-
-_MESSAGES: Mapping[str, str] = {
-    "OK": "the law was evaluated as written",
-    "NEAR_SINGULAR": (
-        "the estimated Jacobian is near a singular pose: in one direction hardly any force acts, "
-        "and its pseudo-inverse is damped"
-    ),
-    "MEASUREMENT_LOST": (
-        "the task measurement is not finite: no position force, damping and gravity compensation "
-        "only, adaptation frozen"
-    ),
-    "TORQUE_SATURATED": (
-        "the law asks for more than the robot's effort limits: what it learns stands still"
-    ),
-    "MEASUREMENT_HELD": (
-        "the task measurement is that of an earlier instant: the law was evaluated with it"
-    ),
-    "UNLIMITED": "the controller knows no limits",
-    "FREE": "the torque of the law is within all limits",
-    "LIMITED": (
+    UNLIMITED = "the controller knows no limits"
+    FREE = "the torque of the law is within all limits"
+    LIMITED = (
         "the torque was brought within the limits; nothing is said of the proof, which was not "
         "asked for, or x is lost, or the estimated Jacobian near a singular pose"
-    ),
-    "PROOF_KEPT": (
+    )
+    PROOF_KEPT = (
         "the torque was brought within the limits such that V falls no slower than with the law's "
         "own torque: V̇ ≤ −W still holds where it held"
-    ),
-    "PROOF_GIVEN_UP": (
+    )
+    PROOF_GIVEN_UP = (
         "the torque was brought within the limits, which adds the slack to V̇; what is learnt "
         "stands still"
-    ),
-    "INFEASIBLE": (
+    )
+    INFEASIBLE = (
         "no torque keeps all limits at once: gravity compensation and brakes, within the limits of "
         "torques and their rates"
-    ),
-    "SOLVER_FAILED": (
+    )
+    SOLVER_FAILED = (
         "the solver gave no usable torque in time: gravity compensation and brakes, within the "
         "limits of torques and their rates"
-    ),
-}
+    )
 
 
 class Measurement(NamedTuple):
@@ -233,8 +222,14 @@ class ContinuousController(Controller, Protocol):
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:
-        """Return the state after one Euler step of its rate, and the answer of `evaluate`."""
+        """Return the state after dt [s], one Euler step of its rate, and the answer of `evaluate`.
+
+        Raises:
+            InvalidInputError: As `evaluate`, or a dt that is not positive.
+        """
         answer = self.evaluate(state, measurement, target)
+        if not (isinstance(dt, float) and 0.0 < dt < math.inf):
+            dt = as_number("dt", dt, unit="s", above=0.0)
         return state + dt * np.asarray(answer.state_rate), answer
 
     def evaluate(

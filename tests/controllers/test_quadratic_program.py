@@ -431,10 +431,10 @@ def test_inaccurate_solvers_are_refused(name):
 
 
 def test_a_solver_that_is_there_and_does_not_run_is_refused(monkeypatch):
-    def without_a_licence(self, problem):
+    def without_a_licence(problem, name):
         raise RuntimeError("no licence")
 
-    monkeypatch.setattr(qp_solvers._Qpsolvers, "__call__", without_a_licence)
+    monkeypatch.setattr(qp_solvers, "_minimum", without_a_licence)
     with pytest.raises(InvalidInputError, match="installed but does not run: no licence"):
         as_solver("osqp")
 

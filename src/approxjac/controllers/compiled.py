@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import Gravity, RegressorGravity
 from approxjac.controllers.machine_code import compiled
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
-from approxjac.controllers.task_controller import FLOAT64, HUGE
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.law import Linear, Saturation, Sine, Tanh

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple, get_args
@@ -9,9 +10,12 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 import pinocchio as pin
 
+from approxjac.controllers.gains import Diagonals
+from approxjac.controllers.tuning import default_adaptation
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, short
 from approxjac.robots import GravityRegressor, Robot
+from approxjac.tasks import Task
 from approxjac.validation import (
     Array,
     Immutable,
@@ -219,28 +223,29 @@ class Adaptation(NamedTuple):
         L = short(self.L) if self.L.ndim == 1 else "a matrix"
         return f"Adaptation({self.regressor.robot.name!r}, L={L}, alpha={self.alpha:.4g})"
 
+    def rests(self, torque: Array) -> bool:
+        """Return whether any torque (n_v,) is beyond its limit, where θ̂ stands still."""
+        share = torque / self.torque_limits
+        # the norm first: it is cheap, and mostly small enough
+        return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)
+
 
 Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
-
-
-def require_gravity(gravity: object) -> None:
-    """Refuse what is neither None nor a source of gravity torque."""
-    if gravity is not None:
-        wanted = (
-            "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity, such as "
-            "AdaptiveGravity(belief)"
-        )
-        require("gravity", gravity, get_args(Gravity), wanted)
 
 
 def believed_gravity(gravity: Gravity | None, robot: Robot) -> Gravity:
     """Return a source of gravity torque that fits a robot: its own model where None is given.
 
     Raises:
-        InvalidInputError: Gravity of a robot with other joints.
+        InvalidInputError: No source of gravity torque, or gravity of a robot with other joints.
     """
     if gravity is None:
         return ModelGravity(robot)
+    wanted = (
+        "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity, such as "
+        "AdaptiveGravity(belief)"
+    )
+    require("gravity", gravity, get_args(Gravity), wanted)
     if gravity.robot.joint_names != robot.joint_names:
         raise InvalidInputError(
             f"gravity must be that of a robot with the joints of the task's robot "
@@ -248,6 +253,17 @@ def believed_gravity(gravity: Gravity | None, robot: Robot) -> Gravity:
             given=gravity,
         )
     return gravity
+
+
+def adaptation_of(gravity: Gravity, task: Task, gains: Diagonals) -> Adaptation | None:
+    """Return what learns gravity, with the defaults of a task and its gains; None if nothing."""
+    if not isinstance(gravity, AdaptiveGravity):
+        return None
+    L, alpha, regressor = gravity.L, gravity.alpha, gravity.regressor
+    if L is None or alpha is None:
+        usual, alpha = default_adaptation(task, gains, regressor, alpha)
+        L = usual if L is None else L
+    return Adaptation(regressor, L, alpha, gravity.theta0, gravity.bounds, gravity.torque_limits)
 
 
 def _adaptation_gain(L: Any, p: int) -> Array:

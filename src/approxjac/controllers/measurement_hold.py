@@ -7,15 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from approxjac.controllers.arguments import require_array
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import joined
 from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
 from approxjac.tasks.analysis import uncombined
-from approxjac.validation import Array, as_limits
+from approxjac.validation import Array, as_limits, as_number, require
 
 _OK, _HELD = Status.OK, Status.MEASUREMENT_HELD  # members of an enum are slow to look up
-_FLOAT = np.dtype(np.float64)
 
 
 class HeldMeasurement(ControllerWrapper):
@@ -71,16 +71,11 @@ class HeldMeasurement(ControllerWrapper):
             raise InvalidInputError(
                 f"controller must be one that is not held yet, got {controller!r}", given=controller
             )
-        if isinstance(controller, type) or not isinstance(controller, Controller):
-            raise InvalidInputError(
-                "controller must be a controller with a task, such as SetpointController(task), "
-                f"got {controller!r}",
-                given=controller,
-            )
+        wanted = "a controller with a task, such as SetpointController(task)"
+        require("controller", controller, Controller, wanted)
         task = controller.task
         self.controller = controller
         self.unseen = as_limits("unseen", unseen, task.m, unit=joined(task._measured.units))
-        self._task = task
         self._measured = task._measured  # whose parts are lost one by one
         self._parts = task._parts
         self._subtracts = self._measured._subtracts  # as most, and then x is as finite as its error
@@ -98,9 +93,8 @@ class HeldMeasurement(ControllerWrapper):
             InvalidInputError: As the controller.
             MeasurementError: As the controller, such as law (5) where the first x is lost.
         """
-        state = self.controller.initial_state(measurement)
-        unseen = np.zeros(1 + self._task.m + len(self._parts))
-        return np.concatenate([state, self._origin, unseen])
+        unseen = np.zeros(self._memory - len(self._origin))
+        return np.concatenate([self.controller.initial_state(measurement), self._origin, unseen])
 
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
@@ -112,12 +106,17 @@ class HeldMeasurement(ControllerWrapper):
 
         Raises:
             MeasurementError: As the controller, or an x beyond what a state can keep.
-            InvalidInputError: As the controller, or a controller that answers without Ĵ.
+            InvalidInputError: As the controller, a t_x that is no finite number, or a controller
+                that answers without Ĵ.
         """
         inner, memory = self._split(state)
-        x = self._require_x(measurement)
+        require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
+        x, t_x = measurement.x, measurement.t_x
+        require_array("x", x, self._origin.shape, self.controller.task)
+        if t_x is not None:
+            t_x = as_number("t_x of a measurement", t_x, unit="s")
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
-            used, memory, counts, any_new = self._seen(memory.copy(), x, measurement.t_x)
+            used, memory, counts, any_new = self._seen(memory.copy(), x, t_x)
             measured = measurement._replace(x=used)
             after, answer = self.controller.step(inner, measured, target, dt)
             if answer.J_hat is None:
@@ -171,21 +170,6 @@ class HeldMeasurement(ControllerWrapper):
         if any_new and t_x is not None:
             memory[len(x)] = t_x
         return used, memory, counts, any_new
-
-    def _require_x(self, measurement: Measurement) -> Array:
-        """Return x, or refuse what the controller would not get to see, or not as it was given."""
-        if not isinstance(measurement, Measurement):
-            raise InvalidInputError(
-                f"measurement must be Measurement(t, q, v, x), got {measurement!r}",
-                given=measurement,
-            )
-        x, size = measurement.x, self._task.n_x
-        if not isinstance(x, np.ndarray) or x.shape != (size,) or x.dtype != _FLOAT:
-            given = f"{x.dtype} {x.shape}" if isinstance(x, np.ndarray) else repr(x)
-            raise InvalidInputError(
-                f"x must be an array of float64 of shape {(size,)}, got {given}", given=x
-            )
-        return x
 
     def __repr__(self) -> str:
         return f"HeldMeasurement({self.controller!r}, unseen={self.unseen.tolist()})"

@@ -6,7 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from approxjac import law
+from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
+from approxjac.robots.joint_limits import require_radians
+from approxjac.tasks import Task
 from approxjac.validation import Array, as_array, as_diagonal, is_scalar, shape_of
 
 
@@ -40,3 +46,42 @@ class Posture:
 
     def __repr__(self) -> str:
         return short_fields(self)
+
+    def resolved(self, task: Task) -> tuple[Array, Array]:
+        """Return q and the diagonal of k for the robot of a task.
+
+        Raises:
+            InvalidInputError: A robot without self-motion, or wrong shapes.
+        """
+        robot = task.robot
+        if robot.nv <= task.m:
+            raise InvalidInputError(
+                f"posture is for arms with more joints than task coordinates, got one for "
+                f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
+                given=self,
+            )
+        q = robot.configuration(self.q, "q of the posture")
+        require_radians("q of the posture", robot, q)
+        return q, as_diagonal("stiffness", self.stiffness, robot.nv, unit="N m/rad")
+
+
+def within_null_space(torque: Array, J_hat: Array, G: Array, scale: float) -> Array:
+    """Return N τ with N = I − Ĵ⁺Ĵ, faded out near a singular Ĵ; shape (n_v,).
+
+    Args:
+        torque: τ, shape (n_v,).
+        J_hat: Ĵ, shape (m, n_v).
+        G: ĴĴᵀ.
+        scale: Size of Ĵ below which it vanishes, as in `law.damped_gram_solve`.
+    """
+    w, damped = law.damped_gram_solve(G, J_hat.dot(torque), scale=scale)
+    if damped == 0.0:
+        disturbing: Array = w.dot(J_hat)
+        return torque - disturbing
+    # With a damped Ĵ⁺, N would be no projector. An exact one that is faded out is one still,
+    # and continuous, as it turns only where its weight is zero.
+    _, values, rows = np.linalg.svd(J_hat, full_matrices=False)
+    threshold = law.SINGULAR_RATIO * max(values[0], scale)
+    weight = (values[-1] / threshold) ** 2 if threshold > 0.0 else 0.0
+    faded: Array = weight * (torque - rows.T.dot(rows.dot(torque)))
+    return faded

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,7 @@ def as_solver(solver: str | Callable[[QuadraticProgram], Any]) -> Solver:
     if solver == "daqp":
         return Solver(solver)
     _require_offered(solver)
-    function = _Qpsolvers(solver)
+    function = partial(_minimum, name=solver)
     one = np.ones(1)
     try:  # solved once, so that nothing is loaded in a control step
         function(QuadraticProgram(np.eye(1), one, -one, one, np.eye(1), -one, one))
@@ -103,36 +104,28 @@ def _require_offered(name: str) -> None:
     raise UnknownNameError("QP solver", name, "the installed ones", offered)
 
 
-class _Qpsolvers:
-    """A solver of qpsolvers as a function; None where it finds nothing."""
+def _minimum(problem: QuadraticProgram, name: str) -> Array | None:
+    """Return the answer of a solver of qpsolvers, None where it finds nothing."""
+    import qpsolvers
+    from scipy.sparse import csc_matrix
 
-    def __init__(self, name: str) -> None:
-        import qpsolvers
-        from scipy.sparse import csc_matrix
+    wider = _WIDER.get(name, 0.0)
+    matrix = np.asarray if name in qpsolvers.dense_solvers else csc_matrix
 
-        self._name = name
-        self._settings = _SETTINGS.get(name, {})
-        self._wider = _WIDER.get(name, 0.0)
-        self._matrix = np.asarray if name in qpsolvers.dense_solvers else csc_matrix
+    def widened(bound: Array) -> Array:
+        return bound + wider * np.maximum(1.0, np.abs(bound)) if wider else bound
 
-    def __call__(self, problem: QuadraticProgram) -> Array | None:
-        import qpsolvers
-
-        H, f, lower, upper, A, row_lower, row_upper = problem
-        below, above = np.isfinite(row_lower), np.isfinite(row_upper)
-        G = h = None
-        if below.any() or above.any():
-            G = self._matrix(np.concatenate([A[above], -A[below]]))
-            h = self._widened(np.concatenate([row_upper[above], -row_lower[below]]))
-        lb, ub = -self._widened(-lower), self._widened(upper)
-        stated = qpsolvers.Problem(self._matrix(H), f, G, h, lb=lb, ub=ub)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they tell that there is no solution
-            solution = qpsolvers.solve_problem(stated, solver=self._name, **self._settings)
-        if self._name == "osqp" and solution.extras["info"].status == "interrupted":
-            raise KeyboardInterrupt  # while it solves, OSQP keeps Python from seeing it
-        answer: Array | None = solution.x if solution.found else None
-        return answer
-
-    def _widened(self, bound: Array) -> Array:
-        return bound + self._wider * np.maximum(1.0, np.abs(bound)) if self._wider else bound
+    H, f, lower, upper, A, row_lower, row_upper = problem
+    below, above = np.isfinite(row_lower), np.isfinite(row_upper)
+    G = h = None
+    if below.any() or above.any():
+        G = matrix(np.concatenate([A[above], -A[below]]))
+        h = widened(np.concatenate([row_upper[above], -row_lower[below]]))
+    stated = qpsolvers.Problem(matrix(H), f, G, h, lb=-widened(-lower), ub=widened(upper))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they tell that there is no solution
+        solution = qpsolvers.solve_problem(stated, solver=name, **_SETTINGS.get(name, {}))
+    if name == "osqp" and solution.extras["info"].status == "interrupted":
+        raise KeyboardInterrupt  # while it solves, OSQP keeps Python from seeing it
+    answer: Array | None = solution.x if solution.found else None
+    return answer

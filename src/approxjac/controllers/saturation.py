@@ -86,80 +86,70 @@ def _require_law(f: Saturation, m: int) -> None:
             f"its slope ds(0) must be 1 in every coordinate, got {slope.tolist()}; another slope "
             "belongs into the gains, such as kp"
         )
-    sample = _Sample(f, _PAIRS * scale)
-    sample.require_alone(f)
-    sample.require_slopes()
-    sample.require_eq_8(f)
+    _require_pairs(f, (_PAIRS * scale).reshape(2, -1, m))
 
 
-class _Sample:
-    """s, S and ds at pairs of errors close to each other, all of shape (2, N, m)."""
+def _require_pairs(f: Saturation, e: Array) -> None:
+    """Require slopes and eq. (8) at pairs of errors close to each other, shape (2, N, m)."""
+    m = e.shape[2]
+    s, S, ds = (_value(f, name, e.reshape(-1, m)).reshape(e.shape) for name in ("s", "S", "ds"))
 
-    def __init__(self, f: Saturation, e: Array) -> None:
-        self._e = e.reshape(2, -1, e.shape[1])
-        self._s, self._S, self._ds = (
-            _value(f, name, e).reshape(self._e.shape) for name in ("s", "S", "ds")
-        )
-        for values in (self._s, self._S, self._ds):
-            self._require(np.isfinite(values[0]), "s, S and ds must be finite")
-
-    def _require(self, holds: Array, rule: str, found: Array | None = None) -> None:
+    def hold(holds: Array, rule: str, found: Array | None = None) -> None:
         """Say where a rule, one truth value for each pair, does not hold."""
-        if holds.all():
-            return
-        k, i = np.unravel_index(np.argmin(holds), holds.shape)
-        raise _Fault(
-            f"{rule}{'' if found is None else f', here {found[k, i]:.6g}'}, got "
-            f"s(e) = {self._s[0, k, i]:.6g}, S(e) = {self._S[0, k, i]:.6g} and "
-            f"ds(e) = {self._ds[0, k, i]:.6g} at e = {self._e[0, k, i]:.6g}"
-        )
-
-    def require_alone(self, f: Saturation) -> None:
-        """Refuse an s of an entry that depends on the other entries, or on the shape."""
-        m = self._e.shape[2]
-        which = (7 * np.arange(m)) % self._e.shape[1], np.arange(m)
-        e, together = self._e[0][which], self._s[0][which]
-        alone = _value(f, "s", e)
-        if not (np.abs(alone - together) <= _SLACK * np.abs(together)).all():
+        if not holds.all():
+            k, i = np.unravel_index(np.argmin(holds), holds.shape)
             raise _Fault(
-                f"s must act entry by entry, got s({e.tolist()}) = {alone.tolist()} and, with "
-                f"other entries beside each, {together.tolist()}"
+                f"{rule}{'' if found is None else f', here {found[k, i]:.6g}'}, got "
+                f"s(e) = {s[0, k, i]:.6g}, S(e) = {S[0, k, i]:.6g} and "
+                f"ds(e) = {ds[0, k, i]:.6g} at e = {e[0, k, i]:.6g}"
             )
 
-    def require_slopes(self) -> None:
-        """Require mean slopes between those at the two points, kinks or not."""
-        e, s, ds = self._e, self._s, self._ds
-        rise, lean = (s[1] - s[0]) / (e[1] - e[0]), (self._S[1] - self._S[0]) / (e[1] - e[0])
-        self._require(_is_between(rise, ds, _SLACK), "ds(e) must be the slope of s", rise)
-        self._require(ds[0] >= -_SLACK, "s must not fall anywhere, ds(e) >= 0")
-        self._require(np.sign(s[0]) == np.sign(e[0]), "s(e) must have the sign of e")
-        slack = _SLACK * np.abs(s[0])
-        self._require(_is_between(lean, s, slack), "s(e) must be the slope of S", lean)
+    for values in (s, S, ds):
+        hold(np.isfinite(values[0]), "s, S and ds must be finite")
+    which = (7 * np.arange(m)) % e.shape[1], np.arange(m)
+    among, together = e[0][which], s[0][which]
+    alone = _value(f, "s", among)
+    if not (np.abs(alone - together) <= _SLACK * np.abs(together)).all():
+        raise _Fault(
+            f"s must act entry by entry, got s({among.tolist()}) = {alone.tolist()} and, with "
+            f"other entries beside each, {together.tolist()}"
+        )
+    # mean slopes are between those at the two points, kinks or not
+    rise, lean = (s[1] - s[0]) / (e[1] - e[0]), (S[1] - S[0]) / (e[1] - e[0])
+    hold(_is_between(rise, ds, _SLACK), "ds(e) must be the slope of s", rise)
+    hold(ds[0] >= -_SLACK, "s must not fall anywhere, ds(e) >= 0")
+    hold(np.sign(s[0]) == np.sign(e[0]), "s(e) must have the sign of e")
+    slack = _SLACK * np.abs(s[0])
+    hold(_is_between(lean, s, slack), "s(e) must be the slope of S", lean)
 
-    def require_eq_8(self, f: Saturation) -> None:
-        """Require constants that keep what they promise."""
-        d = as_number("d of a saturation", f.d, above=0.0)
-        c_bar = as_number("c_bar of a saturation", f.c_bar, above=0.0)
-        e_max = float(np.abs(self._e).max())
-        try:
-            found = f.d_bar(e_max)
-        except Exception as error:
-            raise _Fault(
-                f"d_bar must be a function of e_max, and it fails for {e_max:g} with "
-                f"{type(error).__name__}: {error}"
-            ) from error
-        d_bar = as_number("d_bar(e_max) of a saturation", found, above=0.0)
-        e, s, S = np.abs(self._e[0]), np.abs(self._s[0]), self._S[0]
-        short = 1.0 + _SLACK
-        for holds, rule in (
-            (e * short >= d * s, f"e s(e) >= d s(e)² with d = {d:g}"),
-            (S * short >= c_bar * s * s, f"S(e) >= c_bar s(e)² with c_bar = {c_bar:g}"),
-            (
-                d_bar * s * short >= e,
-                f"d_bar(e_max) s(e)² >= e s(e) with d_bar({e_max:g}) = {d_bar:g}",
-            ),
-        ):
-            self._require(holds, f"eq. (8) asks for {rule}")
+    e_max = float(np.abs(e).max())
+    d, c_bar, d_bar = _constants(f, e_max)
+    size, size_s, short = np.abs(e[0]), np.abs(s[0]), 1.0 + _SLACK
+    for holds, rule in (
+        (size * short >= d * size_s, f"e s(e) >= d s(e)² with d = {d:g}"),
+        (S[0] * short >= c_bar * size_s**2, f"S(e) >= c_bar s(e)² with c_bar = {c_bar:g}"),
+        (
+            d_bar * size_s * short >= size,
+            f"d_bar(e_max) s(e)² >= e s(e) with d_bar({e_max:g}) = {d_bar:g}",
+        ),
+    ):
+        hold(holds, f"eq. (8) asks for {rule}")
+
+
+def _constants(f: Saturation, e_max: float) -> tuple[float, float, float]:
+    """Return d, c̄ and d̄(e_max) of eq. (8)."""
+    try:
+        d_bar = f.d_bar(e_max)
+    except Exception as error:
+        raise _Fault(
+            f"d_bar must be a function of e_max, and it fails for {e_max:g} with "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    return (
+        as_number("d of a saturation", f.d, above=0.0),
+        as_number("c_bar of a saturation", f.c_bar, above=0.0),
+        as_number("d_bar(e_max) of a saturation", d_bar, above=0.0),
+    )
 
 
 def _is_between(slope: Array, ends: Array, slack: float | Array) -> Array:

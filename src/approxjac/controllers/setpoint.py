@@ -5,31 +5,29 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac import law
+from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, require_arrays
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
-    Adaptation,
     AdaptiveGravity,
     Gravity,
+    adaptation_of,
     believed_gravity,
-    require_gravity,
 )
-from approxjac.controllers.posture import Posture
+from approxjac.controllers.posture import Posture, within_null_space
 from approxjac.controllers.saturation import require_saturation
-from approxjac.controllers.task_controller import TaskController, is_beyond
-from approxjac.controllers.tuning import default_adaptation, default_gains, slow_rate
+from approxjac.controllers.tuning import default_gains, slow_rate
 from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.interface import Evaluation, Measurement, Status
+from approxjac.interface import ContinuousController, Evaluation, Measurement, Status, Target
 from approxjac.law import Linear, Saturation
-from approxjac.robots.joint_limits import require_radians
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import vanishing
-from approxjac.validation import Array, as_diagonal, as_number, require
+from approxjac.validation import Array, Immutable, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
@@ -50,7 +48,7 @@ class DifferentiatedVelocity:
         as_number("time_constant", self.time_constant, unit="s", above=0.0)
 
 
-class SetpointController(TaskController):
+class SetpointController(Immutable):
     """Bring a measured task value to a target with an approximate Jacobian.
 
     τ = −Ĵᵀ(K_p s(e) + K_v (Ĵq̇ − ẋ_d)) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
@@ -64,6 +62,8 @@ class SetpointController(TaskController):
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
+        task: The task of the believed robot.
+        dt: None: any sampling time will do.
         adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
 
     Args:
@@ -82,6 +82,9 @@ class SetpointController(TaskController):
             added damping on an arm with more joints than task coordinates, a posture for an arm
             without self-motion, or gravity of a robot with other joints.
     """
+
+    dt: None = None
+    step = ContinuousController.step
 
     def __init__(
         self,
@@ -102,8 +105,8 @@ class SetpointController(TaskController):
         ):
             if value is not None:
                 require(name, value, kind, wanted)
-        require_gravity(gravity)
         robot = task.robot
+        self.task = task
         self.gains = default_gains(task) if gains is None else gains
         self.saturation: Saturation = Linear() if saturation is None else saturation
         self.velocity = velocity
@@ -123,14 +126,20 @@ class SetpointController(TaskController):
                 given=velocity,
             )
         self.gravity = believed_gravity(gravity, robot)
-        self.adaptation = self._resolved_adaptation(task)
+        self.adaptation = adaptation_of(self.gravity, task, self.diagonals)
         self._p = 0 if self.adaptation is None else self.adaptation.regressor.p
         # as arrays, which NumPy takes in two thirds of the time of numbers
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
-        self._pull = None if posture is None else _resolved_posture(posture, task)
+        self._pull = None if posture is None else posture.resolved(task)
         self._scale = vanishing(task)
-        self._take(task, self._p + (0 if velocity is None else task.m))
+        self._subtracts = task._subtracts  # as most do
+        self._continuous = robot.nq != robot.nv
+        self._n_state = self._p + (0 if velocity is None else task.m)
+        # of q, v, x, target and state
+        self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (self._n_state,)
+        self._no_rate = np.zeros(self._n_state)
+        self._no_rate.flags.writeable = False
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first evaluation: θ̂(0), and the first measured x for law (5).
@@ -139,7 +148,8 @@ class SetpointController(TaskController):
             InvalidInputError: A measurement of the wrong shapes.
             MeasurementError: Law (5), and the first x is lost.
         """
-        _, _, x = self._require_arrays(self._no_rate, measurement, np.zeros(self.task.n_x))
+        task, x_d = self.task, np.zeros(self.task.n_x)
+        _, _, x = require_arrays(self._no_rate, measurement, x_d, self._shapes, task)
         if self.velocity is not None and not np.isfinite(x).all():
             raise MeasurementError(
                 f"the first x must be finite for law (5), which differentiates it, "
@@ -224,21 +234,27 @@ class SetpointController(TaskController):
         """
         if not np.isfinite(e).all():
             return math.nan
-        kp, kv, _ = self.diagonals
-        G, units = J_hat @ J_hat.T, np.eye(len(e))
-        solved = [law.damped_gram_solve(G, unit, scale=self._scale)[0] for unit in units]
-        J_hat_pinv = (np.array(solved) @ J_hat).T
-        s, potential = self.saturation.s(e), self.saturation.S(e)
-        V = law.V(v, s, potential, J_hat_pinv, M, kp, kv, alpha)
+        (kp, kv, _), s, S = self.diagonals, self.saturation.s(e), self.saturation.S(e)
+        V = law.V(v, s, S, self.jacobian_pinv(J_hat), M, kp, kv, alpha)
         if self.adaptation is None or theta_error is None:
             return V
         return V + law.parameter_potential(theta_error, self.adaptation.L)
+
+    def jacobian_pinv(self, J_hat: Array) -> Array:
+        """Return Ĵ⁺ of a Ĵ (m, n_v), damped near singular ones as in the law; shape (n_v, m)."""
+        G = J_hat @ J_hat.T
+        solved = [law.damped_gram_solve(G, unit, scale=self._scale)[0] for unit in np.eye(len(G))]
+        return np.asarray((np.array(solved) @ J_hat).T)
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
         if self.adaptation is not None:
             return law.gravity(self.adaptation.regressor.Z(q), state[: self._p])
         return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
+
+    def with_gains(self, gains: Gains) -> Self:
+        """Return this controller with other gains."""
+        return self._rebuilt(gains=gains)
 
     def with_gravity(self, gravity: Gravity) -> Self:
         """Return this controller with another source of gravity."""
@@ -255,6 +271,69 @@ class SetpointController(TaskController):
         learning = self.adaptation
         gravity = self.gravity if learning is None else AdaptiveGravity(*learning)
         return self._rebuilt(task=task, gains=self.gains, gravity=gravity)
+
+    def evaluate(
+        self, state: Array, measurement: Measurement, target: Target | Array
+    ) -> Evaluation:
+        """Return torque and rate of the state for one measurement.
+
+        A measurement x that is not finite counts as lost: then there is no position force, only
+        damping (by K_v and B_c, where the law has them) and gravity compensation, and learning
+        rests.
+
+        Args:
+            state: Controller state, shape (n_state,).
+            measurement: t, q, v and the measured x.
+            target: x_d, shape (n_x,) [unit of the task], or a `Target` that moves.
+
+        Raises:
+            MeasurementError: q or v not finite, or a torque that overflows.
+            InvalidInputError: Wrong shapes or types, a target or state that is not finite, or
+                (cos, sin) pairs of continuous joints off the unit circle.
+        """
+        x_d_dot = None
+        if isinstance(target, Target):
+            target, x_d_dot, _ = target
+            if x_d_dot is not None:
+                x_d_dot = as_vector("v of the target", x_d_dot, self.task.m)
+        try:
+            _, q, v, x, _ = measurement
+            usual = (
+                (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
+                and q.dtype is v.dtype is x.dtype is target.dtype is state.dtype is FLOAT64
+            )
+        except (TypeError, ValueError, AttributeError):
+            usual = False
+        if not usual:
+            q, v, x = require_arrays(state, measurement, target, self._shapes, self.task)
+        # One number that is not small if anything is not finite. Unlike sums of squares it
+        # overflows without a warning, and it is faster.
+        size = math.hypot(*q.tolist(), *v.tolist(), *x.tolist(), *target.tolist(), *state.tolist())
+        if size < HUGE:
+            e = x - target if self._subtracts else self.task.error(x, target)
+            if self._subtracts or math.isfinite(e.dot(e)):
+                if self._continuous:
+                    self.task.robot.configuration(q)
+                answer = self._answer(q, v, x, e, state, x_d_dot, lost=False)
+                torque = answer.torque
+                if torque.dot(torque) < HUGE:  # a task or a saturation of one's own may fail
+                    return answer
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
+            e = x - target if self._subtracts else self.task.error(x, target)
+            lost = is_lost(q, v, x, target, state, e, self.task)
+            self.task.robot.configuration(q)
+            try:
+                answer = self._answer(q, v, x, e, state, None if lost else x_d_dot, lost)
+                if np.isfinite(answer.torque).all() and np.isfinite(answer.state_rate).all():  # type: ignore[arg-type]
+                    return answer
+            except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
+                pass
+        raise MeasurementError(
+            f"the torque overflows or is no number at q = {q.tolist()}, v = {v.tolist()}, "
+            f"x = {x.tolist()}: they are beyond what the law, or a task or saturation of your own, "
+            "is for",
+            given=measurement,
+        )
 
     def _answer(
         self,
@@ -299,7 +378,7 @@ class SetpointController(TaskController):
         status = _OK
         if lost:
             status = _LOST
-        elif learning is not None and is_beyond(torque, learning.torque_limits):
+        elif learning is not None and learning.rests(torque):
             status = _SATURATED
         elif singular:
             status = _SINGULAR
@@ -316,59 +395,10 @@ class SetpointController(TaskController):
         self, q: Array, J_hat: Array, G: Array, posture: Array, stiffness: Array
     ) -> Array:
         """Return N τ₀ of `Posture`, shape (n_v,)."""
-        pull: Array = stiffness * pin.difference(self.task.robot.model, q, posture)
-        w, damped = law.damped_gram_solve(G, J_hat.dot(pull), scale=self._scale)
-        if damped == 0.0:
-            disturbing: Array = w.dot(J_hat)
-            return pull - disturbing
-        # With a damped Ĵ⁺, N would be no projector. An exact one that is faded out is one still,
-        # and continuous, as it turns only where its weight is zero.
-        _, values, rows = np.linalg.svd(J_hat, full_matrices=False)
-        threshold = law.SINGULAR_RATIO * max(values[0], self._scale)
-        weight = (values[-1] / threshold) ** 2 if threshold > 0.0 else 0.0
-        faded: Array = weight * (pull - rows.T.dot(rows.dot(pull)))
-        return faded
-
-    def _resolved_adaptation(self, task: Task) -> Adaptation | None:
-        """Return the adaptation with its defaults filled in."""
-        gravity = self.gravity
-        if not isinstance(gravity, AdaptiveGravity):
-            return None
-        L, alpha = gravity.L, gravity.alpha
-        if L is None or alpha is None:
-            default_L, default_alpha = default_adaptation(
-                task, self.diagonals, gravity.regressor, alpha
-            )
-            L = default_L if L is None else L
-            alpha = default_alpha
-        return Adaptation(
-            gravity.regressor, L, alpha, gravity.theta0, gravity.bounds, gravity.torque_limits
-        )
+        pull = stiffness * pin.difference(self.task.robot.model, q, posture)
+        return within_null_space(pull, J_hat, G, self._scale)
 
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         parts = [f"law {law}", repr(self.task), repr(self.gains), repr(self.gravity)]
         return f"{type(self).__name__}({', '.join(parts)})"
-
-
-def require_setpoint(controller: Any) -> None:
-    """Refuse anything but a `SetpointController` itself.
-
-    Raises:
-        InvalidInputError: Another controller, or one that limits it or holds measurements for it.
-    """
-    wanted = "a SetpointController (law_of(controller) is the one inside of its wrappers)"
-    require("controller", controller, SetpointController, wanted)
-
-
-def _resolved_posture(posture: Posture, task: Task) -> tuple[Array, Array]:
-    robot = task.robot
-    if robot.nv <= task.m:
-        raise InvalidInputError(
-            f"posture is for arms with more joints than task coordinates, got one for "
-            f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
-            given=posture,
-        )
-    q = robot.configuration(posture.q, "q of the posture")
-    require_radians("q of the posture", robot, q)
-    return q, as_diagonal("stiffness", posture.stiffness, robot.nv, unit="N m/rad")

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import abc
 import math
 from typing import Self
 
 import numpy as np
 
+from approxjac.controllers.arguments import FLOAT64
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.task_controller import FLOAT64
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller, Evaluation, Measurement, Target
+from approxjac.interface import Controller
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable
 
 
-class ControllerWrapper(Immutable, abc.ABC):
+class ControllerWrapper(Immutable, Controller):
     """A controller that steps another one and keeps some memory of its own.
 
     Its state is that of the other one, followed by that memory, which is discrete by nature: such
@@ -52,16 +51,6 @@ class ControllerWrapper(Immutable, abc.ABC):
             task: A task with the same coordinates, of a robot with the same joints.
         """
         return self._rebuilt(controller=with_task(self.controller, task))
-
-    @abc.abstractmethod
-    def initial_state(self, measurement: Measurement) -> Array:
-        """Return the state before the first step, shape (n_state,)."""
-
-    @abc.abstractmethod
-    def step(
-        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
-    ) -> tuple[Array, Evaluation]:
-        """Return the state after a step, and torque and status for it."""
 
     def _split(self, state: Array) -> tuple[Array, Array]:
         """Return the state of the controller inside, and the memory.

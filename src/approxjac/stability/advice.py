@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 from approxjac.controllers import Gains, SetpointController
-from approxjac.stability.closed_loop import with_gains
 from approxjac.stability.region import Region
 from approxjac.stability.report import stability_report
 from approxjac.stability.uncertainty import Uncertainty
@@ -42,7 +41,7 @@ def damping_that_certifies(
     for k, factor in enumerate(_RAISED):
         if progress is not None:
             progress(k / len(_RAISED))
-        raised = with_gains(controller, Gains(kp, kv, factor * damping))
+        raised = controller.with_gains(Gains(kp, kv, factor * damping))
         if stability_report(raised, uncertainty, region, **options).certified_by is not None:
             return factor
     return None

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers import Gains, SetpointController
-from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.matrix_form import Setting
-from approxjac.stability.region import JointBox, Region, RegularPart
-from approxjac.stability.samples import Indices, Samples, evaluate
+from approxjac.stability.region import JointBox, Region, RegularPart, require_setpoint
+from approxjac.stability.samples import Indices, Samples
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart
-from approxjac.tasks.analysis import vanishing
+from approxjac.tasks.analysis import jacobian_gradient, require_jacobian_of_q, vanishing
 from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5
@@ -26,6 +26,7 @@ EXACT_GRAVITY = 1e-5
 _REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
 _STARTS = 20  # of the search for configurations that attain a target
 _DECADES = 6.0  # of the sizes of small errors
+_SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
 
 
 class ClosedLoop:
@@ -58,7 +59,6 @@ class ClosedLoop:
         region: Region | None = None,
         target: Sequence[float] | Array | None = None,
     ) -> None:
-        require_setpoint(controller)
         require_law(controller)
         if isinstance(truth, Robot):
             truth = Plant(truth, controller.task.on(truth))
@@ -83,10 +83,19 @@ class ClosedLoop:
         assert isinstance(self.truth, Uncertainty)
         return ClosedLoop(self.controller, self.truth.scaled(factor), self.region, self.target)
 
+    def with_gains(self, gains: Gains) -> ClosedLoop:
+        """Return the loop with other gains of its controller."""
+        other = copy.copy(self)
+        other.controller = self.controller.with_gains(gains)
+        return other
+
     @property
     def setting(self) -> Setting:
         """Gains and damping, as the conditions need them."""
-        return Setting.of(self.controller, self.plants[0])
+        (kp, kv, damping), learning = self.controller.diagonals, self.controller.adaptation
+        alpha = None if learning is None else learning.alpha
+        B, c_bar = damping + self.plants[0].friction, self.controller.saturation.c_bar
+        return Setting(kp, kv, B, c_bar, alpha)
 
     def gravity_error(self, configurations: Array) -> float:
         """Return the largest gravity torque that is neither compensated nor learnt [N m or N]."""
@@ -131,7 +140,7 @@ class ClosedLoop:
                 self.plants[t].sensor.value(self.parts[t].between(q, other, share))
                 for t, q, other, share in zip(truths, drawn, others, away, strict=True)
             ]
-            return evaluate(self.controller, self.plants, truths, drawn, np.array(x_d))
+            return self.samples_at(truths, drawn, np.array(x_d))
         known, model = self.attained(rng), self.region.robot.model
         for i, (t, share) in enumerate(zip(truths, away, strict=True)):
             end = known[t][rng.integers(len(known[t]))]
@@ -156,12 +165,42 @@ class ClosedLoop:
         sizes = size * 10.0 ** rng.uniform(-1.0, 0.5, n)
         nearby = np.array([self.parts[truth].near(known.q[k], each, rng) for each in sizes])
         x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
-        return evaluate(self.controller, self.plants, np.full(n, truth), nearby, x_d)
+        return self.samples_at(np.full(n, truth), nearby, x_d)
 
-    def samples_at(self, truths: Indices, configurations: Array) -> Samples:
-        """Evaluate chosen true robots (N,) and configurations (N, nq) with the one target."""
-        x_d = np.repeat(np.asarray(self.target)[None], len(truths), axis=0)
-        return evaluate(self.controller, self.plants, truths, configurations, x_d)
+    def samples_at(
+        self, truths: Indices, configurations: Array, x_d: Array | None = None
+    ) -> Samples:
+        """Evaluate N true robots, configurations (N, nq) and targets (N, n_x), or the one target.
+
+        Raises:
+            InvalidInputError: A task whose Jacobian uses the measured x, or a configuration where
+                Ĵ loses rank.
+        """
+        task, saturation = self.controller.task, self.controller.saturation
+        require_jacobian_of_q(task, "the conditions over a region")
+        N, n, m = len(configurations), task.robot.nv, task.m
+        x_d = np.repeat(np.asarray(self.target)[None], N, axis=0) if x_d is None else x_d
+        M, dM = np.empty((N, n, n)), np.empty((N, n, n, n))
+        J, J_e, J_hat = np.empty((N, m, n)), np.empty((N, m, n)), np.empty((N, m, n))
+        dJ_hat, e = np.empty((N, n, m, n)), np.empty((N, m))
+        for i, (t, q) in enumerate(zip(truths, configurations, strict=True)):
+            dynamics, sensor = self.plants[t].dynamics, self.plants[t].sensor
+            M[i], dM[i] = dynamics.M(q), dynamics.M_gradient(q)
+            e[i] = sensor.error(sensor.value(q), x_d[i])
+            J[i] = sensor._sensor_jacobian(q)
+            J_e[i] = sensor._error_jacobian(e[i], J[i])
+            J_hat[i], dJ_hat[i] = task.jacobian(q), jacobian_gradient(task, q)
+        values = np.linalg.svd(J_hat, compute_uv=False)
+        singular = values[:, -1] <= _SINGULAR * values[:, 0]
+        if singular.any():
+            raise InvalidInputError(
+                "the region must hold no configuration where the estimated Jacobian loses rank, "
+                f"got q = {configurations[singular.argmax()].tolist()}; RegularPart(region, task, "
+                "sigma_min) leaves them out",
+                given=configurations,
+            )
+        s, slope = saturation.s(e), saturation.ds(e)
+        return Samples(truths, configurations, x_d, M, dM, J, J_e, J_hat, dJ_hat, s, slope)
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.
@@ -204,7 +243,8 @@ class ClosedLoop:
 
 
 def require_law(controller: SetpointController) -> None:
-    """Raise if the closed loop is neither eq. (9) nor that of (28), (29)."""
+    """Refuse a controller whose closed loop is neither eq. (9) nor that of (28), (29)."""
+    require_setpoint(controller)
     if controller.velocity is not None or controller.posture is not None:
         raise InvalidInputError(
             "the conditions are those of the laws (6) and (28) without a posture torque, got "
@@ -212,10 +252,3 @@ def require_law(controller: SetpointController) -> None:
             f"posture = {controller.posture!r}",
             given=controller,
         )
-
-
-def with_gains(controller: SetpointController, gains: Gains) -> SetpointController:
-    """Return the same controller with other gains."""
-    return SetpointController(
-        controller.task, gains, gravity=controller.gravity, saturation=controller.saturation
-    )

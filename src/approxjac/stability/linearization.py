@@ -10,8 +10,6 @@ from approxjac import law
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.tasks import Task
-from approxjac.tasks.analysis import vanishing
 from approxjac.validation import Array
 
 
@@ -86,7 +84,7 @@ def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> Linea
     Z, L, alpha, J_hat_pinv = np.zeros((n, 0)), np.zeros(0), 0.0, np.zeros((n, m))
     if learning is not None:
         Z, L, alpha = learning.regressor.Z(q), learning.L, learning.alpha
-        J_hat_pinv = _damped_pinv(controller.task, J_hat)
+        J_hat_pinv = controller.jacobian_pinv(J_hat)
     M, G = plant.dynamics.M(q), plant.dynamics.g_gradient(q)
     J = np.array(plant.sensor._sensor_jacobian(q))
     kp, kv, damping = controller.diagonals
@@ -177,10 +175,3 @@ def _held(loop: LinearLoop, dt: float) -> tuple[Array, Array]:
             given=dt,
         )
     return after[: 2 * n, : 2 * n], after[: 2 * n, 2 * n :]
-
-
-def _damped_pinv(task: Task, J_hat: Array) -> Array:
-    """Ĵ⁺ as law (29) is evaluated: damped near singular configurations; shape (n_v, m)."""
-    gram, scale = J_hat @ J_hat.T, vanishing(task)
-    columns = [law.damped_gram_solve(gram, unit, scale=scale)[0] for unit in np.eye(task.m)]
-    return J_hat.T @ np.array(columns).T

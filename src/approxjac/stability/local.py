@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from approxjac.controllers import SetpointController
 from approxjac.controllers.gravity import Adaptation
-from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 from approxjac.stability.closed_loop import ClosedLoop, require_law
@@ -141,12 +140,11 @@ def local_stability(
             many samples.
     """
     require("plant", plant, Plant, "a Plant")
-    require_setpoint(controller)
+    require_law(controller)
     plant.require_task(controller.task)
     timing = _timing(plant, dt)
     q = plant.robot.configuration(q_target, "q_target")
     require_seen("q_target", q, plant.sensor)
-    require_law(controller)
     _require_gravity(plant, controller, q)
     return linearised(plant, controller, q, timing)
 
@@ -217,20 +215,16 @@ class LocalTest:
 
 
 def local_test(
-    loop: ClosedLoop,
-    truths: Indices,
-    configurations: Array,
-    controller: SetpointController | None = None,
-    timing: Timing | None = None,
+    loop: ClosedLoop, truths: Indices, configurations: Array, timing: Timing | None = None
 ) -> LocalTest:
     """Linearise a closed loop with each configuration (of the first thousand) as a target.
 
-    True robots `truths` (N,) with configurations (N, nq), the loop's controller or another one of
-    the same task, and the timing of sampled control or None for the continuous loop.
+    True robots `truths` (N,) with configurations (N, nq), and the timing of sampled control or
+    None for the continuous loop.
     """
     truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
     at = [
-        linearised(loop.plants[t], controller or loop.controller, q, timing)
+        linearised(loop.plants[t], loop.controller, q, timing)
         for t, q in zip(truths, configurations, strict=True)
     ]
     return LocalTest(

@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 from approxjac import law
 from approxjac.controllers import SetpointController
-from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.stability.region import require_seen
+from approxjac.stability.region import require_seen, require_setpoint
 from approxjac.tasks.analysis import require_jacobian_of_q
 from approxjac.validation import Array, as_array, as_number, require
 

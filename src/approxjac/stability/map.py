@@ -14,9 +14,8 @@ import numpy as np
 from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificate import margin
-from approxjac.stability.closed_loop import ClosedLoop, with_gains
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.local import local_test
-from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
 from approxjac.stability.samples import Indices, Samples
@@ -149,20 +148,21 @@ def stability_map(
         chosen = np.concatenate([hard, others[: targets - targets // 2]])
         return scaled, truths[chosen], pool[chosen]
 
-    def result(kind: str, scale: float, own: SetpointController) -> float:
+    def result(kind: str, scale: float, gains: Gains) -> float:
         if kind == "local":
-            return float(local_test(*hard_targets(scale), own).decay_rates.min())
+            scaled, truths, chosen = hard_targets(scale)
+            return float(local_test(scaled.with_gains(gains), truths, chosen).decay_rates.min())
         if kind == "rollouts":
             return rollouts(
-                own, uncertainty.scaled(scale), loop.region, target=loop.target, runs=runs,
-                duration=duration, seed=seed, executor=executor,
+                controller.with_gains(gains), uncertainty.scaled(scale), loop.region,
+                target=loop.target, runs=runs, duration=duration, seed=seed, executor=executor,
             ).share  # fmt: skip
         scaled, samples = drawn(scale)
         if not rank_is_lost:
             rank_is_lost.append(singular_configuration(scaled, samples) is not None)
         if rank_is_lost[0]:
             return -1.0
-        return max(-1.0, margin(kind, samples, Setting.of(own, scaled.plants[0])))
+        return max(-1.0, margin(kind, samples, scaled.with_gains(gains).setting))
 
     kp, kv, damping = controller.diagonals
     grids = {"local": (xs, ys), "theorem1": (xs, ys), "matrix": few, "rollouts": few}
@@ -176,9 +176,9 @@ def stability_map(
             at = {names[0]: float(first[i]), names[1]: float(second[j])}
             scale, own_kv = at.get("error", 1.0), at.get("kv", 1.0) * kv
             own_kp = at["a"] * own_kv if "a" in at else at.get("kv", 1.0) * kp
-            own = with_gains(controller, Gains(own_kp, own_kv, at.get("damping", 1.0) * damping))
+            gains = Gains(own_kp, own_kv, at.get("damping", 1.0) * damping)
             try:
-                found[kind][j, i] = result(kind, scale, own)
+                found[kind][j, i] = result(kind, scale, gains)
             except UnattainedError:
                 if scale <= 1.0:
                     raise  # grown errors may put the target out of reach, the given ones not

@@ -13,8 +13,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers import SetpointController
-from approxjac.simulation import Plant
 from approxjac.stability.samples import Indices, Samples
 from approxjac.validation import Array
 
@@ -75,13 +73,6 @@ class Setting:
     c_bar: float
     fixed_alpha: float | None = None
     large_gains: bool = False
-
-    @classmethod
-    def of(cls, controller: SetpointController, plant: Plant) -> Setting:
-        """Return that of a controller on a plant."""
-        kp, kv, damping = controller.diagonals
-        alpha = None if controller.adaptation is None else controller.adaptation.alpha
-        return cls(kp, kv, damping + plant.friction, controller.saturation.c_bar, alpha)
 
     @property
     def alpha(self) -> float:

@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers import SetpointController
-from approxjac.controllers.setpoint import require_setpoint
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short
 from approxjac.robots import Robot
@@ -316,6 +315,12 @@ def _per_joint(
 ) -> Array:
     """Return a number, or one number a joint, as shape (n_v,)."""
     return as_array(name, [value] * robot.nv if is_scalar(value) else value, (robot.nv,), unit)
+
+
+def require_setpoint(controller: SetpointController) -> None:
+    """Refuse anything else, such as a controller that limits it or holds measurements for it."""
+    wanted = "a SetpointController (law_of(controller) is the one inside of its wrappers)"
+    require("controller", controller, SetpointController, wanted)
 
 
 def require_seen(name: str, q: Array, sensor: Task) -> None:

@@ -12,10 +12,9 @@ from approxjac.controllers import Gains, NoGravity, SetpointController, default_
 from approxjac.controllers.tuning import position_gains
 from approxjac.errors import UnknownNameError
 from approxjac.stability.certificate import margin
-from approxjac.stability.closed_loop import ClosedLoop, with_gains
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.linearization import Timing
 from approxjac.stability.local import local_test
-from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import Region
 from approxjac.stability.singularity import singular_configuration
 from approxjac.stability.tolerance import TESTS, Test, tolerance
@@ -139,18 +138,17 @@ def suggest_gains(
     weight = np.array([weighing[t].g(q) for t, q in zip(samples.truth, samples.q, strict=True)])
 
     def demands(gains: Gains) -> Candidate:
-        controller = with_gains(first, gains)
-        pull = (controller.diagonals.kp * samples.s)[..., None]
+        own = loop.with_gains(gains)
+        pull = (own.setting.kp * samples.s)[..., None]
         force = np.swapaxes(samples.J_hat, -1, -2) @ pull
         ratio = float((np.abs(weight - force[..., 0]) / limits).max())
-        slowest = local_test(loop, *targets, controller, Timing(dt)).decay_rates.min()
+        slowest = local_test(own, *targets, Timing(dt)).decay_rates.min()
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         left = np.nan  # of no use where both of the others are missed
         if test != "local" and singular:
             left = -np.inf  # whatever the gains: the arm may stand still there
         elif ratio <= 1.0 or time <= settling_time:
-            setting = Setting.of(controller, loop.plants[0])
-            left = slowest if test == "local" else margin(test, samples, setting)
+            left = slowest if test == "local" else margin(test, samples, own.setting)
         return Candidate(gains, left, ratio, time)
 
     tried: list[Candidate] = []
@@ -166,7 +164,7 @@ def suggest_gains(
 
     def tolerated(gains: Gains) -> float:
         found = tolerance(
-            with_gains(first, gains), uncertainty, loop.region, tests=(test,), target=target,
+            first.with_gains(gains), uncertainty, loop.region, tests=(test,), target=target,
             largest=1.0, configurations=configurations, seed=seed,
         )  # fmt: skip
         return found[test].scale

@@ -1,0 +1,76 @@
+"""Checks of what a law is given in a step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.interface import Measurement
+from approxjac.tasks import Task
+from approxjac.validation import Array
+
+FLOAT64 = np.dtype(np.float64)
+HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
+_NUMBERS = (list, tuple, int, float)
+
+
+def require_arrays(
+    state: Array,
+    measurement: Measurement,
+    target: Array,
+    shapes: tuple[tuple[int, ...], ...],
+    task: Task,
+) -> tuple[Array, Array, Array]:
+    """Return q, v and x, or refuse what is not of its shape: that of q, v, x, target, state."""
+    try:
+        _, q, v, x, _ = measurement
+    except (TypeError, ValueError):
+        raise InvalidInputError(
+            f"measurement must be Measurement(t, q, v, x), got {measurement!r}", given=measurement
+        ) from None
+    names = ("q", "v", "x", "target", "state")
+    for name, value, shape in zip(names, (q, v, x, target, state), shapes, strict=True):
+        require_array(name, value, shape, task)
+    return q, v, x
+
+
+def require_array(name: str, value: Array, shape: tuple[int, ...], task: Task) -> None:
+    """Refuse what is no array of floats of the shape that a task asks for."""
+    if not isinstance(value, np.ndarray) or value.shape != shape:
+        given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
+        how = f"; numpy.array({name}, dtype=float) makes one of numbers"
+        raise InvalidInputError(
+            f"{name} must be an array of shape {shape} for {task!r}, got {given}"
+            f"{how if isinstance(value, _NUMBERS) else ''}",
+            given=value,
+        )
+    if value.dtype != FLOAT64:  # differences of unsigned pixels would wrap around
+        raise InvalidInputError(
+            f"{name} must be an array of float64, got {value.dtype}; "
+            f"{name}.astype(float) makes one of numbers",
+            given=value,
+        )
+
+
+def is_lost(
+    q: Array, v: Array, x: Array, target: Array, state: Array, e: Array, task: Task
+) -> bool:
+    """Return whether x is lost, or refuse anything else that is not finite."""
+    for name, value in (("q", q), ("v", v)):
+        if not np.isfinite(value).all():
+            raise MeasurementError(
+                f"{name} must be finite, got {value.tolist()}: no safe torque exists without "
+                "the joint state; stop the robot",
+                given=value,
+            )
+    if not np.isfinite(state).all():
+        raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
+    task.target(target)
+    if np.isfinite(e).all():
+        return False
+    if np.isfinite(x).all() and task._subtracts:
+        raise MeasurementError(
+            f"the error overflows: x = {x.tolist()} is beyond what the law can be evaluated at",
+            given=x,
+        )
+    return True
