@@ -178,16 +178,15 @@ class AdaptiveGravity(Immutable):
     def _bounds(self, bounds: Any) -> tuple[Array, Array]:
         p = self.regressor.p
         try:
-            lower, upper = (
-                as_array("bounds", [bound] * p if is_scalar(bound) else bound, (p,))
-                for bound in bounds
-            )
+            lower, upper = bounds
         except (TypeError, ValueError) as error:
-            if isinstance(error, InvalidInputError):
-                raise
             raise InvalidInputError(
                 f"bounds must be a smallest and a largest theta, got {bounds!r}", given=bounds
             ) from error
+        lower, upper = (
+            as_array("bounds", [bound] * p if is_scalar(bound) else bound, (p,))
+            for bound in (lower, upper)
+        )
         if not (lower < upper).all():
             raise InvalidInputError(
                 f"bounds must be a smallest and a larger theta, got {lower.tolist()} to "
@@ -233,14 +232,17 @@ class Adaptation(NamedTuple):
 Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
 
 
-def believed_gravity(gravity: Gravity | None, robot: Robot) -> Gravity:
-    """Return a source of gravity torque that fits a robot: its own model where None is given.
+def believed_gravity(
+    gravity: Gravity | None, task: Task, gains: Diagonals
+) -> tuple[Gravity, Adaptation | None]:
+    """Return a source of gravity torque, by default the model of a task's robot, and what learns.
 
     Raises:
         InvalidInputError: No source of gravity torque, or gravity of a robot with other joints.
     """
+    robot = task.robot
     if gravity is None:
-        return ModelGravity(robot)
+        return ModelGravity(robot), None
     wanted = (
         "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity, such as "
         "AdaptiveGravity(belief)"
@@ -252,18 +254,14 @@ def believed_gravity(gravity: Gravity | None, robot: Robot) -> Gravity:
             f"({', '.join(robot.joint_names)}), got {gravity.robot!r}",
             given=gravity,
         )
-    return gravity
-
-
-def adaptation_of(gravity: Gravity, task: Task, gains: Diagonals) -> Adaptation | None:
-    """Return what learns gravity, with the defaults of a task and its gains; None if nothing."""
     if not isinstance(gravity, AdaptiveGravity):
-        return None
+        return gravity, None
     L, alpha, regressor = gravity.L, gravity.alpha, gravity.regressor
     if L is None or alpha is None:
         usual, alpha = default_adaptation(task, gains, regressor, alpha)
         L = usual if L is None else L
-    return Adaptation(regressor, L, alpha, gravity.theta0, gravity.bounds, gravity.torque_limits)
+    theta0, bounds, limits = gravity.theta0, gravity.bounds, gravity.torque_limits
+    return gravity, Adaptation(regressor, L, alpha, theta0, bounds, limits)
 
 
 def _adaptation_gain(L: Any, p: int) -> Array:

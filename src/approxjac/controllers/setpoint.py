@@ -13,12 +13,7 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, require_arrays
 from approxjac.controllers.gains import Gains
-from approxjac.controllers.gravity import (
-    AdaptiveGravity,
-    Gravity,
-    adaptation_of,
-    believed_gravity,
-)
+from approxjac.controllers.gravity import AdaptiveGravity, Gravity, believed_gravity
 from approxjac.controllers.posture import Posture, within_null_space
 from approxjac.controllers.saturation import require_saturation
 from approxjac.controllers.tuning import default_gains, slow_rate
@@ -62,7 +57,6 @@ class SetpointController(Immutable):
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
-        task: The task of the believed robot.
         dt: None: any sampling time will do.
         adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
 
@@ -125,8 +119,7 @@ class SetpointController(Immutable):
                 f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
                 given=velocity,
             )
-        self.gravity = believed_gravity(gravity, robot)
-        self.adaptation = adaptation_of(self.gravity, task, self.diagonals)
+        self.gravity, self.adaptation = believed_gravity(gravity, task, self.diagonals)
         self._p = 0 if self.adaptation is None else self.adaptation.regressor.p
         # as arrays, which NumPy takes in two thirds of the time of numbers
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)

@@ -60,27 +60,25 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
     require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
     rate = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
     fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
-    dynamics = Dynamics(task.robot)
-    jacobians, inertias, inverses = [], [], []
-    for q, J in _regular_configurations(task):
-        jacobians.append(J)
-        inertias.append(dynamics.M(q))
-        inverses.append(np.linalg.inv(inertias[-1]))
-    mobility = [J @ inverse @ J.T for J, inverse in zip(jacobians, inverses, strict=True)]
-    inertia = np.median([1.0 / np.diag(A) for A in mobility], axis=0)
+    configurations, jacobians = _regular_configurations(task)
+    M = Dynamics(task.robot).M
+    inertias = np.array([M(q) for q in configurations])
+    inverses = np.linalg.inv(inertias)
+    mobility = jacobians @ inverses @ np.swapaxes(jacobians, 1, 2)
+    inertia = np.median(1.0 / np.diagonal(mobility, axis1=1, axis2=2), axis=0)
     angles, groups = np.array(task.units) == "rad", _groups(task)
     kv = np.empty(task.m)
     for group in groups:
         kv[group] = 4.0 * rate * inertia[group].mean()
-    largest = [np.linalg.norm(J * np.sqrt(kv)[:, None], 2) ** 2 for J in jacobians]
+    largest = np.linalg.norm(jacobians * np.sqrt(kv)[:, None], 2, axis=(1, 2)) ** 2
     quieting = _DAMPING_SHARE * float(np.median(largest))
     kv[angles] = np.maximum(kv[angles], 2.0 * quieting)
     for group in groups:
         # M⁻¹JᵀK_vJ has the eigenvalues of K_v times the mobility
-        fastest_mode = max(np.linalg.norm(A[np.ix_(group, group)], 2) for A in mobility)
+        fastest_mode = np.linalg.norm(mobility[:, group][:, :, group], 2, axis=(1, 2)).max()
         kv[group] = np.minimum(kv[group], fastest / fastest_mode)
-    damping = rate * np.median([np.diag(M) for M in inertias], axis=0) + quieting
-    most = fastest / np.max([np.diag(inverse) for inverse in inverses], axis=0)
+    damping = rate * np.median(np.diagonal(inertias, axis1=1, axis2=2), axis=0) + quieting
+    most = fastest / np.diagonal(inverses, axis1=1, axis2=2).max(axis=0)
     damping = np.minimum(damping, most)
     kp = rate * (kv + _felt_damping(task, damping, jacobians))
     return Gains(kp=kp, kv=kv, damping=damping)
@@ -88,9 +86,8 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
 
 def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:
     """Return K_p of `default_gains` for a K_v (m,) and a B_c (n_v,) of one's own, shape (m,)."""
-    jacobians = [J for _, J in _regular_configurations(task)]
-    rate = _SETTLED / settling_time
-    return rate * (kv + _felt_damping(task, damping, jacobians))
+    _, jacobians = _regular_configurations(task)
+    return _SETTLED / settling_time * (kv + _felt_damping(task, damping, jacobians))
 
 
 def default_adaptation(
@@ -117,45 +114,43 @@ def default_adaptation(
     Returns:
         The diagonal of L, shape (p,), and α [1/s].
     """
-    configurations = _regular_configurations(task)
-    slow = slow_rate(task, gains, [J for _, J in configurations])
+    configurations, J = _regular_configurations(task)
+    slow = slow_rate(task, gains, J)
     alpha = slow if alpha is None else alpha
-    dynamics = Dynamics(task.robot)
-    columns = [regressor.Z(q) for q, _ in configurations]
-    D = 1.0 / np.mean([(Z * Z).sum(axis=0) for Z in columns], axis=0)
-    rates, accelerations = [], []
-    for Z, (q, J) in zip(columns, configurations, strict=True):
-        # e = K_p⁻¹ Ĵ⁺ᵀ Z Δθ at rest, and Δθ̇ = −L Zᵀ α Ĵ⁺ e
-        A = np.linalg.solve(J @ J.T, J) @ Z
-        learning = alpha * (A * D).T @ (A / gains.kp[:, None])
-        rates.append(float(np.linalg.eigvals(learning).real.max()))
-        accelerations.append((Z * np.linalg.solve(dynamics.M(q), Z)).sum(axis=0))
+    M = Dynamics(task.robot).M
+    inertias = np.array([M(q) for q in configurations])
+    Z = np.array([regressor.Z(q) for q in configurations])
+    D = 1.0 / np.mean((Z * Z).sum(axis=1), axis=0)
+    # e = K_p⁻¹ Ĵ⁺ᵀ Z Δθ at rest, and Δθ̇ = −L Zᵀ α Ĵ⁺ e
+    A = np.linalg.solve(J @ np.swapaxes(J, 1, 2), J) @ Z
+    learning = alpha * np.swapaxes(A * D, 1, 2) @ (A / gains.kp[:, None])
+    rates = np.linalg.eigvals(learning).real.max(axis=1)
+    accelerations = (Z * np.linalg.solve(inertias, Z)).sum(axis=1)
     L = _LEARNING_SPEED * slow / float(np.median(rates)) * D
-    return np.minimum(L, (_FASTEST_LEARNING * slow) ** 2 / np.max(accelerations, axis=0)), alpha
+    return np.minimum(L, (_FASTEST_LEARNING * slow) ** 2 / accelerations.max(axis=0)), alpha
 
 
-def slow_rate(task: Task, gains: Diagonals, jacobians: list[Array] | None = None) -> float:
+def slow_rate(task: Task, gains: Diagonals, jacobians: Array | None = None) -> float:
     """Return the rate of the slow pole, min k_p / (k_v + K_b), K_b as in `default_gains` [1/s]."""
     if jacobians is None:
-        jacobians = [J for _, J in _regular_configurations(task)]
+        _, jacobians = _regular_configurations(task)
     felt = _felt_damping(task, gains.damping, jacobians)
     return float((gains.kp / (gains.kv + felt)).min())
 
 
 def usual_inertias(robot: Robot) -> Array:
     """Return M(q) at k seeded configurations within the joint limits, shape (k, n_v, n_v)."""
-    rng, dynamics = np.random.default_rng(0), Dynamics(robot)
-    drawn = [robot.random_configuration(rng) for _ in range(_CONFIGURATIONS)]
-    return np.array([dynamics.M(q) for q in drawn])
+    rng, M = np.random.default_rng(0), Dynamics(robot).M
+    return np.array([M(robot.random_configuration(rng)) for _ in range(_CONFIGURATIONS)])
 
 
-def _felt_damping(task: Task, damping: Array, jacobians: list[Array]) -> Array:
+def _felt_damping(task: Task, damping: Array, jacobians: Array) -> Array:
     """Return what B_c adds to the damping along a task coordinate, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
 
     The median over configurations, and the mean over coordinates of one unit; shape (m,).
     """
-    mobility = [(J * J) @ (1.0 / np.maximum(damping, _NO_DAMPING)) for J in jacobians]
-    felt: Array = np.median(1.0 / np.array(mobility), axis=0)
+    mobility = jacobians**2 @ (1.0 / np.maximum(damping, _NO_DAMPING))
+    felt: Array = np.median(1.0 / mobility, axis=0)
     for group in _groups(task):
         felt[group] = felt[group].mean()
     return felt
@@ -167,20 +162,22 @@ def _groups(task: Task) -> list[np.ndarray[Any, np.dtype[np.bool_]]]:
     return [units == unit for unit in dict.fromkeys(task.units)]
 
 
-def _regular_configurations(task: Task) -> list[tuple[Array, Array]]:
-    """Return seeded configurations where the task is seen and not near singular, with Ĵ."""
-    usual = [(q, task.jacobian(q)) for q in seen_configurations(task, _CONFIGURATIONS)]
-    values = [np.linalg.svd(J, compute_uv=False) for _, J in usual]
-    ratios = np.array([v[-1] / v[0] if v[0] > 0.0 else 0.0 for v in values])
+def _regular_configurations(task: Task) -> tuple[Array, Array]:
+    """Return seeded configurations where the task is seen and not near singular, with Ĵ at each."""
+    seen = np.array(seen_configurations(task, _CONFIGURATIONS))
+    jacobians = np.array([task.jacobian(q) for q in seen])
+    values = np.linalg.svd(jacobians, compute_uv=False)
+    smallest, largest = values[:, -1], values[:, 0]
+    ratios = np.divide(smallest, largest, out=np.zeros(len(seen)), where=largest > 0.0)
     least = _REGULAR
     if not (ratios > least).any():
         # images of several points always tell little of some motion: then half of what is usual
         least = max(0.5 * float(np.median(ratios)), _SINGULAR)
-    found = [pair for pair, ratio in zip(usual, ratios, strict=True) if ratio > least]
-    if not found:
+    regular = ratios > least
+    if not regular.any():
         raise InvalidInputError(
             f"task must not be singular everywhere for gains to be chosen, got {task!r}; leave out "
             'coordinates that the arm does not command, such as y by axes="xz"',
             given=task,
         )
-    return found
+    return seen[regular], jacobians[regular]

@@ -16,19 +16,12 @@ from approxjac.validation import Array
 class LinearLoop(NamedTuple):
     """Parts of the linearised laws (6) and (28), (29); p = 0 where gravity is known.
 
+    They are those of `law.adaptive_closed_loop_matrix`, and
+
     Attributes:
-        M: Inertia matrix at the target, shape (n_v, n_v).
-        G: ∂g/∂q there, of the robot and of its exact compensation, shape (n_v, n_v).
-        J: True task Jacobian, shape (m, n_v).
-        J_hat: Estimated task Jacobian, shape (m, n_v).
-        J_hat_pinv: Ĵ⁺ as (29) has it, shape (n_v, m).
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
+        G: ∂g/∂q at the target, of the robot and of its exact compensation, shape (n_v, n_v).
         friction: Diagonal of the natural friction B, shape (n_v,).
         damping: Diagonal of the added damping B_c, shape (n_v,).
-        Z: Gravity regressor, shape (n_v, p).
-        L: Adaptation gain, shape (p,) or (p, p).
-        alpha: α of (10) [1/s].
     """
 
     M: Array

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from approxjac.controllers import SetpointController
 from approxjac.controllers.gravity import Adaptation
 from approxjac.errors import InvalidInputError
-from approxjac.simulation import Plant
+from approxjac.simulation import Plant, Sensing
 from approxjac.stability.closed_loop import ClosedLoop, require_law
 from approxjac.stability.linearization import (
     Timing,
@@ -242,9 +242,8 @@ def _timing(plant: Plant, dt: float | None) -> Timing | None:
         return None
     dt = as_number("dt", dt, unit="s", above=0.0)
     plant.require_linear("the local test with dt")
-    x_delay, velocity_filter = 0.0, None
-    if plant.sensing is not None:
-        x_delay, velocity_filter = plant.sensing.x_delay, plant.sensing.velocity_filter
+    sensing = plant.sensing or Sensing()
+    x_delay = sensing.x_delay
     late = plant.sensor.m * x_delay / dt + plant.robot.nv * plant.actuator_delay / dt
     if late > _MOST_STATES:
         raise InvalidInputError(
@@ -253,7 +252,9 @@ def _timing(plant: Plant, dt: float | None) -> Timing | None:
             f"dt = {dt:g} s; a larger dt tells the same",
             given=dt,
         )
-    return Timing(dt, round(x_delay / dt), round(plant.actuator_delay / dt), velocity_filter)
+    return Timing(
+        dt, round(x_delay / dt), round(plant.actuator_delay / dt), sensing.velocity_filter
+    )
 
 
 def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> None:

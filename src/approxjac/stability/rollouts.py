@@ -6,8 +6,9 @@ import copy
 import math
 import pickle
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -190,7 +191,6 @@ def rollouts(
         done += portion
         if progress is not None:
             progress(len(done))
-    done.sort(key=lambda run: run.index)
     return Rollouts(tuple(done), uncertainty, tolerance, duration)
 
 
@@ -281,8 +281,6 @@ def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
 
 def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollout]]:
     """Portions of runs as an executor is done with them."""
-    from concurrent.futures import ProcessPoolExecutor
-
     if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
         try:
             pickle.dumps(job)
@@ -292,17 +290,9 @@ def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollou
                 f"(functools.partial(PositionTask, axes='xz') is, a lambda is not): {error}",
                 given=executor,
             ) from error
-    size = math.ceil(runs / _CHUNKS)
-    indices = range(runs)
-    futures = [
-        executor.submit(_portion, job, indices[start : start + size]) for start in indices[::size]
-    ]
-    try:
-        for future in as_completed(futures):
-            yield future.result()
-    finally:  # where one has failed, or nobody wants the others any more
-        for future in futures:
-            future.cancel()
+    indices, size = range(runs), math.ceil(runs / _CHUNKS)
+    portions = [indices[start : start + size] for start in indices[::size]]
+    return executor.map(partial(_portion, job), portions)  # cancels the others where one fails
 
 
 def _portion(job: _Job, indices: range) -> list[Rollout]:

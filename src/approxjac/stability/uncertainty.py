@@ -7,7 +7,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -98,7 +98,7 @@ class Uncertainty:
     _coordinates: tuple[Coordinate, ...] = field(init=False)
     _joints: tuple[str, ...] = field(init=False)
     _perturbation: Perturbation = field(init=False)
-    _axes: str | None = field(init=False, default=None)
+    _make_task: Callable[..., Task] = field(init=False)
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
@@ -122,8 +122,11 @@ class Uncertainty:
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
         self._set("_perturbation", self._perturbed())
+        make = self.task or ImageTask
         if self.task is None and self.camera is None:
-            self._set("_axes", best_axes(self.belief()))
+            # the axes of the belief, as errors may let another arm command others
+            make = partial(PositionTask, axes=best_axes(self.belief()))
+        self._set("_make_task", make)
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
 
     # -- the box ------------------------------------------------------------------------
@@ -245,7 +248,8 @@ class Uncertainty:
             InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.
         """
         robot = self.robot(values)
-        return Plant(robot, self._task_of(robot, self._true_camera(values)), self.friction)
+        camera = self._true_camera(self._by_name(values))
+        return Plant(robot, self._task_of(robot, camera), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Return values (d,) in words, such as "object_length 0.300 m, camera roll 0.349 rad"."""
@@ -291,11 +295,10 @@ class Uncertainty:
         held = self.believed_length, self.believed_mass
         return Perturbation(self.arm, held, self.object_axis, self._joints)
 
-    def _true_camera(self, values: Sequence[float] | Array) -> Camera | None:
+    def _true_camera(self, at: Mapping[str, float]) -> Camera | None:
         """The camera at some values; the believed one itself where nothing is wrong with it."""
         if self.camera is None:
             return None
-        at = self._by_name(values)
         wrong = {
             name: at[f"camera {name}"]
             for name, known in self.camera.calibration.items()
@@ -304,11 +307,7 @@ class Uncertainty:
         return self.camera.recalibrated(wrong) if wrong else self.camera
 
     def _task_of(self, robot: Robot, camera: Camera | None) -> Task:
-        if camera is None:
-            # the axes of the belief, as errors may let another arm command others
-            task = PositionTask(robot, axes=self._axes) if self.task is None else self.task(robot)
-        else:
-            task = (self.task or ImageTask)(robot, camera)
+        task = self._make_task(robot) if camera is None else self._make_task(robot, camera)
         require("what task makes of a robot", task, Task, "a task, such as PositionTask(robot)")
         return task
 
@@ -345,17 +344,14 @@ class Uncertainty:
                     given=(known.low, known.high),
                 )
         # a camera knows itself what it cannot be, and is that in a corner first
-        of_camera = [known.name.startswith("camera ") for known in self._coordinates]
-        ends = [
-            (known.low, known.high) if moves else (known.believed,)
-            for known, moves in zip(self._coordinates, of_camera, strict=True)
-        ]
-        for corner in itertools.product(*ends):
+        unsure = [known for known in self._coordinates if known.name.startswith("camera ")]
+        for corner in itertools.product(*((known.low, known.high) for known in unsure)):
+            at = {known.name: value for known, value in zip(unsure, corner, strict=True)}
             try:
-                self._true_camera(corner)
+                self._true_camera(at)
             except InvalidInputError as error:
-                words = map(in_words, self.names, corner, self.units)
-                shown = ", ".join(itertools.compress(words, of_camera))
+                units = [known.unit for known in unsure]
+                shown = ", ".join(map(in_words, at, corner, units))
                 raise InvalidInputError(
                     f"a camera must exist everywhere in the set, got {shown}{grown}: {error}",
                     given=corner,
