@@ -15,7 +15,7 @@ from approxjac.controllers import DifferentiatedVelocity
 from approxjac.errors import UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
-from approxjac.stability import advice, stability_map, suggestion
+from approxjac.stability import stability_map, suggestion
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.local import local_test
@@ -435,7 +435,7 @@ def test_what_would_certify_is_the_first_that_does(tools, box, monkeypatch):
         strong = controller.diagonals.damping[0] >= 25.0
         return SimpleNamespace(certified_by="matrix" if strong or errors.factor < 0.41 else None)
 
-    monkeypatch.setattr(advice, "stability_report", report)
+    monkeypatch.setattr(suggestion, "stability_report", report)
     weak, shares = controller_of(tools), []  # with a damping of 10
     assert aj.stability.damping_that_certifies(weak, tools, box, progress=shares.append) == 3.0
     assert_allclose(shares, [0.0, 1.0 / 6.0, 2.0 / 6.0])

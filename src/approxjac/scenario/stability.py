@@ -32,9 +32,9 @@ from approxjac.stability import (
     stability_report,
     tolerance,
 )
-from approxjac.stability.advice import damping_that_certifies, part_that_certifies
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.map import PARAMETERS
+from approxjac.stability.suggestion import damping_that_certifies, part_that_certifies
 from approxjac.stability.tolerance import Test
 from approxjac.tasks import Camera, CombinedTask, ImageTask, Task
 from approxjac.validation import Array

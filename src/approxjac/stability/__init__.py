@@ -1,13 +1,17 @@
 """Stability before you run: the paper's conditions for any arm, and sharper tests."""
 
-from approxjac.stability.advice import damping_that_certifies, part_that_certifies
 from approxjac.stability.local import LocalStability, local_stability
 from approxjac.stability.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.map import StabilityMap, stability_map
 from approxjac.stability.region import JointBox, Region, RegularPart, SublevelSet, Tube
 from approxjac.stability.report import StabilityReport, stability_report
 from approxjac.stability.rollouts import Rollout, Rollouts, rollouts
-from approxjac.stability.suggestion import Suggestion, suggest_gains
+from approxjac.stability.suggestion import (
+    Suggestion,
+    damping_that_certifies,
+    part_that_certifies,
+    suggest_gains,
+)
 from approxjac.stability.tolerance import Tolerance, tolerance
 from approxjac.stability.uncertainty import Uncertainty
 

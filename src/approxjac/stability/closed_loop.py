@@ -18,6 +18,7 @@ from approxjac.stability.region import JointBox, Region, RegularPart, require_se
 from approxjac.stability.samples import Indices, Samples
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart
+from approxjac.tasks import Task
 from approxjac.tasks.analysis import jacobian_gradient, require_jacobian_of_q, vanishing
 from approxjac.validation import Array, require
 
@@ -26,6 +27,8 @@ EXACT_GRAVITY = 1e-5
 _REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
 _STARTS = 20  # of the search for configurations that attain a target
 _DECADES = 6.0  # of the sizes of small errors
+_LEAST_REGULAR, _NEWTON_STEPS, _HALVINGS = 5, 20, 8  # of the search for singular configurations
+_VANISHING = 1e-4  # σ_min that is found there, of a tenth of the typical σ_max
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
 
 
@@ -120,6 +123,39 @@ class ClosedLoop:
                 "compensated",
                 given=self.controller,
             )
+
+    def singular_configuration(self, samples: Samples) -> Array | None:
+        """Return a configuration (nq,) of the region where Ĵ loses rank, or None if none is found.
+
+        No sample hits it, and no test holds there: Ĵᵀ K_p s = 0 for some s ≠ 0, so the arm may
+        stand still away from its target. G = αĴ⁺ does not exist, and with G = αD⁻¹ĴᵀK_v the block
+        sym(K_pĴG) of Q is singular. The margins are relative to that block, so they stay positive
+        however near a singularity is.
+
+        Newton steps towards σ_min(Ĵ) = 0 from the least regular samples, halved until they stay in
+        the region and lead nearer.
+        """
+        task = self.controller.task
+        sizes = np.linalg.svd(samples.J_hat, compute_uv=False)[:, -1]
+        tiny = _VANISHING * vanishing(task)
+        for k in np.argsort(sizes)[:_LEAST_REGULAR]:
+            part = self.parts[int(samples.truth[k])]
+            q: Array = samples.q[k]
+            size, gradient = _sigma_min(task, q)
+            for _ in range(_NEWTON_STEPS):
+                if size <= tiny:
+                    return q
+                step = -size * gradient / max(float(gradient @ gradient), 1e-300)
+                for halving in range(_HALVINGS):
+                    moved = np.array(pin.integrate(task.robot.model, q, 0.5**halving * step))
+                    if part.contains(moved):
+                        nearer, its_gradient = _sigma_min(task, moved)
+                        if nearer < size:
+                            break
+                else:
+                    break
+                q, size, gradient = moved, nearer, its_gradient
+        return None
 
     # -- drawing --------------------------------------------------------------------------
 
@@ -252,3 +288,11 @@ def require_law(controller: SetpointController) -> None:
             f"posture = {controller.posture!r}",
             given=controller,
         )
+
+
+def _sigma_min(task: Task, q: Array) -> tuple[float, Array]:
+    """Return σ_min(Ĵ) and ∂σ_min/∂q = uᵀ(∂Ĵ/∂q_k)v, shape (n_v,)."""
+    U, values, rows = np.linalg.svd(task.jacobian(q))
+    u, v = U[:, -1], rows[len(values) - 1]
+    gradient = np.array([u @ task.jacobian_dot(q, unit) @ v for unit in np.eye(task.robot.nv)])
+    return float(values[-1]), gradient

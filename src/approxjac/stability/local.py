@@ -305,11 +305,9 @@ def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
 
 def _null_space(Z: Array, gravity: float) -> Array:
     """Orthonormal basis of the θ without torque, shape (p, p − rank Z)."""
-    if Z.shape[1] == 0:
-        return np.zeros((0, 0))
     _, values, rows = np.linalg.svd(Z)
     # the columns of first moments are g times a sine: where all are 1e-16, none counts
-    rank = int((values > _SINGULAR * max(values[0], gravity)).sum())
+    rank = int((values > _SINGULAR * values.max(initial=gravity)).sum())
     return np.asarray(rows[rank:].T)
 
 
@@ -318,10 +316,8 @@ def _eigenvalues_across(
 ) -> tuple[NDArray[np.complex128], bool]:
     """Eigenvalues of A without those of the columns d of `still`, and whether A d = `at_rest` d."""
     count = still.shape[1]
-    if count == 0:
-        return np.linalg.eigvals(A).astype(np.complex128), True
     basis = np.linalg.qr(still, mode="complete")[0]
     along, across = basis[:, :count], basis[:, count:]
-    residual = np.abs(A @ along - at_rest * along).max()
+    residual = np.abs(A @ along - at_rest * along).max(initial=0.0)
     rest = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
     return rest, bool(residual <= 1e-9 * np.abs(A).max())

@@ -19,7 +19,6 @@ from approxjac.stability.local import local_test
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
 from approxjac.stability.samples import Indices, Samples
-from approxjac.stability.singularity import singular_configuration
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
 from approxjac.validation import Array, as_array, require
@@ -159,7 +158,7 @@ def stability_map(
             ).share  # fmt: skip
         scaled, samples = drawn(scale)
         if not rank_is_lost:
-            rank_is_lost.append(singular_configuration(scaled, samples) is not None)
+            rank_is_lost.append(scaled.singular_configuration(samples) is not None)
         if rank_is_lost[0]:
             return -1.0
         return max(-1.0, margin(kind, samples, scaled.with_gains(gains).setting))

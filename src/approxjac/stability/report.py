@@ -20,7 +20,6 @@ from approxjac.stability.matrix_form import Family, MatrixForm, Weights
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
 from approxjac.stability.samples import Samples
-from approxjac.stability.singularity import singular_configuration
 from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array, as_integer
@@ -286,7 +285,7 @@ def stability_report(
         local,
         outcome,
         loop.gravity_error(samples.q[:: max(1, len(samples) // 20)]),
-        singular_configuration(loop, samples),
+        loop.singular_configuration(samples),
         seed,
     )
 

@@ -1,10 +1,11 @@
-"""`suggest_gains`: gains that pass a test for a set of errors, or which demand to relax."""
+"""Gains that pass a test for a set of errors, or what to relax; what would certify a loop."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.linearization import Timing
 from approxjac.stability.local import local_test
 from approxjac.stability.region import Region
-from approxjac.stability.singularity import singular_configuration
+from approxjac.stability.report import stability_report
 from approxjac.stability.tolerance import TESTS, Test, tolerance
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array, as_limits, as_number, require
@@ -26,6 +27,8 @@ _STIFFNESS = (1.0, 0.5, 2.0, 4.0)  # of K_v, times the default
 _DAMPING = (1.0, 2.0, 4.0, 8.0, 16.0)  # of B_c, times the default
 _TARGETS = 40  # configurations that the settling time is taken over
 _SETTLED = 4.0  # time constants until 2 % are left
+_RAISED = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)  # times the damping
+_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the largest scale
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,7 +136,7 @@ def suggest_gains(
     loop = ClosedLoop(first, uncertainty, region, target)
     rng = np.random.default_rng(seed)
     samples, targets = loop.draw(configurations, rng), loop.targets(_TARGETS, rng)
-    singular = singular_configuration(loop, samples) is not None
+    singular = loop.singular_configuration(samples) is not None
     weighing = [heavy.plant(values).dynamics for values in loop.corners]
     weight = np.array([weighing[t].g(q) for t, q in zip(samples.truth, samples.q, strict=True)])
 
@@ -194,3 +197,70 @@ def _relaxations(
         best = min(known, key=lambda c: c.settling_time)
         lines.append(f"the settling time: {best.settling_time:.3g} s: {best}")
     return tuple(lines) or ("at least two of them: no gains tried meet any two demands together",)
+
+
+def damping_that_certifies(
+    controller: SetpointController,
+    uncertainty: Uncertainty,
+    region: Region | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
+    **options: Any,
+) -> float | None:
+    """Return the smallest factor of the added damping, of six tried, that a report certifies.
+
+    Args:
+        controller: The controller.
+        uncertainty: The errors.
+        region: Where to look; see `stability_report`.
+        progress: Called with the share of the factors that were tried.
+        options: `target`, `configurations` and `seed` of each `stability_report`.
+
+    Returns:
+        The factor, 1.5 to 20; None if none of them does.
+
+    Raises:
+        InvalidInputError: What `stability_report` refuses.
+    """
+    kp, kv, damping = controller.diagonals
+    for k, factor in enumerate(_RAISED):
+        if progress is not None:
+            progress(k / len(_RAISED))
+        raised = controller.with_gains(Gains(kp, kv, factor * damping))
+        if stability_report(raised, uncertainty, region, **options).certified_by is not None:
+            return factor
+    return None
+
+
+def part_that_certifies(
+    controller: SetpointController,
+    uncertainty: Uncertainty,
+    region: Region | None = None,
+    *,
+    largest: float = 1.0,
+    progress: Callable[[float], None] | None = None,
+    **options: Any,
+) -> Uncertainty | None:
+    """Return the largest part of the errors, of five tried, that a report certifies.
+
+    A report asks for more than `tolerance` does: it draws more configurations, and checks on others
+    what it chose. Arguments are as of `damping_that_certifies`.
+
+    Args:
+        controller: The controller.
+        uncertainty: The errors at scale 1.
+        region: Where to look.
+        largest: Scale to begin with, such as what `tolerance` tells; half of it is the last tried.
+        progress: Called with the share of the scales that were tried.
+        options: Of each report.
+
+    Returns:
+        The errors, scaled down; None if no part tried is certified, or `largest` is 0.
+    """
+    for k, share in enumerate(_SHARES if largest > 0.0 else ()):
+        if progress is not None:
+            progress(k / len(_SHARES))
+        part = uncertainty.scaled(share * largest)
+        if stability_report(controller, part, region, **options).certified_by is not None:
+            return part
+    return None

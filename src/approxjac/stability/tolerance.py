@@ -15,7 +15,6 @@ from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.local import local_test
 from approxjac.stability.matrix_form import MatrixForm
 from approxjac.stability.region import Region
-from approxjac.stability.singularity import singular_configuration
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
@@ -155,7 +154,7 @@ def _failing(
         local = local_test(loop, *loop.targets(configurations, rng))
         return None if local.stable else corners[local.truth[local.worst]]
     samples = loop.draw(configurations, rng)
-    if singular_configuration(loop, samples) is not None:
+    if loop.singular_configuration(samples) is not None:
         return corners[0]  # whatever the errors: the arm may stand still there
     if test == "theorem1":
         samples = refine_constants(loop, samples, rng)
