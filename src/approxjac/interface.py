@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class _Outcome(enum.IntEnum):
 
     message: str
 
-    def __new__(cls, message: str) -> Self:
+    def __new__(cls, message: Any) -> Self:  # a text; an outcome is found by its number, too
         value = len(cls.__members__)
         outcome = int.__new__(cls, value)
         outcome._value_, outcome.message = value, message

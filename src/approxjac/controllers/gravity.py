@@ -87,16 +87,10 @@ class RegressorGravity(Immutable):
 
     def __init__(self, regressor: GravityRegressor, theta: Sequence[float] | Array) -> None:
         self._remember(locals())
-        require(
-            "regressor", regressor, GravityRegressor, "a GravityRegressor of the believed robot"
-        )
-        self.regressor = regressor
+        wanted = "a GravityRegressor of the believed robot"
+        require("regressor", regressor, GravityRegressor, wanted)
+        self.regressor, self.robot = regressor, regressor.robot
         self.theta = as_array("theta", theta, (regressor.p,))
-
-    @property
-    def robot(self) -> Robot:
-        """The robot whose regressor is used."""
-        return self.regressor.robot
 
     def __repr__(self) -> str:
         return f"RegressorGravity({self.robot.name!r}, theta={listed(self.theta)})"
@@ -150,7 +144,7 @@ class AdaptiveGravity(Immutable):
         require("model", model, (Robot, GravityRegressor), wanted)
         regressor = GravityRegressor(model) if isinstance(model, Robot) else model
         p = regressor.p
-        self.regressor = regressor
+        self.regressor, self.robot = regressor, regressor.robot
         self.L = None if L is None else _adaptation_gain(L, p)
         self.alpha = None if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
         if self.alpha is not None:
@@ -158,14 +152,8 @@ class AdaptiveGravity(Immutable):
         theta0 = regressor.theta if theta0 is None else theta0
         self.theta0 = as_array("theta0", [theta0] * p if is_scalar(theta0) else theta0, (p,))
         self.bounds = None if bounds is None else self._bounds(bounds)
-        robot = regressor.robot
-        limits = robot.effort_limits if torque_limits is None else torque_limits
-        self.torque_limits = as_limits("torque_limits", limits, robot.nv, unit="N m or N")
-
-    @property
-    def robot(self) -> Robot:
-        """The robot whose regressor is used."""
-        return self.regressor.robot
+        limits = self.robot.effort_limits if torque_limits is None else torque_limits
+        self.torque_limits = as_limits("torque_limits", limits, self.robot.nv, unit="N m or N")
 
     def __repr__(self) -> str:
         shown = [f"{self.robot.name!r}", f"{self.regressor.p} parameters"]

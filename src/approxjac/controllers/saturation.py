@@ -35,7 +35,10 @@ def require_saturation(saturation: Saturation, task: Task) -> None:
             below to far beyond the one at which s saturates.
     """
     try:
-        _require_parts(saturation)
+        if isinstance(saturation, type):
+            raise _Fault("that is a class, give an object of it")
+        if missing := [name for name in _NAMES if not hasattr(saturation, name)]:
+            raise _Fault(f"it has no {', '.join(missing)}")
         with np.errstate(all="ignore"):  # such errors may never come
             _require_law(saturation, task.m)
     except _Fault as fault:
@@ -44,14 +47,6 @@ def require_saturation(saturation: Saturation, task: Task) -> None:
             f"for {task!r}, or a law.Saturation of your own, got {saturation!r}: {fault}",
             given=saturation,
         ) from fault.__cause__
-
-
-def _require_parts(saturation: Saturation) -> None:
-    if isinstance(saturation, type):
-        raise _Fault("that is a class, give an object of it")
-    missing = [name for name in _NAMES if not hasattr(saturation, name)]
-    if missing:
-        raise _Fault(f"it has no {', '.join(missing)}")
 
 
 def _value(saturation: Saturation, name: str, e: Array) -> Array:

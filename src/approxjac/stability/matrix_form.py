@@ -177,8 +177,7 @@ class _Unknowns:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class Best:
+class Best(NamedTuple):
     """The Lyapunov function of a family with the largest least margin.
 
     Attributes:
@@ -217,16 +216,6 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
         if not unknowns.basis or margins.min() >= inner - _PRECISION or len(others) == 0:
             return Best(weights, margins, active, y)
         active = np.concatenate([active, others])
-
-
-def first_that_passes(form: MatrixForm) -> Best:
-    """Return the function of the smallest family that passes everywhere, or the best of all."""
-    found = []
-    for family in form.setting.families:
-        found.append(best_weights(form, family))
-        if found[-1].margins.min() > 0.0:
-            break
-    return max(found, key=lambda best: float(best.margins.min()))
 
 
 def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tuple[Array, float]:

@@ -250,14 +250,14 @@ def stability_report(
     samples = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
     chosen: dict[Family, Weights] = {}
+    weights: Weights | None = None
     for k, family in enumerate(setting.families):
         tell("matrix form", k / len(setting.families))
         form, best = refine_weights(loop, form, family, rng)
-        chosen[family] = best.weights
-        if k > 0:  # a family holds those before it, whatever the search for it has found
-            before = chosen[setting.families[k - 1]]
-            if form.margins(before).min() > best.margins.min():
-                chosen[family] = before
+        # a family holds those before it, whatever the search for it has found
+        if weights is None or form.margins(weights).min() <= best.margins.min():
+            weights = best.weights
+        chosen[family] = weights
     samples = form.samples
     matrix: dict[Family, MatrixTest] = {}
     for family, weights in chosen.items():

@@ -184,10 +184,10 @@ def rollouts(
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)
     x_d = None if target is None else uncertainty.believed_task().target(target)
-    job = _Job(controller, uncertainty, region, x_d, duration, dt, tolerance, seed)
+    run = partial(_run, controller, uncertainty, region, x_d, duration, dt, tolerance, seed)
     done: list[Rollout] = []
-    here = ([job.run(index)] for index in range(runs))
-    for portion in here if executor is None else _elsewhere(job, runs, executor):
+    here = ([run(index)] for index in range(runs))
+    for portion in here if executor is None else _elsewhere(run, runs, executor):
         done += portion
         if progress is not None:
             progress(len(done))
@@ -226,47 +226,44 @@ def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tupl
     return low, high
 
 
-@dataclass(frozen=True, eq=False)
-class _Job:
-    """All that is the same for every run."""
-
-    controller: Controller
-    uncertainty: Uncertainty
-    region: Region
-    target: Array | None
-    duration: float
-    dt: float
-    tolerance: float
-    seed: int
-
-    def run(self, index: int) -> Rollout:
-        """Carry out one run."""
-        rng = np.random.default_rng([self.seed, index])
-        values = self.uncertainty.sample(rng)
-        plant = self.uncertainty.plant(values)
-        seen, target = VisiblePart(self.region, plant.sensor), self.target
-        try:
-            q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
-            q0 = seen.replace_unseen(q0[None], rng)[0]
-            if target is None:
-                target = plant.sensor.value(seen.sample(1, rng)[0])
-        except UnattainedError as error:
-            raise UnattainedError(
-                f"{error}, with {self.uncertainty.describe(values)}", given=values, truth=index
-            ) from error
-        every = max(1, round(self.duration / self.dt / _RECORDS)) * self.dt
-        try:
-            record = simulate(
-                plant, self.controller, target, q0, self.duration, dt=self.dt, record_every=every,
-                integrator="semi_implicit_euler",
-            )  # fmt: skip
-        except SimulationError:
-            return Rollout(index, values, q0, target, math.inf, math.nan, False, True, False)
-        settling, converged = _judged(record.t, record.error_norm, self.tolerance)
-        final = float(record.error_norm[-1])
-        final = math.inf if math.isnan(final) else final
-        stayed = all(bool(self.region.contains(q)) for q in record.q)
-        return Rollout(index, values, q0, target, final, settling, converged, False, stayed)
+def _run(
+    controller: Controller,
+    uncertainty: Uncertainty,
+    region: Region,
+    target: Array | None,
+    duration: float,
+    dt: float,
+    tolerance: float,
+    seed: int,
+    index: int,
+) -> Rollout:
+    """Carry out one run."""
+    rng = np.random.default_rng([seed, index])
+    values = uncertainty.sample(rng)
+    plant = uncertainty.plant(values)
+    seen = VisiblePart(region, plant.sensor)
+    try:
+        q0 = plant.robot.configuration(region.sample(1, rng)[0], "q0")
+        q0 = seen.replace_unseen(q0[None], rng)[0]
+        if target is None:
+            target = plant.sensor.value(seen.sample(1, rng)[0])
+    except UnattainedError as error:
+        raise UnattainedError(
+            f"{error}, with {uncertainty.describe(values)}", given=values, truth=index
+        ) from error
+    every = max(1, round(duration / dt / _RECORDS)) * dt
+    try:
+        record = simulate(
+            plant, controller, target, q0, duration, dt=dt, record_every=every,
+            integrator="semi_implicit_euler",
+        )  # fmt: skip
+    except SimulationError:
+        return Rollout(index, values, q0, target, math.inf, math.nan, False, True, False)
+    settling, converged = _judged(record.t, record.error_norm, tolerance)
+    final = float(record.error_norm[-1])
+    final = math.inf if math.isnan(final) else final
+    stayed = all(bool(region.contains(q)) for q in record.q)
+    return Rollout(index, values, q0, target, final, settling, converged, False, stayed)
 
 
 def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
@@ -279,11 +276,13 @@ def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
     return settling, bool(below[last_tenth].all())
 
 
-def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollout]]:
+def _elsewhere(
+    run: Callable[[int], Rollout], runs: int, executor: Executor
+) -> Iterator[list[Rollout]]:
     """Portions of runs as an executor is done with them."""
     if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
         try:
-            pickle.dumps(job)
+            pickle.dumps(run)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise InvalidInputError(
                 "controller, uncertainty and region must be picklable to go to other processes "
@@ -292,9 +291,9 @@ def _elsewhere(job: _Job, runs: int, executor: Executor) -> Iterator[list[Rollou
             ) from error
     indices, size = range(runs), math.ceil(runs / _CHUNKS)
     portions = [indices[start : start + size] for start in indices[::size]]
-    return executor.map(partial(_portion, job), portions)  # cancels the others where one fails
+    return executor.map(partial(_portion, run), portions)  # cancels the others where one fails
 
 
-def _portion(job: _Job, indices: range) -> list[Rollout]:
-    own = copy.deepcopy(job)  # tasks and controllers have scratch memory: one instance a thread
-    return [own.run(index) for index in indices]
+def _portion(run: Callable[[int], Rollout], indices: range) -> list[Rollout]:
+    own = copy.deepcopy(run)  # tasks and controllers have scratch memory: one instance a thread
+    return [own(index) for index in indices]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,7 +37,7 @@ class Theorem1:
     c0: float
     c1: float
     setting: Setting
-    worst: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    worst: Mapping[str, int]
 
     def __repr__(self) -> str:
         verdict = "holds" if self.holds else "does not hold"

@@ -154,17 +154,17 @@ class Uncertainty:
     @property
     def believed(self) -> Array:
         """Believed value of each, shape (d,)."""
-        return self._ranges[0].copy()
+        return np.array(self._ranges[0])
 
     @property
     def low(self) -> Array:
         """The smallest values that they may have, shape (d,)."""
-        return self._ranges[1].copy()
+        return np.array(self._ranges[1])
 
     @property
     def high(self) -> Array:
         """The largest values that they may have, shape (d,)."""
-        return self._ranges[2].copy()
+        return np.array(self._ranges[2])
 
     def scaled(self, factor: float) -> Uncertainty:
         """Return a box of the same coordinates, shrunk or grown about what is believed.
@@ -216,7 +216,8 @@ class Uncertainty:
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
         _, low, high = self._ranges
-        return low + (high - low) * rng.random(self.d)  # as rng.uniform, which takes its time
+        # as rng.uniform, which takes its time
+        return np.asarray(low + (high - low) * rng.random(self.d))
 
     # -- the robots ---------------------------------------------------------------------
 
@@ -248,7 +249,7 @@ class Uncertainty:
             InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.
         """
         robot = self.robot(values)
-        camera = self._true_camera(self._by_name(values))
+        camera = None if self.camera is None else self._true_camera(self._by_name(values))
         return Plant(robot, self._task_of(robot, camera), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:
