@@ -59,6 +59,15 @@ def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
     return as_array(name, value, (size,), unit)
 
 
+def as_entries(name: str, value: Any, size: int, unit: str = "") -> Array:
+    """Return a number, or one number an entry, as a read-only float vector of `size`.
+
+    Raises:
+        InvalidInputError: As `as_array`.
+    """
+    return as_array(name, [value] * size if is_scalar(value) else value, (size,), unit)
+
+
 def as_number(
     name: str,
     value: Any,
@@ -122,14 +131,13 @@ def as_diagonal(
         array = np.full(max(size, 1), value)  # the quick way
         array.flags.writeable = False
         return array
-    scalar = is_scalar(value)
     if len(shape_of(value)) == 2:
         raise InvalidInputError(
             f"{name} must be a number or the diagonal of a matrix, one number an entry, got shape "
             f"{shape_of(value)}",
             given=value,
         )
-    array = as_array(name, [value] * max(size, 1) if scalar else value, (max(size, 1),), unit)
+    array = as_entries(name, value, max(size, 1), unit)
     if (array > _LARGEST).any():  # or products of gains could overflow in a control step
         raise InvalidInputError(
             f"{name} must be at most {_LARGEST:g}, got {array.tolist()}", given=value

@@ -15,32 +15,29 @@ _NUMBERS = (list, tuple, int, float)
 
 
 def require_arrays(
-    state: Array,
-    measurement: Measurement,
-    target: Array,
-    shapes: tuple[tuple[int, ...], ...],
-    task: Task,
+    state: Array, measurement: Measurement, target: Array, task: Task, n_state: int
 ) -> tuple[Array, Array, Array]:
-    """Return q, v and x, or refuse what is not of its shape: that of q, v, x, target, state."""
+    """Return q, v and x, or refuse an argument that is no array of its size."""
     try:
         _, q, v, x, _ = measurement
     except (TypeError, ValueError):
         raise InvalidInputError(
             f"measurement must be Measurement(t, q, v, x), got {measurement!r}", given=measurement
         ) from None
-    names = ("q", "v", "x", "target", "state")
-    for name, value, shape in zip(names, (q, v, x, target, state), shapes, strict=True):
-        require_array(name, value, shape, task)
+    named = {"q": q, "v": v, "x": x, "target": target, "state": state}
+    sizes = task.robot.nq, task.robot.nv, task.n_x, task.n_x, n_state
+    for (name, value), size in zip(named.items(), sizes, strict=True):
+        require_array(name, value, size, task)
     return q, v, x
 
 
-def require_array(name: str, value: Array, shape: tuple[int, ...], task: Task) -> None:
-    """Refuse what is no array of floats of the shape that a task asks for."""
-    if not isinstance(value, np.ndarray) or value.shape != shape:
+def require_array(name: str, value: Array, size: int, task: Task) -> None:
+    """Refuse what is no vector of floats of the size that a task asks for."""
+    if not isinstance(value, np.ndarray) or value.shape != (size,):
         given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
         how = f"; numpy.array({name}, dtype=float) makes one of numbers"
         raise InvalidInputError(
-            f"{name} must be an array of shape {shape} for {task!r}, got {given}"
+            f"{name} must be an array of shape {(size,)} for {task!r}, got {given}"
             f"{how if isinstance(value, _NUMBERS) else ''}",
             given=value,
         )

@@ -36,8 +36,7 @@ class Gains:
             # a copy, so that nobody changes it later
             object.__setattr__(self, name, float(value) if is_scalar(value) else diagonal)
 
-    def __repr__(self) -> str:
-        return short_fields(self)
+    __repr__ = short_fields
 
     def diagonals(self, m: int, nv: int) -> Diagonals:
         """Return the diagonals for a task of m coordinates on an arm of n_v joints.

@@ -21,6 +21,7 @@ from approxjac.validation import (
     Immutable,
     as_array,
     as_diagonal,
+    as_entries,
     as_limits,
     as_number,
     is_scalar,
@@ -149,8 +150,7 @@ class AdaptiveGravity(Immutable):
         self.alpha = None if alpha is None else as_number("alpha", alpha, unit="1/s", above=0.0)
         if self.alpha is not None:
             as_diagonal("alpha", self.alpha, 1, unit="1/s")  # not beyond what gains may be
-        theta0 = regressor.theta if theta0 is None else theta0
-        self.theta0 = as_array("theta0", [theta0] * p if is_scalar(theta0) else theta0, (p,))
+        self.theta0 = as_entries("theta0", regressor.theta if theta0 is None else theta0, p)
         self.bounds = None if bounds is None else self._bounds(bounds)
         limits = self.robot.effort_limits if torque_limits is None else torque_limits
         self.torque_limits = as_limits("torque_limits", limits, self.robot.nv, unit="N m or N")
@@ -164,29 +164,22 @@ class AdaptiveGravity(Immutable):
         return f"AdaptiveGravity({', '.join(shown)})"
 
     def _bounds(self, bounds: Any) -> tuple[Array, Array]:
-        p = self.regressor.p
         try:
             lower, upper = bounds
         except (TypeError, ValueError) as error:
             raise InvalidInputError(
                 f"bounds must be a smallest and a largest theta, got {bounds!r}", given=bounds
             ) from error
-        lower, upper = (
-            as_array("bounds", [bound] * p if is_scalar(bound) else bound, (p,))
-            for bound in (lower, upper)
-        )
-        if not (lower < upper).all():
-            raise InvalidInputError(
-                f"bounds must be a smallest and a larger theta, got {lower.tolist()} to "
-                f"{upper.tolist()}",
-                given=bounds,
-            )
-        if not ((lower <= self.theta0) & (self.theta0 <= upper)).all():
-            raise InvalidInputError(
-                f"bounds must hold theta0 = {self.theta0.tolist()}, got {lower.tolist()} to "
-                f"{upper.tolist()}",
-                given=bounds,
-            )
+        lower, upper = (as_entries("bounds", bound, self.regressor.p) for bound in (lower, upper))
+        holds_theta0 = ((lower <= self.theta0) & (self.theta0 <= upper)).all()
+        for holds, wanted in (
+            ((lower < upper).all(), "be a smallest and a larger theta"),
+            (holds_theta0, f"hold theta0 = {self.theta0.tolist()}"),
+        ):
+            if not holds:
+                raise InvalidInputError(
+                    f"bounds must {wanted}, got {lower.tolist()} to {upper.tolist()}", given=bounds
+                )
         if self.L is not None and self.L.ndim == 2:
             raise InvalidInputError(
                 "bounds need L to be a number or a diagonal: with a full matrix, keeping one "

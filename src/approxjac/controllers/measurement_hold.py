@@ -78,13 +78,11 @@ class HeldMeasurement(ControllerWrapper):
         self.unseen = as_limits("unseen", unseen, task.m, unit=joined(task._measured.units))
         self._measured = task._measured  # whose parts are lost one by one
         self._parts = task._parts
-        self._subtracts = self._measured._subtracts  # as most, and then x is as finite as its error
         self._origin = task._origin
         self._uncombined = uncombined(task)
         self._limits = [self.unseen[coordinates].tolist() for _, coordinates in self._parts]
-        self._p_start = task.n_x + 1
-        self._p_end = self._p_start + task.m
-        self._memory = self._p_end + len(self._parts)
+        self._moved = slice(task.n_x + 1, task.n_x + 1 + task.m)  # p within the memory
+        self._memory = self._moved.stop + len(self._parts)
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step: nothing has been seen yet.
@@ -112,7 +110,7 @@ class HeldMeasurement(ControllerWrapper):
         inner, memory = self._split(state)
         require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
         x, t_x = measurement.x, measurement.t_x
-        require_array("x", x, self._origin.shape, self.controller.task)
+        require_array("x", x, len(self._origin), self.controller.task)
         if t_x is not None:
             t_x = as_number("t_x of a measurement", t_x, unit="s")
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
@@ -128,7 +126,7 @@ class HeldMeasurement(ControllerWrapper):
                 )
             rate = answer.J_hat.dot(measurement.v)
             moved = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
-            memory[self._p_start : self._p_end] += counts * moved
+            memory[self._moved] += counts * moved
         if not math.isfinite(math.hypot(*memory.tolist())):
             raise MeasurementError(
                 f"the state overflows: x = {x.tolist()} and v = {measurement.v.tolist()} are "
@@ -143,12 +141,12 @@ class HeldMeasurement(ControllerWrapper):
 
         The p of a part that is too old stands still: an arm that sags back is not seen by that.
         """
-        last, p = memory[: len(x)], memory[self._p_start : self._p_end]
-        seen = memory[self._p_end :]
+        last, p, seen = memory[: len(x)], memory[self._moved], memory[self._moved.stop :]
         measured, before, moved = x.tolist(), last.tolist(), p.tolist()
         later = t_x is not None and t_x > memory[len(x)]
         # numbers may be no measurement all the same, such as a quaternion of zeros
-        errors = measured if self._subtracts else self._measured.error(x, self._origin).tolist()
+        told = x if self._measured._subtracts else self._measured.error(x, self._origin)
+        errors = told.tolist()
         used, counts, any_new = x.copy(), np.ones(len(p)), False
         for k, (entries, coordinates) in enumerate(self._parts):
             here = measured[entries]

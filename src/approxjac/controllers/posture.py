@@ -44,8 +44,7 @@ class Posture:
         scalar = is_scalar(self.stiffness)
         object.__setattr__(self, "stiffness", float(diagonal[0]) if scalar else diagonal)
 
-    def __repr__(self) -> str:
-        return short_fields(self)
+    __repr__ = short_fields
 
     def resolved(self, task: Task) -> tuple[Array, Array]:
         """Return q and the diagonal of k for the robot of a task.
@@ -68,11 +67,7 @@ class Posture:
 def within_null_space(torque: Array, J_hat: Array, G: Array, scale: float) -> Array:
     """Return N τ with N = I − Ĵ⁺Ĵ, faded out near a singular Ĵ; shape (n_v,).
 
-    Args:
-        torque: τ, shape (n_v,).
-        J_hat: Ĵ, shape (m, n_v).
-        G: ĴĴᵀ.
-        scale: Size of Ĵ below which it vanishes, as in `law.damped_gram_solve`.
+    G is ĴĴᵀ, and `scale` the size of Ĵ below which it vanishes, as in `law.damped_gram_solve`.
     """
     w, damped = law.damped_gram_solve(G, J_hat.dot(torque), scale=scale)
     if damped == 0.0:

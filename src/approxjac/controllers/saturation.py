@@ -118,7 +118,17 @@ def _require_pairs(f: Saturation, e: Array) -> None:
     hold(_is_between(lean, s, slack), "s(e) must be the slope of S", lean)
 
     e_max = float(np.abs(e).max())
-    d, c_bar, d_bar = _constants(f, e_max)
+    try:
+        most = f.d_bar(e_max)
+    except Exception as error:
+        raise _Fault(
+            f"d_bar must be a function of e_max, and it fails for {e_max:g} with "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    constants = {"d": f.d, "c_bar": f.c_bar, "d_bar(e_max)": most}
+    d, c_bar, d_bar = (
+        as_number(f"{name} of a saturation", value, above=0.0) for name, value in constants.items()
+    )
     size, size_s, short = np.abs(e[0]), np.abs(s[0]), 1.0 + _SLACK
     for holds, rule in (
         (size * short >= d * size_s, f"e s(e) >= d s(e)² with d = {d:g}"),
@@ -129,22 +139,6 @@ def _require_pairs(f: Saturation, e: Array) -> None:
         ),
     ):
         hold(holds, f"eq. (8) asks for {rule}")
-
-
-def _constants(f: Saturation, e_max: float) -> tuple[float, float, float]:
-    """Return d, c̄ and d̄(e_max) of eq. (8)."""
-    try:
-        d_bar = f.d_bar(e_max)
-    except Exception as error:
-        raise _Fault(
-            f"d_bar must be a function of e_max, and it fails for {e_max:g} with "
-            f"{type(error).__name__}: {error}"
-        ) from error
-    return (
-        as_number("d of a saturation", f.d, above=0.0),
-        as_number("c_bar of a saturation", f.c_bar, above=0.0),
-        as_number("d_bar(e_max) of a saturation", d_bar, above=0.0),
-    )
 
 
 def _is_between(slope: Array, ends: Array, slack: float | Array) -> Array:

@@ -142,7 +142,7 @@ class SetpointController(Immutable):
             MeasurementError: Law (5), and the first x is lost.
         """
         task, x_d = self.task, np.zeros(self.task.n_x)
-        _, _, x = require_arrays(self._no_rate, measurement, x_d, self._shapes, task)
+        _, _, x = require_arrays(self._no_rate, measurement, x_d, task, self._n_state)
         if self.velocity is not None and not np.isfinite(x).all():
             raise MeasurementError(
                 f"the first x must be finite for law (5), which differentiates it, "
@@ -284,11 +284,11 @@ class SetpointController(Immutable):
             InvalidInputError: Wrong shapes or types, a target or state that is not finite, or
                 (cos, sin) pairs of continuous joints off the unit circle.
         """
-        x_d_dot = None
+        v_d = None
         if isinstance(target, Target):
-            target, x_d_dot, _ = target
-            if x_d_dot is not None:
-                x_d_dot = as_vector("v of the target", x_d_dot, self.task.m)
+            target, v_d, _ = target
+            if v_d is not None:
+                v_d = as_vector("v of the target", v_d, self.task.m)
         try:
             _, q, v, x, _ = measurement
             usual = (
@@ -298,7 +298,7 @@ class SetpointController(Immutable):
         except (TypeError, ValueError, AttributeError):
             usual = False
         if not usual:
-            q, v, x = require_arrays(state, measurement, target, self._shapes, self.task)
+            q, v, x = require_arrays(state, measurement, target, self.task, self._n_state)
         # One number that is not small if anything is not finite. Unlike sums of squares it
         # overflows without a warning, and it is faster.
         size = math.hypot(*q.tolist(), *v.tolist(), *x.tolist(), *target.tolist(), *state.tolist())
@@ -307,16 +307,15 @@ class SetpointController(Immutable):
             if self._subtracts or math.isfinite(e.dot(e)):
                 if self._continuous:
                     self.task.robot.configuration(q)
-                answer = self._answer(q, v, x, e, state, x_d_dot, lost=False)
-                torque = answer.torque
-                if torque.dot(torque) < HUGE:  # a task or a saturation of one's own may fail
+                answer = self._answer(q, v, x, e, state, v_d, lost=False)
+                if answer.torque.dot(answer.torque) < HUGE:  # what is one's own may fail
                     return answer
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             e = x - target if self._subtracts else self.task.error(x, target)
             lost = is_lost(q, v, x, target, state, e, self.task)
             self.task.robot.configuration(q)
             try:
-                answer = self._answer(q, v, x, e, state, None if lost else x_d_dot, lost)
+                answer = self._answer(q, v, x, e, state, None if lost else v_d, lost)
                 if np.isfinite(answer.torque).all() and np.isfinite(answer.state_rate).all():  # type: ignore[arg-type]
                     return answer
             except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
@@ -329,14 +328,7 @@ class SetpointController(Immutable):
         )
 
     def _answer(
-        self,
-        q: Array,
-        v: Array,
-        x: Array,
-        e: Array,
-        state: Array,
-        x_d_dot: Array | None,
-        lost: bool,
+        self, q: Array, v: Array, x: Array, e: Array, state: Array, v_d: Array | None, lost: bool
     ) -> Evaluation:
         """Evaluate the law at inputs that have been checked."""
         J_hat = self.task.jacobian(q, x)
@@ -355,8 +347,8 @@ class SetpointController(Immutable):
         bias = g
         if self._pull is not None:
             bias = bias + self._pull_within_null_space(q, J_hat, G, *self._pull)
-        if x_d_dot is not None:
-            bias = bias + law.feed_forward_torque(J_hat, kv, x_d_dot)
+        if v_d is not None:
+            bias = bias + law.feed_forward_torque(J_hat, kv, v_d)
 
         rate = self._no_rate
         if self.velocity is None:

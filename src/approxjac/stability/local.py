@@ -93,24 +93,23 @@ class LocalStability:
         numbers = {"self-motion": self.self_motion, unseen: self.unseen_parameters}
         left_out = [f"{number} of {what}" for what, number in numbers.items() if number]
         ending = f"; left out are {' and '.join(left_out)}" if left_out else ""
-        return f"{self._verdict()} ({loop}){ending}"
-
-    def _verdict(self) -> str:
         if self.singular:
-            return (
+            verdict = (
                 "undecided: J or Ĵ loses rank at the target, so that more than the self-motion "
                 "is neither held nor driven away; choose another target or task"
             )
-        if self.stable:
-            return (
+        elif self.stable:
+            verdict = (
                 f"stable: errors near the target die out at {self.decay_rate:.3g} 1/s or faster "
                 f"(to 1 % in {math.log(100.0) / self.decay_rate:.3g} s), "
                 f"damping ratio {self.damping_ratio:.2g}"
             )
-        worst = self.eigenvalues[self.eigenvalues.real.argmax()]
-        swing = abs(float(worst.imag)) / (2.0 * math.pi)
-        how = f", oscillating at {swing:.3g} Hz" if swing > 0.0 else ""
-        return f"unstable: errors near the target grow at {-self.decay_rate:.3g} 1/s{how}"
+        else:
+            worst = self.eigenvalues[self.eigenvalues.real.argmax()]
+            swing = abs(float(worst.imag)) / (2.0 * math.pi)
+            how = f", oscillating at {swing:.3g} Hz" if swing > 0.0 else ""
+            verdict = f"unstable: errors near the target grow at {-self.decay_rate:.3g} 1/s{how}"
+        return f"{verdict} ({loop}){ending}"
 
 
 def local_stability(
@@ -193,10 +192,8 @@ class LocalTest:
     truth: Indices
 
     def __repr__(self) -> str:
-        share, slowest = f"{100 * self.share:.4g} %", f"{self.decay_rates.min():.3g}/s"
-        return (
-            f"LocalTest(stable at {share} of {len(self.q)} configurations, slowest decay {slowest})"
-        )
+        stable = f"stable at {100 * self.share:.4g} % of {len(self.q)} configurations"
+        return f"LocalTest({stable}, slowest decay {self.decay_rates.min():.3g}/s)"
 
     @property
     def share(self) -> float:
@@ -262,10 +259,10 @@ def _require_gravity(plant: Plant, controller: SetpointController, q: Array) -> 
     model = plant.robot.model
     nearby = [q, *(pin.integrate(model, q, _NEAR * unit) for unit in np.eye(plant.robot.nv))]
     wanted = np.array([plant.dynamics.g(at) for at in nearby])
-    learning, expected = controller.adaptation, "learnable"
+    learning = controller.adaptation
+    expected = "exact" if learning is None else "learnable"
     if learning is None:
         given = np.array([controller.gravity.torque(at) for at in nearby])  # type: ignore[union-attr]
-        expected = "exact"
     else:
         given = _learnt(learning, nearby, wanted)
     error = float(np.abs(given - wanted).max())

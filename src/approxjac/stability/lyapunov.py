@@ -83,15 +83,15 @@ def lyapunov(
     J_hat_pinv = law.right_pinv(J_hat)
     M = dynamics.M(q)
     V = law.V(v, s, controller.saturation.S(e), J_hat_pinv, M, kp, kv, alpha)
-    if controller.adaptation is not None:
-        if state is None or theta is None or alpha != controller.adaptation.alpha:
+    learning = controller.adaptation
+    if learning is not None:
+        if state is None or theta is None or alpha != learning.alpha:
             raise InvalidInputError(
                 "where gravity is learnt, state and theta must be given and alpha must be the "
-                f"controller's {controller.adaptation.alpha:g}, got alpha = {alpha:g}, "
+                f"controller's {learning.alpha:g}, got alpha = {alpha:g}, "
                 f"state = {state!r}, theta = {theta!r}",
                 given=(alpha, state, theta),
             )
-        learning = controller.adaptation
         state = as_array("state", state, (learning.regressor.p,))
         theta = as_array("theta", theta, (learning.regressor.p,))
         V += law.parameter_potential(theta - controller.learnt(state), learning.L)

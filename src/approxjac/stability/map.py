@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -23,14 +22,12 @@ from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
 from approxjac.validation import Array, as_array, require
 
-PARAMETERS: Mapping[str, str] = MappingProxyType(
-    {
-        "error": "scale of the errors [–]",
-        "a": "gain ratio k_p / k_v, k_v kept [1/s]",
-        "kv": "K_v and K_p, times the controller's [–]",
-        "damping": "added damping B_c, times the controller's [–]",
-    }
-)
+PARAMETERS = {
+    "error": "scale of the errors [–]",
+    "a": "gain ratio k_p / k_v, k_v kept [1/s]",
+    "kv": "K_v and K_p, times the controller's [–]",
+    "damping": "added damping B_c, times the controller's [–]",
+}
 """Parameters that a map can have along its axes."""
 
 _POOL = 200  # targets that the hard ones are chosen from

@@ -16,7 +16,7 @@ from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation import Plant
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import sees
-from approxjac.validation import Array, as_array, as_number, is_scalar, require
+from approxjac.validation import Array, as_entries, as_number, require
 
 _TRIES = 1000
 _THINNING = 25
@@ -95,8 +95,8 @@ class JointBox(Region):
         if lower is None or upper is None:
             self.lower, self.upper = robot.usual_range()
         else:
-            self.lower = _per_joint("lower", lower, robot)
-            self.upper = _per_joint("upper", upper, robot)
+            self.lower = as_entries("lower", lower, robot.nv)
+            self.upper = as_entries("upper", upper, robot.nv)
         if not (self.lower <= self.upper).all():
             raise InvalidInputError(
                 "lower must be at most upper in every joint, or the region is empty, got "
@@ -114,15 +114,14 @@ class JointBox(Region):
         cls, robot: Robot, q: Sequence[float] | Array, radius: float | Sequence[float] | Array
     ) -> JointBox:
         """Return the box of all configurations whose joints are within `radius` [rad or m] of q."""
-        radius = _per_joint("radius", radius, robot, "rad")
+        radius = as_entries("radius", radius, robot.nv, "rad")
         require_radians("q", robot, robot.configuration(q))
         return cls(robot, -radius, radius, q)
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         motions = rng.uniform(self.lower, self.upper, (n, self.robot.nv))
-        return np.array(
-            [pin.integrate(self.robot.model, self.center, motion) for motion in motions]
-        )
+        model, center = self.robot.model, self.center
+        return np.array([pin.integrate(model, center, motion) for motion in motions])
 
     def contains(self, q: Array) -> bool:
         motion = pin.difference(self.robot.model, self.center, q)
@@ -161,7 +160,7 @@ class Tube(Region):
         self.configurations = np.array(
             [robot.configuration(q, "each configuration") for q in configurations]
         )
-        self.spread = _per_joint("radius", radius, robot)
+        self.spread = as_entries("radius", radius, robot.nv)
         if not (self.spread > 0.0).all():
             raise InvalidInputError(
                 f"radius must be > 0 in every joint, or the region is empty, got {radius!r}",
@@ -170,16 +169,13 @@ class Tube(Region):
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         model = self.robot.model
-        chosen = self.configurations[rng.integers(len(self.configurations), size=n)]
+        known = self.configurations[rng.integers(len(self.configurations), size=n)]
         motions = rng.uniform(-self.spread, self.spread, (n, self.robot.nv))
-        return np.array(
-            [pin.integrate(model, q, motion) for q, motion in zip(chosen, motions, strict=True)]
-        )
+        return np.array([pin.integrate(model, q, by) for q, by in zip(known, motions, strict=True)])
 
     def contains(self, q: Array) -> bool:
-        model = self.robot.model
         return any(
-            bool((np.abs(pin.difference(model, known, q)) <= self.spread).all())
+            bool((np.abs(pin.difference(self.robot.model, known, q)) <= self.spread).all())
             for known in self.configurations
         )
 
@@ -233,19 +229,17 @@ class SublevelSet(Region):
         self.spread = self.within.spread
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
-        q, drawn = self.start, []
-        for k in range(_BURN_IN + n * _THINNING):
-            size = 10.0 ** rng.uniform(-2.5, -0.5)  # a symmetric step: the walk is uniform
-            q = self._step(q, size, rng)
-            if k >= _BURN_IN and (k - _BURN_IN) % _THINNING == _THINNING - 1:
-                drawn.append(q)
-        return np.array(drawn)
+        walk = [self.start]
+        for _ in range(_BURN_IN + n * _THINNING):
+            walk.append(self._step(walk[-1], rng))
+        return np.array(walk[_BURN_IN + _THINNING :: _THINNING])
 
     def contains(self, q: Array) -> bool:
         seen = self.within.contains(q) and sees(self._plant.sensor, q)
         return seen and self._potential(q) <= self.level
 
-    def _step(self, q: Array, size: float, rng: np.random.Generator) -> Array:
+    def _step(self, q: Array, rng: np.random.Generator) -> Array:
+        size = 10.0 ** rng.uniform(-2.5, -0.5)  # a symmetric step: the walk is uniform
         motion = size * self.spread * rng.standard_normal(self.robot.nv)
         for share in np.linspace(0.0, 1.0, _BETWEEN + 1)[1:]:  # no jumps to another part
             moved = np.array(pin.integrate(self.robot.model, q, share * motion))
@@ -308,13 +302,6 @@ class RegularPart(Region):
 
     def __repr__(self) -> str:
         return f"RegularPart({self.region!r}, sigma_min >= {self.sigma_min:g})"
-
-
-def _per_joint(
-    name: str, value: float | Sequence[float] | Array, robot: Robot, unit: str = ""
-) -> Array:
-    """Return a number, or one number a joint, as shape (n_v,)."""
-    return as_array(name, [value] * robot.nv if is_scalar(value) else value, (robot.nv,), unit)
 
 
 def require_setpoint(controller: SetpointController) -> None:

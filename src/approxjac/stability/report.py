@@ -140,9 +140,8 @@ class StabilityReport:
     def __repr__(self) -> str:
         name, by = self.loop.controller.task.robot.name, self.certified_by
         verdict = "not certified" if by is None else f"certified by {by}"
-        return (
-            f"StabilityReport({name!r}: {verdict} on {self.loop.region!r}; print it for the tests)"
-        )
+        where = repr(self.loop.region)
+        return f"StabilityReport({name!r}: {verdict} on {where}; print it for the tests)"
 
     def __str__(self) -> str:
         rows, paper = self.lines(), self.matrix["paper"]
@@ -158,16 +157,17 @@ class StabilityReport:
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
         first, local = self.theorem1, self.local
-        matrix = {}
-        for family, test in self.matrix.items():
-            names = ("certified", "share", "violations", "checked", "violating_at_most")
-            matrix[family] = {
+        names = ("certified", "share", "violations", "checked", "violating_at_most")
+        matrix = {
+            family: {
                 **{name: getattr(test, name) for name in names},
                 "margin": _number(test.margin),
                 "worst_q": self.samples.q[test.worst].tolist(),
                 "worst_truth": self.describe_truth(int(self.samples.truth[test.worst])),
                 **{name: array.tolist() for name, array in test.weights._asdict().items()},
             }
+            for family, test in self.matrix.items()
+        }
         return {
             "robot": self.loop.controller.task.robot.name,
             "region": repr(self.loop.region),

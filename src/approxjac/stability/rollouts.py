@@ -270,8 +270,7 @@ def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
     """Settling time, and whether the error was below the tolerance in all of the last tenth."""
     below = error < tolerance
     last_tenth = t >= (0.9 - 1e-9) * t[-1]
-    above = np.flatnonzero(~below)
-    first = 0 if len(above) == 0 else int(above[-1]) + 1
+    first = int(np.flatnonzero(~below).max(initial=-1)) + 1
     settling = float(t[first]) if first < len(t) else math.nan
     return settling, bool(below[last_tenth].all())
 

@@ -54,10 +54,8 @@ class Candidate:
         return self.margin > 0.0, self.torque_ratio <= 1.0, self.settling_time <= settling_time
 
     def __repr__(self) -> str:
-        return (
-            f"{self.gains!r}: starts with {self.torque_ratio:.2g} of the torque limits, "
-            f"settles in {self.settling_time:.3g} s"
-        )
+        torque = f"starts with {self.torque_ratio:.2g} of the torque limits"
+        return f"{self.gains!r}: {torque}, settles in {self.settling_time:.3g} s"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -125,19 +123,18 @@ def suggest_gains(
         raise UnknownNameError("test", test, "the tests", TESTS)
     settling_time = as_number("settling_time", settling_time, unit="s", above=0.0)
     dt = as_number("dt", dt, unit="s", above=0.0)
-    heavy = uncertainty
     # gravity counts for the torque at the start; the tests take it as compensated
-    uncertainty = replace(heavy, arm=heavy.arm.with_gravity((0.0, 0.0, 0.0)))
-    task = uncertainty.believed_task()
+    weightless = replace(uncertainty, arm=uncertainty.arm.with_gravity((0.0, 0.0, 0.0)))
+    task = weightless.believed_task()
     limits = task.robot.effort_limits if torque_limits is None else torque_limits
     limits = as_limits("torque_limits", limits, task.robot.nv, unit="N m or N")
     base = default_gains(task, settling_time, 1.0 / dt)
     first = SetpointController(task, base, gravity=NoGravity(task.robot))
-    loop = ClosedLoop(first, uncertainty, region, target)
+    loop = ClosedLoop(first, weightless, region, target)
     rng = np.random.default_rng(seed)
     samples, targets = loop.draw(configurations, rng), loop.targets(_TARGETS, rng)
     singular = loop.singular_configuration(samples) is not None
-    weighing = [heavy.plant(values).dynamics for values in loop.corners]
+    weighing = [uncertainty.plant(values).dynamics for values in loop.corners]
     weight = np.array([weighing[t].g(q) for t, q in zip(samples.truth, samples.q, strict=True)])
 
     def demands(gains: Gains) -> Candidate:
@@ -166,11 +163,10 @@ def suggest_gains(
             return Suggestion(test, tried[-1], (), tuple(tried))
 
     def tolerated(gains: Gains) -> float:
-        found = tolerance(
-            first.with_gains(gains), uncertainty, loop.region, tests=(test,), target=target,
+        return tolerance(
+            first.with_gains(gains), weightless, loop.region, tests=(test,), target=target,
             largest=1.0, configurations=configurations, seed=seed,
-        )  # fmt: skip
-        return found[test].scale
+        )[test].scale  # fmt: skip
 
     return Suggestion(test, None, _relaxations(tried, settling_time, tolerated), tuple(tried))
 

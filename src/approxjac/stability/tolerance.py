@@ -51,15 +51,11 @@ class Tolerance:
         return self.uncertainty.describe(self.worst) if np.isfinite(self.fails_at) else ""
 
     def __repr__(self) -> str:
-        allowed = self.uncertainty.describe_box()
+        box = f"{self.scale:.3g} ({self.uncertainty.describe_box()})"
         if not np.isfinite(self.fails_at):
-            return (
-                f"{self.test}: passes up to the largest scale tried, {self.scale:.3g} ({allowed})"
-            )
-        return (
-            f"{self.test}: passes up to scale {self.scale:.3g} ({allowed}); fails at "
-            f"{self.fails_at:.3g} with {self.worst_text}"
-        )
+            return f"{self.test}: passes up to the largest scale tried, {box}"
+        fails = f"fails at {self.fails_at:.3g} with {self.worst_text}"
+        return f"{self.test}: passes up to scale {box}; {fails}"
 
 
 def tolerance(
