@@ -10,7 +10,6 @@ import naive_laws as naive
 import numpy as np
 import pinocchio as pin
 import turns
-from approxjac.controllers.checked import is_beyond
 
 from approxjac import law
 
@@ -42,7 +41,7 @@ def pieces(controller, bare, inputs):
     if learning is None:
         g = controller.gravity.torque(q).copy()
     else:
-        Z, limits = learning.regressor.Z(q), learning.torque_limits
+        Z = learning.regressor.Z(q)
         g = law.gravity(Z, state)
 
     def pinocchio(q, v, x):
@@ -73,13 +72,13 @@ def pieces(controller, bare, inputs):
         "Pinocchio": pinocchio,
         "the equations in NumPy": equations,
         "singular": singular,
-        "answer": lambda q, v, x: controller._answer(q, v, x, x - x_d, state, False),
+        "answer": lambda q, v, x: controller._answer(q, v, x, x - x_d, state, None, False),
         "all": control_step.our_step(controller),
         "bare": bare,
         "nothing": lambda q, v, x: None,
     }
     if learning is not None:
-        steps["limits"] = lambda q, v, x: is_beyond(g, limits)
+        steps["limits"] = lambda q, v, x: learning.rests(g)
         steps["Z"] = lambda q, v, x: learning.regressor.Z(q)
         steps["Z in Pinocchio"] = regressor_in_pinocchio
     taken = turns.medians(steps, inputs, ROUNDS)

@@ -452,7 +452,11 @@ def test_bad_arguments_are_refused(arguments):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"x": np.zeros(2)}, {"x": [0.0, 0.0, 0.0]}, {"x": np.zeros(3, int)}, {"q": np.zeros(6)}],
+    [
+        *({"x": x} for x in (np.zeros(2), [0.0, 0.0, 0.0], np.zeros(3, int))),
+        *({"t_x": t_x} for t_x in ("now", np.nan, np.inf, np.zeros(1))),
+        {"q": np.zeros(6)},
+    ],
 )
 def test_a_bad_measurement_is_refused(task, changes):
     loop = Loop(aj.HeldMeasurement(LAW, 0.1), np.zeros(3), np.zeros(3))
@@ -472,6 +476,13 @@ def test_bad_states_and_things_that_are_no_measurement_are_refused(task):
         held.step(loop.state, None, loop.target, DT)
     with pytest.raises(MeasurementError, match="q must be finite"):
         held.step(loop.state, good._replace(q=np.full(7, np.nan)), loop.target, DT)
+
+
+@pytest.mark.parametrize("dt", [0.0, -1e-3, np.nan, np.inf, "1e-3"])
+def test_a_law_of_ones_own_steps_forward_in_time(task, dt):
+    seen = aj.Measurement(0.0, START, V, np.zeros(3))
+    with pytest.raises(aj.InvalidInputError, match=r"dt must be a finite number > 0 \[s\], got"):
+        Alone(task).step(np.zeros(0), seen, np.zeros(3), dt)
 
 
 def test_a_controller_without_a_jacobian_is_refused_when_it_answers(task):

@@ -308,7 +308,7 @@ class SetpointController(Immutable):
                 if self._continuous:
                     self.task.robot.configuration(q)
                 answer = self._answer(q, v, x, e, state, v_d, lost=False)
-                if answer.torque.dot(answer.torque) < HUGE:  # what is one's own may fail
+                if answer.torque.dot(answer.torque) < HUGE:  # a user's own task may fail
                     return answer
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             e = x - target if self._subtracts else self.task.error(x, target)

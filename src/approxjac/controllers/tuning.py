@@ -61,8 +61,7 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
     rate = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
     fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
     configurations, jacobians = _regular_configurations(task)
-    M = Dynamics(task.robot).M
-    inertias = np.array([M(q) for q in configurations])
+    inertias = np.array([*map(Dynamics(task.robot).M, configurations)])
     inverses = np.linalg.inv(inertias)
     mobility = jacobians @ inverses @ np.swapaxes(jacobians, 1, 2)
     inertia = np.median(1.0 / np.diagonal(mobility, axis1=1, axis2=2), axis=0)
@@ -117,9 +116,8 @@ def default_adaptation(
     configurations, J = _regular_configurations(task)
     slow = slow_rate(task, gains, J)
     alpha = slow if alpha is None else alpha
-    M = Dynamics(task.robot).M
-    inertias = np.array([M(q) for q in configurations])
-    Z = np.array([regressor.Z(q) for q in configurations])
+    inertias = np.array([*map(Dynamics(task.robot).M, configurations)])
+    Z = np.array([*map(regressor.Z, configurations)])
     D = 1.0 / np.mean((Z * Z).sum(axis=1), axis=0)
     # e = K_p⁻¹ Ĵ⁺ᵀ Z Δθ at rest, and Δθ̇ = −L Zᵀ α Ĵ⁺ e
     A = np.linalg.solve(J @ np.swapaxes(J, 1, 2), J) @ Z
