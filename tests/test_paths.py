@@ -77,11 +77,11 @@ def test_waypoints_keep_their_limits_and_reach_each_point(points, speed, acceler
         (lambda: aj.Circle([0.4], 0.1, 4.0), "center must have 3 coordinates, or 2 without"),
         (lambda: aj.Circle([0.4, 0.1], 0.1, 4.0, normal=[0, 0, 1]), "or 2 without a normal"),
         (lambda: aj.Circle([0, 0, 0], 0.1, 4.0, normal=[0, 0, 0]), "normal must have a length"),
-        (lambda: aj.Circle(0.4, 0.1, 4.0), r"center must be a point of the task, shape \(m,\)"),
+        (lambda: aj.Circle(0.4, 0.1, 4.0), r"center must have shape \(m,\), got shape \(\)"),
         (lambda: aj.Line([0, 0], [1, 0, 0], 1.0), r"end must have shape \(2,\)"),
         (lambda: aj.Line([0, 0], [1, 0], 0.0), "duration must be a finite number > 0"),
         (lambda: aj.Waypoints([[0, 0]], 1.0, 1.0), "points must be at least two points"),
-        (lambda: aj.Waypoints([[0, 0], [0, 0]], 1.0, 1.0), "points must differ from one"),
+        (lambda: aj.Waypoints([[0, 0], [0, 0]], 1.0, 1.0), "at least two points that differ from one"),
         (lambda: aj.Waypoints([[0, 0], [1, 0]], -1.0, 1.0), "speed must be a finite number > 0"),
     ],
 )

@@ -14,20 +14,13 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.interface import Target
-from approxjac.validation import Array, as_array, as_number, shape_of
+from approxjac.validation import Array, as_array, as_number
 
 _APART = 1e-12  # relative: points that are no nearer than this are two
 
 
-class _Path:
-    """A dataclass that is printed without its defaults."""
-
-    def __repr__(self) -> str:
-        return short_fields(self)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Circle(_Path):
+class Circle:
     """A circle at constant speed, from the point that is first along the plane's first axis.
 
     Attributes:
@@ -45,9 +38,10 @@ class Circle(_Path):
     radius: float
     period: float
     normal: Sequence[float] | Array | None = None
+    __repr__ = short_fields
 
     def __post_init__(self) -> None:
-        center = _point("center", self.center)
+        center = as_array("center", self.center, ("m",))
         object.__setattr__(self, "center", center)
         as_number("radius", self.radius, above=0.0)
         as_number("period", self.period, unit="s", above=0.0)
@@ -82,7 +76,7 @@ class Circle(_Path):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Line(_Path):
+class Line:
     """A straight line from rest to rest, with least jerk; it rests at its end.
 
     Attributes:
@@ -97,9 +91,10 @@ class Line(_Path):
     start: Sequence[float] | Array
     end: Sequence[float] | Array
     duration: float
+    __repr__ = short_fields
 
     def __post_init__(self) -> None:
-        start = _point("start", self.start)
+        start = as_array("start", self.start, ("m",))
         object.__setattr__(self, "start", start)
         object.__setattr__(self, "end", as_array("end", self.end, start.shape))
         as_number("duration", self.duration, unit="s", above=0.0)
@@ -117,7 +112,7 @@ class Line(_Path):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Waypoints(_Path):
+class Waypoints:
     """Straight lines from point to point, at rest in each, within limits of speed.
 
     Each line is gone as fast as the limits allow: speed up, hold the speed, slow down.
@@ -135,23 +130,19 @@ class Waypoints(_Path):
     points: Sequence[Sequence[float]] | Array
     speed: float
     acceleration: float
+    __repr__ = short_fields
 
     def __post_init__(self) -> None:
-        shape = shape_of(self.points)
-        if len(shape) != 2 or shape[0] < 2 or shape[1] == 0:
-            raise InvalidInputError(
-                f"points must be at least two points of the task, shape (k, m), got "
-                f"{self.points!r}",
-                given=self.points,
-            )
-        points = as_array("points", self.points, (shape[0], shape[1]))
+        points = as_array("points", self.points, ("k", "m"))
         object.__setattr__(self, "points", points)
         speed = as_number("speed", self.speed, above=0.0)
         acceleration = as_number("acceleration", self.acceleration, above=0.0)
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        if not (lengths > _APART * np.abs(points).max()).all():
+        if len(points) < 2 or not (lengths > _APART * np.abs(points).max()).all():
             raise InvalidInputError(
-                f"points must differ from one to the next, got {points.tolist()}", given=self.points
+                f"points must be at least two points that differ from one to the next, got "
+                f"{points.tolist()}",
+                given=self.points,
             )
         tops = np.minimum(speed, np.sqrt(lengths * acceleration))
         times = lengths / tops + tops / acceleration
@@ -184,13 +175,3 @@ class Waypoints(_Path):
         return Target(
             points[k] + way * direction, speed * direction, rate * self.acceleration * direction
         )
-
-
-def _point(name: str, value: object) -> Array:
-    """Return a point of a task, of any number of coordinates."""
-    shape = shape_of(value)
-    if len(shape) != 1 or shape[0] == 0:
-        raise InvalidInputError(
-            f"{name} must be a point of the task, shape (m,), got {value!r}", given=value
-        )
-    return as_array(name, value, (shape[0],))

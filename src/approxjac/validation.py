@@ -16,29 +16,39 @@ _LARGEST = 1e60
 _CHANGEABLE = (list, dict, np.ndarray)
 
 
-def as_array(name: str, value: Any, shape: tuple[int, ...], unit: str = "") -> Array:
+def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = "") -> Array:
     """Return `value` as a new read-only float array of `shape`, all entries finite.
+
+    An axis that has a name in place of a length, such as "k", may have any but 0.
 
     Raises:
         InvalidInputError: Wrong shape, not numeric, NaN or infinite.
     """
     suffix = f" [{unit}]" if unit else ""
+    wanted = str(shape).replace("'", "")
     try:
         if np.asarray(value).dtype.kind not in "iuf":  # text and booleans are no numbers
             raise TypeError
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(
-            f"{name} must be numbers of shape {shape}{suffix}, got {value!r}", given=value
+            f"{name} must be numbers of shape {wanted}{suffix}, got {value!r}", given=value
         ) from error
-    if array.shape != shape:
+    if array.shape != shape and not _fits(array.shape, shape):
         raise InvalidInputError(
-            f"{name} must have shape {shape}{suffix}, got shape {array.shape}", given=value
+            f"{name} must have shape {wanted}{suffix}, got shape {array.shape}", given=value
         )
     if not np.isfinite(array).all():
         raise InvalidInputError(f"{name} must be finite{suffix}, got {array.tolist()}", given=value)
     array.flags.writeable = False
     return array
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    return len(shape) == len(wanted) and all(
+        n > 0 if isinstance(length, str) else n == length
+        for n, length in zip(shape, wanted, strict=True)
+    )
 
 
 def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
@@ -215,6 +225,20 @@ def axis_rows(name: str, axes: str) -> list[int]:
         if letter not in "xyz":
             raise UnknownNameError("axis", letter, name, "xyz")
     return ["xyz".index(letter) for letter in axes]
+
+
+def plane_rows(plane: str) -> list[int]:
+    """Return the rows of the two world axes of a plane such as "xz".
+
+    Raises:
+        InvalidInputError, UnknownNameError: No such plane.
+    """
+    rows = axis_rows("plane", plane)
+    if len(rows) != 2:
+        raise InvalidInputError(
+            f"plane must name two world axes, such as 'xz', got {plane!r}", given=plane
+        )
+    return rows
 
 
 class Immutable:

@@ -244,9 +244,9 @@ def test_default_gains_in_pixels(panda):
     [
         ({"camera": None}, r"camera must be a camera, such as PlanarCamera\(f, z\), got None"),
         ({"frame": "tcp"}, "frame 'tcp' not in panda; did you mean 'panda_hand_tcp'"),
-        ({"points": (0.0, 0.0, 0.0)}, r"points must be a list of positions \(x, y, z\) \[m\]"),
-        ({"points": ()}, r"points must be a list of positions \(x, y, z\) \[m\], got \(\)"),
-        ({"points": ((0.0, 0.0),)}, r"points must have shape \(1, 3\) \[m\], got shape \(1, 2\)"),
+        ({"points": (0.0, 0.0, 0.0)}, r"points must have shape \(k, 3\) \[m\], got shape \(3,\)"),
+        ({"points": ()}, r"points must have shape \(k, 3\) \[m\], got shape \(0,\)"),
+        ({"points": ((0.0, 0.0),)}, r"points must have shape \(k, 3\) \[m\], got shape \(1, 2\)"),
         ({"points": ((0.0, 0.0, 0.1),) * 2}, r"points must be different ones, got \[0.0, 0.0, 0.1"),
         (
             {"points": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), (0.0, 0.0, 0.3))},

@@ -19,7 +19,7 @@ from approxjac.validation import Array
 _NO_RATE = np.zeros(0)
 _RECORDED = (
     "t", "q", "v", "x", "x_measured", "x_d", "tau", "state", "status", "limit_status", "slack",
-)  # fmt: skip
+)  # fmt: skip  # and then e, Ĵ and the rate of the state, of which the rest is derived
 
 
 class Record:
@@ -70,8 +70,8 @@ class Record:
         """Return all that was kept, as arrays with time as their first axis."""
         plant = self._plant
         robot, sensor = plant.robot, plant.sensor
-        kept = [column[: self._count] for column in self._columns]
-        run: dict[str, Any] = dict(zip(_RECORDED, kept, strict=False))
+        kept = zip(_RECORDED, self._columns, strict=False)
+        run: dict[str, Any] = {name: column[: self._count] for name, column in kept}
         q, x, x_d = run["q"], run["x"], run["x_d"]
         for name in ("status", "limit_status"):
             run[name] = run[name].astype(np.int64)
@@ -90,73 +90,47 @@ class Record:
             task_labels=sensor.labels,
             task_units=sensor.units,
             scene=scene_of(plant, self._controllers[-1][1]),
-            derived=_Derivation(plant, self._controllers, *kept[len(_RECORDED) :]),
+            derived=self._derive,
         )
 
-
-class _Derivation:
-    """Computes V and the like of a run when they are asked for, with the controllers that ran.
-
-    It takes these with their first instants, the errors e (N, m) that they had, their estimated
-    Jacobians (N, m, n_v), NaN of one that has none, and the rates of their states (N, n_state).
-    """
-
-    def __init__(
-        self,
-        plant: Plant,
-        controllers: Sequence[tuple[int, Controller]],
-        e: Array,
-        J_hat: Array,
-        rate: Array,
-    ) -> None:
-        self._plant = plant
-        self._e, self._J_hat, self._rate = e, J_hat, rate
-        self._laws: list[tuple[slice, SetpointController]] = []
-        ends = [start for start, _ in controllers[1:]] + [len(e)]
-        for (start, controller), end in zip(controllers, ends, strict=True):
-            law = law_of(controller)
-            if isinstance(law, SetpointController):
-                self._laws.append((slice(start, end), law))
-
-    def __call__(self, run: Trajectory, name: str) -> Array:
-        """Return "task_torque", "V" or "sigma_min" of the run."""
-        found: Array = getattr(self, name)(run)
+    def _derive(self, run: Trajectory, name: str) -> Array:
+        """Return "task_torque", "V" or "sigma_min" of the run, by the controllers that ran."""
+        e, J_hat, rate = self._columns[len(_RECORDED) :]
+        if name == "sigma_min":
+            return _sigma_min(J_hat[: len(run.t)])
+        found = np.full(run.v.shape if name == "task_torque" else len(run.t), np.nan)
+        ends = [start for start, _ in self._controllers[1:]] + [len(run.t)]
+        for (start, controller), end in zip(self._controllers, ends, strict=True):
+            law, which = law_of(controller), slice(start, end)
+            if isinstance(law, SetpointController) and name == "V":
+                found[which] = self._V(law, run, which, J_hat[which])
+            elif isinstance(law, SetpointController):
+                found[which] = law.task_torque(e[which], run.v[which], J_hat[which], rate[which])
         return found
 
-    def sigma_min(self, run: Trajectory) -> Array:
-        """Return the smallest singular value of Ĵ, NaN without one, shape (N,)."""
-        found = np.full(len(run.t), np.nan)
-        known = np.isfinite(self._J_hat).all(axis=(1, 2))
-        found[known] = np.linalg.svd(self._J_hat[known], compute_uv=False)[:, -1]
-        return found
+    def _V(
+        self, law: SetpointController, run: Trajectory, which: slice, J_hat: Array
+    ) -> list[float]:
+        """Return V of the true arm while a law ran, with its estimated Jacobians."""
+        theta_error: Sequence[Array | None] = [None] * len(J_hat)
+        if law.adaptation is not None:
+            theta = _true_parameters(law.adaptation.regressor, self._plant.robot)
+            theta_error = list(theta - law.learnt(run.state[which]))
+        columns = run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error
+        return [
+            law.lyapunov_value(
+                law.task.error(x, x_d), v, J, self._plant.dynamics.M(q), law.alpha, off
+            )
+            for x, x_d, q, v, J, off in zip(*columns, strict=True)
+        ]
 
-    def task_torque(self, run: Trajectory) -> Array:
-        """Return the part of the law's torque that acts on the task, shape (N, n_v)."""
-        found = np.full(run.v.shape, np.nan)
-        for which, law in self._laws:
-            parts = self._e[which], run.v[which], self._J_hat[which], self._rate[which]
-            found[which] = law.task_torque(*parts)
-        return found
 
-    def V(self, run: Trajectory) -> Array:
-        """Return V of the true arm, shape (N,)."""
-        found = np.full(len(run.t), np.nan)
-        for which, law in self._laws:
-            theta_error: Sequence[Array | None] = [None] * len(run.t[which])
-            if law.adaptation is not None:
-                theta = _true_parameters(law.adaptation.regressor, self._plant.robot)
-                theta_error = list(theta - law.learnt(run.state[which]))
-            each = zip(
-                run.x[which], run.x_d[which], run.q[which], run.v[which], self._J_hat[which],
-                theta_error, strict=True,
-            )  # fmt: skip
-            found[which] = [
-                law.lyapunov_value(
-                    law.task.error(x, x_d), v, J, self._plant.dynamics.M(q), law.alpha, off
-                )
-                for x, x_d, q, v, J, off in each
-            ]
-        return found
+def _sigma_min(J_hat: Array) -> Array:
+    """Return the smallest singular value of each Ĵ, NaN of one that is not known, shape (N,)."""
+    found = np.full(len(J_hat), np.nan)
+    known = np.isfinite(J_hat).all(axis=(1, 2))
+    found[known] = np.linalg.svd(J_hat[known], compute_uv=False)[:, -1]
+    return found
 
 
 @lru_cache(maxsize=4)

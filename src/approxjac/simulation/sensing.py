@@ -64,6 +64,7 @@ class Sensing:
     x_rate: float | None = None
     x_lost: Sequence[tuple[float, float] | tuple[float, float, int]] = ()
     x_frozen: Sequence[tuple[float, float]] = ()
+    __repr__ = short_fields
 
     def __post_init__(self) -> None:
         for name in ("x_noise", "x_quantum", "q_noise", "q_quantum"):
@@ -81,9 +82,6 @@ class Sensing:
             as_number("x_rate", self.x_rate, unit="Hz", above=0.0)
         object.__setattr__(self, "x_lost", _intervals("x_lost", self.x_lost, parts=True))
         object.__setattr__(self, "x_frozen", _intervals("x_frozen", self.x_frozen, parts=False))
-
-    def __repr__(self) -> str:
-        return short_fields(self)
 
     @property
     def is_linear(self) -> bool:

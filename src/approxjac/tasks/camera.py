@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
-from approxjac.validation import Array, as_array, as_number, axis_rows
+from approxjac.validation import Array, as_array, as_number, plane_rows
 
 
 class Calibrated(NamedTuple):
@@ -107,6 +107,7 @@ class PlanarCamera(Camera):
     plane: str = "xz"
     labels = ("x_s", "y_s")
     unit = "m"
+    __repr__ = short_fields
     _J: Array = field(init=False, repr=False, compare=False)
     _d: Array = field(init=False, repr=False, compare=False)
 
@@ -115,19 +116,11 @@ class PlanarCamera(Camera):
         as_number("distance", self.distance, unit="m", above=f)
         as_number("roll", self.roll, unit="rad")
         offset = as_array("offset", self.offset, (2,), "m")
-        rows = axis_rows("plane", self.plane)
-        if len(rows) != 2:
-            raise InvalidInputError(
-                f"plane must name two world axes, such as 'xz', got {self.plane!r}",
-                given=self.plane,
-            )
+        rows = plane_rows(self.plane)
         c, s = np.cos(self.roll), np.sin(self.roll)
         J = np.zeros((2, 3))
         J[:, rows] = self.magnification * np.array([[c, s], [-s, c]])
         vars(self).update(offset=tuple(offset.tolist()), _J=J, _d=offset)  # frozen once it is built
-
-    def __repr__(self) -> str:
-        return short_fields(self)
 
     @property
     def magnification(self) -> float:

@@ -15,7 +15,7 @@ from approxjac.tasks.feature import Feature
 from approxjac.tasks.pinhole import PinholeCamera
 from approxjac.tasks.point_kinematics import PointKinematics
 from approxjac.tasks.task import Task
-from approxjac.validation import Array, as_array, as_diagonal, require, shape_of
+from approxjac.validation import Array, as_array, as_diagonal, require
 
 _APART = 1e-9  # points nearer to one another, or to one line, count as there [m]
 
@@ -234,12 +234,7 @@ def _joint_of(robot: Robot, frame: str | None) -> int:
 
 def _points(points: object) -> Array:
     """Return points as an array of shape (k, 3), no two the same and no three on one line."""
-    shape = shape_of(points)
-    if len(shape) != 2 or shape[0] == 0:
-        raise InvalidInputError(
-            f"points must be a list of positions (x, y, z) [m], got {points!r}", given=points
-        )
-    array = as_array("points", points, (shape[0], 3), "m")
+    array = as_array("points", points, ("k", 3), "m")
     for i, point in enumerate(array):
         same = np.linalg.norm(array[:i] - point, axis=1) < _APART
         if same.any():

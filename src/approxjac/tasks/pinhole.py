@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.tasks.camera import Calibrated, Camera
 from approxjac.tasks.distortion import RadialDistortion
-from approxjac.validation import Array, as_array, as_number, is_scalar
+from approxjac.validation import Array, as_array, as_number, is_scalar, require
 
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _ON_AN_EDGE = 17  # points of each edge of the image
@@ -94,11 +95,7 @@ class PinholeCamera(Camera):
             )
         k = tuple(as_number("distortion", value) for value in self.distortion)
         as_number("near", self.near, unit="m", above=0.0)
-        if not (self.mount is None or isinstance(self.mount, str)):
-            raise InvalidInputError(
-                f"mount must be the name of a frame, or None for the world, got {self.mount!r}",
-                given=self.mount,
-            )
+        require("mount", self.mount, (str, NoneType), "the name of a frame, or None for the world")
         own = vars(self)  # frozen once it is built
         own.update(focal_length=tuple(f.tolist()), size=(int(size[0]), int(size[1])))
         own.update(position=tuple(p.tolist()), rotation=tuple(map(tuple, R.tolist())))
@@ -191,8 +188,7 @@ class PinholeCamera(Camera):
 
     def in_camera(self, r: Array) -> Array:
         """Return a point r (3,) in the camera's own axes, (3,); its third entry is the depth Z."""
-        own: Array = self._R_t @ (r - self._p)
-        return own
+        return np.asarray(self._R_t @ (r - self._p))
 
     def project(self, r: Array) -> Array:
         """Return the image (2,) [px] of a point at r (3,), also beyond the edges of the image.
@@ -200,13 +196,11 @@ class PinholeCamera(Camera):
         NaN for a point behind the camera or nearer than `near`, and where the lens folds back.
         """
         X, Y, Z = self.in_camera(r).tolist()
-        if not self.near <= Z < math.inf:
-            return np.full(2, np.nan)
-        p = np.array([X / Z, Y / Z])
-        if not math.hypot(*p) < self._lens.largest_radius:
-            return np.full(2, np.nan)
-        image: Array = self._f * self._lens.distorted(p) + self._c
-        return image
+        if self.near <= Z < math.inf:
+            p = np.array([X / Z, Y / Z])
+            if math.hypot(*p) < self._lens.largest_radius:
+                return np.asarray(self._f * self._lens.distorted(p) + self._c)
+        return np.full(2, np.nan)
 
     def seen(self, x: Array) -> Array:
         (u, v), (width, height) = x.tolist(), self.size
@@ -225,8 +219,7 @@ class PinholeCamera(Camera):
     def locate(self, x: Array, depth: float) -> Array:
         """Return the position (3,) of the point at a depth Z [m] whose image is x (2,) [px]."""
         X, Y = self.ray(x).tolist()
-        located: Array = self._R @ np.array([depth * X, depth * Y, depth]) + self._p
-        return located
+        return np.asarray(self._R @ np.array([depth * X, depth * Y, depth]) + self._p)
 
     def interaction(self, r: Array) -> Array:
         """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3) [px/m].

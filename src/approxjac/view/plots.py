@@ -14,7 +14,7 @@ from approxjac.interface import LimitStatus
 from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
-from approxjac.validation import Array, as_vector, axis_rows, require
+from approxjac.validation import Array, as_vector, plane_rows, require
 from approxjac.view.style import COLORS, SERIES, display_unit, new_figure, styled
 
 _STATUS_COLORS = dict(
@@ -128,11 +128,7 @@ def plot_path(
         InvalidInputError: A plane, a configuration or a target of another shape, or another arm.
     """
     _require_run(run)
-    rows = axis_rows("plane", plane)
-    if len(rows) != 2:
-        raise InvalidInputError(
-            f"plane must name two world axes, such as 'xz', got {plane!r}", given=plane
-        )
+    rows = plane_rows(plane)
     if believed is not None and believed.joint_names != robot.joint_names:
         raise InvalidInputError(
             f"believed must have the joints of the robot, got {', '.join(believed.joint_names)}",

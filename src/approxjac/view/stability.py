@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patheffects import Normal, TickedStroke
 
 from approxjac import law
-from approxjac.validation import Array, axis_rows
+from approxjac.validation import Array, plane_rows
 from approxjac.view.style import COLORS, SERIES, styled
 
 
@@ -83,7 +83,7 @@ def plot_margins(
         ax: Axes to draw into; new ones by default.
         title: Of the axes.
     """
-    rows = axis_rows("plane", plane)
+    rows = plane_rows(plane)
     top = np.argsort(-margins)
     with styled(ax) as ax:
         # one that is far below zero would leave all others without colour

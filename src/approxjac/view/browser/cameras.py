@@ -9,7 +9,7 @@ import numpy as np
 from approxjac.tasks import Camera, PinholeCamera, PlanarCamera, Task
 from approxjac.tasks.analysis import features
 from approxjac.tasks.feature import Feature
-from approxjac.validation import Array, axis_rows
+from approxjac.validation import Array, plane_rows
 
 _NEAR = 0.18  # to the image as it is drawn, of the way to what the camera looks at
 _IN_HAND = 0.12  # the same of a camera on the arm, of the arm's size
@@ -50,7 +50,7 @@ def camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any]
     elif isinstance(camera, PlanarCamera):
         # it sees without end: its image is as large as the arm, and it stands over the middle of
         # that, at the depth z − f of the equal pinhole camera
-        rows, center = axis_rows("plane", camera.plane), np.array(camera.offset)
+        rows, center = plane_rows(camera.plane), np.array(camera.offset)
         J = camera.interaction(np.zeros(3))[:, rows]
         half = 1.05 * size * camera.magnification * np.array([1.0, -1.0])  # y_s points up
         low, high = center - half, center + half
