@@ -77,8 +77,6 @@ class Plant(Immutable):
         require("robot", robot, Robot, "the true Robot")
         sensor = PositionTask(robot) if sensor is None else sensor
         require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
-        if sensing is not None:
-            require("sensing", sensing, Sensing, "Sensing(...) or None")
         if sensor.robot != robot:
             raise InvalidInputError(
                 f"sensor must be a task of the plant's own robot, the true one, such as "
@@ -86,6 +84,7 @@ class Plant(Immutable):
                 given=sensor,
             )
         if sensing is not None:
+            require("sensing", sensing, Sensing, "Sensing(...) or None")
             SensorReadings(sensing, sensor, dt=1.0, seed=0)  # refuses wrong lengths
         nv = robot.nv
         self.robot = robot
@@ -95,11 +94,9 @@ class Plant(Immutable):
         self.coulomb_velocity = as_number("coulomb_velocity", coulomb_velocity, above=0.0)
         self.sensing = sensing
         self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
-        self.torque_limits = (
-            None
-            if torque_limits is None
-            else as_limits("torque_limits", torque_limits, nv, unit="N m or N")
-        )
+        if torque_limits is not None:
+            torque_limits = as_limits("torque_limits", torque_limits, nv, unit="N m or N")
+        self.torque_limits = torque_limits
         self._has_coulomb = bool(self.coulomb.any())
         self._has_friction = self._has_coulomb or bool(self.friction.any())
         self._has_mimic_joints = robot.mimic_joints.G is not None

@@ -37,10 +37,10 @@ class Scene:
     def to_dict(self) -> dict[str, Any]:
         """Return what a file holds of it: texts, numbers, lists and dictionaries."""
         return {
-            "truth": _robot_to_dict(self.truth),
-            "belief": None if self.belief is None else _robot_to_dict(self.belief),
-            "sensor": None if self.sensor is None else saved(self.sensor),
-            "task": None if self.task is None else saved(self.task),
+            "truth": _saved(self.truth),
+            "belief": None if self.belief is None else _saved(self.belief),
+            "sensor": saved(self.sensor),
+            "task": saved(self.task),
             # JSON knows no infinity
             "torque_limits": [x if np.isfinite(x) else None for x in self.torque_limits.tolist()],
         }
@@ -52,36 +52,21 @@ class Scene:
         Raises:
             ApproxJacError, KeyError, TypeError, ValueError: It did not.
         """
-        truth = _robot_from_dict(kept["truth"])
-        belief = None if kept["belief"] is None else _robot_from_dict(kept["belief"])
+        truth = _restored(kept["truth"])
+        belief = None if kept["belief"] is None else _restored(kept["belief"])
         limits = [np.inf if x is None else float(x) for x in kept["torque_limits"]]
         if len(limits) != truth.nv or (belief is not None and belief.nv != truth.nv):
             raise ValueError("its robots and torque limits have different numbers of joints")
-        sensor, task = kept["sensor"], kept["task"]
-        return cls(
-            truth,
-            belief,
-            None if sensor is None else restored(sensor, truth),
-            None if task is None or belief is None else restored(task, belief),
-            np.array(limits),
-        )
+        sensor, task = restored(kept["sensor"], truth), restored(kept["task"], belief)
+        return cls(truth, belief, sensor, task, np.array(limits))
 
 
-def _robot_to_dict(robot: Robot) -> dict[str, Any]:
-    return {
-        "urdf": robot.urdf,
-        "gravity": robot.gravity.tolist(),
-        "tip": robot.tip,
-        "urdf_dir": None if robot.urdf_dir is None else str(robot.urdf_dir),
-    }
+def _saved(robot: Robot) -> dict[str, Any]:
+    folder = None if robot.urdf_dir is None else str(robot.urdf_dir)
+    kept = {"urdf": robot.urdf, "gravity": robot.gravity.tolist(), "tip": robot.tip}
+    return kept | {"urdf_dir": folder}
 
 
-def _robot_from_dict(kept: Mapping[str, Any]) -> Robot:
-    folder = kept["urdf_dir"]
-    return Robot(
-        kept["urdf"],
-        gravity=kept["gravity"],
-        tip=kept["tip"],
-        urdf_dir=None if folder is None else Path(folder),
-        source="the URDF of a run",
-    )
+def _restored(kept: Mapping[str, Any]) -> Robot:
+    folder = None if kept["urdf_dir"] is None else Path(kept["urdf_dir"])
+    return Robot(**{**kept, "urdf_dir": folder}, source="the URDF of a run")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from types import NoneType
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +30,7 @@ from approxjac.validation import Array, as_array, as_integer, as_number, require
 
 Progress = Callable[[float], None]
 Observer = Callable[[SampledLoop], None]
+_FUNCTION: Any = (Callable, NoneType)
 _STALL_STEPS = 1000
 
 
@@ -99,51 +102,35 @@ def simulate(
     if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, "the integrators", INTEGRATORS)
     as_integer("seed", seed, 0)
-    for name, function, of in (
-        ("progress", progress, "the time reached [s]"),
-        ("observer", observer, "a SampledLoop"),
-    ):
-        if function is not None and not callable(function):
-            raise InvalidInputError(
-                f"{name} must be a function of {of}, got {function!r}", given=function
-            )
-    if dt is None:
-        if observer is not None:
-            raise InvalidInputError(
-                "dt must be given for an observer: it looks at every step of sampled control",
-                given=dt,
-            )
-        if plant.needs_sampling:
-            raise InvalidInputError(
-                "dt must be given for a plant with sensing or an actuator delay: they are those "
-                "of sampled control",
-                given=dt,
-            )
-        if not isinstance(controller, ContinuousController):
-            raise InvalidInputError(
-                f"dt must be given for a controller that runs in samples, got None for "
-                f"{controller!r}",
-                given=dt,
-            )
-        count = 1000 if record_every is None else _whole("record_every", record_every, duration)
-        with _overflow_is_expected():
-            return _continuous(
-                plant, controller, wanted, q, v, duration, count, rtol, atol, progress
-            )
-    else:
-        steps = _whole("dt", dt, duration)
-        stride = 1
+    require("progress", progress, _FUNCTION, "a function of the time reached [s]")
+    require("observer", observer, _FUNCTION, "a function of a SampledLoop")
+    # a loop that diverges overflows before the error says so
+    with np.errstate(over="ignore", invalid="ignore"):
+        if dt is None:
+            law = _continuous_law(plant, controller, observer)
+            count = 1000 if record_every is None else _whole("record_every", record_every, duration)
+            return _continuous(plant, law, wanted, q, v, duration, count, rtol, atol, progress)
+        steps, stride = _whole("dt", dt, duration), 1
         if record_every is not None:
             record_every = as_number("record_every", record_every, unit="s", above=0.0)
             stride = _whole("dt", dt, record_every, whole="record_every")
-        with _overflow_is_expected():
-            loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed)
-            return _sampled(loop, stride, observer, progress)
+        loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed)
+        return _sampled(loop, stride, observer, progress)
 
 
-def _overflow_is_expected() -> np.errstate:
-    """Hide warnings: a loop that diverges overflows before the error says so."""
-    return np.errstate(over="ignore", invalid="ignore")
+def _continuous_law(
+    plant: Plant, controller: Controller, observer: Observer | None
+) -> ContinuousController:
+    """Return the controller, unless it or something else needs samples."""
+    if observer is not None:
+        why = "an observer: it looks at every step of sampled control"
+    elif plant.needs_sampling:
+        why = "a plant with sensing or an actuator delay: they are those of sampled control"
+    elif not isinstance(controller, ContinuousController):
+        why = f"a controller that runs in samples, got None for {controller!r}"
+    else:
+        return controller
+    raise InvalidInputError(f"dt must be given for {why}", given=None)
 
 
 def _whole(name: str, part: float, total: float, *, whole: str = "duration") -> int:

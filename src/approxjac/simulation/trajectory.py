@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import tokenize
-import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
@@ -15,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.errors import ApproxJacError, InvalidInputError, TrajectoryFileError
+from approxjac.errors import InvalidInputError, TrajectoryFileError
 from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation.scene import Scene
@@ -191,7 +188,7 @@ class Trajectory:
             raise TrajectoryFileError(
                 f"trajectory file {path} does not exist{there}", given=path
             ) from error
-        except _UNREADABLE as error:
+        except Exception as error:  # NumPy, zipfile, zlib and json each raise their own
             raise TrajectoryFileError(
                 f"{path} is not a trajectory written by Trajectory.save: {error}", given=path
             ) from error
@@ -242,21 +239,21 @@ class Trajectory:
             f"torque  at most {np.abs(self.tau[:, k]).max():.3g} {unit} ({self.joint_names[k]})",
             f"status  {_counted(self.status_counts())}",
         ]
-        limits = self.limit_status_counts()
-        if set(limits) != {LimitStatus.UNLIMITED}:
-            lines.append(f"limits  {_counted(limits)}")
-        return "\n".join(lines)
+        limits = self._limits()
+        return "\n".join([*lines, f"limits  {limits}"] if limits else lines)
 
     def __repr__(self) -> str:
-        norm = self.error_norm
-        counts = _counted(self.status_counts())
-        limits = self.limit_status_counts()
-        if set(limits) != {LimitStatus.UNLIMITED}:
-            counts += f"; limits {_counted(limits)}"
+        norm, limits = self.error_norm, self._limits()
+        counts = _counted(self.status_counts()) + (f"; limits {limits}" if limits else "")
         return (
             f"Trajectory({self.robot_name!r}, {self.t[-1]:g} s, {len(self.t)} samples; "
             f"|e| {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}; {counts})"
         )
+
+    def _limits(self) -> str:
+        """Return what limits did in words, "" where there are none."""
+        counts = self.limit_status_counts()
+        return "" if set(counts) == {LimitStatus.UNLIMITED} else _counted(counts)
 
 
 def _read(arrays: Mapping[str, Array], run: Trajectory, name: str) -> Array:
@@ -277,12 +274,6 @@ def _npz(path: str | Path) -> Path:
     return path if path.suffix.lower() == ".npz" else path.with_name(path.name + ".npz")
 
 
-# what NumPy, zipfile and json raise on damaged files
-_UNREADABLE = (
-    ApproxJacError, OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, IndexError,
-    RuntimeError, NotImplementedError, SyntaxError, tokenize.TokenError, zipfile.BadZipFile,
-    zlib.error,
-)  # fmt: skip
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
 _DERIVED = ("task_torque", "V", "sigma_min")
 _OTHERS = (*_TEXTS, "scene", "derived")

@@ -27,7 +27,7 @@ _KINDS: Mapping[str, Any] = {
 }
 
 
-def saved(task: Task | Camera) -> dict[str, Any] | None:
+def saved(task: Task | Camera | None) -> dict[str, Any] | None:
     """Return what a file keeps of a task or camera; None of a class that `restored` does not know.
 
     Of a wrapped task it is the task inside: what the law changes is no affair of a picture.
@@ -51,18 +51,21 @@ def saved(task: Task | Camera) -> dict[str, Any] | None:
     return kept
 
 
-def restored(kept: Mapping[str, Any], robot: Robot) -> Task:
-    """Return the task of a robot that a file keeps, as it was before it was saved.
+def restored(kept: Mapping[str, Any] | None, robot: Robot | None) -> Task | None:
+    """Return the task of a robot that a file keeps, as it was before it was saved, if it does.
 
     Raises:
         ApproxJacError, KeyError, TypeError: The file keeps something else.
     """
-    given: dict[str, Any] = {**kept}
-    kind = given.pop("kind")
-    if kind == "stacked":
-        return StackedTask(*(restored(part, robot) for part in given["tasks"]))
+    if kept is None or robot is None:
+        return None
+    if kept["kind"] == "stacked":
+        parts: list[Any] = [restored(part, robot) for part in kept["tasks"]]
+        return StackedTask(*parts)
+    given = {**kept}
+    made = _KINDS[given.pop("kind")]
     if "camera" in given:
         camera = {**given["camera"]}
         given["camera"] = _KINDS[camera.pop("kind")](**camera)
-    task: Task = _KINDS[kind](robot, **given)
+    task: Task = made(robot, **given)
     return task
