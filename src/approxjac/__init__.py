@@ -23,10 +23,7 @@ from approxjac.controllers import (
     TorqueLimited,
     default_gains,
 )
-from approxjac.errors import (
-    ApproxJacError,
-    InvalidInputError,
-)
+from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.interface import (
     Controller,
     Evaluation,
@@ -36,10 +33,7 @@ from approxjac.interface import (
     Target,
 )
 from approxjac.paths import Circle, Line, Waypoints
-from approxjac.robots import (
-    Robot,
-    load_robot,
-)
+from approxjac.robots import Robot, load_robot
 from approxjac.simulation import MujocoPlant, Plant, Sensing, Trajectory, simulate
 from approxjac.tasks import (
     ImageTask,
@@ -123,10 +117,9 @@ if not TYPE_CHECKING:  # or no name would be unknown to type checkers
         """Load `stability`, `view` and `Scenario` when they, or their names, are asked for."""
         if name in _LAZY:
             found = importlib.import_module(f"approxjac.{name}")
-        elif name == "Scenario":
-            found = importlib.import_module("approxjac.scenario").Scenario
         elif name in __all__:
-            found = getattr(importlib.import_module("approxjac.stability"), name)
+            module = "scenario" if name == "Scenario" else "stability"
+            found = getattr(importlib.import_module(f"approxjac.{module}"), name)
         else:
             # with these Python adds what was meant
             where = {"name": name, "obj": sys.modules[__name__]}

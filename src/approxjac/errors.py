@@ -6,6 +6,7 @@ what would be valid.
 
 from __future__ import annotations
 
+import copyreg
 import difflib
 from collections.abc import Iterable
 from typing import Any
@@ -24,13 +25,7 @@ class ApproxJacError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # not by calling the class, whose arguments differ: errors cross from worker processes
-        return _without_init, (type(self), self.args), self.__dict__
-
-
-def _without_init(kind: type[ApproxJacError], args: tuple[Any, ...]) -> ApproxJacError:
-    error = kind.__new__(kind)
-    error.args = args
-    return error
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class InvalidInputError(ApproxJacError, ValueError):

@@ -6,8 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
-from approxjac.tasks.feature import Feature
-from approxjac.tasks.task import Task
+from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array
 
 _TRIES = 20000  # random configurations to look for ones that a camera sees

@@ -62,10 +62,6 @@ class FrameKinematics:
     def _all_data(self) -> pin.Data:
         return self._data if self._all is self._model else self._all.createData()
 
-    @cached_property
-    def _id_in_all(self) -> int:
-        return int(self._all.getFrameId(self.frame, self._model.frames[self._id].type))
-
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot, self.frame)  # a copy has scratch memory of its own
 
@@ -104,7 +100,8 @@ class FrameKinematics:
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         """Return the time derivative of `jacobian` along q̇, shape (6, n_v)."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        mimic_joints, frame = self.robot.mimic_joints, self._id_in_all
+        mimic_joints = self.robot.mimic_joints
+        frame = self._all.getFrameId(self.frame, self._model.frames[self._id].type)
         pin.computeJointJacobiansTimeVariation(
             self._all, self._all_data, mimic_joints.q(q), mimic_joints.v(v)
         )

@@ -11,10 +11,9 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
-from approxjac.tasks.feature import Feature
 from approxjac.tasks.pinhole import PinholeCamera
 from approxjac.tasks.point_kinematics import PointKinematics
-from approxjac.tasks.task import Task
+from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, as_array, as_diagonal, require
 
 _APART = 1e-9  # points nearer to one another, or to one line, count as there [m]
@@ -113,12 +112,11 @@ class ImageTask(Task):
         return moved.ravel()
 
     def value(self, q: Array) -> Array:
-        entries: list[float] = []
-        for r in self._kinematics.positions(q):
-            entries += self.camera.project(r).tolist()
-            if self._stride == 3:
-                entries.append(self._pinhole.in_camera(r)[2])
-        return np.array(entries)
+        places = self._kinematics.positions(q)
+        found = np.array([self.camera.project(r) for r in places])
+        if self._stride == 3:
+            found = np.column_stack([found, [self._pinhole.in_camera(r)[2] for r in places]])
+        return found.ravel()
 
     def _seen(self, x: Array) -> Array:
         delivered = x.reshape(-1, self._stride).copy()

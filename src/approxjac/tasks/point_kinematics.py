@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.robots import Robot
 from approxjac.tasks.frame_kinematics import FrameKinematics
@@ -89,17 +90,16 @@ class PointKinematics:
         moved, moved_dot = self._in_world(q)[1], np.zeros_like(A)
         if self._frame is not None:
             J, R, _ = self._frame.motion(q)
-            arms, swing, J = self.points @ R.T, J[3:] @ v, J.copy()
+            arms = self.points @ R.T
+            arms_dot = np.cross(J[3:] @ v, arms)
             J_dot = self._frame.jacobian_dot(q, v)
-            arms_dot = np.cross(swing, arms)
             moved_dot = J_dot[:3] - _skews(arms_dot) @ J[3:] - _skews(arms) @ J_dot[3:]
         if self._mount is None:
             return r, r_dot, A, moved_dot
         J, R, _ = self._mount.motion(q)
-        J, R_t = J.copy(), R.T.copy()
-        J_dot = self._mount.jacobian_dot(q, v)
+        R_t, J_dot = R.T.copy(), self._mount.jacobian_dot(q, v)
         own = R_t @ J[3:]
-        turn = _skews((own @ v)[np.newaxis])[0]  # of the mount, in its own axes
+        turn = pin.skew(own @ v)  # of the mount, in its own axes
         own_dot = R_t @ J_dot[3:] - turn @ own
         A_dot = (
             R_t @ (moved_dot - J_dot[:3])

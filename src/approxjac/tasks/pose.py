@@ -8,9 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.robots import Robot
-from approxjac.tasks.feature import Feature
 from approxjac.tasks.frame_kinematics import FrameKinematics
-from approxjac.tasks.task import Task
+from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, require
 
 _NO_ROTATION = 1e-6  # a quaternion shorter than this stands for no orientation
@@ -71,7 +70,8 @@ class PoseTask(Task):
         return PoseTask(robot, self.frame)
 
     def _error_jacobian(self, e: Array, J: Array) -> Array:
-        return np.concatenate([J[:3], _rotation_vector_rates(e[3:], J[3:].T).T])
+        rates = pin.Jlog3(pin.exp3(e[3:])).T  # φ̇ = rates ω, as ω is in world axes
+        return np.concatenate([J[:3], rates @ J[3:]])
 
     def _features(self) -> tuple[Feature, ...]:
         return (Feature(slice(0, self.n_x), self.frame, "xyz", None, np.zeros((1, 3))),)
@@ -96,18 +96,3 @@ def _rotation_between(a: list[float], b: list[float]) -> tuple[float, float, flo
     angle = 2.0 * math.atan2(math.copysign(sine, w), abs(w))
     factor = angle / sine if sine > 1e-150 else math.copysign(2.0, w)
     return factor * x, factor * y, factor * z
-
-
-def _rotation_vector_rates(phi: Array, omega: Array) -> Array:
-    """Return the rates of a rotation vector φ of R where Ṙ = [ω]ₓR: φ̇ = J_l⁻¹(φ) ω, (k, 3).
-
-    Source: J. Solà et al., "A micro Lie theory for state estimation in robotics", eq. (146).
-    """
-    angle = float(np.linalg.norm(phi))
-    if angle < 1e-4:
-        coefficient = 1.0 / 12.0 + angle**2 / 720.0
-    else:
-        half = 0.5 * angle
-        coefficient = (1.0 - half * math.cos(half) / math.sin(half)) / angle**2
-    turned = np.cross(phi, omega)
-    return np.asarray(omega - 0.5 * turned + coefficient * np.cross(phi, turned))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.robots import Robot
-from approxjac.tasks.feature import Feature
 from approxjac.tasks.frame_kinematics import FrameKinematics
-from approxjac.tasks.task import Task
+from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, axis_rows, require
 
 _STILL = 1e-4  # share of the fastest axis below which nothing moves along it (URDFs are rounded)

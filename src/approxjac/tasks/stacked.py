@@ -8,8 +8,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
-from approxjac.tasks.feature import Feature
-from approxjac.tasks.task import Task
+from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, require
 
 

@@ -1,9 +1,10 @@
-"""`Task`: X = h(q) and its Jacobian, for one robot, true or believed."""
+"""`Task`: X = h(q) and its Jacobian, for one robot, true or believed; a `Feature` of it."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -11,10 +12,28 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.robots import Robot
-from approxjac.tasks.feature import Feature
+from approxjac.tasks.camera import Camera
 from approxjac.validation import Array, Immutable, as_array, as_vector, require
 
 _DIFFERENCE = 1e-5  # of q, either way, from which a rate is taken [rad or m]
+
+
+class Feature(NamedTuple):
+    """The origin of a frame that an elementary task follows, or points that a camera sees.
+
+    Attributes:
+        entries: Where its values are in x.
+        frame: Frame that is followed, or that the points are fixed to; None is the world.
+        axes: World axes of the position that x gives, such as "xyz"; none of an image.
+        camera: What sees it, if anything does.
+        points: Points of the frame, shape (k, 3) [m].
+    """
+
+    entries: slice
+    frame: str | None
+    axes: str
+    camera: Camera | None
+    points: Array
 
 
 class Task(Immutable, ABC):

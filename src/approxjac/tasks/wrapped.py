@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from approxjac.tasks.feature import Feature
-from approxjac.tasks.task import Task
+from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array
 
 

@@ -56,6 +56,15 @@ def robot_joints(robot: Robot) -> tuple[Joint, ...]:
     return tuple(found)
 
 
+def held_objects(robot: Robot) -> dict[str, float]:
+    """Return the length [m] of each object that `Robot.with_object` made, by its link."""
+    return {
+        joint.parent: float(np.linalg.norm(joint.origin[:3, 3]))
+        for joint in robot_joints(robot)
+        if (joint.name, joint.child) == (f"{joint.parent}_tip_joint", f"{joint.parent}_tip")
+    }
+
+
 class Tree:
     """The nodes of a robot, all under one that is named `root`.
 

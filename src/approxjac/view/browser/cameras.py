@@ -8,8 +8,9 @@ import numpy as np
 
 from approxjac.tasks import Camera, PinholeCamera, PlanarCamera, Task
 from approxjac.tasks.analysis import features
-from approxjac.tasks.feature import Feature
+from approxjac.tasks.task import Feature
 from approxjac.validation import Array, plane_rows
+from approxjac.view.style import display_unit
 
 _NEAR = 0.18  # to the image as it is drawn, of the way to what the camera looks at
 _IN_HAND = 0.12  # the same of a camera on the arm, of the arm's size
@@ -73,7 +74,7 @@ def camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any]
 
 def image_axes(camera: Camera) -> dict[str, Any]:
     """Return names, unit and borders of the image's coordinates, as they are plotted."""
-    unit, scale = ("mm", 1e3) if camera.unit == "m" else (camera.unit, 1.0)
+    unit, scale = display_unit(camera.unit)
     border = None
     if isinstance(camera, PinholeCamera):
         border = [-0.5, -0.5, camera.size[0] - 0.5, camera.size[1] - 0.5]

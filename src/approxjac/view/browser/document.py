@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.robots import Robot
 from approxjac.simulation.scene import Scene
 from approxjac.tasks.analysis import features
 from approxjac.validation import Array
 from approxjac.view.browser.cameras import image_axes, image_feature
-from approxjac.view.browser.stage import Stage, grid, held_objects
+from approxjac.view.browser.stage import Stage, grid
 from approxjac.view.browser.viewpoint import link_points, viewpoint
 from approxjac.view.packages import view_package
 from approxjac.view.style import COLORS, SERIES, display_unit
-from approxjac.view.tree import robot_joints
+from approxjac.view.tree import held_objects
 
 _BACKGROUND = (np.array([[253, 253, 254], [241, 243, 245]]) / 255.0).tolist()  # top, bottom
 _SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
@@ -38,18 +37,12 @@ def title_of(scene: Scene) -> str:
 
 def belief_facts(scene: Scene) -> list[tuple[str, str]]:
     """Return the lengths of held objects that the controller has wrong: names and texts."""
-    true, believed = _object_lengths(scene.truth), _object_lengths(scene.belief or scene.truth)
+    true, believed = held_objects(scene.truth), held_objects(scene.belief or scene.truth)
     return [
         (name, f"{true.get(name, 0.0):.3g} m long, believed {believed.get(name, 0.0):.3g} m")
         for name in true | believed
         if abs(true.get(name, 0.0) - believed.get(name, 0.0)) > 1e-6
     ]
-
-
-def _object_lengths(robot: Robot) -> dict[str, float]:
-    lengths = {j.name: float(np.linalg.norm(j.origin[:3, 3])) for j in robot_joints(robot)}
-    ending = "_tip_joint"
-    return {n.removesuffix(ending): length for n, length in lengths.items() if n.endswith(ending)}
 
 
 def live_page(stage: Stage, columns: Mapping[str, Array], q: Array) -> str:

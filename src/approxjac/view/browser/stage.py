@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.robots import Robot
 from approxjac.simulation.scene import Scene
 from approxjac.validation import Array
 from approxjac.view.browser.cameras import camera_view, image_feature
 from approxjac.view.browser.viewpoint import reach_points
 from approxjac.view.packages import view_package
 from approxjac.view.style import COLORS
-from approxjac.view.tree import Tree
+from approxjac.view.tree import Tree, held_objects
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -221,12 +220,6 @@ def grid(normal: Array, points: Array) -> list[str]:
     drawing = _Drawing()
     drawing.lines(("grid",), np.array(across), _GRID)
     return drawing.commands
-
-
-def held_objects(robot: Robot) -> set[str]:
-    """Return links that `Robot.with_object` made: a link and a joint are named after them."""
-    links = set(robot.frame_names)
-    return {n for n in links if f"{n}_tip" in links and f"{n}_tip_joint" in links}
 
 
 def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
