@@ -81,7 +81,7 @@ def test_waypoints_keep_their_limits_and_reach_each_point(points, speed, acceler
         (lambda: aj.Line([0, 0], [1, 0, 0], 1.0), r"end must have shape \(2,\)"),
         (lambda: aj.Line([0, 0], [1, 0], 0.0), "duration must be a finite number > 0"),
         (lambda: aj.Waypoints([[0, 0]], 1.0, 1.0), "points must be at least two points"),
-        (lambda: aj.Waypoints([[0, 0], [0, 0]], 1.0, 1.0), "at least two points that differ from one"),
+        (lambda: aj.Waypoints([[0, 0], [0, 0]], 1.0, 1.0), "two points that differ from one"),
         (lambda: aj.Waypoints([[0, 0], [1, 0]], -1.0, 1.0), "speed must be a finite number > 0"),
     ],
 )

@@ -77,13 +77,9 @@ class Record:
             run[name] = run[name].astype(np.int64)
         for k in np.flatnonzero(~np.isfinite(x).all(axis=1)):  # a record has what no sensor sees
             x[k] = sensor.value(q[k])
-        if sensor._subtracts:
-            error = x - x_d
-        else:
-            error = np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)])
         return Trajectory(
             **run,
-            error=error,
+            error=np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)]),
             robot_name=robot.name,
             joint_names=robot.joint_names,
             joint_units=robot.joint_units,

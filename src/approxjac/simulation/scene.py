@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,26 @@ from typing import Any
 import numpy as np
 
 from approxjac.robots import Robot
-from approxjac.tasks import Task
-from approxjac.tasks.restored import restored, saved
+from approxjac.tasks import (
+    Camera,
+    ImageTask,
+    PinholeCamera,
+    PlanarCamera,
+    PoseTask,
+    PositionTask,
+    StackedTask,
+    Task,
+)
+from approxjac.tasks.wrapped import WrappedTask
 from approxjac.validation import Array
+
+_KINDS: Mapping[str, Any] = {
+    "position": PositionTask,
+    "pose": PoseTask,
+    "image": ImageTask,
+    "PinholeCamera": PinholeCamera,
+    "PlanarCamera": PlanarCamera,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +55,10 @@ class Scene:
     def to_dict(self) -> dict[str, Any]:
         """Return what a file holds of it: texts, numbers, lists and dictionaries."""
         return {
-            "truth": _saved(self.truth),
-            "belief": None if self.belief is None else _saved(self.belief),
-            "sensor": saved(self.sensor),
-            "task": saved(self.task),
+            "truth": _saved_robot(self.truth),
+            "belief": None if self.belief is None else _saved_robot(self.belief),
+            "sensor": _saved_task(self.sensor),
+            "task": _saved_task(self.task),
             # JSON knows no infinity
             "torque_limits": [x if np.isfinite(x) else None for x in self.torque_limits.tolist()],
         }
@@ -52,21 +70,66 @@ class Scene:
         Raises:
             ApproxJacError, KeyError, TypeError, ValueError: It did not.
         """
-        truth = _restored(kept["truth"])
-        belief = None if kept["belief"] is None else _restored(kept["belief"])
+        truth = _restored_robot(kept["truth"])
+        belief = None if kept["belief"] is None else _restored_robot(kept["belief"])
         limits = [np.inf if x is None else float(x) for x in kept["torque_limits"]]
         if len(limits) != truth.nv or (belief is not None and belief.nv != truth.nv):
             raise ValueError("its robots and torque limits have different numbers of joints")
-        sensor, task = restored(kept["sensor"], truth), restored(kept["task"], belief)
+        sensor = _restored_task(kept["sensor"], truth)
+        task = _restored_task(kept["task"], belief)
         return cls(truth, belief, sensor, task, np.array(limits))
 
 
-def _saved(robot: Robot) -> dict[str, Any]:
+def _saved_robot(robot: Robot) -> dict[str, Any]:
     folder = None if robot.urdf_dir is None else str(robot.urdf_dir)
     kept = {"urdf": robot.urdf, "gravity": robot.gravity.tolist(), "tip": robot.tip}
     return kept | {"urdf_dir": folder}
 
 
-def _restored(kept: Mapping[str, Any]) -> Robot:
+def _restored_robot(kept: Mapping[str, Any]) -> Robot:
     folder = None if kept["urdf_dir"] is None else Path(kept["urdf_dir"])
     return Robot(**{**kept, "urdf_dir": folder}, source="the URDF of a run")
+
+
+def _saved_task(task: Task | Camera | None) -> dict[str, Any] | None:
+    """Return what a file keeps of a task or camera; None of a class that is not known here.
+
+    Of a wrapped task it is the task inside: what the law changes is no affair of a picture.
+    """
+    if isinstance(task, WrappedTask):
+        return _saved_task(task.task)
+    if type(task) is StackedTask:
+        parts = [_saved_task(part) for part in task.tasks]
+        return None if None in parts else {"kind": "stacked", "tasks": parts}
+    kinds = [kind for kind, made in _KINDS.items() if type(task) is made]
+    if not kinds:
+        return None
+    kept: dict[str, Any] = {"kind": kinds[0]}
+    for name in inspect.signature(type(task)).parameters:
+        if name != "robot":
+            value = getattr(task, name)
+            kept[name] = value.tolist() if isinstance(value, np.ndarray) else value
+    if "camera" in kept:
+        kept["camera"] = _saved_task(kept["camera"])
+        return kept if kept["camera"] else None
+    return kept
+
+
+def _restored_task(kept: Mapping[str, Any] | None, robot: Robot | None) -> Task | None:
+    """Return the task of a robot that a file keeps, as it was before it was saved, if it does.
+
+    Raises:
+        ApproxJacError, KeyError, TypeError: The file keeps something else.
+    """
+    if kept is None or robot is None:
+        return None
+    if kept["kind"] == "stacked":
+        parts: list[Any] = [_restored_task(part, robot) for part in kept["tasks"]]
+        return StackedTask(*parts)
+    given = {**kept}
+    made = _KINDS[given.pop("kind")]
+    if "camera" in given:
+        camera = {**given["camera"]}
+        given["camera"] = _KINDS[camera.pop("kind")](**camera)
+    task: Task = made(robot, **given)
+    return task
