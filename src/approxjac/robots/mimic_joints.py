@@ -34,11 +34,6 @@ class MimicJoints:
     _A: Array | None = None
     _b: Array | None = None
 
-    def of(self, model: pin.Model) -> MimicJoints:
-        """Return the same of a copy of the robot's own model."""
-        all_joints = model if self.G is None else pin.Model(self.model)
-        return MimicJoints(all_joints, self.G, self._A, self._b)
-
     def q(self, q: Array) -> Array:
         """Configuration of all joints, shape (nq_all,)."""
         return q if self._A is None or self._b is None else self._A @ q + self._b

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -355,8 +356,9 @@ class Robot(Immutable):
     @classmethod
     def like(cls, robot: Robot, **changes: Any) -> Self:
         """Return the same robot with models of its own, which may be changed at once."""
-        new, model = cls.__new__(cls), pin.Model(robot.model)
-        mimic_joints = robot.mimic_joints.of(model)
+        new, model, mimic_joints = cls.__new__(cls), pin.Model(robot.model), robot.mimic_joints
+        independent = model if mimic_joints.G is None else pin.Model(mimic_joints.model)
+        mimic_joints = replace(mimic_joints, model=independent)
         new.__dict__.update(robot.__dict__, model=model, mimic_joints=mimic_joints, **changes)
         return new
 

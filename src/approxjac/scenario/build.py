@@ -32,7 +32,7 @@ from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.scenario.configurations import configuration_of, regular_configuration
 from approxjac.scenario.images import image_scene
-from approxjac.scenario.records import Object, Sensor, Vectors
+from approxjac.scenario.records import Numbers, Object, Sensor, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing, simulate
@@ -174,15 +174,14 @@ def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]
         f, z, roll = given.focal_length or _PLANAR_FOCAL_LENGTH, given.distance, given.roll
         believed = PlanarCamera(f * wrong.focal_factor, z * wrong.depth_factor, roll + wrong.roll)
         return ImageTask(truth, PlanarCamera(f, z, roll)), ImageTask(belief, believed)
-    task: Task = PoseTask(belief) if chosen.kind == "pose" else _positions(belief, scenario)
+    task: Task
+    if chosen.kind == "pose":
+        task = PoseTask(belief)
+    elif chosen.kind == "stacked":
+        task = StackedTask(*(PositionTask(belief, each, chosen.axes) for each in chosen.frames))
+    else:
+        task = PositionTask(belief, axes=chosen.axes)
     return task.on(truth), task
-
-
-def _positions(robot: Robot, scenario: Scenario) -> Task:
-    chosen = scenario.task
-    if chosen.kind == "stacked":
-        return StackedTask(*(PositionTask(robot, each, chosen.axes) for each in chosen.frames))
-    return PositionTask(robot, axes=chosen.axes)
 
 
 # -- start and target -------------------------------------------------------------------
@@ -198,9 +197,8 @@ def _start(plant: Plant, scenario: Scenario, draw: Callable[[], Array]) -> Array
 def _target(
     sensor: Task, q0: Array, scenario: Scenario, draw: Callable[[], Array]
 ) -> Array | TargetPath:
-    goal = scenario.run.target
+    goal, start = scenario.run.target, sensor.value(q0)
     line, circle, waypoints = goal.line, goal.circle, goal.waypoints
-    start, unit = sensor.value(q0), joined(sensor.units)
     ways = {"line": line.offset, "circle": circle.radius, "waypoints": waypoints.points}
     way = [name for name, value in ways.items() if value is not None]
     if way and len(start) != sensor.m:
@@ -208,22 +206,23 @@ def _target(
             f"run.target.{way[0]} is a path of a task whose error is x - x_d, got {sensor!r}",
             given=goal,
         )
+
+    def coordinates(name: str, values: Numbers, count: int = sensor.m) -> Array:
+        return as_array(f"run.target.{name}", values, (count,), joined(sensor.units))
+
     if line.offset is not None:
-        offset = as_array("run.target.line.offset", line.offset, (sensor.m,), unit)
-        return Line(start, start + offset, line.duration)
+        return Line(start, start + coordinates("line.offset", line.offset), line.duration)
     if circle.radius is not None:
         center: Any = circle.center
         if center is None:
             center = 2.0 * start - Circle(start, circle.radius, circle.period).at(0.0).x
         return Circle(center, circle.radius, circle.period)
     if waypoints.points is not None:
-        shape = (-(-len(waypoints.points) // sensor.m) * sensor.m,)
-        points = as_array("run.target.waypoints.points", waypoints.points, shape)
-        points = np.vstack([start, points.reshape(-1, sensor.m)])
-        return Waypoints(points, waypoints.speed, waypoints.acceleration)
+        count = -(-len(waypoints.points) // sensor.m) * sensor.m
+        points = coordinates("waypoints.points", waypoints.points, count).reshape(-1, sensor.m)
+        return Waypoints(np.vstack([start, points]), waypoints.speed, waypoints.acceleration)
     if goal.offset is not None:
-        offset = as_array("run.target.offset", goal.offset, (sensor.m,), unit)
-        return sensor.displaced(start, offset)
+        return sensor.displaced(start, coordinates("offset", goal.offset))
     if goal.configuration is not None:
         name = "run.target.configuration"
         return sensor.value(configuration_of(sensor.robot, name, goal.configuration))
@@ -231,8 +230,7 @@ def _target(
         return sensor.value(draw())
     if isinstance(sensor, ImageTask) and "px" in sensor.units:  # a target has no depths
         images = as_array("run.target", goal.at, (sensor.m,), "px")
-        drawn = with_error(sensor, sensor.value(draw()), sensor._origin, images)
-        return sensor.target(drawn)
+        return sensor.target(with_error(sensor, sensor.value(draw()), sensor._origin, images))
     return sensor.target(goal.at)
 
 
@@ -298,19 +296,18 @@ def _limits(scenario: Scenario, belief: Robot) -> Limits | None:
             given=share,
         )
     limits = Limits.of(belief, share if isinstance(share, float) else 1.0)
-    rate = scenario.controller.torque_rate
-    return Limits(limits.effort, rate, limits.position, limits.velocity).for_joints(belief.nv)
+    return replace(limits, rate=scenario.controller.torque_rate).for_joints(belief.nv)
 
 
 # -- the plant --------------------------------------------------------------------------
 
 
 def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Plant:
-    true, delay = scenario.true, scenario.loop.actuator_delay
+    true = scenario.true
     options: dict[str, Any] = {
         "coulomb": true.coulomb,
-        "sensing": _sensing(scenario),
-        "actuator_delay": delay,
+        "sensing": _sensing(scenario.sensor),
+        "actuator_delay": scenario.loop.actuator_delay,
         "torque_limits": motors if np.isfinite(motors).any() else None,
     }
     if true.engine == "mujoco":
@@ -318,12 +315,13 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
     return Plant(truth, sensor, true.friction, **options)
 
 
-def _sensing(scenario: Scenario) -> Sensing | None:
+def _sensing(given: Sensor) -> Sensing | None:
     """Return the errors of measurements; None if there are none."""
-    given = scenario.sensor
+    if given == Sensor():
+        return None
     part = () if given.lost_part is None else (given.lost_part - 1,)
     lost: Any = () if given.lost is None else ((*given.lost, *part),)
-    sensing = Sensing(
+    return Sensing(
         x_noise=given.noise,
         x_quantum=given.quantum,
         x_delay=given.delay,
@@ -335,4 +333,3 @@ def _sensing(scenario: Scenario) -> Sensing | None:
         q_quantum=given.q_quantum,
         velocity_filter=given.velocity_filter,
     )
-    return None if given == Sensor() else sensing

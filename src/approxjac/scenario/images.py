@@ -109,7 +109,7 @@ def _carried(
 
 def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> Scene:
     """Return the tasks of a camera in the world that watches points of the object."""
-    given, wrong = scenario.true.camera, scenario.believed.camera
+    given, factor = scenario.true.camera, scenario.believed.camera.depth_factor
     reach = _reach(truth)
     middle = _MIDDLE * reach if given.looking_at is None else np.array(given.looking_at)
     position = middle + _AWAY * reach * _FRONT / np.linalg.norm(_FRONT)
@@ -119,17 +119,18 @@ def _scene_in_world(truth: Robot, belief: Robot, scenario: Scenario) -> Scene:
         distortion=given.distortion,
     )  # fmt: skip
     depth = float(np.linalg.norm(middle - position))
-    believed = _believed(camera, scenario, (wrong.depth_factor - 1.0) * depth)
-    chosen, points = scenario.task.depth or "believed", _points(scenario)
-    constant = wrong.depth_factor * depth
-    return _tasks(truth, belief, camera, believed, points, chosen, constant)
+    believed = _believed(camera, scenario, (factor - 1.0) * depth)
+    chosen = scenario.task.depth or "believed"
+    return _scene(
+        ImageTask(truth, camera, points=_points(scenario)), belief, believed, chosen, factor * depth
+    )
 
 
 def _scene_in_hand(
     truth: Robot, belief: Robot, mount: str, q_goal: Array, scenario: Scenario
 ) -> Scene:
     """Return the tasks of a camera on the arm that watches points before it at the goal."""
-    given, wrong = scenario.true.camera, scenario.believed.camera
+    given, factor = scenario.true.camera, scenario.believed.camera.depth_factor
     axis = truth.outward_axis()
     view = np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis.startswith("-") else 1.0)
     right = np.cross(view, np.roll(np.abs(view), 1))
@@ -139,35 +140,28 @@ def _scene_in_hand(
         given.position or tuple((-0.05 * R[:, 1]).tolist()),  # a little above the axis
         R, distortion=given.distortion, mount=mount,
     )  # fmt: skip
-    chosen = scenario.task.depth or "constant"
-    # a constant depth is wrong by itself, and nothing else then needs to know where points are
-    back = 0.0 if chosen == "constant" else (wrong.depth_factor - 1.0) * _WORKING_DEPTH
-    believed = _believed(camera, scenario, back)
     R_goal, p_goal = FrameKinematics(truth, mount).placement(q_goal)
     R_eye, p_eye = camera.placement()
     # a little out of the plane across the view, where three points tell least of a tilt
     pattern = _points(scenario)[:, [1, 2, 0]]
     pattern = pattern - pattern.mean(axis=0) + np.array([0.0, 0.0, _WORKING_DEPTH])
-    points = (pattern @ R_eye.T + p_eye) @ R_goal.T + p_goal
-    constant = wrong.depth_factor * ImageTask(truth, camera, points=points).depths(q_goal)
-    return _tasks(truth, belief, camera, believed, points, chosen, constant)
+    sensor = ImageTask(truth, camera, points=(pattern @ R_eye.T + p_eye) @ R_goal.T + p_goal)
+    chosen = scenario.task.depth or "constant"
+    # a constant depth is wrong by itself, and nothing else then needs to know where points are
+    back = 0.0 if chosen == "constant" else (factor - 1.0) * _WORKING_DEPTH
+    believed = _believed(camera, scenario, back)
+    return _scene(sensor, belief, believed, chosen, factor * sensor.depths(q_goal))
 
 
-def _tasks(
-    truth: Robot,
-    belief: Robot,
-    camera: PinholeCamera,
-    believed: PinholeCamera,
-    points: Array,
-    depth: str,
-    constant: float | Array,
+def _scene(
+    sensor: ImageTask, belief: Robot, believed: PinholeCamera, depth: str, constant: float | Array
 ) -> Scene:
-    measured = "measured" if depth == "measured" else "believed"
-    chosen = constant if depth == "constant" else depth
-    return (
-        ImageTask(truth, camera, points=points, depth=measured),
-        ImageTask(belief, believed, points=points, depth=chosen),
-    )
+    """Return the sensor and the believed task, with depths from the source that is chosen."""
+    points = sensor.points
+    if depth == "measured":
+        sensor = ImageTask(sensor.robot, sensor.camera, points=points, depth=depth)
+    source = constant if depth == "constant" else depth
+    return sensor, ImageTask(belief, believed, points=points, depth=source)
 
 
 def _believed(camera: PinholeCamera, scenario: Scenario, back: float) -> PinholeCamera:
