@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -56,13 +57,13 @@ def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]
     """Return one robot: its joints with their kinds and limits, and those that are locked."""
     robot = load_robot(source, tip=tip, base=base, free=free)
     rows = [("joint", "kind", "limits", "effort")]
-    kinds = _kind_of_each(robot).items()
-    limits = zip(*robot.position_limits, robot.effort_limits, robot.joint_units, strict=True)
-    for (name, kind), (low, high, effort, unit) in zip(kinds, limits, strict=True):
-        known = f"{low:.4g} to {high:.4g} {unit}" if math.isfinite(low) else "none known"
-        known = "none" if kind == "continuous" else known
-        most = f"{effort:g} {'N' if unit == 'm' else 'N m'}"
-        rows.append((name, kind, known, most if math.isfinite(effort) else "none known"))
+    (lower, upper), efforts = robot.position_limits, robot.effort_limits
+    for i, (name, kind) in enumerate(zip(robot.joint_names, _each_kind(robot), strict=True)):
+        unit, force = ("m", "N") if kind == "prismatic" else ("rad", "N m")
+        known = f"{lower[i]:.4g} to {upper[i]:.4g} {unit}"
+        known = known if math.isfinite(lower[i]) else "none known"
+        most = f"{efforts[i]:g} {force}" if math.isfinite(efforts[i]) else "none known"
+        rows.append((name, kind, "none" if kind == "continuous" else known, most))
     leads = robot.tip or "not clear, as it has more than one end: name one as tip"
     lines = [
         f"{source}: {_kinds(robot)}; nv {robot.nv}, nq {robot.nq}; {robot.mass:.4g} kg",
@@ -82,19 +83,15 @@ def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]
     return "\n".join(lines)
 
 
-def _kind_of_each(robot: Robot) -> dict[str, str]:
-    """Return joint name → revolute, continuous or prismatic, in the order of v."""
-    kinds = {}
-    for name, unit in zip(robot.joint_names, robot.joint_units, strict=True):
-        turns = robot.model.joints[robot.model.getJointId(name)].nq == 2
-        kinds[name] = "prismatic" if unit == "m" else "continuous" if turns else "revolute"
-    return kinds
+def _each_kind(robot: Robot) -> list[str]:
+    """Return the kind of each joint: revolute, continuous or prismatic."""
+    return [robot.tree.joints[name].type for name in robot.joint_names]
 
 
 def _kinds(robot: Robot) -> str:
     """Return the joints by kind, such as "1 prismatic, 7 revolute"."""
-    kinds = list(_kind_of_each(robot).values())
-    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    kinds = Counter(_each_kind(robot))
+    return ", ".join(f"{count} {kind}" for kind, count in kinds.items())
 
 
 def _efforts(robot: Robot) -> str:

@@ -166,21 +166,10 @@ def _independent_columns(A: Array) -> tuple[list[int], Array]:
         The kept column indices, and the matrix G with A θ = A[:, kept] (G θ) for all θ.
     """
     scale = np.linalg.norm(A, axis=0)
-    largest = scale.max(initial=0.0)
-    kept: list[int] = []
-    basis = np.zeros((A.shape[0], 0))
-    for j in range(A.shape[1]):
-        if scale[j] <= _RANK_TOLERANCE * largest:
-            continue
-        column = A[:, j] / scale[j]
-        for _ in range(2):  # Gram-Schmidt twice is as good as Householder
-            column = column - basis @ (basis.T @ column)
-        norm = float(np.linalg.norm(column))
-        if norm > _RANK_TOLERANCE:
-            basis = np.column_stack([basis, column / norm])
-            kept.append(j)
-    if not kept:
-        return kept, np.zeros((0, A.shape[1]))
+    some = np.nonzero(scale > _RANK_TOLERANCE * scale.max(initial=0.0))[0]
+    # on the diagonal is what of a column no combination of those before it makes
+    alone = np.abs(np.diag(np.linalg.qr(A[:, some] / scale[some], mode="r")))
+    kept: list[int] = some[alone > _RANK_TOLERANCE].tolist()
     grouping: Array = np.linalg.lstsq(A[:, kept], A, rcond=None)[0].astype(np.float64)
     grouping[np.abs(grouping) < 1e-12] = 0.0
     return kept, grouping

@@ -146,7 +146,10 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
         sensor, task = _tasks(truth, belief, scenario)
         plant = _plant(truth, sensor, motors, scenario)
         draw = functools.partial(regular_configuration, sensor, task, rng, motors)
-        q0 = _start(plant, scenario, draw)
+        if isinstance(start := scenario.run.start, tuple):
+            q0 = configuration_of(truth, "run.start", start)
+        else:
+            q0 = plant.ready_configuration() if start is None else draw()
         target = _target(sensor, q0, scenario, draw)
     law = _law(task, gravity_from(truth, belief, scenario.controller.gravity), q0, scenario)
     controller: Controller = law
@@ -184,14 +187,7 @@ def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]
     return task.on(truth), task
 
 
-# -- start and target -------------------------------------------------------------------
-
-
-def _start(plant: Plant, scenario: Scenario, draw: Callable[[], Array]) -> Array:
-    start = scenario.run.start
-    if start is None:
-        return plant.ready_configuration()
-    return draw() if start == "random" else configuration_of(plant.robot, "run.start", start)
+# -- target -----------------------------------------------------------------------------
 
 
 def _target(

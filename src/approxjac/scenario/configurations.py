@@ -21,7 +21,6 @@ def regular_configuration(
     rng: np.random.Generator,
     effort: Array | None = None,
     tries: int = 1000,
-    ratio: float = REGULAR,
 ) -> Array:
     """Return a random configuration that can be a start or a target.
 
@@ -35,7 +34,7 @@ def regular_configuration(
     dynamics = Dynamics(sensor.robot)
     for _ in range(tries):
         q = sensor.robot.random_configuration(rng)
-        if holdable(dynamics, q, effort) and is_regular(sensor, task, q, ratio):
+        if holdable(dynamics, q, effort) and is_regular(sensor, task, q):
             return q
     raise InvalidInputError(
         f"no configuration of {sensor.robot.name} was found that its motors can hold and where the "

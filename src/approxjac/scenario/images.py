@@ -10,6 +10,8 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
+from approxjac.robots.joint_limits import beyond_positions
+from approxjac.robots.urdf_edit import direction
 from approxjac.scenario.configurations import REGULAR, configuration_of, is_regular
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation.plant import holdable
@@ -131,8 +133,7 @@ def _scene_in_hand(
 ) -> Scene:
     """Return the tasks of a camera on the arm that watches points before it at the goal."""
     given, factor = scenario.true.camera, scenario.believed.camera.depth_factor
-    axis = truth.outward_axis()
-    view = np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis.startswith("-") else 1.0)
+    view = direction(truth.outward_axis())
     right = np.cross(view, np.roll(np.abs(view), 1))
     R = np.column_stack([np.cross(right, view), right, view])
     camera = PinholeCamera(
@@ -217,11 +218,9 @@ def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
     """Return True if a configuration can be a start or a goal."""
     sensor, robot = scene[0], scene[0].robot
     assert isinstance(sensor.camera, PinholeCamera)  # the scenes above have no other
-    low, high = robot.position_limits
-    motion = pin.difference(robot.model, robot.neutral(), q)
     images, size = _images(sensor, q), np.array(sensor.camera.size)
     return (
-        bool(((motion >= low) & (motion <= high)).all())
+        bool((beyond_positions(robot, q[np.newaxis]) <= 0.0).all())
         and bool(((images > _MARGIN * size) & (images < (1.0 - _MARGIN) * size)).all())
         and holdable(Dynamics(robot), q, robot.effort_limits)
         and is_regular(*scene, q, ratio)

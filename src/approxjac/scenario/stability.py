@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -53,7 +53,6 @@ class StabilityResult:
 
     Attributes:
         scenario: The scenario.
-        loop: Its controller, its truth, or what may be true, and the region.
         report: The four tests.
         tolerances: Largest scale of the errors for each test; nothing if none are given.
         raised_damping: Factor of the damping with which all errors are certified; None if they are
@@ -64,17 +63,11 @@ class StabilityResult:
     """
 
     scenario: Scenario
-    loop: ClosedLoop
     report: StabilityReport
-    tolerances: dict[Test, Tolerance]
-    raised_damping: float | None
-    certified_part: Uncertainty | None
-    map: StabilityMap | None
-
-    @property
-    def uncertainty(self) -> Uncertainty | None:
-        """The set of true robots, if anything is uncertain."""
-        return uncertainty_of(self.loop)
+    tolerances: dict[Test, Tolerance] = field(default_factory=dict)
+    raised_damping: float | None = None
+    certified_part: Uncertainty | None = None
+    map: StabilityMap | None = None
 
 
 def uncertainty_of(loop: ClosedLoop) -> Uncertainty | None:
@@ -125,16 +118,16 @@ def analyse(
         ApproxJacError: An empty region, or a target out of reach.
     """
     analysis, tell = scenario.stability, progress or (lambda what, share: None)
+    controller, uncertainty = loop.controller, uncertainty_of(loop)
     where: Any = {"region": loop.region, "target": loop.target, "seed": scenario.run.seed}
     drawn: Any = {**where, "configurations": analysis.configurations}
-    controller, uncertainty = loop.controller, uncertainty_of(loop)
     runs = analysis.runs if isinstance(loop.truth, Uncertainty) else 0
     report = stability_report(
         controller, loop.truth, executor=executor, progress=tell, runs=runs, **drawn
     )
     found(report)
     if uncertainty is None:
-        return StabilityResult(scenario, loop, report, {}, None, None, None)
+        return StabilityResult(scenario, report)
 
     tolerances = tolerance(controller, uncertainty, progress=partial(tell, "tolerance"), **where)
     raised = part = map_ = None
@@ -152,7 +145,7 @@ def analyse(
             controller, uncertainty, names=analysis.map, x=x, y=y, runs=analysis.map_runs,
             executor=executor, progress=partial(tell, "map"), **where,
         )  # fmt: skip
-    return StabilityResult(scenario, loop, report, tolerances, raised, part, map_)
+    return StabilityResult(scenario, report, tolerances, raised, part, map_)
 
 
 def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
@@ -191,8 +184,8 @@ def _region(
     given = [name for name in names if getattr(analysis, name) is not None]
     if len(given) > 1:
         raise InvalidInputError(f"one region must be given, got {' and '.join(given)}", given=given)
-    belief = controller.task.robot
-    region: Region | None = None
+    belief, least = controller.task.robot, analysis.sigma_min
+    region: Region | None = None if least is None else JointBox(belief)
 
     def at(name: str) -> Array:
         joints = getattr(analysis, name)
@@ -209,12 +202,9 @@ def _region(
             )
         nominal = truth.plant(truth.believed) if isinstance(truth, Uncertainty) else truth
         region = SublevelSet(nominal, controller, analysis.target, at("reach_from"))
-    elif analysis.sigma_min is not None:
-        region = JointBox(belief)
-    least = analysis.sigma_min
-    if region is None or least is None:
-        return region
-    return RegularPart(region, controller.task, least)
+    return (
+        region if region is None or least is None else RegularPart(region, controller.task, least)
+    )
 
 
 def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -> Array:

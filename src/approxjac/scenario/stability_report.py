@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.formatting import joined, plain, short
-from approxjac.scenario.stability import StabilityResult
+from approxjac.scenario.stability import StabilityResult, uncertainty_of
 from approxjac.simulation import Plant
 from approxjac.stability.map import PARAMETERS
 from approxjac.tasks import FrameKinematics
@@ -33,7 +33,8 @@ def consequences(result: StabilityResult) -> str:
 
 def advice(result: StabilityResult) -> list[str]:
     """Return what follows, as sentences that a person can act on."""
-    report, uncertainty = result.report, result.uncertainty
+    report, uncertainty = result.report, uncertainty_of(result.report.loop)
+    controller = report.loop.controller
     errors = "the true robot" if isinstance(report.loop.truth, Plant) else "the belief as it is"
     errors = errors if uncertainty is None else uncertainty.describe_box()
     if not report.gravity_is_exact:
@@ -62,7 +63,7 @@ def advice(result: StabilityResult) -> list[str]:
             "configurations",
         ]
     if result.raised_damping is not None:
-        damping = short(result.raised_damping * result.loop.controller.diagonals.damping)
+        damping = short(result.raised_damping * controller.diagonals.damping)
         lines.append(f"raise damping to {damping}, {result.raised_damping:g} times, to certify it")
     if result.certified_part is not None:
         lines.append(f"as it is, certified are errors of {result.certified_part.describe_box()}")
@@ -71,7 +72,7 @@ def advice(result: StabilityResult) -> list[str]:
 
 def draw_allowed_error(result: StabilityResult) -> Figure:
     """Draw Figure 1 of the paper for this arm and its errors."""
-    first, controller = result.report.theorem1, result.loop.controller
+    first, controller = result.report.theorem1, result.report.loop.controller
     kp, kv, _ = controller.diagonals
     figure, (ax,) = new_figure(size=(6.5, 4.8))
     plot_allowed_error(
@@ -89,7 +90,7 @@ def draw_workspace(result: StabilityResult) -> Figure:
     """Draw the margin of the matrix form over the workspace, in two planes of the world."""
     report = result.report
     best = max(report.matrix.values(), key=lambda test: test.margin)
-    robot = result.loop.controller.task.robot
+    robot = report.loop.controller.task.robot
     tip = FrameKinematics(robot, robot.tip_or(None))
     positions = np.array([tip.position(q) for q in report.samples.q[: len(best.margins)]])
     widths = np.ptp(positions, axis=0)
@@ -108,7 +109,8 @@ def draw_workspace(result: StabilityResult) -> Figure:
 
 def draw_map(result: StabilityResult) -> Figure | None:
     """Draw the stability map; None if none was made."""
-    found, uncertainty = result.map, result.uncertainty
+    found, loop = result.map, result.report.loop
+    uncertainty = uncertainty_of(loop)
     if found is None or uncertainty is None:
         return None
     coarse = found.coarse_x, found.coarse_y
@@ -120,7 +122,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
         # half way between all runs and the next smaller share
         share = found.rollouts - 1.0 + 0.5 / max(1, result.scenario.stability.map_runs)
         boundaries.append(("test 4, rollouts reach 1 mm in 10 s", *coarse, share))
-    kp, kv, _ = result.loop.controller.diagonals
+    kp, kv, _ = loop.controller.diagonals
     own = {"a": float(np.mean(kp / kv))}  # the errors and all other gains are themselves, times 1
     figure, (ax,) = new_figure(size=(7.0, 5.8))
     plot_map(
@@ -133,7 +135,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
         own=(own.get(found.names[0], 1.0), own.get(found.names[1], 1.0)),
         ax=ax,
         title=textwrap.fill(
-            f"{result.loop.controller.task.robot.name}: where each test passes; "
+            f"{loop.controller.task.robot.name}: where each test passes; "
             f"errors of scale 1 are {uncertainty.describe_box()}",
             64,
         ),
@@ -164,7 +166,7 @@ def summary(result: StabilityResult) -> dict[str, Any]:
         "raised_damping": result.raised_damping,
         "certified_part": part and part.describe_box(),
         "advice": advice(result),
-        "gains": result.loop.controller.diagonals._asdict(),
+        "gains": result.report.loop.controller.diagonals._asdict(),
         "map": result.map and vars(result.map),
         "scenario": asdict(result.scenario),
     }
