@@ -59,7 +59,10 @@ def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
             cannot couple.
         ValueError: From Pinocchio, of what is no URDF.
     """
-    root = urdf.bare_root()
+    root = urdf.copy().root
+    # not every parser takes every geometry, nor instructions
+    etree.strip_tags(root, etree.Comment, etree.ProcessingInstruction)
+    etree.strip_elements(root, "visual", "collision")
     model = pin.buildModelFromXML(etree.tostring(root, encoding="unicode"))
     names = list(model.names)
     coupled = {joint: follows for joint, follows in urdf.followers.items() if joint in names}

@@ -127,16 +127,6 @@ class Urdf:
         """Return a copy whose root may be changed before anything else is asked of it."""
         return Urdf(copy.deepcopy(self.root.getroottree()).getroot(), self.source)
 
-    def bare_root(self) -> Any:
-        """Return a root as computing needs it: without geometry, comments and instructions.
-
-        Not every parser takes every geometry, nor instructions.
-        """
-        bare = copy.deepcopy(self.root)
-        etree.strip_tags(bare, etree.Comment, etree.ProcessingInstruction)
-        etree.strip_elements(bare, "visual", "collision")
-        return bare
-
 
 def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
     """Return the joint at the end of a chain of followers, and the multiplier and offset to it.

@@ -37,11 +37,8 @@ class Object:
 
     def like(self, true: Object) -> Object:
         """Return a believed object, with what is not said of it as it truly is."""
-        return replace(
-            self,
-            axis=true.axis if self.axis is None else self.axis,
-            radius=true.radius if self.radius is None else self.radius,
-        )
+        said = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(true, **said)
 
 
 @dataclass(frozen=True)

@@ -104,34 +104,21 @@ def _table_of(record: Any, value: Any, key: str) -> Table:
 
 def _value(hint: Any, value: Any, key: str, where: str, table: str) -> Any:
     """Return a value as a field of that type has it."""
-    try:
-        return _converted(hint, value)
-    except (TypeError, ValueError):  # such as a number, which has no length
-        words = [word for kind in _kinds(hint) for word in _words(kind)]
-        if isinstance(value, str) and all(_words(kind) for kind in _kinds(hint)):
-            raise UnknownNameError(key, value, table, words) from None
-        told = f"{key} must be {_wanted(hint)}, got {value!r}" + (f" in {where}" if where else "")
-        raise InvalidInputError(told, given=value) from None
-
-
-def _kinds(hint: Any) -> tuple[Any, ...]:
-    """Return the types that a field may have, but None."""
     kinds = get_args(hint) if get_origin(hint) in _UNIONS else (hint,)
-    return tuple(kind for kind in kinds if kind is not type(None))
-
-
-def _words(kind: Any) -> tuple[Any, ...]:
-    return get_args(kind) if get_origin(kind) is Literal else ()
+    for kind in kinds:
+        with suppress(TypeError, ValueError):  # such as a number, which has no length
+            return _converted(kind, value)
+    kinds = tuple(kind for kind in kinds if kind is not type(None))
+    words = [get_args(kind) for kind in kinds if get_origin(kind) is Literal]
+    if isinstance(value, str) and len(words) == len(kinds):
+        raise UnknownNameError(key, value, table, sum(words, ()))
+    told = f"{key} must be {' or '.join(map(_wanted, kinds))}, got {value!r}"
+    raise InvalidInputError(told + (f" in {where}" if where else ""), given=value)
 
 
 def _converted(hint: Any, value: Any) -> Any:
     """Return a value as a field of that type has it; a TypeError where it is of another."""
     origin, inner = get_origin(hint), get_args(hint)
-    if origin in _UNIONS:
-        for kind in inner:
-            with suppress(TypeError, ValueError):
-                return _converted(kind, value)
-        raise TypeError
     if origin is Literal and isinstance(value, str) and value in inner:
         return value
     if origin is dict:
@@ -161,8 +148,6 @@ def _converted(hint: Any, value: Any) -> Any:
 def _wanted(hint: Any) -> str:
     """Return what a value of a type is, in words."""
     origin, inner = get_origin(hint), get_args(hint)
-    if origin in _UNIONS:
-        return " or ".join(map(_wanted, _kinds(hint)))
     if origin is Literal:
         return " or ".join(json.dumps(word) for word in inner)
     if origin is dict:
