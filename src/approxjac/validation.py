@@ -189,7 +189,7 @@ def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -
     Raises:
         InvalidInputError: `value` is not an instance of `kind`.
     """
-    if not isinstance(value, kind):
+    if isinstance(value, type) or not isinstance(value, kind):  # a class may look like a protocol
         given = f"the class {value.__name__}" if isinstance(value, type) else repr(value)
         raise InvalidInputError(f"{name} must be {wanted}, got {given}", given=value)
 
