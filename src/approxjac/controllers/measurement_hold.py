@@ -115,7 +115,7 @@ class HeldMeasurement(ControllerWrapper):
             t_x = as_number("t_x of a measurement", t_x, unit="s")
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             memory = memory.copy()
-            used, counts, any_new = self._seen(memory, x, t_x)
+            used, too_old, any_new = self._seen(memory, x, t_x)
             measured = measurement._replace(x=used)
             after, answer = self.controller.step(inner, measured, target, dt)
             if answer.J_hat is None:
@@ -126,7 +126,9 @@ class HeldMeasurement(ControllerWrapper):
                 )
             rate = answer.J_hat.dot(measurement.v)
             moved = dt * (rate if self._uncombined is None else self._uncombined.dot(rate))
-            memory[self._moved] += counts * moved
+            for coordinates in too_old:
+                moved[coordinates] = 0.0
+            memory[self._moved] += moved
         if not math.isfinite(math.hypot(*memory.tolist())):
             raise MeasurementError(
                 f"the state overflows: x = {x.tolist()} and v = {measurement.v.tolist()} are "
@@ -136,8 +138,8 @@ class HeldMeasurement(ControllerWrapper):
         status = _HELD if answer.status is _OK and not any_new else answer.status
         return np.concatenate([after, memory]), answer._replace(status=status)
 
-    def _seen(self, memory: Array, x: Array, t_x: float | None) -> tuple[Array, Array, bool]:
-        """Remember x, and return the x to use, 1 for each p that counts, and whether x is new.
+    def _seen(self, memory: Array, x: Array, t_x: float | None) -> tuple[Array, list[slice], bool]:
+        """Remember x, and return the x to use, which p are too old, and whether x is new.
 
         The p of a part that is too old stands still: an arm that sags back is not seen by that.
         """
@@ -147,7 +149,7 @@ class HeldMeasurement(ControllerWrapper):
         # numbers may be no measurement all the same, such as a quaternion of zeros
         told = x if self._measured._subtracts else self._measured.error(x, self._origin)
         errors = told.tolist()
-        used, counts, any_new = x.copy(), np.ones(len(p)), False
+        used, too_old, any_new = x.copy(), list[slice](), False
         for k, (entries, coordinates) in enumerate(self._parts):
             here = measured[entries]
             finite = all(map(math.isfinite, here + errors[coordinates]))
@@ -160,12 +162,12 @@ class HeldMeasurement(ControllerWrapper):
                 for far, most in zip(moved[coordinates], self._limits[k], strict=True)
             ):
                 used[entries] = math.nan
-                counts[coordinates] = 0.0
+                too_old.append(coordinates)
             elif not finite:
                 used[entries] = before[entries]
         if any_new and t_x is not None:
             memory[len(x)] = t_x
-        return used, counts, any_new
+        return used, too_old, any_new
 
     def __repr__(self) -> str:
         return f"HeldMeasurement({self.controller!r}, unseen={self.unseen.tolist()})"

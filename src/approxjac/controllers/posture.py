@@ -71,12 +71,10 @@ def within_null_space(torque: Array, J_hat: Array, G: Array, scale: float) -> Ar
     """
     w, damped = law.damped_gram_solve(G, J_hat.dot(torque), scale=scale)
     if damped == 0.0:
-        disturbing: Array = w.dot(J_hat)
-        return torque - disturbing
+        return np.asarray(torque - w.dot(J_hat))
     # With a damped Ĵ⁺, N would be no projector. An exact one that is faded out is one still,
     # and continuous, as it turns only where its weight is zero.
     _, values, rows = np.linalg.svd(J_hat, full_matrices=False)
     threshold = law.SINGULAR_RATIO * max(values[0], scale)
     weight = (values[-1] / threshold) ** 2 if threshold > 0.0 else 0.0
-    faded: Array = weight * (torque - rows.T.dot(rows.dot(torque)))
-    return faded
+    return np.asarray(weight * (torque - rows.T.dot(rows.dot(torque))))

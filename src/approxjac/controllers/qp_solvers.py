@@ -127,5 +127,4 @@ def _minimum(problem: QuadraticProgram, name: str) -> Array | None:
         solution = qpsolvers.solve_problem(stated, solver=name, **_SETTINGS.get(name, {}))
     if name == "osqp" and solution.extras["info"].status == "interrupted":
         raise KeyboardInterrupt  # while it solves, OSQP keeps Python from seeing it
-    answer: Array | None = solution.x if solution.found else None
-    return answer
+    return np.asarray(solution.x) if solution.found else None
