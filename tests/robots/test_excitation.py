@@ -132,12 +132,12 @@ def test_repr_has_one_line_for_each_parameter(panda):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ((np.zeros((0, 7)),), r"q must have shape \(1, 7\) \[rad or m\], got shape \(0, 7\)"),
-        ((np.zeros(7),), r"q must have shape \(1, 7\) \[rad or m\], got shape \(7,\)"),
-        ((np.zeros((3, 6)),), r"q must have shape \(3, 7\) \[rad or m\], got shape \(3, 6\)"),
+        ((np.zeros((0, 7)),), r"q must have shape \(N, 7\) \[rad or m\], got shape \(0, 7\)"),
+        ((np.zeros(7),), r"q must have shape \(N, 7\) \[rad or m\], got shape \(7,\)"),
+        ((np.zeros((3, 6)),), r"q must have shape \(N, 7\) \[rad or m\], got shape \(3, 6\)"),
         (([[np.nan] * 7],), r"q must be finite \[rad or m\], got \[\[nan"),
-        (([[1.0, 2.0], [3.0]],), r"q must be numbers of shape \(1, 7\) \[rad or m\], got \[\[1"),
-        (("far",), r"q must be numbers of shape \(1, 7\)"),
+        (([[1.0, 2.0], [3.0]],), r"q must be numbers of shape \(N, 7\) \[rad or m\], got \[\[1"),
+        (("far",), r"q must be numbers of shape \(N, 7\)"),
         ((BENT[None], 0.0), "threshold must be a finite number > 0, got 0.0"),
         ((BENT[None], np.nan), "threshold must be a finite number > 0, got nan"),
         ((BENT[None], 1.1), "threshold must be at most 1, got 1.1"),

@@ -8,7 +8,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots.gravity_regressor import GravityRegressor
-from approxjac.validation import Array, as_array, as_number, require, shape_of
+from approxjac.validation import Array, as_array, as_number, require
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,9 +66,7 @@ def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -
             range.
     """
     require("regressor", regressor, GravityRegressor, "a GravityRegressor")
-    shape = shape_of(q)
-    count = max(shape[0], 1) if len(shape) == 2 else 1
-    q = as_array("q", q, (count, regressor.robot.nq), "rad or m")
+    q = as_array("q", q, ("N", regressor.robot.nq), "rad or m")
     threshold = as_number("threshold", threshold, above=0.0)
     if threshold > 1.0:
         raise InvalidInputError(f"threshold must be at most 1, got {threshold:g}", given=threshold)

@@ -30,6 +30,7 @@ from approxjac.interface import Controller, TargetPath
 from approxjac.law import Linear, Sine
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import GravityRegressor, Robot, load_robot
+from approxjac.robots.urdf_edit import OBJECT_RADIUS
 from approxjac.scenario.configurations import configuration_of, regular_configuration
 from approxjac.scenario.images import image_scene
 from approxjac.scenario.records import Numbers, Object, Sensor, Vectors
@@ -52,7 +53,6 @@ if TYPE_CHECKING:
     from approxjac.scenario.result import Result
 
 _PLANAR_FOCAL_LENGTH = 0.05  # [m]
-_RADIUS = 0.01  # of an object [m]
 _RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
 
 
@@ -68,6 +68,7 @@ class BuiltScenario:
         q0: Start, shape (nq,).
         target: x_d, shape (n_x,), or its path.
         limits: Those that the controller keeps, with an entry for each joint; None of unknown ones.
+        motor_limits: Torques that the true motors deliver, shape (n_v,) [N m or N].
         believe: Makes the believed robot from the length that is believed of the object [m].
     """
 
@@ -78,13 +79,8 @@ class BuiltScenario:
     q0: Array
     target: Array | TargetPath
     limits: Limits | None
+    motor_limits: Array
     believe: Callable[[float], Robot]
-
-    @property
-    def motor_limits(self) -> Array:
-        """Torques that the true motors deliver, shape (n_v,) [N m or N]."""
-        limits = self.plant.torque_limits
-        return self.plant.robot.effort_limits if limits is None else limits
 
     def run(
         self,
@@ -157,12 +153,12 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
         controller = TorqueLimited(law, limits, dt=sampling_time(scenario))
     if scenario.controller.unseen is not None:
         controller = HeldMeasurement(controller, scenario.controller.unseen)
-    return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
+    return BuiltScenario(scenario, plant, controller, law, q0, target, limits, motors, believe)
 
 
 def holding(arm: Robot, held: Object, shifts: Vectors, rotations: Vectors) -> Robot:
     """Return an arm that holds an object, with errors of its joint origins and axes."""
-    radius = _RADIUS if held.radius is None else held.radius
+    radius = OBJECT_RADIUS if held.radius is None else held.radius
     robot = arm.with_object(held.length, held.mass, radius, axis=held.axis)
     return robot.with_kinematic_error(shifts, rotations) if shifts or rotations else robot
 
