@@ -434,6 +434,38 @@ def test_the_proof_pulls_no_joint_faster_than_it_may_move(panda, rng):
     assert not all(slowed)
 
 
+def fastest_mode(robot, damping):
+    """The largest eigenvalue of M⁻¹D over configurations that are none of the library's own."""
+    dynamics, rng = Dynamics(robot), np.random.default_rng(7)
+    drawn = [robot.random_configuration(rng) for _ in range(300)]
+    return max(np.linalg.eigvals(dynamics.M_inv(q) * damping).real.max() for q in drawn)
+
+
+def test_damping_that_the_proof_adds_is_no_faster_than_braking(panda):
+    """It is λR⁻¹ along y with λ ≤ ρ."""
+    measurement, target = infeasible_state(panda)
+    limits = replace(aj.Limits.of(panda), velocity=None)  # nothing reduces ρ
+    problem, limited, answer = recorded(law_of(panda), limits, measurement, target, braking=80.0)
+    wanted = limited.controller.evaluate(np.zeros(0), measurement, target).torque
+    y = limited.controller.passive_output(answer, measurement.v, limited.alpha)
+    rho = (problem.f + problem.H @ wanted) @ y / (y @ y)
+    mode = fastest_mode(panda, rho / np.diag(problem.H))
+    assert 0.7 * 80.0 < mode < 1.3 * 80.0
+
+
+def test_brakes_are_no_faster_than_braking(panda):
+    limited = aj.TorqueLimited(
+        law_of(panda), effort_only(panda, 1.0), weight="inertia", braking=80.0,
+        solver=lambda problem: None,
+    )  # fmt: skip
+    measurement, target = infeasible_state(panda)
+    measurement = measurement._replace(v=np.full(7, 0.1))
+    answer = answered(limited, np.zeros(0), measurement, target + 1.0)
+    assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
+    brakes = (Dynamics(panda).g(measurement.q) - answer.torque) / measurement.v
+    assert 0.7 * 80.0 < fastest_mode(panda, brakes) < 1.3 * 80.0
+
+
 def test_the_task_force_keeps_its_direction_better_with_its_weight(panda, rng):
     law = law_of(panda)
     turned = {"identity": [], "task force": []}
