@@ -99,7 +99,7 @@ def _visuals(
     for link in root.iterfind("link"):
         name = link.get("name")
         for element in [] if name in known else link.iterfind("visual"):
-            shape = next(element.iterfind("geometry/*"), None)
+            shape = element.find("geometry/*")
             try:
                 seen.setdefault(name, []).append(_visual(element, shape, folder, load))
             except ValueError as error:

@@ -81,12 +81,11 @@ class Tree:
         self.paths: dict[str, tuple[str, ...]] = {base: (root, _node(base))}
         self.drivers = {base: -1}
         G = robot.mimic_joints.G
+        leaders = np.arange(robot.nv) if G is None else np.abs(G).argmax(axis=1)  # of all columns
         for joint in self.joints:
             self.paths[joint.child] = (*self.paths[joint.parent], _node(joint.child))
-            driver = joint.column if joint.column >= 0 else self.drivers[joint.parent]
-            if joint.column >= 0 and G is not None:  # a mimic joint is moved by its leader
-                driver = int(np.abs(G[joint.column]).argmax())
-            self.drivers[joint.child] = driver
+            moves, before = joint.column >= 0, self.drivers[joint.parent]
+            self.drivers[joint.child] = int(leaders[joint.column]) if moves else before
         for joint in self.joints:
             self.paths.setdefault(joint.name, self.paths[joint.child])
 

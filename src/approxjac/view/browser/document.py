@@ -29,13 +29,7 @@ _LICENCES = ("LICENSE", f"{_BUNDLED}LICENSE.txt", f"{_BUNDLED}THIRD_PARTY_LICENS
 _ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
 
 
-def title_of(scene: Scene) -> str:
-    """Return whose arm a page shows."""
-    believed = "" if scene.belief is None else ", and what its controller believes of it"
-    return scene.truth.name + believed
-
-
-def belief_facts(scene: Scene) -> list[tuple[str, str]]:
+def _belief_facts(scene: Scene) -> list[tuple[str, str]]:
     """Return the lengths of held objects that the controller has wrong: names and texts."""
     true, believed = held_objects(scene.truth), held_objects(scene.belief or scene.truth)
     return [
@@ -47,16 +41,14 @@ def belief_facts(scene: Scene) -> list[tuple[str, str]]:
 
 def live_page(stage: Stage, columns: Mapping[str, Array], q: Array) -> str:
     """Return a page of one instant that is told over a WebSocket what else there is to show."""
-    scene = stage.scene
-    data = page_data(stage, columns, q, title_of(scene), belief_facts(scene), live=True)
-    return document(data, _asset("live.js"))
+    return document(page_data(stage, columns, q, live=True), _asset("live.js"))
 
 
 def page_data(
     stage: Stage,
     columns: Mapping[str, Array],
     q: Array,
-    title: str,
+    title: str | None = None,
     facts: Sequence[tuple[str, str]] = (),
     task_labels: Sequence[str] = (),
     task_units: Sequence[str] = (),
@@ -65,11 +57,13 @@ def page_data(
 ) -> dict[str, Any]:
     """Return the contents of a page, for `document`.
 
-    It shows the `Frames.columns` of configurations q (N, nq) and says facts, each a name and a
-    text. Names and units of the error's coordinates are by default those of the sensor. A live
-    page gets instants while it is open, and its targets can be dragged.
+    It shows the `Frames.columns` of configurations q (N, nq), and says whose arm it is, what is
+    believed wrongly and further facts, each a name and a text. Names and units of the error's
+    coordinates are by default those of the sensor. A live page gets instants while it is open, and
+    its targets can be dragged.
     """
     scene = stage.scene
+    believed = "" if scene.belief is None else ", and what its controller believes of it"
     if scene.sensor is not None:
         task_labels = task_labels or scene.sensor.labels
         task_units = task_units or scene.sensor.units
@@ -89,8 +83,8 @@ def page_data(
     if image is not None and image.camera is not None:
         axes = image_axes(image.camera) | {"points": len(image.points)}
     return data | {
-        "title": title,
-        "facts": [list(fact) for fact in facts],
+        "title": title or scene.truth.name + believed,
+        "facts": [*_belief_facts(scene), *facts],
         "legend": _legend(scene, axes is not None),
         "live": live,
         "colours": COLORS,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import signal
@@ -224,13 +225,13 @@ class LiveView:
         for told in self._server.received():
             for wish, value in told.items():
                 asked = True
-                note: dict[str, str] = {}
+                note = {}
                 try:
                     self._do(loop, wish, value)
                 except ApproxJacError as error:
-                    note["note"] = str(error)
+                    note = {"note": str(error)}
                 except Exception as error:  # of the user's `believe`: no reason to lose the run
-                    note["note"] = f"{wish}: {type(error).__name__}: {error}"
+                    note = {"note": f"{wish}: {type(error).__name__}: {error}"}
                 self._tell(controls=self._controls(), **note)
         return asked
 
@@ -295,11 +296,7 @@ def _with_pixel(loop: SampledLoop, pixel: Array) -> Array:
 def _numbers(name: str, value: Any) -> Array:
     """Return the numbers that a page sent, or raise an InvalidInputError."""
     entries = value if isinstance(value, list) else [value]
-    try:
-        if not any(isinstance(entry, bool) for entry in entries):
-            return np.array([float(entry) for entry in entries])
-    except (TypeError, ValueError, OverflowError):
-        pass
-    text = repr(value)
-    text = text if len(text) <= _LONG else f"{text[:_LONG]}…"
-    raise InvalidInputError(f"{name} must be numbers, got {text}", given=value)
+    if all(type(entry) in (int, float) for entry in entries):
+        with contextlib.suppress(OverflowError):
+            return np.array(entries, dtype=float)
+    raise InvalidInputError(f"{name} must be numbers, got {repr(value)[:_LONG]}", given=value)

@@ -19,7 +19,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.validation import Array, require
-from approxjac.view.browser.document import belief_facts, document, filled, page_data, title_of
+from approxjac.view.browser.document import document, filled, page_data
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.stage import Stage
 from approxjac.view.style import COLORS, display_unit
@@ -136,9 +136,8 @@ def page(run: Trajectory, title: str | None = None) -> str:
         )
     stage, kept = Stage(run.scene), _thinned(run.t)
     columns = Frames(run.scene, run.task_units).columns(run, kept)
-    title, facts = title or title_of(run.scene), [*belief_facts(run.scene), *_facts(run)]
-    labels = run.task_labels, run.task_units
-    return document(page_data(stage, columns, run.q[kept], title, facts, *labels))
+    shown = columns, run.q[kept], title, _facts(run), run.task_labels, run.task_units
+    return document(page_data(stage, *shown))
 
 
 def open_browser(url: str) -> bool:
@@ -212,7 +211,6 @@ def _shown(folder: Path, name: str, title: str) -> str:
     return f'<li><div><img src="{quote(name)}" alt=""><b>{escape(title)}</b></div></li>'
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
+def _natural(name: str) -> list[Any]:
     """Return a key that sorts fig10 after fig9."""
-    parts = re.split(r"(\d+)", name)
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", name))]
