@@ -7,11 +7,13 @@ import math
 from typing import Any, Self
 
 import numpy as np
+from numpy import ndarray
 from numpy.typing import NDArray
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 
 Array = NDArray[np.float64]
+_FLOAT64 = np.dtype(np.float64)
 _LARGEST = 1e60
 _CHANGEABLE = (list, dict, np.ndarray)
 
@@ -60,8 +62,8 @@ def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
         InvalidInputError: Wrong shape, not numeric, NaN or infinite.
     """
     if (
-        type(value) is np.ndarray
-        and value.dtype == np.float64
+        type(value) is ndarray
+        and value.dtype == _FLOAT64
         and value.shape == (size,)
         and math.isfinite(math.hypot(*value.tolist()))  # overflows without a warning
     ):

@@ -21,7 +21,7 @@ from approxjac.tasks import (
     StackedTask,
     Task,
 )
-from approxjac.tasks.wrapped import WrappedTask
+from approxjac.tasks.task import WrappedTask
 from approxjac.validation import Array
 
 _KINDS: Mapping[str, Any] = {

@@ -8,8 +8,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks.analysis import seen_configurations, with_error
-from approxjac.tasks.task import Task
-from approxjac.tasks.wrapped import WrappedTask
+from approxjac.tasks.task import Task, WrappedTask
 from approxjac.validation import Array, as_array, require
 
 _CONFIGURATIONS = 400

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from functools import cached_property, partial
-from math import hypot, inf
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy import ndarray
 
 from approxjac.robots import Robot
 from approxjac.validation import Array, as_vector
 
 _LWA = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-_FLOAT = np.dtype(np.float64)
 
 
 class FrameKinematics:
@@ -36,8 +33,7 @@ class FrameKinematics:
         self.frame = frame
         self._id = robot.frame_id(frame)
         self._model = robot.model
-        # below it a norm of q is finite; nothing is where (cos, sin) pairs have to be looked at
-        self._most = inf if robot.nq == robot.nv else 0.0
+        self._nq, self._is_vector = robot.nq, robot.nq == robot.nv  # or it has (cos, sin) pairs
         self._many = robot.nv > 1  # of one joint Pinocchio's Jacobian has lost an axis
         # Pinocchio's J̇ is wrong with mimic joints: it is computed with all joints on their own
         self._all = robot.mimic_joints.model
@@ -80,13 +76,8 @@ class FrameKinematics:
 
     def jacobian(self, q: Array) -> Array:
         """Return the Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, (6, n_v)."""
-        try:  # in the time that a control step has; Pinocchio looks at the length
-            usual = type(q) is ndarray and q.dtype is _FLOAT and hypot(*q.tolist()) < self._most
-            J: Array = self._jacobian_of(q, self._id, _LWA)
-        except (TypeError, ValueError):
-            usual = False
-        if not usual:
-            J = self._jacobian_of(self.robot.configuration(q), self._id, _LWA)
+        q = as_vector("q", q, self._nq) if self._is_vector else self.robot.configuration(q)
+        J: Array = self._jacobian_of(q, self._id, _LWA)
         return J if self._many else J.reshape(6, 1)
 
     def motion(self, q: Array) -> tuple[Array, Array, Array]:

@@ -10,8 +10,7 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.tasks.analysis import vanishing
-from approxjac.tasks.task import Task
-from approxjac.tasks.wrapped import WrappedTask
+from approxjac.tasks.task import Task, WrappedTask
 from approxjac.validation import Array, as_number, require
 
 _TINY = 1e-300
@@ -82,7 +81,8 @@ class NonsingularTask(WrappedTask):
         if not weights.any():
             return J
         P = (U * weights) @ U.T
-        return np.asarray(J + P @ (self.task.jacobian(self._bent(q), x) - J))
+        bent = pin.integrate(self.robot.model, self.robot.configuration(q), self._bend)
+        return np.asarray(J + P @ (self.task.jacobian(bent, x) - J))
 
     def design_error(self, q: Array) -> float:
         """Return ‖Ĵ_d − Ĵ‖, what the design adds to (7)'s p; 0 away from singular."""
@@ -92,10 +92,6 @@ class NonsingularTask(WrappedTask):
         J = self.task.jacobian(q)
         changed = self._weights(np.asarray(np.linalg.eigvalsh(J @ J.T))).any()
         return super().jacobian_dot(q, v) if changed else self.task.jacobian_dot(q, v)
-
-    def _bent(self, q: Array) -> Array:
-        q = self.robot.configuration(q)
-        return np.array(pin.integrate(self.robot.model, q, self._bend))
 
     def _weights(self, squares: Array) -> Array:
         """Return the weight of each left singular vector, 1 where its singular value is 0."""

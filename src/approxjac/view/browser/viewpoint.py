@@ -102,7 +102,7 @@ def _widest(moving: Array, points: Array, stands: Sequence[Array], views: Sequen
     """
     moving = moving[np.isfinite(moving).all(axis=1)]
     around = np.array([points.mean(axis=0), *stands])
-    parts = [(p, weight) for p, weight in ((moving, 1.0), (points, 0.15), (around, 0.15))]
+    parts = ((moving, 1.0), (points, 0.15), (around, 0.15))
     spread = float(np.std(points))
 
     def width(azimuth: float) -> float:
