@@ -68,9 +68,8 @@ class SampledLoop:
         self._readings = None
         if plant.sensing is not None:
             self._readings = SensorReadings(plant.sensing, plant.sensor, dt, seed)
-        self.truth = plant.measure(0.0, q, v)
-        self.measurement = self._read(self.truth)
         self._aim()
+        self._sense(q, v)
         self.state = first_state(plant, controller, self._wanted, self.measurement, dt)
         late = round(min(plant.actuator_delay / dt, float(steps)))
         self._waiting = deque([plant.dynamics.g(q)] * late)
@@ -97,13 +96,12 @@ class SampledLoop:
         torque, truth = self._waiting.popleft(), self.truth
         q, v = self.plant.advance(truth.q, truth.v, torque, self.dt, self._integrate)
         self.step += 1
-        try:
-            self.truth = self.plant.measure(self.step * self.dt, q, v)
-        except InvalidInputError as error:
-            raise diverged(self.step * self.dt, self.steps * self.dt, error) from error
-        self.measurement = self._read(self.truth)
         self._aim()
-        self._control()
+        try:
+            self._sense(q, v)
+            self._control()
+        except (InvalidInputError, MeasurementError) as error:
+            raise diverged(self.step * self.dt, self.steps * self.dt, error) from error
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:
         """Move the target, from the next step on.
@@ -148,23 +146,21 @@ class SampledLoop:
         self.stopped = True
 
     def _aim(self) -> None:
-        self._wanted = target_at(self._path, self.truth.t)
+        self._wanted = target_at(self._path, self.step * self.dt)
         self.target = _x_of(self._wanted)
 
+    def _sense(self, q: Array, v: Array) -> None:
+        self.truth = self.plant.measure(self.step * self.dt, q, v)
+        self.measurement = self.truth if self._readings is None else self._readings.read(self.truth)
+
     def _control(self) -> None:
-        try:
-            self._after, answer = self.controller.step(
-                self.state, self.measurement, self._wanted, self.dt
-            )
-            if not math.isfinite(math.hypot(*self._after.tolist())):
-                as_array("state", self._after, self._after.shape)
-        except (InvalidInputError, MeasurementError) as error:
-            raise diverged(self.step * self.dt, self.steps * self.dt, error) from error
+        self._after, answer = self.controller.step(
+            self.state, self.measurement, self._wanted, self.dt
+        )
+        if not math.isfinite(math.hypot(*self._after.tolist())):
+            as_array("state", self._after, self._after.shape)
         # a controller may use one buffer for all its torques, and `aim_at` asks it once more
         self.answer: Evaluation = answer._replace(torque=answer.torque.copy())
-
-    def _read(self, truth: Measurement) -> Measurement:
-        return truth if self._readings is None else self._readings.read(truth)
 
 
 Wanted = Target | TargetPath | Array
