@@ -38,6 +38,11 @@ def features(task: Task | None) -> tuple[Feature, ...]:
     return () if task is None else task._features()
 
 
+def image_feature(task: Task | None) -> Feature | None:
+    """Return the first part of a task that a camera sees."""
+    return next((feature for feature in features(task) if feature.camera is not None), None)
+
+
 def sees(task: Task, q: Array) -> bool:
     """Return whether a sensor delivers all of a task's value at q (nq,)."""
     return bool(np.isfinite(task._seen(task.value(q))).all())

@@ -11,8 +11,8 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
+from approxjac.tasks.frame_kinematics import PointKinematics
 from approxjac.tasks.pinhole import PinholeCamera
-from approxjac.tasks.point_kinematics import PointKinematics
 from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, as_array, as_diagonal, require
 

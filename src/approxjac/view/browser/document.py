@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from approxjac.simulation.scene import Scene
-from approxjac.tasks.analysis import features
+from approxjac.tasks import Camera, PinholeCamera
+from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array
-from approxjac.view.browser.cameras import image_axes, image_feature
 from approxjac.view.browser.stage import Stage, grid
 from approxjac.view.browser.viewpoint import link_points, viewpoint
 from approxjac.view.packages import view_package
@@ -81,7 +81,7 @@ def page_data(
     data["commands"] += grid(view["normal"], points)
     image, axes = image_feature(scene.sensor), None
     if image is not None and image.camera is not None:
-        axes = image_axes(image.camera) | {"points": len(image.points)}
+        axes = _image_axes(image.camera) | {"points": len(image.points)}
     return data | {
         "title": title or scene.truth.name + believed,
         "facts": [*_belief_facts(scene), *facts],
@@ -176,6 +176,17 @@ def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, 
     ]  # fmt: skip
     names = ("column", "title", "unit", "labels", "lines")
     return [dict(zip(names, plot, strict=True)) | {"colours": SERIES} for plot in plots]
+
+
+def _image_axes(camera: Camera) -> dict[str, Any]:
+    """Return names, unit and borders of the image's coordinates, as they are plotted."""
+    unit, scale = display_unit(camera.unit)
+    border = None
+    if isinstance(camera, PinholeCamera):
+        border = [-0.5, -0.5, camera.size[0] - 0.5, camera.size[1] - 0.5]
+    down = border is not None  # v of a pinhole camera points down
+    labels = list(camera.labels)
+    return {"labels": labels, "unit": unit, "scale": scale, "border": border, "down": down}
 
 
 def _asset(name: str) -> str:

@@ -12,11 +12,10 @@ from approxjac.robots.model import own_joints
 from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import FrameKinematics, Task
-from approxjac.tasks.analysis import features
-from approxjac.tasks.point_kinematics import PointKinematics
+from approxjac.tasks.analysis import features, image_feature
+from approxjac.tasks.frame_kinematics import PointKinematics
 from approxjac.tasks.task import Feature
 from approxjac.validation import Array
-from approxjac.view.browser.cameras import image_feature
 from approxjac.view.style import display_unit
 from approxjac.view.tree import joint_positions
 

@@ -18,9 +18,8 @@ from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
-from approxjac.tasks.analysis import features
+from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array, as_array, as_number
-from approxjac.view.browser.cameras import image_feature
 from approxjac.view.browser.document import live_page
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.page import open_browser

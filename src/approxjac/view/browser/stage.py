@@ -11,8 +11,9 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.simulation.scene import Scene
-from approxjac.validation import Array
-from approxjac.view.browser.cameras import camera_view, image_feature
+from approxjac.tasks import PinholeCamera, PlanarCamera, Task
+from approxjac.tasks.analysis import image_feature
+from approxjac.validation import Array, plane_rows
 from approxjac.view.browser.viewpoint import reach_points
 from approxjac.view.packages import view_package
 from approxjac.view.style import COLORS
@@ -25,10 +26,60 @@ if TYPE_CHECKING:
 
 _GHOST = 0.38  # opacity of the believed arm
 _GRID, _GRID_LINES = "#DDE1E6", 24
+_NEAR = 0.18  # to the image as it is drawn, of the way to what the camera looks at
+_IN_HAND = 0.12  # the same of a camera on the arm, of the arm's size
+_BEYOND = 1.3  # to the end of lines of sight, of the way to what the camera looks at
 # what is seen through the arm, in which tips and joints often are
 _THROUGH: Mapping[str, Any] = {
     "side": 0, "transparent": True, "depthTest": False, "depthWrite": False,
 }  # fmt: skip
+
+
+def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any] | None:
+    """Return how the camera of a task is drawn, in the axes of what it is fixed to, if it has one.
+
+    The image coordinates X are at `corner` + a `right` + b `down` with (a, b) = (X − low)/(high −
+    low). Lens distortion is left out of the drawing.
+
+    The arm has a size [m], and its middle (3,) in the world [m].
+
+    Returns:
+        "apex", "corner", "right", "down" (3,) [m]; "low", "high" (2,) [unit of the image];
+        "reach", how far lines of sight go, in distances of the image; "mount", a frame or None.
+    """
+    feature = image_feature(task)
+    camera = None if feature is None else feature.camera
+    near, reach = _NEAR, _BEYOND / _NEAR
+    if isinstance(camera, PinholeCamera):
+        R, apex = camera.placement()
+        f, c = np.array(camera.focal_length), np.array(camera.center, dtype=float)
+        low, high = np.array([-0.5, -0.5]), np.array(camera.size) - 0.5
+        near *= float(np.linalg.norm(middle - apex))
+        if camera.mount is not None:
+            near, reach = _IN_HAND * size, 0.5 / _IN_HAND
+        rays = np.column_stack([(_three_corners(low, high) - c) / f, np.ones(3)]) @ R.T
+    elif isinstance(camera, PlanarCamera):
+        # it sees without end: its image is as large as the arm, and it stands over the middle of
+        # that, at the depth z − f of the equal pinhole camera
+        rows, center = plane_rows(camera.plane), np.array(camera.offset)
+        J = camera.interaction(np.zeros(3))[:, rows]
+        half = 1.05 * size * camera.magnification * np.array([1.0, -1.0])  # y_s points up
+        low, high = center - half, center + half
+        normal = np.cross(*np.eye(3)[rows])
+        apex = (camera.distance - camera.focal_length) * normal
+        on_plane = np.linalg.solve(J, (_three_corners(low, high) - center).T)
+        rays = on_plane.T @ np.eye(3)[rows] - apex
+    else:
+        return None
+    corner, right, down = apex + near * rays
+    return {
+        "apex": apex, "corner": corner, "right": right - corner, "down": down - corner,
+        "low": low, "high": high, "reach": reach, "mount": camera.mount,
+    }  # fmt: skip
+
+
+def _three_corners(low: Array, high: Array) -> Array:
+    return np.array([low, (high[0], low[1]), (low[0], high[1])])
 
 
 class Stage:
@@ -39,7 +90,7 @@ class Stage:
     Attributes:
         robots: By role, "true" and, if there is one, "believed".
         size: Of the arm: the farthest that a link gets from the base [m].
-        cameras: As `camera_view` draws them, with "role" and "node", the path of what carries it.
+        cameras: As `_camera_view` draws them, with "role" and "node", the path of what carries it.
         boxes: By role, link → points of the box around its shapes, in its frame, each (k, 3) [m].
     """
 
@@ -62,7 +113,7 @@ class Stage:
         self._tasks = {"true": scene.sensor, "believed": scene.task}
         self.cameras = []
         for role in self.robots:
-            camera = camera_view(self._tasks[role], self.size, middle)
+            camera = _camera_view(self._tasks[role], self.size, middle)
             if camera is not None:
                 node = self._node(role, camera["mount"])
                 self.cameras.append(camera | {"role": role, "node": node})

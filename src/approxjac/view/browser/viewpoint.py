@@ -47,7 +47,7 @@ def viewpoint(
 ) -> dict[str, Any]:
     """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
 
-    Cameras in the world, as `camera_view` draws them, are to be in view, too.
+    Cameras in the world, as the `Stage` has them, are to be in view, too.
 
     Returns:
         "direction", a unit vector towards the eye; "points", corners of what must be in view;
