@@ -292,7 +292,9 @@ def test_bad_mounts_targets_and_uses_are_refused(panda, rng):
     constant = watching(panda, q, depth=1.0)
     with pytest.raises(aj.InvalidInputError, match="takes depth='believed', got ImageTask"):
         constant.jacobian_dot(q, np.zeros(7))
-    with pytest.raises(aj.InvalidInputError, match="depths are those of a PinholeCamera"):
+    with pytest.raises(
+        aj.InvalidInputError, match="camera of a task with depths must be a PinholeCamera"
+    ):
         aj.ImageTask(panda, PlanarCamera(0.05, 3.0)).depths(q)
     measured = watching(panda, q, depth="measured")
     with pytest.raises(aj.InvalidInputError, match="the coordinates of the plant's sensor"):

@@ -145,11 +145,8 @@ class ImageTask(Task):
         Raises:
             InvalidInputError: A q that is none, or a camera without depth.
         """
-        if not isinstance(self.camera, PinholeCamera):
-            raise InvalidInputError(
-                f"depths are those of a PinholeCamera, got {self.camera!r}", given=self.camera
-            )
-        return np.array([self.camera.in_camera(r)[2] for r in self._kinematics.positions(q)])
+        require("camera of a task with depths", self.camera, PinholeCamera, "a PinholeCamera")
+        return np.array([self._pinhole.in_camera(r)[2] for r in self._kinematics.positions(q)])
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
         return self._jacobian(q, self._located(q, x) if self._uses_x else None)

@@ -280,12 +280,8 @@ class PinholeCamera(Camera):
         moved = self._R @ as_array("shift", shift, (3,), "m")
         turned = self._R @ pin.exp3(np.array(as_array("rotation", rotation, (3,), "rad")))
         factor = as_number("focal_factor", focal_factor, above=0.0)
-        return replace(
-            self,
-            position=self._p + moved,
-            rotation=turned,
-            focal_length=tuple((self._f * factor).tolist()),
-        )
+        f = tuple((self._f * factor).tolist())
+        return replace(self, focal_length=f, position=self._p + moved, rotation=turned)
 
     @property
     def calibration(self) -> Mapping[str, Calibrated]:

@@ -156,10 +156,9 @@ def plot_map(
             ax.plot([], [], line, color=color, linewidth=2.0, label=name + where)
         if own is not None:
             ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label="as given")
-        if y[0] > 0.0 and y[-1] / y[0] > 20.0:
-            ax.set_yscale("log")
-        if x[0] > 0.0 and x[-1] / x[0] > 20.0:
-            ax.set_xscale("log")
+        for values, set_scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
+            if values[0] > 0.0 and values[-1] / values[0] > 20.0:
+                set_scale("log")
         ax.set(xlabel=labels[0], ylabel=labels[1], title=title)
         ax.grid(visible=False)
     return ax
