@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 
 from approxjac.robots import Robot
 from approxjac.tasks import (
-    Camera,
     ImageTask,
     PinholeCamera,
     PlanarCamera,
@@ -21,15 +19,10 @@ from approxjac.tasks import (
     StackedTask,
     Task,
 )
-from approxjac.tasks.task import WrappedTask
 from approxjac.validation import Array
 
 _KINDS: Mapping[str, Any] = {
-    "position": PositionTask,
-    "pose": PoseTask,
-    "image": ImageTask,
-    "PinholeCamera": PinholeCamera,
-    "PlanarCamera": PlanarCamera,
+    made._kind: made for made in (PositionTask, PoseTask, ImageTask, PinholeCamera, PlanarCamera)
 }
 
 
@@ -57,8 +50,8 @@ class Scene:
         return {
             "truth": _saved_robot(self.truth),
             "belief": None if self.belief is None else _saved_robot(self.belief),
-            "sensor": _saved_task(self.sensor),
-            "task": _saved_task(self.task),
+            "sensor": self.sensor and self.sensor._saved(),
+            "task": self.task and self.task._saved(),
             # JSON knows no infinity
             "torque_limits": [x if np.isfinite(x) else None for x in self.torque_limits.tolist()],
         }
@@ -89,30 +82,6 @@ def _saved_robot(robot: Robot) -> dict[str, Any]:
 def _restored_robot(kept: Mapping[str, Any]) -> Robot:
     folder = None if kept["urdf_dir"] is None else Path(kept["urdf_dir"])
     return Robot(**{**kept, "urdf_dir": folder}, source="the URDF of a run")
-
-
-def _saved_task(task: Task | Camera | None) -> dict[str, Any] | None:
-    """Return what a file keeps of a task or camera; None of a class that is not known here.
-
-    Of a wrapped task it is the task inside: what the law changes is no affair of a picture.
-    """
-    if isinstance(task, WrappedTask):
-        return _saved_task(task.task)
-    if type(task) is StackedTask:
-        parts = [_saved_task(part) for part in task.tasks]
-        return None if None in parts else {"kind": "stacked", "tasks": parts}
-    kinds = [kind for kind, made in _KINDS.items() if type(task) is made]
-    if not kinds:
-        return None
-    kept: dict[str, Any] = {"kind": kinds[0]}
-    for name in inspect.signature(type(task)).parameters:
-        if name != "robot":
-            value = getattr(task, name)
-            kept[name] = value.tolist() if isinstance(value, np.ndarray) else value
-    if "camera" in kept:
-        kept["camera"] = _saved_task(kept["camera"])
-        return kept if kept["camera"] else None
-    return kept
 
 
 def _restored_task(kept: Mapping[str, Any] | None, robot: Robot | None) -> Task | None:

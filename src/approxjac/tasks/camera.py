@@ -11,6 +11,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
+from approxjac.tasks.saved import Saved
 from approxjac.validation import Array, as_array, as_number, plane_rows
 
 
@@ -21,7 +22,7 @@ class Calibrated(NamedTuple):
     unit: str
 
 
-class Camera(ABC):
+class Camera(Saved, ABC):
     """A camera: the image X of a point, and how the image moves with the point.
 
     Positions are those in the frame that the camera is fixed to.
@@ -106,6 +107,7 @@ class PlanarCamera(Camera):
     offset: Sequence[float] = (0.0, 0.0)
     plane: str = "xz"
     labels = ("x_s", "y_s")
+    _kind = "PlanarCamera"
     unit = "m"
     __repr__ = short_fields
     _J: Array = field(init=False, repr=False, compare=False)

@@ -57,6 +57,8 @@ class ImageTask(Task):
             that move with the camera; a depth for a camera that has none.
     """
 
+    _kind = "image"
+
     def __init__(
         self,
         robot: Robot,

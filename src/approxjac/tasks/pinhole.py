@@ -61,6 +61,7 @@ class PinholeCamera(Camera):
     near: float = 0.05
     labels = ("u", "v")
     unit = "px"
+    _kind = "PinholeCamera"
     _f: Array = field(init=False, repr=False, compare=False)
     _c: Array = field(init=False, repr=False, compare=False)
     _R: Array = field(init=False, repr=False, compare=False)

@@ -41,6 +41,8 @@ class PoseTask(Task):
         InvalidInputError: Fewer than six joints.
     """
 
+    _kind = "pose"
+
     def __init__(self, robot: Robot, frame: str | None = None) -> None:
         require("robot", robot, Robot, "a Robot")
         self.frame = robot.tip_or(frame)

@@ -31,6 +31,8 @@ class PositionTask(Task):
         InvalidInputError: No or doubled axes, or more of them than joints.
     """
 
+    _kind = "position"
+
     def __init__(self, robot: Robot, frame: str | None = None, axes: str | None = None) -> None:
         require("robot", robot, Robot, "a Robot")
         self.frame = robot.tip_or(frame)

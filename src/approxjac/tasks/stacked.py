@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
@@ -104,6 +105,10 @@ class StackedTask(Task):
             for task, entries, _ in self._each
             for feature in task._features()
         )
+
+    def _saved(self) -> dict[str, Any] | None:
+        parts = [task._saved() for task in self.tasks]
+        return None if None in parts else {"kind": "stacked", "tasks": parts}
 
     def __repr__(self) -> str:
         return f"StackedTask({', '.join(map(repr, self.tasks))})"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +13,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
+from approxjac.tasks.saved import Saved
 from approxjac.validation import Array, Immutable, as_array, as_vector, require
 
 _DIFFERENCE = 1e-5  # of q, either way, from which a rate is taken [rad or m]
@@ -36,7 +37,7 @@ class Feature(NamedTuple):
     points: Array
 
 
-class Task(Immutable, ABC):
+class Task(Immutable, Saved, ABC):
     """A task X = h(q) of one robot.
 
     A controller uses the task of the *believed* robot, and of it only the Jacobian Ĵ: the value
@@ -250,3 +251,6 @@ class WrappedTask(Task):
 
     def _features(self) -> tuple[Feature, ...]:
         return self.task._features()
+
+    def _saved(self) -> dict[str, Any] | None:
+        return self.task._saved()  # what the law changes is no affair of a picture
