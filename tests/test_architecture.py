@@ -14,6 +14,7 @@ SOURCE = Path(approxjac.__file__).parent
 # Each may import itself and what stands in its set; nothing else of ours.
 ALLOWED = {
     "errors": set(),
+    "extras": {"errors"},
     "formatting": set(),
     "validation": {"errors"},
     "interface": {"tasks", "validation", "formatting"},
@@ -21,9 +22,12 @@ ALLOWED = {
     "robots": {"validation", "errors"},
     "law": {"validation", "errors"},
     "tasks": {"robots", "formatting", "validation", "errors"},
-    "controllers": {"law", "tasks", "robots", "interface", "formatting", "validation", "errors"},
+    "controllers": {
+        "law", "tasks", "robots", "interface", "formatting", "validation", "errors", "extras",
+    },
     "simulation": {
         "controllers", "law", "tasks", "robots", "interface", "formatting", "validation", "errors",
+        "extras",
     },
     "stability": {
         "controllers", "simulation", "law", "tasks", "robots", "interface", "formatting",
@@ -31,6 +35,7 @@ ALLOWED = {
     },
     "view": {
         "simulation", "controllers", "law", "tasks", "robots", "interface", "validation", "errors",
+        "extras",
     },
     "paper": {
         "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "validation",

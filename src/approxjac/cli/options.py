@@ -1,4 +1,4 @@
-"""The options of a scenario: its keys with dots, with short ones for the common few."""
+"""The options of a scenario, its keys with dots and short ones for the common few; and --out."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, asdict, field, fields, is_dataclass, make_dataclass
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import tyro
 
+from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 from approxjac.scenario.records import Analysis, Goal
 from approxjac.scenario.tables import hints
@@ -108,3 +110,17 @@ def _options(record: Any, short: Mapping[str, list[str]], key: str = "") -> type
             made.append((name, hint, field(default_factory=default)))
     doc = {"__doc__": record.__doc__}  # the help of its options
     return make_dataclass(type(record).__name__, made, namespace=doc)
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder that a command writes to.
+
+    Raises:
+        InvalidInputError: It cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError(
+            f"--out must be a folder that can be made, got {out}: {error}", given=out
+        ) from error

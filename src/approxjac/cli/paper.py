@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from approxjac.cli.output import make_folder
+from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
 
 

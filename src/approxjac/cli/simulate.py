@@ -6,7 +6,7 @@ from pathlib import Path
 
 import tyro
 
-from approxjac.cli.output import make_folder
+from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from approxjac.cli.output import make_folder
+from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 

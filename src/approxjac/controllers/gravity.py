@@ -29,7 +29,17 @@ from approxjac.validation import (
 )
 
 
-class ModelGravity(Immutable):
+class _RobotGravity(Immutable):
+    def __init__(self, robot: Robot) -> None:
+        self._remember(locals())
+        require("robot", robot, Robot, "the believed Robot")
+        self.robot = robot
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.robot.name!r})"
+
+
+class ModelGravity(_RobotGravity):
     """g(q) of a robot's model, by RNEA: exact as far as its masses and lengths are.
 
     Args:
@@ -37,14 +47,9 @@ class ModelGravity(Immutable):
     """
 
     def __init__(self, robot: Robot) -> None:
-        self._remember(locals())
-        require("robot", robot, Robot, "the believed Robot")
-        self.robot = robot
+        super().__init__(robot)
         model = robot.model
         self._torque_at = partial(pin.computeGeneralizedGravity, model, model.createData())
-
-    def __repr__(self) -> str:
-        return f"ModelGravity({self.robot.name!r})"
 
     def torque(self, q: Array) -> Array:
         """Return g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
@@ -52,25 +57,16 @@ class ModelGravity(Immutable):
         return g
 
 
-class NoGravity(Immutable):
+class NoGravity(_RobotGravity):
     """No gravity torque: the robot compensates it by itself, or there is none.
 
     Args:
         robot: The believed robot.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self._remember(locals())
-        require("robot", robot, Robot, "the believed Robot")
-        self.robot = robot
-        self._zero = np.zeros(robot.nv)
-
-    def __repr__(self) -> str:
-        return f"NoGravity({self.robot.name!r})"
-
     def torque(self, q: Array) -> Array:
         """Return zeros, shape (n_v,)."""
-        return self._zero.copy()
+        return np.zeros(self.robot.nv)
 
 
 class RegressorGravity(Immutable):

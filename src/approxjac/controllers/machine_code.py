@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from approxjac import law
-from approxjac.errors import MissingPackageError
+from approxjac.extras import package_of
 from approxjac.law import products, pseudoinverse, saturation
 from approxjac.validation import Array
 
@@ -56,14 +56,7 @@ def compiled(
     Raises:
         MissingPackageError: Numba is not installed.
     """
-    try:
-        import numba
-    except ImportError as error:
-        raise MissingPackageError(
-            f"compiled steps need Numba, which cannot be imported ({error}): "
-            "pip install 'approxjac[fast]'",
-            given="numba",
-        ) from error
+    numba = package_of("fast", "numba")
     _teach((*_EQUATIONS, *parts))
     # Numba looks at the file of a function alone to tell whether what it kept is still true.
     named = types.FunctionType(function.__code__, function.__globals__, function.__name__)

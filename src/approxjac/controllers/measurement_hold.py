@@ -21,33 +21,27 @@ _OK, _HELD = Status.OK, Status.MEASUREMENT_HELD  # members of an enum are slow t
 class HeldMeasurement(ControllerWrapper):
     """A controller that goes on with the last x that was seen, until the arm has moved too far.
 
-    Images come some 30 times a second and some are lost; control runs at 1 kHz. An old x is made
-    wrong not by its age but by the motion since. So for each of the task's parts (each feature of
-    an image) it counts how far the image must have moved since it was last new, as the believed
-    Jacobian says,
+    Images come some 30 times a second and some are lost; control runs at 1 kHz. What makes an old
+    x wrong is not its age but the motion since. For each of the task's parts (each feature of an
+    image) this counts how far it must have moved since it was last new, by the believed Jacobian:
 
         p = ∫ Ĵ q̇ dt
 
-    This is a net displacement, in which noise of q̇ from an encoder does not add up. While every
-    abs(pᵢ) <= unseenᵢ the controller gets the x that was last seen. A part beyond that is too old
-    and stays it until it is seen again: the controller gets NaN there, and does what it does when
-    a measurement is lost (no position force, damping and gravity compensation only, learning
-    rests). An x that is lost, one that a camera repeats because no new image has come, and one
-    that it repeats because it hangs, are all the same here: an arm at rest is told nothing new by
-    them, and one that moves stops once it has moved too far without being seen. A new x ends it at
-    once. A part that was never seen is too old.
+    While every abs(pᵢ) <= unseenᵢ the controller gets the x that was last seen. A part beyond that,
+    or never seen, is too old until it is seen again: the controller gets NaN there and does what it
+    does when a measurement is lost. Whether x is lost, or a camera repeats it because no new image
+    has come or because it hangs, is all the same: an arm that moves stops once it has moved too far
+    without being seen.
 
-    A part is new where it is finite and x was taken later than the last one (`Measurement.t_x`).
-    Where that is not known, it is new where it differs from the one last seen: with the noise of a
-    camera every new image does.
+    A part is new where it is finite and x was taken later than the last one (`Measurement.t_x`), or
+    where that is not known, where it differs from the last one: with noise every new image does.
 
     The status is that of the controller, or `MEASUREMENT_HELD` where that is `OK` and no part of x
-    is new. A limiter inside of it speaks of V with the x that it was given, the held one.
+    is new. A limiter inside of it speaks of V with the held x.
 
     Its state is that of the controller, then the last x (n_x,), the time that it was taken at, p
-    (m,), and for each part 1 if it was ever seen, else 0. Law (5) differentiates the x that is
-    held, a staircase: with a time constant below the time between images its torque jumps at each
-    of them.
+    (m,), and for each part 1 if it was ever seen, else 0. Law (5) differentiates the held x, a
+    staircase: with a time constant below the time between images its torque jumps at each of them.
 
     Args:
         controller: The controller, which answers with Ĵ: a `SetpointController`, or `TorqueLimited`

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from approxjac.errors import InvalidInputError, MissingPackageError, UrdfError
+from approxjac.errors import InvalidInputError, UrdfError
+from approxjac.extras import package_of
 from approxjac.robots import Robot
 from approxjac.simulation.plant import Plant
 from approxjac.tasks import Task
@@ -110,14 +111,7 @@ class MujocoPlant(Plant):
 
 def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:
     """Return MuJoCo's model of a robot above a floor, from the URDF that `save_urdf` writes."""
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingPackageError(
-            f"MujocoPlant needs mujoco, which cannot be imported ({error}): "
-            "pip install 'approxjac[mujoco]'",
-            given="mujoco",
-        ) from error
+    mujoco = package_of("mujoco", "mujoco")
     with tempfile.TemporaryDirectory() as folder:
         path = robot.save_urdf(Path(folder) / "robot.urdf")
         try:

@@ -11,6 +11,7 @@ import numpy as np
 
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import plain
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
@@ -156,44 +157,43 @@ class StabilityReport:
 
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
-        first, local = self.theorem1, self.local
-        names = ("certified", "share", "violations", "checked", "violating_at_most")
-        matrix = {
-            family: {
-                **{name: getattr(test, name) for name in names},
-                "margin": _number(test.margin),
-                "worst_q": self.samples.q[test.worst].tolist(),
-                "worst_truth": self.describe_truth(int(self.samples.truth[test.worst])),
-                **{name: array.tolist() for name, array in test.weights._asdict().items()},
-            }
-            for family, test in self.matrix.items()
-        }
-        return {
+        first, local, samples = self.theorem1, self.local, self.samples
+        names = ("certified", "margin", "share", "violations", "checked", "violating_at_most")
+        found = {
             "robot": self.loop.controller.task.robot.name,
             "region": repr(self.loop.region),
             "configurations": len(self.matrix["paper"].margins),
             "seed": self.seed,
             "certified_by": self.certified_by,
-            "singular_q": None if self.singular_q is None else self.singular_q.tolist(),
+            "singular_q": self.singular_q,
             "theorem1": {
                 **{name: getattr(first, name) for name in ("holds", "p", "allowed_p", "alpha")},
-                "margin": _number(first.margin),
+                "margin": first.margin,
                 "allowed_p_large_gains": first.allowed_p_large_gains,
-                "alpha_range": [_number(alpha) for alpha in first.alpha_range],
+                "alpha_range": first.alpha_range,
                 "constants": {name: getattr(first, name) for name in CONSTANTS},
-                "worst_q": {name: self.samples.q[first.worst[name]].tolist() for name in CONSTANTS},
+                "worst_q": {name: samples.q[first.worst[name]] for name in CONSTANTS},
             },
-            "matrix": matrix,
+            "matrix": {
+                family: {
+                    **{name: getattr(test, name) for name in names},
+                    "worst_q": samples.q[test.worst],
+                    "worst_truth": self.describe_truth(int(samples.truth[test.worst])),
+                    **test.weights._asdict(),
+                }
+                for family, test in self.matrix.items()
+            },
             "local": {
                 "stable": local.stable,
                 "share": local.share,
                 "configurations": len(local.q),
-                "slowest_decay_rate": float(local.decay_rates.min()),
-                "smallest_damping_ratio": float(local.damping_ratios.min()),
-                "worst_q": local.q[local.worst].tolist(),
+                "slowest_decay_rate": local.decay_rates.min(),
+                "smallest_damping_ratio": local.damping_ratios.min(),
+                "worst_q": local.q[local.worst],
                 "worst_truth": self.describe_truth(int(local.truth[local.worst])),
             },
         }
+        return {name: plain(value) for name, value in found.items()}
 
 
 def stability_report(
@@ -288,8 +288,3 @@ def stability_report(
         loop.singular_configuration(samples),
         seed,
     )
-
-
-def _number(value: float) -> float | None:
-    """A number as JSON knows it: None where it is not finite."""
-    return float(value) if np.isfinite(value) else None

@@ -11,8 +11,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
-from approxjac.tasks.saved import Saved
-from approxjac.validation import Array, as_array, as_number, plane_rows
+from approxjac.validation import Array, Saved, as_array, as_number, plane_rows
 
 
 class Calibrated(NamedTuple):

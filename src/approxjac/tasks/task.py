@@ -13,8 +13,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
-from approxjac.tasks.saved import Saved
-from approxjac.validation import Array, Immutable, as_array, as_vector, require
+from approxjac.validation import Array, Immutable, Saved, as_array, as_vector, require
 
 _DIFFERENCE = 1e-5  # of q, either way, from which a rate is taken [rad or m]
 

@@ -9,8 +9,8 @@ import numpy as np
 import trimesh
 from trimesh import Trimesh
 
+from approxjac.extras import package_of
 from approxjac.validation import Array
-from approxjac.view.packages import view_package
 
 _FEW = 200  # triangles up to which a mesh is left as it is
 
@@ -84,7 +84,7 @@ def shares(counts: Sequence[int], sizes: Sequence[float], budget: float) -> list
 
 def simplify(mesh: Trimesh, count: int) -> Trimesh:
     """Return a mesh with about `count` triangles in place of more."""
-    reduced = view_package("fast_simplification").simplify
+    reduced = package_of("view", "fast_simplification").simplify
     if len(mesh.faces) <= count:
         return mesh
     unit = mesh.scale / _SIZE

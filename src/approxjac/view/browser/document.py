@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.extras import package_of
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import Camera, PinholeCamera
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array
 from approxjac.view.browser.stage import Stage, grid
 from approxjac.view.browser.viewpoint import link_points, viewpoint
-from approxjac.view.packages import view_package
 from approxjac.view.style import COLORS, SERIES, display_unit
 from approxjac.view.tree import held_objects
 
@@ -105,7 +105,7 @@ def page_data(
 
 def document(data: Mapping[str, Any], *scripts: str) -> str:
     """Return the HTML of a page of `page_data`, which runs scripts after its own."""
-    view_package("meshcat")  # for its error
+    package_of("view", "meshcat")  # for its error
     viewer = resources.files("meshcat") / "viewer"
     code = [(viewer / "dist" / "main.min.js").read_text(encoding="utf-8")]
     code += [*map(_asset, _SCRIPTS), *scripts]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from approxjac.errors import InvalidInputError
-from approxjac.view.packages import view_package
+from approxjac.extras import package_of
 
 _HOST = "127.0.0.1"  # nobody else on the network gets to move an arm
 _HOSTS = r"(127\.0\.0\.1|localhost)"
@@ -38,8 +38,8 @@ class PageServer:
     def __init__(
         self, page: Callable[[], str], greeting: Callable[[], str], port: int | None = None
     ) -> None:
-        self._web = view_package("tornado.web")
-        self._websocket = view_package("tornado.websocket")
+        self._web = package_of("view", "tornado.web")
+        self._websocket = package_of("view", "tornado.websocket")
         self._page = page
         self._greeting = greeting
         self._socket = _bound(port)
@@ -103,7 +103,7 @@ class PageServer:
         application = self._web.Application()
         # not to pages of other sites that had their name point to this machine
         application.add_handlers(_HOSTS, [("/", Page), ("/socket", Socket)])
-        server = view_package("tornado.httpserver").HTTPServer(application)
+        server = package_of("view", "tornado.httpserver").HTTPServer(application)
         server.add_socket(self._socket)
         await self._closing.wait()
         server.stop()

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from approxjac.extras import package_of
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import PinholeCamera, PlanarCamera, Task
 from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array, plane_rows
 from approxjac.view.browser.viewpoint import reach_points
-from approxjac.view.packages import view_package
 from approxjac.view.style import COLORS
 from approxjac.view.tree import Tree, held_objects
 
@@ -222,10 +222,10 @@ class _Drawing:
     """MeshCat commands, each of which puts a thing at a node."""
 
     def __init__(self) -> None:
-        self.geometry = view_package("meshcat.geometry")
+        self.geometry = package_of("view", "meshcat.geometry")
         self.commands: list[str] = []
-        self._commands = view_package("meshcat.commands")
-        self._pack = view_package("umsgpack").packb
+        self._commands = package_of("view", "meshcat.commands")
+        self._pack = package_of("view", "umsgpack").packb
 
     def put(
         self, path: tuple[str, ...], shape: Any, colour: str, *,

@@ -1,0 +1,26 @@
+"""Packages that only some parts of the library need, each of an extra."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from approxjac.errors import MissingPackageError
+
+_NEEDED_BY = {
+    "fast": "CompiledSetpointController",
+    "mujoco": "MujocoPlant",
+    "view": "the browser view",
+}
+
+
+def package_of(extra: str, name: str) -> Any:
+    """Import a package of an extra, or raise a MissingPackageError."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise MissingPackageError(
+            f"{_NEEDED_BY[extra]} needs {name.split('.')[0]}, which cannot be imported ({error}): "
+            f"pip install 'approxjac[{extra}]'",
+            given=name,
+        ) from error
