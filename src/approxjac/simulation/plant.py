@@ -131,23 +131,20 @@ class Plant(Immutable):
         effort = np.minimum(robot.effort_limits, motors)
         low, high = robot.usual_range()
         middle, half = 0.5 * (low + high), 0.5 * _INNER * (high - low)
-        best, found = -1.0, None
-        for _ in range(_DRAWN):
-            motion = middle + half * rng.uniform(-1.0, 1.0, robot.nv)
-            q = np.array(pin.integrate(robot.model, robot.neutral(), motion))
-            if not (sees(sensor, q) and holdable(self.dynamics, q, effort) and self._is_free(q)):
-                continue
-            J = sensor.jacobian(q, sensor.value(q))
-            sigma_min = float(np.linalg.svd(J, compute_uv=False)[-1])
-            if sigma_min > best:
-                best, found = sigma_min, q
-        if found is None:
+        motions = (middle + half * rng.uniform(-1.0, 1.0, robot.nv) for _ in range(_DRAWN))
+        drawn = (np.array(pin.integrate(robot.model, robot.neutral(), each)) for each in motions)
+        usable = [
+            q
+            for q in drawn
+            if sees(sensor, q) and holdable(self.dynamics, q, effort) and self._is_free(q)
+        ]
+        if not usable:
             raise InvalidInputError(
                 f"q0 must be given for {robot.name}: no configuration was found that its motors "
                 f"can hold and that {sensor!r} sees; a lighter object may help",
                 given=None,
             )
-        return found
+        return max(usable, key=lambda q: np.linalg.norm(sensor.jacobian(q, sensor.value(q)), -2))
 
     def _is_free(self, q: Array) -> bool:
         """Return whether the arm touches nothing in a configuration."""

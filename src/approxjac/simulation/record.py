@@ -137,11 +137,6 @@ def _true_parameters(regressor: GravityRegressor, robot: Robot) -> Array:
 
 def scene_of(plant: Plant, controller: Controller) -> Scene:
     """Return who takes part in a run."""
-    limits = plant.torque_limits
-    return Scene(
-        plant.robot,
-        controller.task.robot,
-        plant.sensor,
-        controller.task,
-        plant.robot.effort_limits if limits is None else np.asarray(limits),
-    )
+    robot, task, limits = plant.robot, controller.task, plant.torque_limits
+    motors = robot.effort_limits if limits is None else np.asarray(limits)
+    return Scene(robot, task.robot, plant.sensor, task, motors)

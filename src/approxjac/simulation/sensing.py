@@ -118,7 +118,7 @@ class SensorReadings:
         self._q_noise = as_diagonal("q_noise", sensing.q_noise, nv, positive=False)
         self._q_quantum = as_diagonal("q_quantum", sensing.q_quantum, nv, positive=False)
         self._dropout, self._filter = sensing.x_dropout, sensing.velocity_filter
-        self._lost = [_lost(interval, task) for interval in sensing.x_lost]
+        self._lost = [(start, end, _entries(task, *part)) for start, end, *part in sensing.x_lost]
         self._frozen = sensing.x_frozen
         per_sample = None if sensing.x_rate is None else sensing.x_rate * dt
         self._per_sample = None if per_sample is None or per_sample > 1.0 - _TINY else per_sample
@@ -219,16 +219,15 @@ def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:
     return tuple(checked)
 
 
-def _lost(interval: tuple[Any, ...], task: Task) -> tuple[float, float, slice]:
-    """Return start and end of an interval of `Sensing.x_lost`, and the entries of x lost in it."""
-    start, end, *part = interval
-    if not part:
-        return start, end, slice(None)
+def _entries(task: Task, part: int | None = None) -> slice:
+    """Return the entries of x that one of its parts has, or all."""
+    if part is None:
+        return slice(None)
     parts = task._parts
-    if part[0] >= len(parts):
+    if part >= len(parts):
         valid = "0" if len(parts) == 1 else f"0 to {len(parts) - 1}"
         raise InvalidInputError(
-            f"part of x_lost must be one of the parts of {task!r}, {valid}, got {part[0]}",
-            given=part[0],
+            f"part of x_lost must be one of the parts of {task!r}, {valid}, got {part}",
+            given=part,
         )
-    return start, end, parts[part[0]][0]
+    return parts[part][0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 import pinocchio as pin
 
@@ -59,13 +61,9 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
     rng = np.random.default_rng(0)
     # as random_configuration, whose range is the same for all of them
     model, neutral, usual = task.robot.model, task.robot.neutral(), task.robot.usual_range()
-    found: list[Array] = []
-    for _ in range(max(count, _TRIES)):
-        q = np.array(pin.integrate(model, neutral, rng.uniform(*usual)))
-        if sees(task, q):
-            found.append(q)
-            if len(found) == count:
-                break
+    motions = (rng.uniform(*usual) for _ in range(max(count, _TRIES)))
+    drawn = (np.array(pin.integrate(model, neutral, each)) for each in motions)
+    found = list(islice((q for q in drawn if sees(task, q)), count))
     if not found:
         raise InvalidInputError(
             f"task must be one that its own sensor sees somewhere within the joint limits of "

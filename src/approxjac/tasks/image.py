@@ -68,7 +68,6 @@ class ImageTask(Task):
         *,
         depth: str | float | Sequence[float] | Array = "believed",
     ) -> None:
-        require("robot", robot, Robot, "a Robot")
         require("camera", camera, Camera, "a camera, such as PlanarCamera(f, z)")
         self.camera = camera
         if points is None and frame is None and camera.mount is not None:

@@ -10,7 +10,7 @@ import pinocchio as pin
 from approxjac.robots import Robot
 from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.tasks.task import Feature, Task
-from approxjac.validation import Array, require
+from approxjac.validation import Array
 
 _NO_ROTATION = 1e-6  # a quaternion shorter than this stands for no orientation
 
@@ -44,9 +44,8 @@ class PoseTask(Task):
     _kind = "pose"
 
     def __init__(self, robot: Robot, frame: str | None = None) -> None:
-        require("robot", robot, Robot, "a Robot")
-        self.frame = robot.tip_or(frame)
         super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ("m",) * 3 + ("rad",) * 3, 7)
+        self.frame = robot.tip_or(frame)
         self._frame = FrameKinematics(robot, self.frame)
         self._origin = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # no rotation
 

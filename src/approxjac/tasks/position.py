@@ -40,13 +40,12 @@ class PositionTask(Task):
         self._rows = _as_slice(axis_rows("axes", self.axes))
         super().__init__(robot, tuple(self.axes), ("m",) * len(self.axes))
         self._frame = FrameKinematics(robot, self.frame)
-        self._frame_jacobian = self._frame.jacobian
 
     def value(self, q: Array) -> Array:
         return self._frame.position(q)[self._rows]
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
-        return self._frame_jacobian(q)[self._rows]
+        return self._frame.jacobian(q)[self._rows]
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:
         return self._frame.jacobian_dot(q, v)[self._rows]
