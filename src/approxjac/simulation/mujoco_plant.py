@@ -105,8 +105,7 @@ class MujocoPlant(Plant):
         return not data.ncon
 
     def _shown(self) -> list[str]:
-        own = [f"floor={self.floor}", f"joint_limits={self.joint_limits}"]
-        return [*super()._shown(), *own]
+        return [*super()._shown(), f"floor={self.floor}", f"joint_limits={self.joint_limits}"]
 
 
 def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:

@@ -37,7 +37,7 @@ def uncombined(task: Task) -> Array | None:
 
 def features(task: Task | None) -> tuple[Feature, ...]:
     """Return what a task follows, part by part; nothing of tasks that are not this library's."""
-    return () if task is None else task._features()
+    return () if task is None else task._features
 
 
 def image_feature(task: Task | None) -> Feature | None:

@@ -80,22 +80,21 @@ class ImageTask(Task):
         k = len(self.points)
         self.depth = _depth(depth, k)
         told = self.depth if isinstance(self.depth, str) else "given"
-        measures_depth, uses_x = told == "measured", told != "believed"
-        if uses_x:
+        measured, self._uses_x = told == "measured", told != "believed"
+        if self._uses_x:
             require("camera of a task with depths", camera, PinholeCamera, "a PinholeCamera")
-        self._stride = n = 3 if measures_depth else 2  # entries of x for each point
-        labels = camera.labels
-        if k > 1:
-            labels = tuple(f"{label}{i}" for i in range(1, k + 1) for label in labels)
+        self._stride = n = 3 if measured else 2  # entries of x for each point
+        numbers = range(1, k + 1) if k > 1 else [""]
+        labels = [f"{label}{number}" for number in numbers for label in camera.labels]
         super().__init__(robot, labels, (camera.unit,) * (2 * k), n * k)
-        self._uses_x = uses_x
-        self._subtracts = not measures_depth
-        self._untold = list(range(2, n * k, 3)) if measures_depth else []
+        self._subtracts = not measured
+        self._untold = list(range(2, n * k, 3)) if measured else []
         self._parts = tuple((slice(n * i, n * i + n), slice(2 * i, 2 * i + 2)) for i in range(k))
         if frame is not None or camera.mount is None:
             frame = robot.tip_or(frame)
         self.frame = frame
         self._kinematics = PointKinematics(robot, self.points, frame, camera.mount)
+        self._features = (Feature(slice(0, n * k), frame, "", camera, self.points),)
         if camera.mount is not None and _joint_of(robot, frame) == _joint_of(robot, camera.mount):
             watched = "the world" if frame is None else repr(frame)
             raise InvalidInputError(
@@ -181,9 +180,6 @@ class ImageTask(Task):
     def on(self, robot: Robot) -> ImageTask:
         depth: Any = self.depth
         return ImageTask(robot, self.camera, self.frame, self.points, depth=depth)
-
-    def _features(self) -> tuple[Feature, ...]:
-        return (Feature(slice(0, self.n_x), self.frame, "", self.camera, self.points),)
 
     def _images(self, x: Array) -> Array:
         """Return the image coordinates of each point of a value, shape (k, 2)."""

@@ -47,6 +47,7 @@ class PoseTask(Task):
         super().__init__(robot, ("x", "y", "z", "rx", "ry", "rz"), ("m",) * 3 + ("rad",) * 3, 7)
         self.frame = robot.tip_or(frame)
         self._frame = FrameKinematics(robot, self.frame)
+        self._features = (Feature(slice(0, 7), self.frame, "xyz"),)
         self._origin = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])  # no rotation
 
     def value(self, q: Array) -> Array:
@@ -73,9 +74,6 @@ class PoseTask(Task):
     def _error_jacobian(self, e: Array, J: Array) -> Array:
         rates = pin.Jlog3(pin.exp3(e[3:])).T  # φ̇ = rates ω, as ω is in world axes
         return np.concatenate([J[:3], rates @ J[3:]])
-
-    def _features(self) -> tuple[Feature, ...]:
-        return (Feature(slice(0, self.n_x), self.frame, "xyz", None, np.zeros((1, 3))),)
 
     def __repr__(self) -> str:
         return f"PoseTask({self.robot.name!r}, {self.frame!r})"

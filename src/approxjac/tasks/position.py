@@ -40,6 +40,7 @@ class PositionTask(Task):
         self._rows = _as_slice(axis_rows("axes", self.axes))
         super().__init__(robot, tuple(self.axes), ("m",) * len(self.axes))
         self._frame = FrameKinematics(robot, self.frame)
+        self._features = (Feature(slice(0, self.m), self.frame, self.axes),)
 
     def value(self, q: Array) -> Array:
         return self._frame.position(q)[self._rows]
@@ -52,9 +53,6 @@ class PositionTask(Task):
 
     def on(self, robot: Robot) -> PositionTask:
         return PositionTask(robot, self.frame, self.axes)
-
-    def _features(self) -> tuple[Feature, ...]:
-        return (Feature(slice(0, self.n_x), self.frame, self.axes, None, np.zeros((1, 3))),)
 
     def __repr__(self) -> str:
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {self.axes!r})"

@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
-from approxjac.tasks.task import Feature, Task
+from approxjac.tasks.task import Task
 from approxjac.validation import Array, require
 
 
@@ -58,6 +58,11 @@ class StackedTask(Task):
             for task, entries, rows in self._each
             for part, coordinates in task._parts
         )
+        self._features = tuple(
+            feature._replace(entries=_moved(feature.entries, entries.start))
+            for task, entries, _ in self._each
+            for feature in task._features
+        )
 
     def value(self, q: Array) -> Array:
         return np.concatenate([task.value(q) for task in self.tasks])
@@ -98,13 +103,6 @@ class StackedTask(Task):
 
     def _error_jacobian(self, e: Array, J: Array) -> Array:
         return np.concatenate([task._error_jacobian(e[i], J[i]) for task, _, i in self._each])
-
-    def _features(self) -> tuple[Feature, ...]:
-        return tuple(
-            feature._replace(entries=_moved(feature.entries, entries.start))
-            for task, entries, _ in self._each
-            for feature in task._features()
-        )
 
     def _saved(self) -> dict[str, Any] | None:
         parts = [task._saved() for task in self.tasks]

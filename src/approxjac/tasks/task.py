@@ -31,9 +31,9 @@ class Feature(NamedTuple):
 
     entries: slice
     frame: str | None
-    axes: str
-    camera: Camera | None
-    points: Array
+    axes: str = ""
+    camera: Camera | None = None
+    points: Array = np.zeros((1, 3))
 
 
 class Task(Immutable, Saved, ABC):
@@ -83,6 +83,9 @@ class Task(Immutable, Saved, ABC):
         InvalidInputError: Labels and units of different lengths, or more of them than joints.
     """
 
+    _uses_x = False  # the Jacobian depends on the measured x, and not on q only
+    _features: tuple[Feature, ...] = ()  # what it follows, part by part, to draw it
+
     def __init__(
         self, robot: Robot, labels: Sequence[str], units: Sequence[str], n_x: int | None = None
     ) -> None:
@@ -102,8 +105,7 @@ class Task(Immutable, Saved, ABC):
         self.robot = robot
         self.labels, self.units = tuple(labels), tuple(units)
         self.m, self.n_x = m, m if n_x is None else n_x
-        # For this package's own tasks, as are the methods with an underscore below:
-        self._uses_x = False  # the Jacobian depends on the measured x, and not on q only
+        # for this package's own tasks, as is all else with an underscore
         self._subtracts = type(self).error is Task.error  # the error is x − x_d
         self._origin = np.zeros(self.n_x)  # a value to measure others from
         self._untold: list[int] = []  # entries of x that no error tells
@@ -203,10 +205,6 @@ class Task(Immutable, Saved, ABC):
         """Return ∂e/∂q where the error is e (m,) and the Jacobian is J; shape (m, n_v)."""
         return J
 
-    def _features(self) -> tuple[Feature, ...]:
-        """Return what the task follows, part by part, to draw it."""
-        return ()
-
 
 class WrappedTask(Task):
     """A task made from another one, whose values, errors, targets and sensor it keeps.
@@ -221,7 +219,8 @@ class WrappedTask(Task):
         super().__init__(task.robot, labels or task.labels, units or task.units, task.n_x)
         self.task = task
         self._uses_x, self._subtracts = task._uses_x, task._subtracts
-        self._origin, self._untold, self._parts = task._origin, task._untold, task._parts
+        self._origin, self._untold = task._origin, task._untold
+        self._parts, self._features = task._parts, task._features
 
     def value(self, q: Array) -> Array:
         return self.task.value(q)
@@ -247,9 +246,6 @@ class WrappedTask(Task):
 
     def _error_jacobian(self, e: Array, J: Array) -> Array:
         return self.task._error_jacobian(e, J)
-
-    def _features(self) -> tuple[Feature, ...]:
-        return self.task._features()
 
     def _saved(self) -> dict[str, Any] | None:
         return self.task._saved()  # what the law changes is no affair of a picture

@@ -66,12 +66,9 @@ def show(run: Trajectory, title: str | None = None) -> Path:
 
     Where there is no browser, a line is printed that says where the page is.
     """
-    text = page(run, title)
-    with tempfile.NamedTemporaryFile(
-        "w", encoding="utf-8", prefix="approxjac-", suffix=".html", delete=False
-    ) as file:
-        file.write(text)
-    path = Path(file.name)
+    handle, name = tempfile.mkstemp(".html", "approxjac-")
+    os.close(handle)
+    path = save_page(run, name, title)
     if not open_browser(path.as_uri()):
         print(f"No browser could be opened here: the page is {path}")
     return path
