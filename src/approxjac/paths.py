@@ -42,7 +42,6 @@ class Circle:
 
     def __post_init__(self) -> None:
         center = as_array("center", self.center, ("m",))
-        object.__setattr__(self, "center", center)
         as_number("radius", self.radius, above=0.0)
         as_number("period", self.period, unit="s", above=0.0)
         if len(center) not in (2, 3) or (len(center) == 2 and self.normal is not None):
@@ -61,7 +60,7 @@ class Circle:
         u = u - n * n.dot(u)
         u = u / np.linalg.norm(u)
         plane = np.array([u, np.cross(n, u)])[:, : len(center)]
-        object.__setattr__(self, "_plane", plane)
+        vars(self).update(center=center, _plane=plane)  # frozen once it is built
 
     def at(self, t: float) -> Target:
         """Return the target at t [s]."""
@@ -95,8 +94,7 @@ class Line:
 
     def __post_init__(self) -> None:
         start = as_array("start", self.start, ("m",))
-        object.__setattr__(self, "start", start)
-        object.__setattr__(self, "end", as_array("end", self.end, start.shape))
+        vars(self).update(start=start, end=as_array("end", self.end, start.shape))
         as_number("duration", self.duration, unit="s", above=0.0)
 
     def at(self, t: float) -> Target:
@@ -134,7 +132,6 @@ class Waypoints:
 
     def __post_init__(self) -> None:
         points = as_array("points", self.points, ("k", "m"))
-        object.__setattr__(self, "points", points)
         speed = as_number("speed", self.speed, above=0.0)
         acceleration = as_number("acceleration", self.acceleration, above=0.0)
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -146,8 +143,8 @@ class Waypoints:
             )
         tops = np.minimum(speed, np.sqrt(lengths * acceleration))
         times = lengths / tops + tops / acceleration
-        object.__setattr__(self, "_starts", np.concatenate([[0.0], np.cumsum(times)]))
-        object.__setattr__(self, "_lines", list(zip(lengths, tops, times, strict=True)))
+        starts, lines = np.append(0.0, np.cumsum(times)), np.column_stack([lengths, tops, times])
+        vars(self).update(points=points, _starts=starts, _lines=lines)
 
     @property
     def duration(self) -> float:

@@ -196,8 +196,7 @@ class Trajectory:
     def _require_shapes(self) -> None:
         """Raise a ValueError if arrays do not fit together."""
         n, joints, m = len(self.t), len(self.joint_names), len(self.task_labels)
-        shapes: dict[str, tuple[int, ...]]
-        shapes = {"error": (n, m)}
+        shapes: dict[str, tuple[int, ...]] = {"error": (n, m)}
         shapes |= dict.fromkeys(("v", "tau", "task_torque"), (n, joints))
         shapes |= dict.fromkeys(("t", "V", "status", "limit_status", "slack", "sigma_min"), (n,))
         # of these the second length is not known here, but they must have one
@@ -214,11 +213,8 @@ class Trajectory:
         if not (np.isfinite(self.t).all() and (np.diff(self.t) > 0.0).all()):
             raise ValueError("its times do not increase")
         names = (*self.joint_names, *self.joint_units, *self.task_labels, *self.task_units)
-        if (
-            len(self.joint_units) != joints
-            or len(self.task_units) != m
-            or not all(isinstance(name, str) for name in (*names, self.robot_name))
-        ):
+        texts = all(isinstance(name, str) for name in (*names, self.robot_name))
+        if not texts or (len(self.joint_units), len(self.task_units)) != (joints, m):
             raise ValueError("its names and units do not fit its arrays")
         scene = self.scene
         if scene is not None and (scene.truth.nv, scene.truth.nq) != (joints, self.q.shape[1]):

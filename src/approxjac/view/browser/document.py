@@ -110,10 +110,8 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
     code = [(viewer / "dist" / "main.min.js").read_text(encoding="utf-8")]
     code += [*map(_asset, _SCRIPTS), *scripts]
     licences = ["uPlot:\n\n" + _asset("uPlot.LICENSE")]  # which ask to be handed on
-    for name in _LICENCES:
-        if (viewer / name).is_file():
-            text = (viewer / name).read_text(encoding="utf-8")
-            licences.append(f"MeshCat, {name}:\n\n{text}")
+    for name in filter(lambda name: (viewer / name).is_file(), _LICENCES):
+        licences.append(f"MeshCat, {name}:\n\n{(viewer / name).read_text(encoding='utf-8')}")
     # "</script" would end the element that it stands in, and "<!--" change how it is read
     values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     ended = [part.replace("</script", "<\\/script") for part in code]

@@ -101,25 +101,19 @@ def _widest(moving: Array, points: Array, stands: Sequence[Array], views: Sequen
     shall not stand before what moves.
     """
     moving = moving[np.isfinite(moving).all(axis=1)]
-    around = np.array([points.mean(axis=0), *stands])
-    parts = ((moving, 1.0), (points, 0.15), (around, 0.15))
-    spread = float(np.std(points))
-
-    def width(azimuth: float) -> float:
-        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-        found = sum(weight * float(np.std(p @ right)) for p, weight in parts if len(p) > 1)
-        for view in views:
-            along = abs(float(view[:2] @ right[:2])) / float(np.linalg.norm(view))
-            found -= 0.3 * spread * abs(along - 0.75)
-        found -= spread * _hidden(moving, points, _towards(azimuth))
-        # of two that show the same, the one in front of the arm
-        return found + 1e-3 * float(np.cos(azimuth + np.pi / 4))
-
-    return _towards(max(np.deg2rad(range(-165, 195, 15)), key=width))
-
-
-def _towards(azimuth: float) -> Array:
-    return np.array([np.cos(azimuth), np.sin(azimuth), np.tan(_ABOVE)])
+    around, spread = np.array([points.mean(axis=0), *stands]), float(np.std(points))
+    azimuths = np.deg2rad(range(-165, 195, 15))
+    c, s = np.cos(azimuths), np.sin(azimuths)
+    towards, rights = np.array([c, s, np.tan(_ABOVE) + 0.0 * c]).T, np.array([-s, c, 0.0 * c])
+    width = 1e-3 * np.cos(azimuths + np.pi / 4)  # of two that are equal, that in front of the arm
+    for each, weight in ((moving, 1.0), (points, 0.15), (around, 0.15)):
+        if len(each) > 1:
+            width += weight * np.std(each @ rights, axis=0)
+    for view in views:
+        along = np.abs(view[:2] @ rights[:2]) / np.linalg.norm(view)
+        width -= 0.3 * spread * np.abs(along - 0.75)
+    width -= [spread * _hidden(moving, points, each) for each in towards]
+    return np.asarray(towards[width.argmax()])
 
 
 def _hidden(moving: Array, points: Array, towards: Array) -> float:
