@@ -22,7 +22,9 @@ def columns(scene, q, x, x_d, **given):
         "t": np.arange(n, dtype=float), "error": x[:, :3] * 0.0, "tau": np.zeros((n, nv)),
         "task_torque": np.zeros((n, nv)), "V": np.zeros(n),
     }  # fmt: skip
-    run = SimpleNamespace(q=q, x_measured=x, x_d=x_d, **(rest | given))
+    shown = rest | given
+    units = ("m",) * 3 if scene.sensor is None else scene.sensor.units
+    run = SimpleNamespace(q=q, x_measured=x, x_d=x_d, task_units=units, **shown)
     return Frames(scene).columns(run)
 
 
@@ -196,7 +198,8 @@ def instant(task, q, task_torque):
         "q": q, "x_measured": x, "x_d": x, "error": np.zeros(task.m), "tau": np.zeros(7),
         "task_torque": task_torque, "t": np.zeros(()), "V": np.zeros(()),
     }  # fmt: skip
-    return SimpleNamespace(**{name: row[np.newaxis] for name, row in rows.items()})
+    instants = {name: row[np.newaxis] for name, row in rows.items()}
+    return SimpleNamespace(task_units=task.units, **instants)
 
 
 def test_no_link_has_the_name_of_a_shape(two_link):

@@ -351,13 +351,17 @@ def test_without_webgl_there_are_the_plots(drawn, browser, tmp_path):
 def live_page(scene, row, *scripts):
     """A page of one instant that waits for more."""
     columns = Frames(scene).columns(row)
-    return document(page_data(Stage(scene), columns, row.q, "live", live=True), *scripts)
+    return document(page_data(Stage(scene), row, columns, row.q, "live", live=True), *scripts)
 
 
 def rows_of(run, every=100):
     names = ("t", "q", "x_measured", "x_d", "error", "tau", "task_torque", "V")
     return [
-        SimpleNamespace(**{name: getattr(run, name)[i : i + 1] for name in names})
+        SimpleNamespace(
+            task_labels=run.task_labels,
+            task_units=run.task_units,
+            **{name: getattr(run, name)[i : i + 1] for name in names},
+        )
         for i in range(0, len(run.t), every)
     ]
 

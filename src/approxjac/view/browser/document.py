@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.extras import package_of
+from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import Camera, PinholeCamera
 from approxjac.tasks.analysis import features, image_feature
@@ -39,34 +40,29 @@ def _belief_facts(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
-def live_page(stage: Stage, columns: Mapping[str, Array], q: Array) -> str:
+def live_page(stage: Stage, run: Trajectory, columns: Mapping[str, Array]) -> str:
     """Return a page of one instant that is told over a WebSocket what else there is to show."""
-    return document(page_data(stage, columns, q, live=True), _asset("live.js"))
+    return document(page_data(stage, run, columns, run.q, live=True), _asset("live.js"))
 
 
 def page_data(
     stage: Stage,
+    run: Trajectory,
     columns: Mapping[str, Array],
     q: Array,
     title: str | None = None,
     facts: Sequence[tuple[str, str]] = (),
-    task_labels: Sequence[str] = (),
-    task_units: Sequence[str] = (),
     *,
     live: bool = False,
 ) -> dict[str, Any]:
     """Return the contents of a page, for `document`.
 
-    It shows the `Frames.columns` of configurations q (N, nq), and says whose arm it is, what is
-    believed wrongly and further facts, each a name and a text. Names and units of the error's
-    coordinates are by default those of the sensor. A live page gets instants while it is open, and
-    its targets can be dragged.
+    It shows the `Frames.columns` of a run at configurations q (N, nq), and says whose arm it is,
+    what is believed wrongly and further facts, each a name and a text. A live page gets instants
+    while it is open, and its targets can be dragged.
     """
     scene = stage.scene
     believed = "" if scene.belief is None else ", and what its controller believes of it"
-    if scene.sensor is not None:
-        task_labels = task_labels or scene.sensor.labels
-        task_units = task_units or scene.sensor.units
     ends = [columns[name][[0, -1]] for name in ("tip", "target", "believed_tip")]
     moving = np.concatenate([*ends, columns["tip"]])
     seen = [link_points(robot, q, stage.boxes[role]) for role, robot in stage.robots.items()]
@@ -92,7 +88,7 @@ def page_data(
         "size": stage.size,
         "view": {name: np.round(view[name], 4).tolist() for name in ("direction", "points")},
         "image": axes,
-        "plots": _plots(scene, list(task_labels), list(task_units)),
+        "plots": _plots(scene, list(run.task_labels), run.task_units),
         "jointNames": list(scene.truth.joint_names),
         # base64 of little-endian float32, which the page reads without parsing
         "columns": {
@@ -155,7 +151,7 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
     return [(COLORS[role], mark, words) for shown, role, mark, words in entries if shown]
 
 
-def _plots(scene: Scene, labels: list[str], units: list[str]) -> list[dict[str, Any]]:
+def _plots(scene: Scene, labels: list[str], units: Sequence[str]) -> list[dict[str, Any]]:
     """Return the plots beside the scene; names, units and colours as in `approxjac.view`."""
     shown = " or ".join(dict.fromkeys(display_unit(unit)[0] for unit in units))
     known = bool(np.isfinite(scene.torque_limits).any())

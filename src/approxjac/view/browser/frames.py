@@ -25,12 +25,9 @@ _SINGULAR = 1e-6  # of the largest singular value: forces that hardly any torque
 
 
 class Frames:
-    """Positions, forces and images of a scene; one instance a thread.
+    """Positions, forces and images of a scene; one instance a thread."""
 
-    The error's coordinates have the `task_units`, length m, by default those of the sensor.
-    """
-
-    def __init__(self, scene: Scene, task_units: tuple[str, ...] | None = None) -> None:
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._feature = _first(features(scene.sensor))
         self._true = _followed(scene.truth, self._feature)
@@ -40,8 +37,6 @@ class Frames:
             if feature is not None and feature.frame not in (None, *scene.belief.frame_names):
                 feature = None  # of the true robot only
             self._believed = _followed(scene.belief, feature)
-        units = task_units or (() if scene.sensor is None else scene.sensor.units)
-        self._scale = np.array([display_unit(unit)[1] for unit in units])
         # continuous joints have no limits; their (cos, sin) may go where it likes
         limited = [joint for joint in own_joints(scene.truth.model).values() if joint.nq == 1]
         self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
@@ -71,7 +66,7 @@ class Frames:
         return {
             "t": run.t[kept],
             "V": run.V[kept],
-            "error": error * self._scale if len(self._scale) else error,
+            "error": error * [display_unit(unit)[1] for unit in run.task_units],
             "torque": share if np.isfinite(limits).any() else tau,
             "load": np.abs(share),
             "at_limit": self._at_limit(q),

@@ -152,7 +152,7 @@ class LiveView:
 
     def _page(self) -> str:
         assert self._stage is not None  # it is there before the server
-        return live_page(self._stage, self._columns, self._q)
+        return live_page(self._stage, self._run, self._columns)
 
     def _controls(self) -> dict[str, Any]:
         """Return what the user may do, and how it is now."""
@@ -188,8 +188,8 @@ class LiveView:
         """Return what the page shows of this step, as JSON can have it."""
         record, x = Record(loop.plant, 1), loop.measurement.x
         record.add(loop.truth, x, loop.state, loop.answer, loop.target, loop.controller)
-        run = record.trajectory()
-        self._q, self._columns = run.q, self._frames.columns(run)
+        self._run = record.trajectory()
+        self._columns = self._frames.columns(self._run)
         return {name: _plain(values[-1]) for name, values in self._columns.items()}
 
     # -- time ---------------------------------------------------------------------------

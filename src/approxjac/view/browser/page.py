@@ -132,9 +132,8 @@ def page(run: Trajectory, title: str | None = None) -> str:
             given=run,
         )
     stage, kept = Stage(run.scene), _thinned(run.t)
-    columns = Frames(run.scene, run.task_units).columns(run, kept)
-    shown = columns, run.q[kept], title, _facts(run), run.task_labels, run.task_units
-    return document(page_data(stage, *shown))
+    columns = Frames(run.scene).columns(run, kept)
+    return document(page_data(stage, run, columns, run.q[kept], title, _facts(run)))
 
 
 def open_browser(url: str) -> bool:
