@@ -49,7 +49,7 @@ def reach(tmp_path):
 def test_a_file_says_the_same_as_options_and_options_come_before_it(reach, tmp_path, capsys):
     assert main(["simulate", str(reach), "--out", str(tmp_path / "a")]) == 0
     assert "verdict     converged" in capsys.readouterr().out
-    assert main([*OPTIONS, "--out", str(tmp_path / "b"), "--save", str(tmp_path / "b.toml")]) == 0
+    assert main([*OPTIONS, "--out", str(tmp_path / "b"), f"--save={tmp_path / 'b.toml'}"]) == 0
     assert outcome(tmp_path / "a") == outcome(tmp_path / "b")
     assert Scenario.load(reach) == Scenario.load(tmp_path / "b.toml")
     assert Scenario.load(reach) == Scenario.load(tmp_path / "a" / "scenario.toml")

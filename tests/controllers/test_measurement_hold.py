@@ -109,6 +109,18 @@ def test_a_lost_x_is_bridged_by_the_one_seen_last(task, kind):
     assert back.status is Status.OK
 
 
+def test_a_frame_that_was_overtaken_is_not_used(task):
+    """p counts from the later one, and so would not bound what has moved since the earlier one."""
+    x = task.value(START)
+    loop = Loop(aj.HeldMeasurement(INSIDE["known gravity"], 0.1), x, x + 0.05)
+    loop.step(x, t_x=-1.0)  # any clock
+    assert_same(loop.step(x + 1e-3, t_x=-0.5), loop.alone(x + 1e-3))
+    late = loop.step(x + 2e-3, t_x=-0.8)
+    assert_same(late, loop.alone(x + 1e-3))
+    assert late.status is Status.MEASUREMENT_HELD
+    assert_same(loop.step(x + 3e-3, t_x=-0.4), loop.alone(x + 3e-3))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_x_in_every_step_changes_nothing(task, kind):
     x = task.value(START)

@@ -283,6 +283,19 @@ def following(path, duration, **parts):
     return reach(run=goal, **parts).build()
 
 
+@pytest.mark.parametrize(
+    ("path", "half", "leads"),
+    [
+        ("circle", {"center": (0.4, 0.0, 0.4)}, "radius"),
+        ("line", {"duration": 1.0}, "offset"),
+        ("waypoints", {"speed": 0.1}, "points"),
+    ],
+)
+def test_half_a_path_is_refused(path, half, leads):
+    with pytest.raises(aj.InvalidInputError, match=rf"run\.target\.{path} must have its {leads}"):
+        reach(run={"start": HOME, "target": {path: half}}).build()
+
+
 @pytest.mark.parametrize("path", PATHS)
 def test_a_path_begins_where_the_task_starts_and_is_followed(path):
     built = following(path, 1.2)

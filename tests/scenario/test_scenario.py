@@ -89,6 +89,7 @@ def test_the_examples_are_built(path):
         ({"true": {"objct": {}}}, r"key 'objct' not in \[true\]; did you mean 'object'"),
         ({"true": 3}, "true must be a table of object, shifts, .*, got 3"),
         ({"run": {"seed": 1.5}}, "run.seed must be a whole number, got 1.5"),
+        ({"run": {"seed": float("inf")}}, "run.seed must be a whole number, got inf"),
         ({"run": {"seed": -1}}, "run.seed must be a finite number >= 0, got -1"),
         ({"run": {"start": "rndom"}}, 'run.start must be a list of numbers or "random", got'),
         ({"run": {"target": {"offst": (1,)}}}, r"key 'offst' not in \[run.target\]"),

@@ -392,6 +392,32 @@ class Faulty(ConstantTorque):
         return super().evaluate(state, measurement, target)._replace(**self.changes)
 
 
+class Wordless(Faulty):
+    """A law that answers with a torque alone."""
+
+    def evaluate(self, state, measurement, target):
+        return super().evaluate(state, measurement, target).torque
+
+
+class Stateless(Faulty):
+    """A controller that steps into something that is no array."""
+
+    def step(self, state, measurement, target, dt):
+        return (), self.evaluate(state, measurement, target)
+
+
+def test_a_step_has_to_return_an_array():
+    plant = plant_of(aj.load_robot("two_link"))
+    with pytest.raises(aj.InvalidInputError, match=r"the controller's state must be an array"):
+        aj.simulate(plant, Stateless(), (0.5, 1.2), (0.3, 0.8), 1.0, dt=0.1)
+
+
+def test_a_class_is_no_path():
+    plant = plant_of(aj.load_robot("two_link"))
+    with pytest.raises(aj.InvalidInputError, match=r"must be numbers of shape \(2,\)"):
+        aj.simulate(plant, Faulty(), aj.Circle, (0.3, 0.8), 1.0, dt=0.1)
+
+
 @pytest.mark.parametrize("dt", [None, 0.1])
 @pytest.mark.parametrize(
     ("controller", "text"),
@@ -401,7 +427,9 @@ class Faulty(ConstantTorque):
         (Faulty(torque=np.zeros(3)), r"the controller's torque must have shape \(2,\)"),
         (Faulty(torque=np.full(2, np.nan)), r"the controller's torque must be finite"),
         (Faulty(state_rate=np.zeros(1)), r"the controller's state_rate must have shape \(0,\)"),
+        (Faulty(state_rate=None), r"the controller's state_rate must be numbers of shape \(0,\)"),
         (Faulty(e=np.zeros(1)), r"the controller's e must have shape \(2,\)"),
+        (Wordless(), "the controller's answer must be an Evaluation, got array"),
     ],
 )
 def test_faulty_controllers_are_named(controller, text, dt):

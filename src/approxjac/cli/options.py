@@ -59,7 +59,12 @@ SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COM
 def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:
     """Return the scenario of the file among a command's words, and the words with its robot."""
     for i, word in enumerate(words):
-        if word.endswith(".toml") and words[0] in SHORT and words[i - 1] != "--save":
+        if (
+            word[0] != "-"
+            and word.endswith(".toml")
+            and words[0] in SHORT
+            and words[i - 1] != "--save"
+        ):
             scenario = Scenario.load(word)
             if any(other.startswith(("--target", "--run.target")) for other in words):  # not both
                 scenario = scenario.with_values({"run": {"target": Goal()}})

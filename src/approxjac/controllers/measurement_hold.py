@@ -139,7 +139,7 @@ class HeldMeasurement(ControllerWrapper):
         """
         last, p, seen = memory[: len(x)], memory[self._moved], memory[self._moved.stop :]
         measured, before, moved = x.tolist(), last.tolist(), p.tolist()
-        later = t_x is not None and t_x > memory[len(x)]
+        later = t_x is not None and (t_x > memory[len(x)] or not seen.any())
         # numbers may be no measurement all the same, such as a quaternion of zeros
         told = x if self._measured._subtracts else self._measured.error(x, self._origin)
         errors = told.tolist()
@@ -157,9 +157,9 @@ class HeldMeasurement(ControllerWrapper):
             ):
                 used[entries] = math.nan
                 too_old.append(coordinates)
-            elif not finite:
+            else:  # lost, told again, or a frame that was overtaken
                 used[entries] = before[entries]
-        if any_new and t_x is not None:
+        if any_new and later:
             memory[len(x)] = t_x
         return used, too_old, any_new
 

@@ -302,6 +302,8 @@ class SetpointController(Immutable):
         # One number that is not small if anything is not finite. Unlike sums of squares it
         # overflows without a warning, and it is faster.
         size = math.hypot(*q.tolist(), *v.tolist(), *x.tolist(), *target.tolist(), *state.tolist())
+        if v_d is not None:
+            size = math.hypot(size, *v_d.tolist())
         if size < HUGE:
             e = x - target if self._subtracts else self.task.error(x, target)
             if self._subtracts or math.isfinite(e.dot(e)):

@@ -148,10 +148,11 @@ class TorqueLimited(Limiter):
         Raises:
             InvalidInputError: Another dt than the one that speeds and positions are limited for.
         """
-        if self._looks_ahead and dt != self._dt and not math.isclose(dt, self._dt):
-            raise InvalidInputError(
-                f"dt must be that of the controller, {self._dt:g} [s], got {dt!r}", given=dt
-            )
+        if self._looks_ahead and dt != self._dt:
+            dt = as_number("dt", dt, unit="s", above=0.0)
+            if not math.isclose(dt, self._dt):
+                wanted = f"that of the controller, {self._dt:g} [s]"
+                raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)
         return super().step(state, measurement, target, dt)
 
     def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:

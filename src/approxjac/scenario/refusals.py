@@ -80,6 +80,10 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
         wanted = "a probability from 0 to 1"
         yield sensor.dropout, f"sensor.dropout must be {wanted}, got {sensor.dropout}"
     goal = run.target
+    for path, leads in (("circle", "radius"), ("line", "offset"), ("waypoints", "points")):
+        half = getattr(goal, path)
+        if getattr(half, leads) is None and half != type(half)():
+            yield half, f"run.target.{path} must have its {leads}, got none"
     given = {name for name, value in vars(goal).items() if value != getattr(type(goal)(), name)}
     if len(given) > 1:
         yield given, f"run.target must not both be given as {' and as '.join(sorted(given))}"

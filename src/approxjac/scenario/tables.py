@@ -136,7 +136,7 @@ def _converted(hint: Any, value: Any) -> Any:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if hint is float and number:
         return float(value)
-    if hint is int and number and value == int(value):
+    if hint is int and number and float(value).is_integer():
         return int(value)
     if hint in (str, type(None)) and isinstance(value, hint):
         return value

@@ -173,7 +173,7 @@ def wanted_of(sensor: Task, target: object, t: float) -> Wanted:
     Raises:
         InvalidInputError: Wrong shape, not finite, or not a value that the sensor has.
     """
-    if not isinstance(target, Target | TargetPath):
+    if isinstance(target, type) or not isinstance(target, Target | TargetPath):
         return sensor.target(target)
     now = target.at(t) if isinstance(target, TargetPath) else target
     require("at(t) of a path", now, Target, "a Target(x, v, a)")
@@ -220,6 +220,10 @@ def first_state(
     """
     state = controller.initial_state(measurement)
     state = as_array("the controller's initial_state", state, (np.size(state),))
+    if isinstance(controller, ContinuousController):
+        answer = controller.evaluate(state, measurement, wanted)
+        require("the controller's answer", answer, Evaluation, "an Evaluation")
+        as_array("the controller's state_rate", answer.state_rate, state.shape)
     stepped = controller.step(state, measurement, wanted, dt)
     if not (isinstance(stepped, tuple) and len(stepped) == 2):
         raise InvalidInputError(
@@ -228,9 +232,8 @@ def first_state(
     after, answer = stepped
     require("the controller's answer", answer, Evaluation, "an Evaluation")
     as_array("the controller's torque", answer.torque, (plant.robot.nv,), "N m or N")
+    require("the controller's state", after, np.ndarray, "an array")
     as_array("the controller's state", after, state.shape)
-    if isinstance(controller, ContinuousController):
-        as_array("the controller's state_rate", answer.state_rate, state.shape)
     if np.isfinite(measurement.x).all():  # a lost x has no error
         as_array("the controller's e", answer.e, (plant.sensor.m,), joined(plant.sensor.units))
     return state
@@ -242,11 +245,8 @@ def require_fit(plant: Plant, controller: Controller, dt: float | None) -> None:
     Raises:
         InvalidInputError: It does not fit.
     """
-    if isinstance(controller, type) or not isinstance(controller, Controller):
-        raise InvalidInputError(
-            f"controller must be a controller, such as SetpointController(...), got {controller!r}",
-            given=controller,
-        )
+    like = "a controller, such as SetpointController(...)"
+    require("controller", controller, Controller, like)
     require("task of the controller", controller.task, Task, "the task of the believed robot")
     plant.require_measured(controller.task)
     wanted = controller.dt
