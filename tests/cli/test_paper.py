@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,15 +25,18 @@ def run(*arguments):
 
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory):
-    """The whole study, run once as a user runs it."""
+    """The whole study: its folder and what it printed. `.ci/run` has made it, as the README says."""
+    if results := os.environ.get("APPROXJAC_RESULTS"):
+        printed = Path(results, "paper.txt").read_text(encoding="utf-8")
+        return Path(results, "paper"), printed
     out = tmp_path_factory.mktemp("paper")
-    return out, run("paper", "--out", str(out))
+    process = run("paper", "--out", str(out))
+    assert process.returncode == 0
+    return out, process.stdout
 
 
 def test_the_study_makes_every_file(paper):
-    out, process = paper
-    assert process.returncode == 0
-    assert process.stderr == ""  # the progress bar is for terminals only
+    out, _ = paper
     figures = ["fig1", *(f"fig{n}" for n in range(3, 9))]
     for name in figures:
         picture = Image.open(out / f"{name}.png")
@@ -65,7 +69,7 @@ def test_the_summary_has_the_agreed_form(paper):
 
 
 def test_the_table_stands_beside_the_papers_words(paper):
-    text = paper[1].stdout
+    text = paper[1]
     assert "+0.0588   0.5077  1.2592  1.6850  1.5700  unstable  “an unstable response”" in text
     assert "Theorem 1 does not cover it" in text
     assert "learnt θ̂ = (3.5001, 1.6248) kg m" in text
@@ -87,25 +91,6 @@ def test_single_figures_and_options(tmp_path, capsys):
     assert "Figure 1" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("option", "expected"),
-    [
-        (["--gamma", "0.005"], {"gamma": 0.005}),
-        (["--inertia", "point-mass"], {"inertia": "point-mass"}),
-        (["--friction", "0.5"], {"friction": 0.5}),
-    ],
-)
-def test_each_option_reaches_the_run(tmp_path, option, expected):
-    usual, changed = tmp_path / "usual", tmp_path / "changed"
-    short = ["--figures", "4", "--duration", "2"]
-    main(["paper", "--out", str(usual), *short])
-    main(["paper", "--out", str(changed), *short, *option])
-    setup = json.loads((changed / "summary.json").read_text())["setup"]
-    assert expected.items() <= setup.items()
-    runs = [aj.Trajectory.load(folder / "fig4.npz") for folder in (usual, changed)]
-    assert np.abs(runs[0].q - runs[1].q).max() > 1e-3
-
-
 def test_a_singular_target_is_no_crash(tmp_path, capsys):
     arguments = ["--figures", "1", "4", "--target", "0", "0", "--duration", "5"]
     assert main(["paper", "--out", str(tmp_path), *arguments]) == 1
@@ -120,13 +105,15 @@ def test_a_verdict_whose_evidence_differs_gives_its_reason(tmp_path, capsys):
 
 
 def test_an_output_that_knows_no_greek_is_no_crash(tmp_path):
+    words = ["paper", "--out", str(tmp_path), "--figures", "4", "--duration", "30"]
     process = subprocess.run(
-        [sys.executable, "-m", "approxjac", "paper", "--out", str(tmp_path), "--figures", "4"],
+        [sys.executable, "-m", "approxjac", *words],
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONIOENCODING": "ascii"},
     )
     assert process.returncode == 0
+    assert process.stderr == ""  # the progress bar is for terminals only
     assert "max Re ?" in process.stdout
 
 
@@ -136,12 +123,16 @@ def test_a_file_in_the_way_gives_exit_code_2(tmp_path, capsys):
     assert "fig1.png" in capsys.readouterr().err
 
 
-def test_degrees_become_radians(tmp_path):
-    arguments = ["--start", "30", "60", "--target", "80", "70", "--duration", "1"]
-    main(["paper", "--out", str(tmp_path), "--figures", "4", *arguments])
+def test_options_reach_the_study_and_degrees_become_radians(tmp_path):
+    """What each of them changes is tested in tests/paper."""
+    words = ["--start", "30", "60", "--target", "80", "70", "--duration", "1", "--gamma", "0.005"]
+    main(["paper", "--out", str(tmp_path), "--figures", "4", "--inertia", "point-mass", *words])
     setup = json.loads((tmp_path / "summary.json").read_text())["setup"]
     assert setup["start"] == pytest.approx(np.radians([30, 60]))
     assert setup["target"] == pytest.approx(np.radians([80, 70]))
+    assert setup["gamma"] == 0.005
+    assert setup["inertia"] == "point-mass"
+    assert setup["duration"] == 1.0
 
 
 def test_a_verdict_that_differs_gives_exit_code_1(tmp_path, capsys):
@@ -176,8 +167,8 @@ def test_a_folder_that_cannot_be_made(tmp_path, capsys):
 
 
 def test_the_study_writes_pages_with_an_index(paper):
-    out, process = paper
-    assert f"See them move: {out / 'index.html'}" in process.stdout
+    out, printed = paper
+    assert f"{Path(out.name, 'index.html')}\n" in printed.partition("See them move: ")[2]
     index = (out / "index.html").read_text(encoding="utf-8")
     for n in range(3, 9):
         assert f'href="fig{n}.html"' in index

@@ -1,6 +1,7 @@
 """`approxjac stability`: what it prints, draws and writes, and what it refuses."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,9 +11,19 @@ from approxjac.cli import main
 from approxjac.scenario import Scenario
 from approxjac.scenario import stability as study
 from approxjac.scenario import stability_report as report
+from approxjac.stability import stability_map, tolerance
 
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
-QUICK = ["--configurations", "60", "--runs", "1", "--map-points", "3", "--map-runs", "0"]
+QUICK = ["--configurations", "40", "--runs", "1", "--map-points", "2", "--map-runs", "0"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rough():
+    """Tolerances and maps from few points: their numbers are tested in tests/stability."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "tolerance", partial(tolerance, precision=0.2, configurations=40))
+        patch.setattr(study, "stability_map", partial(stability_map, coarse=2, configurations=40))
+        yield
 
 
 def stability(tmp_path, *options):
@@ -20,7 +31,7 @@ def stability(tmp_path, *options):
 
 
 @pytest.fixture(scope="module")
-def certified(tmp_path_factory):
+def certified(tmp_path_factory, rough):
     """A small tool on a Panda; the code, and the folder that was written."""
     out = tmp_path_factory.mktemp("stability")
     code = stability(
@@ -41,7 +52,7 @@ def test_a_certified_set(certified):
     assert scales == sorted(scales)
     assert scales[0] < 0.2 < 1.0 < scales[1]
     assert summary["rollouts"]["runs"] == 1
-    assert np.array(summary["map"]["decay_rate"]).shape == (3, 3)
+    assert np.array(summary["map"]["decay_rate"]).shape == (2, 2)
     assert summary["scenario"]["stability"]["object_length"] == [0.0, 0.1]
     assert summary["advice"][0].startswith("Theorem 1 does not certify object_length 0.00 m to 0.1")
     assert summary["advice"][1].startswith("the matrix form certifies it: margin 0.")
@@ -73,7 +84,7 @@ def test_it_repeats_bit_by_bit(certified, tmp_path):
 def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     code = stability(
         tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
-        "--damping", "0.1", "--kp", "400", "--kv", "80", "--configurations", "30", "--runs", "0",
+        "--damping", "0.3", "--kp", "400", "--kv", "80", "--configurations", "20", "--runs", "0",
         "--map-points", "0",
     )  # fmt: skip
     shown = capsys.readouterr().out
@@ -88,7 +99,7 @@ def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     # and what it says is true
     again = stability(
         tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",
-        "--damping", f"{0.1 * factor}", "--kp", "400", "--kv", "80", "--configurations", "30",
+        "--damping", f"{0.3 * factor}", "--kp", "400", "--kv", "80", "--configurations", "20",
         "--runs", "0", "--map-points", "0",
     )  # fmt: skip
     assert again == 0
@@ -199,7 +210,7 @@ def test_without_errors_there_is_nothing_to_scale(tmp_path, capsys):
 def test_a_region_without_full_rank_is_never_said_to_be_certified(tmp_path, capsys):
     code = stability(
         tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.3", "0.1", "--radius",
-        "0.3", "--configurations", "40", "--runs", "0", "--map-points", "0",
+        "0.3", "--configurations", "20", "--runs", "0", "--map-points", "0",
     )  # fmt: skip
     shown = capsys.readouterr().out
     assert code == 1

@@ -224,11 +224,15 @@ CHANGES = {
 }
 
 
+@pytest.fixture(scope="module")
+def usual():
+    return paper.run_experiment(paper.EXPERIMENTS[4], paper.Setup(duration=2.0))
+
+
 @pytest.mark.parametrize("option", CHANGES)
-def test_each_option_changes_what_is_simulated(option):
-    experiment = paper.EXPERIMENTS[4]
-    usual = paper.run_experiment(experiment, paper.Setup(duration=2.0))
-    changed = paper.run_experiment(experiment, paper.Setup(**{"duration": 2.0, **CHANGES[option]}))
+def test_each_option_changes_what_is_simulated(option, usual):
+    setup = paper.Setup(**{"duration": 2.0, **CHANGES[option]})
+    changed = paper.run_experiment(paper.EXPERIMENTS[4], setup)
     if option == "duration":
         assert changed.run.t[-1] == 4.0
         assert usual.run.t[-1] == 2.0

@@ -1,4 +1,4 @@
-"""Ten minutes at 1 kHz with noise and dropouts: no drift in memory, no NaN, bounded error."""
+"""Three minutes at 1 kHz with noise and dropouts: no drift in memory, no NaN, bounded error."""
 
 import gc
 import sys
@@ -53,20 +53,20 @@ def run_of(panda, duration, record_every, progress):
 
 
 @pytest.mark.study
-def test_ten_minutes_do_not_drift(panda):
+def test_three_minutes_do_not_drift(panda):
     memory = {}
 
     def progress(t):
         minute = round(t / 60.0, 6)
-        if minute in (2.0, 10.0):
+        if minute in (1.0, 3.0):
             gc.collect()
             resident = int(STATM.read_text().split()[1]) * PAGE if STATM.exists() else 0
             memory[minute] = sys.getallocatedblocks(), resident
 
-    run = run_of(panda, 600.0, 0.1, progress)
+    run = run_of(panda, 180.0, 0.1, progress)
 
     for array in (run.t, run.q, run.v, run.x, run.error, run.tau, run.state, run.sigma_min):
-        assert len(array) == 6001
+        assert len(array) == 1801
         assert np.isfinite(array).all()
     lost = np.isnan(run.x_measured).any(axis=1)
     assert lost.mean() == pytest.approx(0.2, abs=0.02)
@@ -75,18 +75,18 @@ def test_ten_minutes_do_not_drift(panda):
     # 0.24 mm was measured, with noise of 1 mm in each coordinate
     settled = run.t >= 20.0
     assert run.error_norm[settled].max() < 1e-3
-    late = run.error_norm[run.t >= 300.0]
-    early = run.error_norm[settled & (run.t < 300.0)]
+    late = run.error_norm[run.t >= 100.0]
+    early = run.error_norm[settled & (run.t < 100.0)]
     assert late.mean() < 1.5 * early.mean()  # 0.9 was measured: it does not creep away
     # neither the self-motion (3 mrad was measured) nor what is learnt drifts
     assert np.ptp(run.q[settled], axis=0).max() < 0.02
     assert np.ptp(run.state[settled], axis=0).max() < 0.02
 
-    # From minute 2 to 10 there are 480,000 steps and 4,800 records. A record takes 18 objects and
+    # From minute 1 to 3 there are 120,000 steps and 1,200 records. A record takes 18 objects and
     # 2.5 kB; an object forgotten in each step would be 100 objects and at least 5 kB a record.
-    blocks, resident = np.subtract(memory[10.0], memory[2.0])
-    assert blocks < 4800 * 18 + 2000
-    assert resident < 4800 * 3000 + 2_000_000
+    blocks, resident = np.subtract(memory[3.0], memory[1.0])
+    assert blocks < 1200 * 18 + 2000
+    assert resident < 1200 * 3000 + 2_000_000
 
 
 @pytest.mark.study
