@@ -54,11 +54,10 @@ def test_the_operational_space_torque_is_the_one_by_pinocchio(benchmark):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", ["two_link", "panda"])
-def test_steps_leave_no_memory_behind(name, benchmark):
+def test_steps_leave_no_memory_behind(benchmark):
     control_step, memory = benchmark("control_step"), benchmark("memory")
-    _, _, inputs = control_step.arm(name)
-    for law in control_step.laws(name):
+    _, _, inputs = control_step.arm("panda")
+    for law in control_step.laws("panda"):
         step = law.ours
         # below a byte a step, once in a few times, as other threads of a test run allocate, too
         assert any(memory.left_behind(step, inputs, 500) < 500 for _ in range(3)), law.name

@@ -1,4 +1,4 @@
-"""Whole trajectories of the study against an independent closed-form arm and integrator."""
+"""Trajectories of the study against an independent closed-form arm and integrator."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def closed_form_run(figure, times):
     "figure", [4, *(pytest.param(n, marks=pytest.mark.study) for n in sorted(BELIEFS) if n != 4)]
 )
 def test_trajectories_agree_to_1e_6(figure):
-    result = paper.run_experiment(paper.EXPERIMENTS[figure], paper.Setup())
+    result = paper.run_experiment(paper.EXPERIMENTS[figure], paper.Setup(duration=60.0))
     run = result.run
     q, v, theta_hat, error = closed_form_run(figure, run.t)
     assert_allclose(run.q, q, rtol=0, atol=1e-6)

@@ -236,7 +236,7 @@ def test_it_comes_back_from_the_limits_it_is_driven_against_by_random_targets():
     plant = aj.MujocoPlant(TRUTH, SENSOR, 0.1)
     rng = np.random.default_rng(5)
     hits = 0
-    for _ in range(20):
+    for _ in range(8):
         way = rng.normal(size=3) * [1.0, 1.0, 0.0] + [0.0, 0.0, abs(rng.normal())]
         target = [0.0, 0.0, 0.333] + rng.uniform(0.3, 1.4) * way / np.linalg.norm(way)
         run = pressed(plant, LAWS["law (6)"], target, 20.0, dt=4e-3)
@@ -244,7 +244,7 @@ def test_it_comes_back_from_the_limits_it_is_driven_against_by_random_targets():
         assert beyond_limits(run).max() < 0.12
         assert np.linalg.norm(run.x[2500] - X0) < 0.05  # 6 s after
         assert np.linalg.norm(run.x[-1] - X0) < 1e-6  # 16 s after
-    assert hits >= 5
+    assert hits >= 3
 
 
 def test_a_limit_may_hold_the_arm_up_for_long():

@@ -208,7 +208,7 @@ def test_bad_input_is_named(tools, box, weightless):
 
 @pytest.mark.study
 def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
-    found = aj.tolerance(controller_of(tools), tools, box, configurations=200)
+    found = aj.tolerance(controller_of(tools), tools, box, configurations=60)
     scales = [found[test].scale for test in ("theorem1", "matrix", "local")]
     assert 0.05 < scales[0] < 0.3 < 1.5 < scales[1] < scales[2] < 10.0
     for each in found.values():
