@@ -86,10 +86,9 @@ def test_the_command_line_imports_nothing_slow():
 def test_a_terminal_gets_a_progress_bar(tmp_path):
     controller, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    words = ["paper", "--out", str(tmp_path), "--figures", "4", "--duration", "30"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "approxjac", "paper", "--out", str(tmp_path), "--figures", "4"],
-        stdout=subprocess.DEVNULL,
-        stderr=terminal,
+        [sys.executable, "-m", "approxjac", *words], stdout=subprocess.DEVNULL, stderr=terminal
     )
     os.close(terminal)
     shown = b""
