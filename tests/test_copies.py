@@ -84,6 +84,11 @@ def test_tasks(holding, copied, rng, kind):
         assert_array_equal(other.jacobian_dot(q, v), task.jacobian_dot(q, v))
 
 
+@pytest.fixture(scope="module")
+def built(holding):
+    return controllers(holding)
+
+
 KINDS = [
     "defaults", "no gravity", "saturated", "regressor", "adaptive", "full L", "law (5)",
     "posture", "pose", "held",
@@ -91,8 +96,8 @@ KINDS = [
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_controllers(holding, copied, rng, kind):
-    controller = controllers(holding)[kind]
+def test_controllers(holding, built, copied, rng, kind):
+    controller = built[kind]
     other = copied(controller)
     assert repr(other) == repr(controller)
     sensor = controller.task
@@ -131,9 +136,9 @@ def test_plants(holding, copied, rng):
     assert_array_equal(other.measure(0.0, q, v).x, plant.measure(0.0, q, v).x)
 
 
-def test_copies_do_not_share_scratch_memory(holding, copied, rng):
+def test_copies_do_not_share_scratch_memory(holding, built, copied, rng):
     """The gravity torque is an alias of scratch memory: an evaluation elsewhere leaves it alone."""
-    controller = controllers(holding)["defaults"]
+    controller = built["defaults"]
     other = copied(controller)
     a, b = holding.random_configuration(rng), holding.random_configuration(rng)
     torque = controller.gravity.torque(a)
@@ -143,8 +148,8 @@ def test_copies_do_not_share_scratch_memory(holding, copied, rng):
     assert other.task is not controller.task
 
 
-def test_a_pickle_is_not_much_larger_than_its_urdf(holding):
-    for controller in controllers(holding).values():
+def test_a_pickle_is_not_much_larger_than_its_urdf(holding, built):
+    for controller in built.values():
         assert len(pickle.dumps(controller)) < len(holding.urdf) + 20_000
 
 

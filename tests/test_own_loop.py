@@ -389,6 +389,7 @@ def test_waiting_ends_when_it_is_due(monkeypatch):
     wait_until(due - 1.0)  # what is over is not waited for
 
 
+@pytest.mark.study
 def test_the_example_arrives_although_it_was_blind_and_stands_still(
     own_loop, tmp_path, monkeypatch
 ):

@@ -20,6 +20,14 @@ def run(*arguments):
     )
 
 
+def help_of(capsys, *command):
+    """What a command prints when it is asked for help."""
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--help"])
+    assert ended.value.code == 0
+    return capsys.readouterr().out
+
+
 def test_arguments_that_do_not_parse_give_exit_code_2():
     process = run("paper", "--inertia", "ring")
     assert process.returncode == 2
@@ -27,14 +35,15 @@ def test_arguments_that_do_not_parse_give_exit_code_2():
 
 
 def test_help_and_version(capsys):
-    assert run("paper", "--help").returncode == 0
-    assert "--duration" in run("paper", "--help").stdout
+    process = run("paper", "--help")
+    assert process.returncode == 0
+    assert "--duration" in process.stdout
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"approxjac {aj.__version__}\n"
 
 
-def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all():
-    listed, own = run("--help").stdout, run("stability", "--help").stdout
+def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all(capsys):
+    listed, own = help_of(capsys), help_of(capsys, "stability")
     assert "Tell whether a controller is stable before anything moves" in listed
     assert "Exit code" not in listed
     assert "Example: approxjac stability panda --object-length 0 0.3" in own
@@ -42,8 +51,8 @@ def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all():
 
 
 @pytest.mark.parametrize("command", ["simulate", "stability"])
-def test_every_length_and_time_in_the_help_has_its_unit(command):
-    text = run(command, "--help").stdout.split("positional arguments")[1]  # after the example
+def test_every_length_and_time_in_the_help_has_its_unit(command, capsys):
+    text = help_of(capsys, command).split("positional arguments")[1]  # after the example
     text = " ".join(text.replace("│", " ").split())
     lengths = [name for name in ("--object-length", "--believed-length") if name in text]
     for name in lengths:

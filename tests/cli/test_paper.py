@@ -25,7 +25,7 @@ def run(*arguments):
 
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory):
-    """The whole study: its folder and what it printed. `.ci/run` has made it, as the README says."""
+    """The whole study: its folder and what it printed; `.ci/run` has made it already."""
     if results := os.environ.get("APPROXJAC_RESULTS"):
         printed = Path(results, "paper.txt").read_text(encoding="utf-8")
         return Path(results, "paper"), printed

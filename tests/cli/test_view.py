@@ -28,7 +28,7 @@ def run(*arguments):
 def reached(tmp_path_factory):
     """A short run, as `simulate` leaves it."""
     out = tmp_path_factory.mktemp("reached")
-    process = run("simulate", "panda", "--duration", "0.5", "--out", str(out))
+    process = run("simulate", "two_link", "--duration", "0.5", "--out", str(out))
     assert process.returncode in (0, 1), process.stderr
     assert f"See it move: approxjac view {out / 'run.npz'}" in process.stdout
     return out
@@ -136,8 +136,8 @@ def test_the_same_file_is_simulated_analysed_and_shown(name, tmp_path):
 
 def test_ctrl_c_stops_a_run_that_is_shown_and_keeps_it(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "approxjac", "simulate", "panda", "--duration", "60", "--view",
-         "--out", str(tmp_path)],
+        [sys.executable, "-u", "-m", "approxjac", "simulate", "two_link", "--duration", "60",
+         "--view", "--out", str(tmp_path)],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={name: value for name, value in os.environ.items() if "DISPLAY" not in name},
     )  # fmt: skip

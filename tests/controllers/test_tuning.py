@@ -1,5 +1,7 @@
 """Default gains: their rule, what the believed arm does with them, and λ₂ of Eq. (23)."""
 
+import functools
+
 import numpy as np
 import pytest
 from arms import among
@@ -148,6 +150,7 @@ STARTS = {
 }
 
 
+@functools.cache
 def settling_shares(name, settling_time):
     """Of the believed arm itself, 7 cm along each axis: times to 2 % as shares of the wanted."""
     task = position_task(aj.load_robot(name))

@@ -217,7 +217,7 @@ def test_a_delay_longer_than_the_run_shows_the_start():
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.2, 0.9, 1.0])
 def test_the_share_that_is_lost_is_the_probability(share, position):
-    count = 20000
+    count = 6000
     seen = readings(aj.Sensing(x_dropout=share), still(position, START, count), position)
     lost = np.array([np.isnan(m.x).all() for m in seen])
     assert np.array_equal(lost, [np.isnan(m.x).any() for m in seen])
@@ -298,7 +298,7 @@ def test_the_velocity_filter_has_its_time_constant(position, T):
 def test_the_velocity_filter_smooths_noise(position):
     """White noise σ on q makes √2 σ/dt as plain differences, and about σ/T where dt ≪ T."""
     sigma, dt = 1e-5, 1e-3
-    truths = still(position, START, 20000, dt)
+    truths = still(position, START, 8000, dt)
     for T, expected in ((0.0, np.sqrt(2.0) * sigma / dt), (0.02, sigma / 0.02)):
         sensing = aj.Sensing(q_noise=sigma, velocity_filter=T)
         v = np.array([m.v for m in readings(sensing, truths, position, dt)])[1000:]
@@ -597,8 +597,7 @@ def test_progress_must_be_a_function(panda, position):
 # -- all of it together ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("offset", [(0.1, -0.15, 0.16), (-0.1, 0.2, 0.1)])
+@pytest.mark.parametrize(("offset", "seed"), [((0.1, -0.15, 0.16), 0), ((-0.1, 0.2, 0.1), 1)])
 @pytest.mark.parametrize(
     ("gravity", "settled", "final"),
     [("known", 3e-3, 1e-3), ("learnt", 5e-3, 2e-3)],  # measured over 8 seeds: 1.4, 0.4; 2.3, 0.8
@@ -746,17 +745,17 @@ def test_a_frame_arrives_after_the_delay(plane, rate, delay):
 
 def test_noise_comes_once_a_frame(position):
     sigma = np.array([1e-3, 5e-3, 2e-2])
-    truths = still(position, START, 40_000, dt=0.01)
+    truths = still(position, START, 12_000, dt=0.01)
     seen = readings(aj.Sensing(x_rate=30.0, x_noise=sigma), truths, position, dt=0.01)
     errors = np.array([m.x for m in seen]) - truths[0].x
     first = np.unique(frames(30.0, len(truths), dt=0.01))
     assert_is_white(errors[first], sigma)
-    assert len(np.unique(errors[:, 0])) == len(first) == 12_000
+    assert len(np.unique(errors[:, 0])) == len(first) == 3_600
 
 
 @pytest.mark.parametrize(("share", "delay"), [(0.05, 0.0), (0.3, 0.03), (1.0, 0.0)])
 def test_a_lost_frame_is_lost_until_the_next_one_arrives(plane, share, delay):
-    count, dt, late = 40_000, 0.01, round(delay / 0.01)
+    count, dt, late = 12_000, 0.01, round(delay / 0.01)
     shown = taken(aj.Sensing(x_rate=30.0, x_dropout=share, x_delay=delay), plane, count, dt)
     expected = frames(30.0, count, dt)
     expected = np.concatenate([np.zeros(late), expected[: count - late]])
@@ -858,9 +857,6 @@ def test_every_reading_is_the_image_that_was_taken_then(period, late, lost, froz
         images.append(image)
     expected = [images[max(0, k - late)] for k in range(count)]
     assert_array_equal(taken(sensing, task, count)[:, 0], expected)
-
-
-PLANE = aj.PositionTask(aj.load_robot("two_link"), axes="xz")
 
 
 def test_an_interval_of_a_part_that_the_task_does_not_have_is_refused(panda, pair):
