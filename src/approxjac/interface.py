@@ -114,7 +114,7 @@ class Target(NamedTuple):
 
     Attributes:
         x: x_d, shape (n_x,) [unit of the task].
-        v: ẋ_d in the coordinates of the error, shape (m,) [unit of the task/s]; None is at rest.
+        v: ẋ_d in the sensor's error coordinates, shape (m,) [unit of the task/s]; None is at rest.
         a: ẍ_d in the same coordinates, shape (m,) [unit of the task/s²]; None is none.
     """
 

@@ -135,6 +135,18 @@ def test_gravity_may_be_learnt_or_not_be_felt():
     assert not loop("exact").truth.arm.gravity.any()
 
 
+def test_several_points_are_combined_in_the_controller_and_in_the_truth():
+    for ranges in ({}, {"roll": (-0.1, 0.1)}):
+        scenario = Scenario(
+            "panda", task={"kind": "image", "points": 2}, controller={"gravity": "exact"},
+            stability=ranges,
+        )  # fmt: skip
+        loop = study.prepare(scenario)
+        for plant in loop.plants:
+            plant.require_task(loop.controller.task)
+        assert (study.uncertainty_of(loop) is not None) == bool(ranges)
+
+
 def test_without_ranges_it_looks_at_the_true_robot():
     scenario = Scenario("panda", sensor={"noise": 1e-3}, controller={"limits": "urdf"})
     loop = study.prepare(scenario)

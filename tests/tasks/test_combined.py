@@ -135,6 +135,19 @@ def test_held_measurements_count_in_pixels(image):
         assert fresh.status is aj.Status.MEASUREMENT_LOST
 
 
+def test_a_target_moves_in_the_coordinates_of_what_is_measured(image, C, rng):
+    """Its velocity acts as the error of a longer way does, whatever is combined."""
+    posture = aj.PositionTask(image.robot, "panda_link4", axes="z")
+    tasks = (image, CombinedTask(image, C), aj.StackedTask(CombinedTask(image, C), posture))
+    for task in tasks:
+        law = aj.SetpointController(task, aj.Gains(2e-3, 2e-3, 1.0))
+        x_d, v_d = task.value(Q), rng.normal(size=task.m)
+        measured = aj.Measurement(0.0, Q, np.zeros(7), x_d)
+        moving = law.evaluate(np.zeros(0), measured, aj.Target(x_d, v_d))
+        ahead = law.evaluate(np.zeros(0), measured, aj.Target(x_d + v_d))
+        assert_allclose(moving.torque, ahead.torque)
+
+
 def test_copies(image, C):
     task = CombinedTask(image, C)
     for other in (pickle.loads(pickle.dumps(task)), copy.deepcopy(task)):

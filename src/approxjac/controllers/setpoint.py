@@ -21,7 +21,7 @@ from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import ContinuousController, Evaluation, Measurement, Status, Target
 from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import vanishing
+from approxjac.tasks.analysis import uncombined, vanishing
 from approxjac.validation import Array, Immutable, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
@@ -127,6 +127,8 @@ class SetpointController(Immutable):
         self._pull = None if posture is None else posture.resolved(task)
         self._scale = vanishing(task)
         self._subtracts = task._subtracts  # as most do
+        back = uncombined(task)  # a target moves in the coordinates of what is measured
+        self._combination = np.eye(task.m) if back is None else np.linalg.inv(back)
         self._continuous = robot.nq != robot.nv
         self._n_state = self._p + (0 if velocity is None else task.m)
         # of q, v, x, target and state
@@ -288,7 +290,7 @@ class SetpointController(Immutable):
         if isinstance(target, Target):
             target, v_d, _ = target
             if v_d is not None:
-                v_d = as_vector("v of the target", v_d, self.task.m)
+                v_d = self._combination.dot(as_vector("v of the target", v_d, self.task.m))
         try:
             _, q, v, x, _ = measurement
             usual = (

@@ -37,6 +37,7 @@ from approxjac.stability.map import PARAMETERS
 from approxjac.stability.suggestion import damping_that_certifies, part_that_certifies
 from approxjac.stability.tolerance import Test
 from approxjac.tasks import Camera, CombinedTask, ImageTask, Task
+from approxjac.tasks.analysis import features
 from approxjac.validation import Array
 
 _RANGES = (
@@ -152,28 +153,31 @@ def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty 
     """Return what may be true: the ranges of errors, or the true robot where none are given."""
     given = {name: getattr(analysis, name) for name in _RANGES}
     friction, believed = built.scenario.true.friction, built.scenario.believed
+    sensor, task = built.plant.sensor, built.law.task
+    C = task.C if isinstance(task, CombinedTask) else None  # errors are compared, so alike
     if not any(given.values()):
-        return Plant(built.plant.robot, built.plant.sensor, friction)
+        sensor = sensor if C is None else CombinedTask(sensor, C)
+        return Plant(built.plant.robot, sensor, friction)
     if believed.shifts or believed.rotations:
         arm = arm.with_kinematic_error(believed.shifts, believed.rotations)
-    sensor, task = built.plant.sensor, built.law.task
-    camera: Camera | None = None
-    make: Callable[[Robot], Task] = task.on
+    make: Callable[..., Task] = task.on
     if isinstance(sensor, ImageTask):
-        image = task.task if isinstance(task, CombinedTask) else task
-        assert isinstance(image, ImageTask)  # as its sensor is one
-        camera = image.camera
-        make = partial(ImageTask, points=sensor.points, depth=sensor.depth)
+        make = partial(_image_task, sensor, C)
     return Uncertainty(
         arm,
         make,
         believed_length=believed.object.length,
         believed_mass=believed.object.mass,
         object_axis=believed.object.like(built.scenario.true.object).axis,
-        camera=camera,
+        camera=features(task)[0].camera,
         friction=friction,
         **given,
     )
+
+
+def _image_task(like: ImageTask, C: Array | None, robot: Robot, camera: Camera) -> Task:
+    task = ImageTask(robot, camera, points=like.points, depth=like.depth)
+    return task if C is None else CombinedTask(task, C)
 
 
 def _region(
