@@ -97,8 +97,8 @@ class Plant(Immutable):
         if torque_limits is not None:
             torque_limits = as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         self.torque_limits = torque_limits
-        self._has_coulomb = bool(self.coulomb.any())
-        self._has_friction = self._has_coulomb or bool(self.friction.any())
+        self._has_coulomb = max(self.coulomb.tolist()) > 0.0
+        self._has_friction = self._has_coulomb or max(self.friction.tolist()) > 0.0
         self._has_mimic_joints = robot.mimic_joints.G is not None
         self._model = robot.model
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
