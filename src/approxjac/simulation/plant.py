@@ -265,8 +265,7 @@ class Plant(Immutable):
         """Return q̈ under a torque at the joints, for arguments that are checked."""
         if self._has_mimic_joints:
             return self.dynamics.forward(q, v, tau)
-        acceleration: Array = pin.aba(self._model, self._data, q, v, tau, WORLD)
-        return acceleration
+        return np.asarray(pin.aba(self._model, self._data, q, v, tau, WORLD))
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
         """Return what ideal sensors measure at t [s]; NaN what the sensor cannot see."""

@@ -158,8 +158,7 @@ class ImageTask(Task):
         """Return J with the points where they are, or at other places (k, 3)."""
         r, J = self._kinematics.jacobians(q, at)
         if len(r) == 1:
-            image_jacobian: Array = self.camera.interaction(r[0]) @ J[0]
-            return image_jacobian
+            return np.asarray(self.camera.interaction(r[0]) @ J[0])
         return np.vstack([self.camera.interaction(p) @ A for p, A in zip(r, J, strict=True)])
 
     def jacobian_dot(self, q: Array, v: Array) -> Array:

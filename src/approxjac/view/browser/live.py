@@ -218,21 +218,19 @@ class LiveView:
     def _obey(self, loop: SampledLoop) -> bool:
         """Do what pages ask for, say what cannot be done; return whether there was anything."""
         assert self._server is not None  # there is no run without it
-        asked = False
         if self._interrupted:
             loop.stop()
-        for told in self._server.received():
-            for wish, value in told.items():
-                asked = True
-                note = {}
-                try:
-                    self._do(loop, wish, value)
-                except ApproxJacError as error:
-                    note = {"note": str(error)}
-                except Exception as error:  # of the user's `believe`: no reason to lose the run
-                    note = {"note": f"{wish}: {type(error).__name__}: {error}"}
-                self._tell(controls=self._controls(), **note)
-        return asked
+        wishes = [wish for told in self._server.received() for wish in told.items()]
+        for wish, value in wishes:
+            note = {}
+            try:
+                self._do(loop, wish, value)
+            except ApproxJacError as error:
+                note = {"note": str(error)}
+            except Exception as error:  # of the user's `believe`: no reason to lose the run
+                note = {"note": f"{wish}: {type(error).__name__}: {error}"}
+            self._tell(controls=self._controls(), **note)
+        return bool(wishes)
 
     def _do(self, loop: SampledLoop, wish: str, value: Any) -> None:
         if wish == "target":

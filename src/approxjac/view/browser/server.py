@@ -70,7 +70,6 @@ class PageServer:
             self._thread.join(_CLOSING)
 
     def _serve(self) -> None:
-        asyncio.set_event_loop(self._loop)
         with contextlib.closing(self._loop):
             self._loop.run_until_complete(self._until_closed())
 

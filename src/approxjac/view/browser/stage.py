@@ -234,7 +234,7 @@ class _Drawing:
         """Put a geometry at a node, as it is or placed (4, 4) in the node's axes."""
         g = self.geometry
         material = g.MeshLambertMaterial if lit else g.MeshBasicMaterial
-        self._put(path, g.Mesh(shape, material(color=_number(colour), **look)), placed)
+        self._put(path, g.Mesh(shape, material(**look)), colour, placed)
 
     def mesh(self, path: tuple[str, ...], mesh: Trimesh, colour: str, **look: Any) -> None:
         """Put triangles at a node."""
@@ -245,9 +245,12 @@ class _Drawing:
         """Put lines at a node, from each first of two points (n, 3) to the second."""
         g = self.geometry
         points = g.PointsGeometry(np.array(ends, dtype=np.float32).T)
-        self._put(path, g.LineSegments(points, g.LineBasicMaterial(color=_number(colour))), None)
+        self._put(path, g.LineSegments(points, g.LineBasicMaterial()), colour)
 
-    def _put(self, path: tuple[str, ...], thing: Any, placed: Array | None) -> None:
+    def _put(
+        self, path: tuple[str, ...], thing: Any, colour: str, placed: Array | None = None
+    ) -> None:
+        thing.material.color = int(colour[1:], 16)  # as three.js counts it
         # MeshCat's own are random; they need to be unique within a command only
         thing.uuid, thing.geometry.uuid, thing.material.uuid = "object", "geometry", "material"
         command = self._commands.SetObject(thing).lower() | {"path": "/".join(path)}
@@ -285,10 +288,6 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     image = drawing.geometry.TriangularMeshGeometry(corners, faces)
     drawing.put((*path, "image"), image, colour, **glass)
-
-
-def _number(colour: str) -> int:
-    return int(colour[1:], 16)  # as three.js counts it
 
 
 def _joints(tree: Tree) -> list[dict[str, Any]]:

@@ -19,13 +19,11 @@ _ABOVE = np.deg2rad(18.0)
 _PARALLEL = 1e-6
 
 
-def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array] | None = None) -> Array:
+def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array]) -> Array:
     """Return points of all links at some of the configurations q (N, nq), shape (n, 3) [m].
 
-    They are given by link in its own frame, each (k, 3), and are the origins by default.
+    They are given by link in its own frame, each (k, 3).
     """
-    if boxes is None:
-        boxes = dict.fromkeys(robot.frame_names, np.zeros((1, 3)))
     data, points = robot.model.createData(), []
     every = max(1, len(q) // _INSTANTS)
     for row in [*q[::every], *q[-1:]]:
@@ -38,8 +36,9 @@ def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array] | None = None
 
 def reach_points(robot: Robot) -> Array:
     """Return origins of all links in seeded random configurations, shape (n, 3) [m]."""
-    rng = np.random.default_rng(0)
-    return link_points(robot, np.array([robot.random_configuration(rng) for _ in range(_INSTANTS)]))
+    rng, origins = np.random.default_rng(0), dict.fromkeys(robot.frame_names, np.zeros((1, 3)))
+    drawn = [robot.random_configuration(rng) for _ in range(_INSTANTS)]
+    return link_points(robot, np.array(drawn), origins)
 
 
 def viewpoint(
