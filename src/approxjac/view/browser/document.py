@@ -40,11 +40,6 @@ def _belief_facts(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
-def live_page(stage: Stage, run: Trajectory, columns: Mapping[str, Array]) -> str:
-    """Return a page of one instant that is told over a WebSocket what else there is to show."""
-    return document(page_data(stage, run, columns, run.q, live=True), _asset("live.js"))
-
-
 def page_data(
     stage: Stage,
     run: Trajectory,
@@ -104,8 +99,8 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
     package_of("view", "meshcat")  # for its error
     viewer = resources.files("meshcat") / "viewer"
     code = [(viewer / "dist" / "main.min.js").read_text(encoding="utf-8")]
-    code += [*map(_asset, _SCRIPTS), *scripts]
-    licences = ["uPlot:\n\n" + _asset("uPlot.LICENSE")]  # which ask to be handed on
+    code += [*map(asset, _SCRIPTS), *scripts]
+    licences = ["uPlot:\n\n" + asset("uPlot.LICENSE")]  # which ask to be handed on
     for name in filter(lambda name: (viewer / name).is_file(), _LICENCES):
         licences.append(f"MeshCat, {name}:\n\n{(viewer / name).read_text(encoding='utf-8')}")
     # "</script" would end the element that it stands in, and "<!--" change how it is read
@@ -114,7 +109,7 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
     parts = {
         "title": html.escape(str(data["title"])),
         "description": html.escape("; ".join(f"{name}: {said}" for name, said in data["facts"])),
-        "css": _asset("uPlot.min.css") + _asset("page.css"),
+        "css": asset("uPlot.min.css") + asset("page.css"),
         "data": values,
         "licences": "\n\n".join(licences).replace("<", "(").replace(">", ")"),
         "scripts": "\n".join(f"<script>{part}</script>" for part in ended),
@@ -125,7 +120,7 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
 def filled(template: str, parts: Mapping[str, str]) -> str:
     """Return an asset with parts in place of their names, {{name}}."""
     # all at once: parts are not looked at again
-    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], _asset(template))
+    return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], asset(template))
 
 
 def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
@@ -183,6 +178,7 @@ def _image_axes(camera: Camera) -> dict[str, Any]:
     return {"labels": labels, "unit": unit, "scale": scale, "border": border, "down": down}
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """Return the text of a file that pages are made of."""
     folder = resources.files("approxjac.view.browser") / "assets"
     return (folder / name).read_text(encoding="utf-8")

@@ -20,7 +20,7 @@ from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array, as_array, as_number
-from approxjac.view.browser.document import live_page
+from approxjac.view.browser.document import asset, document, page_data
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.page import open_browser
 from approxjac.view.browser.server import PageServer
@@ -152,7 +152,8 @@ class LiveView:
 
     def _page(self) -> str:
         assert self._stage is not None  # it is there before the server
-        return live_page(self._stage, self._run, self._columns)
+        data = page_data(self._stage, self._run, self._columns, self._run.q, live=True)
+        return document(data, asset("live.js"))
 
     def _controls(self) -> dict[str, Any]:
         """Return what the user may do, and how it is now."""
