@@ -17,7 +17,7 @@ ALLOWED = {
     "extras": {"errors"},
     "formatting": set(),
     "validation": {"errors"},
-    "interface": {"tasks", "validation", "formatting"},
+    "interface": {"tasks", "validation", "formatting", "errors"},
     "paths": {"interface", "formatting", "validation", "errors"},
     "robots": {"validation", "errors"},
     "law": {"validation", "errors"},

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
+from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number
@@ -225,12 +226,16 @@ class ContinuousController(Controller, Protocol):
         """Return the state after dt [s], one Euler step of its rate, and the answer of `evaluate`.
 
         Raises:
-            InvalidInputError: As `evaluate`, or a dt that is not positive.
+            InvalidInputError: As `evaluate`, no positive dt, or an answer without a rate.
         """
         answer = self.evaluate(state, measurement, target)
         if not (isinstance(dt, float) and 0.0 < dt < math.inf):
             dt = as_number("dt", dt, unit="s", above=0.0)
-        return state + dt * np.asarray(answer.state_rate), answer
+        try:
+            return state + dt * np.asarray(answer.state_rate), answer
+        except (AttributeError, TypeError, ValueError):
+            told = f"evaluate must return an Evaluation with a state_rate, got {answer!r}"
+            raise InvalidInputError(told, given=answer) from None
 
     def evaluate(
         self, state: Array, measurement: Measurement, target: Target | Array

@@ -427,9 +427,9 @@ def test_a_class_is_no_path():
         (Faulty(torque=np.zeros(3)), r"the controller's torque must have shape \(2,\)"),
         (Faulty(torque=np.full(2, np.nan)), r"the controller's torque must be finite"),
         (Faulty(state_rate=np.zeros(1)), r"the controller's state_rate must have shape \(0,\)"),
-        (Faulty(state_rate=None), r"the controller's state_rate must be numbers of shape \(0,\)"),
+        (Faulty(state_rate=None), r"evaluate must return an Evaluation with a state_rate, got Eva"),
         (Faulty(e=np.zeros(1)), r"the controller's e must have shape \(2,\)"),
-        (Wordless(), "the controller's answer must be an Evaluation, got array"),
+        (Wordless(), r"evaluate must return an Evaluation with a state_rate, got array"),
     ],
 )
 def test_faulty_controllers_are_named(controller, text, dt):

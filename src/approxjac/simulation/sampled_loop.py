@@ -220,10 +220,6 @@ def first_state(
     """
     state = controller.initial_state(measurement)
     state = as_array("the controller's initial_state", state, (np.size(state),))
-    if isinstance(controller, ContinuousController):
-        answer = controller.evaluate(state, measurement, wanted)
-        require("the controller's answer", answer, Evaluation, "an Evaluation")
-        as_array("the controller's state_rate", answer.state_rate, state.shape)
     stepped = controller.step(state, measurement, wanted, dt)
     if not (isinstance(stepped, tuple) and len(stepped) == 2):
         raise InvalidInputError(
@@ -234,6 +230,8 @@ def first_state(
     as_array("the controller's torque", answer.torque, (plant.robot.nv,), "N m or N")
     require("the controller's state", after, np.ndarray, "an array")
     as_array("the controller's state", after, state.shape)
+    if isinstance(controller, ContinuousController):
+        as_array("the controller's state_rate", answer.state_rate, state.shape)
     if np.isfinite(measurement.x).all():  # a lost x has no error
         as_array("the controller's e", answer.e, (plant.sensor.m,), joined(plant.sensor.units))
     return state
