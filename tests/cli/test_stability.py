@@ -92,7 +92,7 @@ def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     assert "the matrix form does not certify it" in shown
     assert "raise damping to " in shown
     assert "to certify it" in shown
-    assert "as it is, certified are errors of object_length 0.00 m to 0." in shown
+    assert "certified are errors of object_length 0.00 m to 0." in shown
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     factor = summary["raised_damping"]
     assert not (tmp_path / "map.png").exists()

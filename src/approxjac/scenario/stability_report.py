@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 def consequences(result: StabilityResult) -> str:
     """Return how far each test tolerates the errors, and what follows."""
-    lines = []
+    lines = ["how far the errors may be scaled (a search, on fewer configurations)"]
     for test, found in result.tolerances.items():
         fails = f"; fails with {found.worst_text}" if found.worst_text else ""
         box = found.uncertainty.describe_box()
-        lines.append(f"{test:<14} tolerates errors times {found.scale:.3g}: {box}{fails}")
-    return "\n".join([*lines, *advice(result)])
+        lines.append(f"{test:<9} to {found.scale:<6.3g} {box}{fails}")
+    return "\n".join([*([*lines, ""] if result.tolerances else []), *advice(result)])
 
 
 def advice(result: StabilityResult) -> list[str]:
@@ -64,9 +64,11 @@ def advice(result: StabilityResult) -> list[str]:
         ]
     if result.raised_damping is not None:
         damping = short(result.raised_damping * controller.diagonals.damping)
-        lines.append(f"raise damping to {damping}, {result.raised_damping:g} times, to certify it")
+        times = f"{result.raised_damping:g} times what it is"
+        lines.append(f"raise damping to {damping}, {times}, to certify it")
     if result.certified_part is not None:
-        lines.append(f"as it is, certified are errors of {result.certified_part.describe_box()}")
+        part = result.certified_part.describe_box()
+        lines.append(f"as it is, and with all configurations, certified are errors of {part}")
     return lines
 
 
