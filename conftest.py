@@ -51,7 +51,10 @@ pytest_collect_file = Sybil(
 
 # Files that take long. A worker gets whole files: these come first, so that in the end both have
 # something to do.
-LONG = ("README.md", "test_long_run.py", "test_examples.py", "test_cli.py", "browser", "docs")
+LONG = (
+    "cli", "test_compiled.py", "test_long_run.py", "test_examples.py", "browser", "docs",
+    "README.md",
+)  # fmt: skip
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are deselected by their markers
