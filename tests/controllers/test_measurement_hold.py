@@ -109,6 +109,13 @@ def test_a_lost_x_is_bridged_by_the_one_seen_last(task, kind):
     assert back.status is Status.OK
 
 
+def test_before_the_first_image_its_time_may_be_that_of_none(task):
+    x = task.value(START)
+    loop = Loop(aj.HeldMeasurement(INSIDE["known gravity"], 0.1), x, x + 0.05)
+    assert loop.step(LOST, t_x=-np.inf).status is Status.MEASUREMENT_LOST
+    assert loop.step(x, t_x=0.0).status is Status.OK
+
+
 def test_a_frame_that_was_overtaken_is_not_used(task):
     """p counts from the later one, and so would not bound what has moved since the earlier one."""
     x = task.value(START)

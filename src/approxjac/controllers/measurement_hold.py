@@ -105,7 +105,9 @@ class HeldMeasurement(ControllerWrapper):
         require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
         x, t_x = measurement.x, measurement.t_x
         require_array("x", x, len(self._origin), self.controller.task)
-        if t_x is not None:
+        if isinstance(t_x, float) and t_x == -math.inf:
+            t_x = None  # there is no image yet
+        elif t_x is not None:
             t_x = as_number("t_x of a measurement", t_x, unit="s")
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             memory = memory.copy()
