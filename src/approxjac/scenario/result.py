@@ -117,6 +117,13 @@ class Result:
         return _peak(self.run.tau, self.built.motor_limits)
 
     @property
+    def peak_speed_ratio(self) -> float:
+        """Largest recorded |q̇| as a share of the joint's limit; NaN where no limit is known."""
+        limits = self.built.limits
+        known = self.built.plant.robot.velocity_limits if limits is None else limits.velocity
+        return _peak(self.run.v, np.asarray(known))
+
+    @property
     def joint_limit_excess(self) -> float:
         """Distance of a joint beyond its position limits at most [rad or m]; 0 if none was."""
         return max(0.0, float(beyond_positions(self.built.plant.robot, self.run.q).max()))
@@ -234,7 +241,7 @@ class Result:
             "status_counts": {s.name: n for s, n in run.limit_status_counts().items()},
             "largest_slack_W": known.max() if known.size else None,
             "largest_torque_violation": (np.abs(run.tau) - limits.effort).max().clip(0.0),
-            "peak_speed_ratio": _peak(run.v, np.asarray(limits.velocity)),
+            "peak_speed_ratio": self.peak_speed_ratio,
         }
 
 
