@@ -68,7 +68,6 @@ class BuiltScenario:
         q0: Start, shape (nq,).
         target: x_d, shape (n_x,), or its path.
         limits: Those that the controller keeps, with an entry for each joint; None of unknown ones.
-        motor_limits: Torques that the true motors deliver, shape (n_v,) [N m or N].
         believe: Makes the believed robot from the length that is believed of the object [m].
     """
 
@@ -79,8 +78,13 @@ class BuiltScenario:
     q0: Array
     target: Array | TargetPath
     limits: Limits | None
-    motor_limits: Array
     believe: Callable[[float], Robot]
+
+    @property
+    def motor_limits(self) -> Array:
+        """Torques that the true motors deliver, shape (n_v,) [N m or N]."""
+        limits = self.plant.torque_limits
+        return self.plant.robot.effort_limits if limits is None else limits
 
     def run(
         self,
@@ -153,7 +157,7 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
         controller = TorqueLimited(law, limits, dt=sampling_time(scenario))
     if scenario.controller.unseen is not None:
         controller = HeldMeasurement(controller, scenario.controller.unseen)
-    return BuiltScenario(scenario, plant, controller, law, q0, target, limits, motors, believe)
+    return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
 
 
 def holding(arm: Robot, held: Object, shifts: Vectors, rotations: Vectors) -> Robot:
