@@ -13,7 +13,10 @@ import tempfile
 import time
 
 ROUNDS = 15
-BUILD = "import approxjac as aj; aj.{}(aj.PositionTask(aj.load_robot('panda')))"
+BUILD = (
+    "import approxjac as aj; from approxjac.controllers import {0}; "
+    "{0}(aj.PositionTask(aj.load_robot('panda')))"
+)
 PROGRAMS = {
     "`import pinocchio`": "import pinocchio",
     "`import approxjac`": "import approxjac",
