@@ -1,6 +1,7 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
 from approxjac.controllers.compiled import CompiledSetpointController
+from approxjac.controllers.default_gains import default_gains
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -10,13 +11,14 @@ from approxjac.controllers.gravity import (
     NoGravity,
     RegressorGravity,
 )
+from approxjac.controllers.latency import Latency
 from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.measurement_hold import HeldMeasurement
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
-from approxjac.controllers.tuning import default_adaptation, default_gains
+from approxjac.controllers.tuning import Learning, Tuning, tuned
 from approxjac.controllers.wrapper import ControllerWrapper, law_of
 from approxjac.interface import ContinuousController
 
@@ -30,6 +32,8 @@ __all__ = [
     "Gains",
     "Gravity",
     "HeldMeasurement",
+    "Latency",
+    "Learning",
     "Limiter",
     "Limits",
     "ModelGravity",
@@ -38,7 +42,8 @@ __all__ = [
     "RegressorGravity",
     "SetpointController",
     "TorqueLimited",
-    "default_adaptation",
+    "Tuning",
     "default_gains",
     "law_of",
+    "tuned",
 ]

@@ -11,6 +11,7 @@ from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import Gravity, RegressorGravity
+from approxjac.controllers.latency import Latency
 from approxjac.controllers.machine_code import compiled
 from approxjac.controllers.posture import Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
@@ -67,6 +68,8 @@ class CompiledSetpointController(SetpointController):
         saturation: Saturation | None = None,
         velocity: DifferentiatedVelocity | None = None,
         posture: Posture | None = None,
+        latency: Latency | None = None,
+        settling_time: float | None = None,
     ) -> None:
         super().__init__(
             task,
@@ -75,6 +78,8 @@ class CompiledSetpointController(SetpointController):
             saturation=saturation,
             velocity=velocity,
             posture=posture,
+            latency=latency,
+            settling_time=settling_time,
         )
         for name, given, fits, wanted in (
             ("velocity", velocity, velocity is None, "None: law (5) is not compiled"),
@@ -127,7 +132,7 @@ class CompiledSetpointController(SetpointController):
             # copies, as Numba takes longer with arrays that are read-only
             L, limits = learning.L.copy(), learning.torque_limits.copy()
             alpha, nothing = learning.alpha, np.zeros(n)
-            Z_of = learning.regressor.Z
+            Y_of = learning.Y
         float64, huge, empty, ndarray, hypot = FLOAT64, HUGE, np.empty, np.ndarray, math.hypot
         made, ok, unlimited = tuple.__new__, Status.OK, LimitStatus.UNLIMITED
 
@@ -161,18 +166,18 @@ class CompiledSetpointController(SetpointController):
                     elif learning is None:
                         usual = step(J_hat, v, x, target, bias, constants, torque, e)
                     else:
-                        Z, rate = Z_of(q), empty(p)
+                        Y, rate = Y_of(q, J_hat), empty(p)
                         usual = step(
-                            J_hat, v, x, target, bias, constants, Z, state,
+                            J_hat, v, x, target, bias, constants, Y, state,
                             L, alpha, limits, torque, e, rate,
                         )  # fmt: skip
                 except (TypeError, ValueError):  # not of float64, or beyond what has eigenvalues
                     usual = False
                 if usual:
                     if learning is not None:
-                        g = Z.dot(state)
+                        g = Y.dot(state)
                     if bounds is not None:
-                        rate = law.within_bounds(rate, state, *bounds)
+                        rate = law.within_bounds(rate, state, *bounds, learning.L)
                     # made as Evaluation(...) makes it, in a third of the time
                     return made(Evaluation, (torque, rate, ok, e, J_hat, g, unlimited, 0.0))
             return ordinary(state, measurement, target)

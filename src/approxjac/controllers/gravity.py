@@ -11,7 +11,8 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers.gains import Diagonals
-from approxjac.controllers.tuning import default_adaptation
+from approxjac.controllers.default_gains import slow_rate
+from approxjac.controllers.tuning import Learning
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, short
 from approxjac.robots import GravityRegressor, Robot
@@ -26,6 +27,7 @@ from approxjac.validation import (
     as_number,
     is_scalar,
     require,
+    shape_of,
 )
 
 
@@ -99,22 +101,30 @@ class RegressorGravity(Immutable):
 
 
 class AdaptiveGravity(Immutable):
-    """Z(q) θ̂ with θ̂ learnt by eq. (29).
+    """What a law learns by eq. (29): Z(q) θ̂_g + Ĵᵀd̂ + ŵ, with all of θ̂ = (θ̂_g, d̂, ŵ).
 
-    θ̂ stands still while x is lost, and while the torque of the law is beyond `torque_limits`:
-    what a saturated motor fails to do is no evidence about gravity.
+    Beside the gravity parameters θ_g these are a constant force d on the task, which is integral
+    action with a proof, and constant joint torques w, which take up friction. (28), (29) hold for
+    the regressor Y = [Z, Ĵᵀ, I] with θ = (θ_g, 0, 0), and V̇ = −W with it.
+
+    θ̂ stands still while x is lost, near a singular Ĵ, and while the torque of the law is beyond
+    `torque_limits`: what a saturated motor fails to do is no evidence about gravity.
 
     Args:
         model: The believed robot, or a `GravityRegressor` of it. What it holds
-            changes θ̂(0) only.
-        L: Adaptation gain > 0: a number, a diagonal (p,), or a symmetric positive definite
-            matrix (p, p). None takes that of `default_adaptation`.
-        alpha: α > 0 of eq. (10) [1/s]. None takes that of `default_adaptation`.
-        theta0: θ̂(0), a number or shape (p,); that of the believed robot by default.
-        bounds: Smallest and largest θ, each a number or shape (p,), that θ̂ is kept in by
-            projection (to within one step of dt where control is sampled). Needs a diagonal L.
+            changes θ̂_g(0) only.
+        L: Adaptation gain of θ_g: a number, a diagonal (p,), or a symmetric positive definite
+            matrix (p, p); 0 leaves θ̂_g as it is. None takes that of `tuned`.
+        alpha: α > 0 of eq. (10) [1/s]; by default the rate of the task's slow pole.
+        theta0: θ̂_g(0), a number or shape (p,); that of the believed robot by default.
+        bounds: Smallest and largest θ_g, each a number or shape (p,), that θ̂_g is kept in by
+            projection (to within one step of dt where control is sampled). By default none where
+            L is given, and else those of `tuned`.
         torque_limits: Torques beyond which θ̂ stands still, a number or shape (n_v,) [N m or N];
             the believed robot's effort limits by default, `numpy.inf` for never.
+        task_force: L_d ≥ 0 of d, a number or shape (m,); 0 does not learn it. By default 0 where L
+            is given, and else that of `tuned`.
+        joint_torque: L_w ≥ 0 of w, a number or shape (n_v,), as `task_force`.
 
     Attributes:
         regressor: Z(q) of the believed robot.
@@ -122,8 +132,8 @@ class AdaptiveGravity(Immutable):
         bounds: As two arrays (p,), or None.
 
     Raises:
-        InvalidInputError: Wrong shapes, not finite, L or alpha not positive, bounds that are
-            reversed or do not hold theta0, or bounds with a full matrix L.
+        InvalidInputError: Wrong shapes, not finite, L negative, alpha not positive, or bounds that
+            are reversed or do not hold theta0.
     """
 
     def __init__(
@@ -135,6 +145,9 @@ class AdaptiveGravity(Immutable):
         bounds: tuple[float | Sequence[float] | Array, float | Sequence[float] | Array]
         | None = None,
         torque_limits: float | Sequence[float] | Array | None = None,
+        *,
+        task_force: float | Sequence[float] | Array | None = None,
+        joint_torque: float | Sequence[float] | Array | None = None,
     ) -> None:
         self._remember(locals())
         wanted = "the believed Robot, or a GravityRegressor of it"
@@ -150,6 +163,10 @@ class AdaptiveGravity(Immutable):
         self.bounds = None if bounds is None else self._bounds(bounds)
         limits = self.robot.effort_limits if torque_limits is None else torque_limits
         self.torque_limits = as_limits("torque_limits", limits, self.robot.nv, unit="N m or N")
+        for name, value in (("task_force", task_force), ("joint_torque", joint_torque)):
+            if value is not None:
+                value = as_diagonal(name, value, math.prod(shape_of(value)), positive=False)
+            setattr(self, name, value)
 
     def __repr__(self) -> str:
         shown = [f"{self.robot.name!r}", f"{self.regressor.p} parameters"]
@@ -176,19 +193,64 @@ class AdaptiveGravity(Immutable):
                 raise InvalidInputError(
                     f"bounds must {wanted}, got {lower.tolist()} to {upper.tolist()}", given=bounds
                 )
-        if self.L is not None and self.L.ndim == 2:
-            raise InvalidInputError(
-                "bounds need L to be a number or a diagonal: with a full matrix, keeping one "
-                "parameter back would spoil the others",
-                given=bounds,
-            )
         return lower, upper
+
+    def adaptation(self, task: Task, gains: Diagonals, chosen: Learning | None) -> Adaptation:
+        """Return this with its defaults filled in, for a task, its gains and what `tuned` chose.
+
+        Raises:
+            InvalidInputError: A task force or joint torques of another length.
+        """
+        p, m, nv = self.regressor.p, task.m, self.robot.nv
+        alpha, L = self.alpha, self.L
+        if alpha is None:
+            alpha = slow_rate(task, gains) if chosen is None else chosen.alpha
+        parts: list[Array] = []
+        for name, size in (("task_force", m), ("joint_torque", nv)):
+            given = getattr(self, name)
+            if given is None:
+                given = 0.0 if chosen is None else getattr(chosen, name)
+            given = given[0] if np.size(given) == 1 else given
+            part = as_diagonal(name, given, size, positive=bool(np.any(given)))
+            parts.append(part if part.any() else np.zeros(0))
+        if L is None:
+            assert chosen is not None
+            L = chosen.gravity
+        sizes = (p, len(parts[0]), len(parts[1]))
+        if L.ndim == 1:
+            L = np.concatenate([L, *parts])
+        else:
+            block = np.diag(np.concatenate([np.zeros(p), *parts]))
+            block[:p, :p] = L
+            L = block
+        theta0 = np.concatenate([self.theta0, np.zeros(sum(sizes[1:]))])
+        bounds = None
+        if self.bounds is not None or (chosen is not None and self.L is None):
+            most = np.full(p + m + nv, np.inf) if chosen is None else chosen.largest
+            kinds = np.split(most, [p, p + m])
+            widths = np.concatenate([kind[:size] for kind, size in zip(kinds, sizes, strict=True)])
+            bounds = theta0 - widths, theta0 + widths
+            if self.bounds is not None:
+                for side, given in zip(bounds, self.bounds, strict=True):
+                    side[:p] = given
+        return Adaptation(self.regressor, sizes, L, alpha, theta0, bounds, self.torque_limits)
 
 
 class Adaptation(NamedTuple):
-    """An `AdaptiveGravity` with its defaults filled in, for one task and its gains."""
+    """An `AdaptiveGravity` with its defaults filled in, for one task and its gains.
+
+    Attributes:
+        regressor: Z(q) of the believed robot.
+        sizes: Numbers of gravity parameters, of task forces and of joint torques that are learnt.
+        L: Of all parameters, a diagonal (P,) or a matrix (P, P).
+        alpha: α [1/s].
+        theta0: θ̂(0), shape (P,).
+        bounds: Smallest and largest θ, each shape (P,), or None.
+        torque_limits: Torques beyond which θ̂ stands still, shape (n_v,).
+    """
 
     regressor: GravityRegressor
+    sizes: tuple[int, int, int]
     L: Array
     alpha: float
     theta0: Array
@@ -199,6 +261,25 @@ class Adaptation(NamedTuple):
         L = short(self.L) if self.L.ndim == 1 else "a matrix"
         return f"Adaptation({self.regressor.robot.name!r}, L={L}, alpha={self.alpha:.4g})"
 
+    @property
+    def robot(self) -> Robot:
+        """The believed robot."""
+        return self.regressor.robot
+
+    def Y(self, q: Array, J_hat: Array) -> Array:
+        """Return Y = [Z, Ĵᵀ, I], without what is not learnt, shape (n_v, P)."""
+        Z = self.regressor.Z(q)
+        _, forces, torques = self.sizes
+        if not (forces or torques):
+            return Z
+        parts = [Z, J_hat.T] if forces else [Z]
+        return np.concatenate([*parts, np.eye(torques)] if torques else parts, axis=1)
+
+    def fit(self, robot: Robot) -> tuple[Array, float]:
+        """Return θ = (θ_g, 0, 0) of a true robot (P,), and what is left of gravity: its share."""
+        theta, left = self.regressor.fit(robot)
+        return np.concatenate([theta, np.zeros(sum(self.sizes[1:]))]), left
+
     def rests(self, torque: Array) -> bool:
         """Return whether any torque (n_v,) is beyond its limit, where θ̂ stands still."""
         share = torque / self.torque_limits
@@ -206,44 +287,29 @@ class Adaptation(NamedTuple):
         return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)
 
 
-Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity
+Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity | Adaptation
 
 
-def believed_gravity(
-    gravity: Gravity | None, task: Task, gains: Diagonals
-) -> tuple[Gravity, Adaptation | None]:
-    """Return a source of gravity torque, by default the model of a task's robot, and what learns.
-
-    Raises:
-        InvalidInputError: No source of gravity torque, or gravity of a robot with other joints.
-    """
-    robot = task.robot
-    if gravity is None:
-        return ModelGravity(robot), None
+def require_gravity(gravity: Gravity, task: Task) -> None:
+    """Refuse what is no source of gravity torque, or one of a robot with other joints."""
     wanted = (
         "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity, such as "
         "AdaptiveGravity(belief)"
     )
     require("gravity", gravity, get_args(Gravity), wanted)
+    robot = task.robot
     if gravity.robot.joint_names != robot.joint_names:
         raise InvalidInputError(
             f"gravity must be that of a robot with the joints of the task's robot "
             f"({', '.join(robot.joint_names)}), got {gravity.robot!r}",
             given=gravity,
         )
-    if not isinstance(gravity, AdaptiveGravity):
-        return gravity, None
-    L, alpha, regressor = gravity.L, gravity.alpha, gravity.regressor
-    if L is None or alpha is None:
-        usual, alpha = default_adaptation(task, gains, regressor, alpha)
-        L = usual if L is None else L
-    theta0, bounds, limits = gravity.theta0, gravity.bounds, gravity.torque_limits
-    return gravity, Adaptation(regressor, L, alpha, theta0, bounds, limits)
 
 
 def _adaptation_gain(L: Any, p: int) -> Array:
     if is_scalar(L) or all(is_scalar(row) for row in L):
-        return as_diagonal("L", L, p)
+        diagonal = as_diagonal("L", L, p, positive=False)
+        return diagonal if not diagonal.any() else as_diagonal("L", L, p)
     matrix = as_array("L", L, (p, p))
     as_diagonal("L", np.abs(matrix).max(), p)  # not beyond what gains may be
     asymmetry = np.abs(matrix - matrix.T).max()

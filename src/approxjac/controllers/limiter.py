@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from approxjac.controllers.gravity import AdaptiveGravity
 from approxjac.controllers.limits import Limits, rate_bounds
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.wrapper import ControllerWrapper
@@ -78,8 +77,8 @@ class Limiter(ControllerWrapper):
         if controller.adaptation is not None:
             # the limiter decides when learning rests
             always = controller.adaptation._replace(torque_limits=np.full(robot.nv, np.inf))
-            self._law = controller.with_gravity(AdaptiveGravity(*always))
-            self._p = always.regressor.p
+            self._law = controller.with_gravity(always)
+            self._p = len(always.theta0)
         self._upper = np.asarray(self.limits.effort)
         self._lower = -self._upper
         self._rate = np.asarray(self.limits.rate)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -13,13 +13,21 @@ import pinocchio as pin
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, require_arrays
 from approxjac.controllers.gains import Gains
-from approxjac.controllers.gravity import AdaptiveGravity, Gravity, believed_gravity
+from approxjac.controllers.gravity import (
+    Adaptation,
+    AdaptiveGravity,
+    Gravity,
+    ModelGravity,
+    require_gravity,
+)
+from approxjac.controllers.latency import Latency
 from approxjac.controllers.posture import Posture, within_null_space
 from approxjac.controllers.saturation import require_saturation
-from approxjac.controllers.tuning import default_gains, slow_rate
+from approxjac.controllers.default_gains import slow_rate
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import ContinuousController, Evaluation, Measurement, Status, Target
-from approxjac.law import Linear, Saturation
+from approxjac.controllers.tuning import Tuning, tuned
+from approxjac.law import Linear, Saturation, Tanh
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import uncombined, vanishing
 from approxjac.validation import Array, Immutable, as_number, as_vector, require
@@ -58,18 +66,23 @@ class SetpointController(Immutable):
 
     Attributes:
         dt: None: any sampling time will do.
+        tuning: What `tuned` chose, and why; None if gains and learning are given.
         adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
 
     Args:
         task: The task of the believed robot.
-        gains: K_p, K_v and the added joint damping; `default_gains(task)` by default.
+        gains: K_p, K_v and the added joint damping; those of `tuned` by default.
         gravity: Where the gravity torque comes from; the believed robot's own model by default.
             `NoGravity` is for robots that compensate it themselves, `AdaptiveGravity` makes this
             the law (28), (29).
-        saturation: s(e), any `law.Saturation`; s(e) = e by default.
+        saturation: s(e), any `law.Saturation`. By default the tanh of `tuned` where gains are its
+            own, too, and s(e) = e where they are given.
         velocity: None for the paper's estimated task velocity Ĵq̇, law (6); or
             `DifferentiatedVelocity`, law (5).
         posture: Where the self-motion of a redundant arm is drawn to; nowhere by default.
+        latency: Of the loop, for `tuned`; by default that of 1 kHz with ideal sensors.
+        settling_time: Wanted, for `tuned`: the one number that makes all of it slower or faster
+            [s]; by default as fast as inertia, motors and latency allow.
 
     Raises:
         InvalidInputError: Gains of the wrong shape, a saturation that is no `law.Saturation`, no
@@ -89,6 +102,8 @@ class SetpointController(Immutable):
         saturation: Saturation | None = None,
         velocity: DifferentiatedVelocity | None = None,
         posture: Posture | None = None,
+        latency: Latency | None = None,
+        settling_time: float | None = None,
     ) -> None:
         self._remember(locals())
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
@@ -96,14 +111,22 @@ class SetpointController(Immutable):
             ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),
             ("velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"),
             ("posture", posture, Posture, "Posture(q, stiffness) or None"),
+            ("latency", latency, Latency, "Latency(period=...) or None"),
         ):
             if value is not None:
                 require(name, value, kind, wanted)
         robot = task.robot
         self.task = task
-        self.gains = default_gains(task) if gains is None else gains
-        self.saturation: Saturation = Linear() if saturation is None else saturation
+        self.gravity: Gravity = ModelGravity(robot) if gravity is None else gravity
+        require_gravity(self.gravity, task)
         self.velocity = velocity
+        self.tuning = self._tuned(gains, latency, settling_time)
+        if gains is None:
+            assert self.tuning is not None
+            gains = self.tuning.gains
+            saturation = Tanh(self.tuning.gamma) if saturation is None else saturation
+        self.gains = gains
+        self.saturation: Saturation = Linear() if saturation is None else saturation
         self.posture = posture
         self.diagonals = self.gains.diagonals(task.m, robot.nv)
         require_saturation(self.saturation, task)
@@ -119,8 +142,12 @@ class SetpointController(Immutable):
                 f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
                 given=velocity,
             )
-        self.gravity, self.adaptation = believed_gravity(gravity, task, self.diagonals)
-        self._p = 0 if self.adaptation is None else self.adaptation.regressor.p
+        learning = self.gravity
+        if isinstance(learning, AdaptiveGravity):
+            chosen = None if self.tuning is None else self.tuning.learning
+            learning = learning.adaptation(task, self.diagonals, chosen)
+        self.adaptation = learning if isinstance(learning, Adaptation) else None
+        self._p = 0 if self.adaptation is None else len(self.adaptation.theta0)
         # as arrays, which NumPy takes in two thirds of the time of numbers
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
@@ -135,6 +162,24 @@ class SetpointController(Immutable):
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (self._n_state,)
         self._no_rate = np.zeros(self._n_state)
         self._no_rate.flags.writeable = False
+
+    def _tuned(
+        self, gains: Gains | None, latency: Latency | None, settling_time: float | None
+    ) -> Tuning | None:
+        """Return what the rule chooses of gains, saturation and learning; None of nothing."""
+        gravity, alpha, regressor = self.gravity, None, None
+        if isinstance(gravity, AdaptiveGravity) and gravity.L is None:
+            alpha, regressor = gravity.alpha, gravity.regressor
+        if gains is not None and regressor is None:
+            return None
+        if self.velocity is not None:  # damping of law (5) acts as late as x tells Ẋ
+            latency = Latency() if latency is None else latency
+            lag = latency.image_age + 0.5 * latency.image_period + self.velocity.time_constant
+            latency = replace(latency, velocity_filter=latency.velocity_filter + lag)
+        return tuned(
+            self.task, latency, settling_time=settling_time, regressor=regressor, gains=gains,
+            alpha=alpha,
+        )  # fmt: skip
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first evaluation: θ̂(0), and the first measured x for law (5).
@@ -244,16 +289,17 @@ class SetpointController(Immutable):
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
         if self.adaptation is not None:
-            return law.gravity(self.adaptation.regressor.Z(q), state[: self._p])
+            Y = self.adaptation.Y(q, self.task.jacobian(q))
+            return law.gravity(Y, state[: self._p])
         return self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
 
     def with_gains(self, gains: Gains) -> Self:
-        """Return this controller with other gains."""
-        return self._rebuilt(gains=gains)
+        """Return this controller with other gains; what it learns, and how fast, stays."""
+        return self._with(gains=gains)
 
     def with_gravity(self, gravity: Gravity) -> Self:
-        """Return this controller with another source of gravity."""
-        return self._rebuilt(gravity=gravity)
+        """Return this controller with another source of gravity, and the gains that it has."""
+        return self._with(gravity=gravity)
 
     def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.
@@ -263,9 +309,13 @@ class SetpointController(Immutable):
         Args:
             task: A task with the same coordinates, of a robot with the same joints.
         """
-        learning = self.adaptation
-        gravity = self.gravity if learning is None else AdaptiveGravity(*learning)
-        return self._rebuilt(task=task, gains=self.gains, gravity=gravity)
+        return self._with(task=task)
+
+    def _with(self, **changes: Any) -> Self:
+        """Return this controller with what it has, chosen by the rule or given, but for changes."""
+        gravity = self.gravity if self.adaptation is None else self.adaptation
+        has = {"gains": self.gains, "saturation": self.saturation, "gravity": gravity}
+        return self._rebuilt(**has | changes)
 
     def evaluate(
         self, state: Array, measurement: Measurement, target: Target | Array
@@ -346,8 +396,8 @@ class SetpointController(Immutable):
         else:
             w, damped = law.damped_gram_solve(G, s, scale=self._scale)
             singular = damped > 0.0
-            Z = learning.regressor.Z(q)
-            g = law.gravity(Z, state[: self._p])  # with it, (6) below is (28)
+            Y = learning.Y(q, J_hat)
+            g = law.gravity(Y, state[: self._p])  # with it, (6) below is (28)
         bias = g
         if self._pull is not None:
             bias = bias + self._pull_within_null_space(q, J_hat, G, *self._pull)
@@ -373,10 +423,12 @@ class SetpointController(Immutable):
             status = _SINGULAR
         if learning is not None and not lost and status is not _SATURATED:
             y = law.passive_output(v, w.dot(J_hat), self._alpha)
-            theta_rate = law.theta_hat_rate(learning.L, Z, y)
+            theta_rate = law.theta_hat_rate(learning.L, Y, y)
             if learning.bounds is not None:
                 theta_hat = state[: self._p]
-                theta_rate = law.within_bounds(theta_rate, theta_hat, *learning.bounds)
+                theta_rate = law.within_bounds(
+                    theta_rate, theta_hat, *learning.bounds, learning.L
+                )
             rate = theta_rate if self.velocity is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g)
 

@@ -19,7 +19,7 @@ from approxjac.controllers.limits import (
 from approxjac.controllers.qp_solvers import as_solver
 from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.tuning import usual_inertias
+from approxjac.controllers.usual_postures import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.robots import Dynamics

@@ -1,181 +1,367 @@
-"""Default gains, from the believed arm's own inertia and a wanted settling time."""
+"""`tuned`: one rule for gains, saturation and learning, from inertia, motors and latency."""
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from approxjac import law
+from approxjac.controllers.default_gains import SETTLED, default_gains
 from approxjac.controllers.gains import Diagonals, Gains
-from approxjac.errors import InvalidInputError
+from approxjac.controllers.latency import Latency
+from approxjac.controllers.usual_postures import usual_postures
+from approxjac.formatting import short
 from approxjac.robots import Dynamics, GravityRegressor, Robot
+from approxjac.robots.joint_limits import reach_bound
+from approxjac.robots.urdf_edit import direction
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import seen_configurations
-from approxjac.validation import Array, as_number, require
+from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.validation import Array, as_number
 
-_CONFIGURATIONS = 100
-_SETTLED = 4.0  # time constants until 2 % are left
-_SINGULAR = 1e-6  # σ_min/σ_max that counts as no rank
-_REGULAR = 0.05  # configurations with σ_min below this share of σ_max are left out
-_DAMPING_SHARE = 0.03
-_LEARNING_SPEED = 3.0
-_FASTEST_LEARNING = 10.0
-_NO_DAMPING = 1e-9  # instead of none, which would divide by zero
-_NO_TIME = 1e-50  # settling times below it have gains that overflow [s]
+_RATES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # [1/s]
+_LAG = 0.3  # rate times lag of x at most: a quarter of what makes a delayed integrator ring
+_SHARES = (1.0, 0.7, 0.49, 0.34, 0.24, 0.17, 0.12)  # of the learning that inertia alone allows
+_FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}  # errors that count as none
+_TORQUE, _HOLDABLE, _SPEED = 0.75, 0.7, 0.9  # shares of the limits
+_RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt slowly
+_MARGIN = 1.5  # gains and learning may be larger by it
+_DAMPED = 0.15  # least damping ratio, in nine of ten cases
+_CHECKED = 20  # postures
+_TOOL = 0.18  # length of a tool that nobody told of, as a share of the arm's reach
+_LIGHTER, _HEAVIER = 0.7, 1.3  # true inertia as a multiple of the believed one
+_IDEAL = 1e-4  # period of a loop without latency [s]
+_ROUND_OFF = 1e-7  # of multipliers
+_STILL = 1e-3  # slower modes, as a share of the rate, are self-motion and what no joint feels
+
+Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
-def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 1000.0) -> Gains:
-    """Return gains with which the believed arm settles to 2 % in about `settling_time`.
+class Learning(NamedTuple):
+    """How fast to learn what of θ̂ = (θ_g, d, w), and how far.
 
-    With r = 4 / settling_time, Λ the inertia that the arm shows to a force along a task
-    coordinate, 1 / (Ĵ M⁻¹ Ĵᵀ)ᵢᵢ, and M its inertia matrix, each the median over configurations
-    within the joint limits (seeded, without those that are singular or out of a camera's view):
+    Attributes:
+        alpha: α of eq. (10) [1/s].
+        gravity: L of the gravity parameters, shape (p, p).
+        task_force: L_d, diagonal, shape (m,).
+        joint_torque: L_w, diagonal, shape (n_v,).
+        largest: How far each parameter may be from where it began, shape (p + m + n_v,).
+    """
 
-        K_v = 4 r Λ,   B_c = r Mᵢᵢ + b,   b = 0.03 λ_max[Ĵᵀ K_v Ĵ],   K_p = r (K_v + K_b),
+    alpha: float
+    gravity: Array
+    task_force: Array
+    joint_torque: Array
+    largest: Array
 
-    with K_b = 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ what B_c adds to the damping along a coordinate. So the slow
-    pole of Λë + (K_v + K_b) ė + K_p e = 0 is at about −r. Coordinates of one unit get the same
-    gain, so the rule has no favourite axis and orientation keeps its potential; those of an
-    orientation get K_v ≥ 2 b.
 
-    The added damping lets condition (21) hold: it asks for λ_min[ĴᵀK_vĴ + B] > 0, and along a
-    self-motion that is B alone. Its first term makes a self-motion decay like exp(−r t). The
-    second keeps the wrist quiet when a tool is longer than believed: Ĵ has no lever there
-    and K_v no effect, while the error feels the tool's.
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """Gains, saturation and learning that were chosen for a task, and why.
 
-    Damping that acts faster than it is computed turns into its opposite. So K_v (and K_p with it)
-    of each unit and B_c of each joint are reduced to where λ_max[M⁻¹ĴᵀK_vĴ] and (M⁻¹)ᵢᵢ B_c, each
-    taken alone, are at most half of `bandwidth`.
+    Attributes:
+        gains: K_p, K_v, B_c.
+        gamma: Saturation γ of tanh, shape (m,) [unit of the task].
+        learning: L, L_d, L_w, α and bounds; None where nothing is learnt.
+        latency: The loop that it was chosen for.
+        rate: r, rate of the task's slow pole [1/s].
+        share: π, the share of the fastest learning.
+        stable: Whether the check by the sampled, delayed linearisation passed.
+        reasons: What decided, a line each.
+    """
+
+    gains: Gains
+    gamma: Array
+    learning: Learning | None
+    latency: Latency
+    rate: float
+    share: float
+    stable: bool
+    reasons: tuple[str, ...]
+
+
+class _Arm:
+    """The believed arm at its usual postures, with what the rule needs of it."""
+
+    def __init__(self, task: Task, regressor: GravityRegressor | None) -> None:
+        robot = task.robot
+        self.task, self.robot = task, robot
+        self.postures = usual_postures(task)
+        q = self.postures.q
+        self.g = np.array([*map(Dynamics(robot).g, q)])
+        self.Z = None if regressor is None else np.array([*map(regressor.Z, q)])
+        x = [task.value(each) for each in q]
+        between = np.array([task.error(a, b) for a, b in zip(x, [*x[1:], x[0]], strict=True)])
+        self.distance = [
+            float(np.median(np.linalg.norm(between[:, group], axis=1)))
+            for group in self.postures.groups
+        ]
+
+    @functools.cached_property
+    def with_tool(self) -> Array:
+        """Jacobians of the arm with a tool that nobody told of at its tip, shape (k, m, n_v)."""
+        task = self.task.on(_with_tool(self.robot))
+        return np.array([task.jacobian(q) for q in self.postures.q[:_CHECKED]])
+
+    def motion(self, gains: Diagonals) -> tuple[Array, Array, Array]:
+        """Return D = ĴᵀK_vĴ + B_c and ĴᵀK_p at each posture, and α."""
+        J, (kp, kv, damping) = self.postures.J_hat, gains
+        D = np.swapaxes(J, 1, 2) * kv @ J + np.diag(damping)
+        alpha = (kp / (kv + self.postures.felt_damping(damping))).min()
+        return D, np.swapaxes(J, 1, 2) * kp, alpha
+
+    def saturation(self, gains: Diagonals) -> tuple[Array, list[str]]:
+        """Return γ (m,), which keeps torques and speeds within their limits, and what decided."""
+        D, force, _ = self.motion(gains)
+        effort, fastest = self.robot.effort_limits, self.robot.velocity_limits
+        speed = np.linalg.solve(D, force)
+        holdable = (np.abs(self.g) <= _HOLDABLE * effort).all(axis=1)
+        at = holdable if holdable.any() else np.ones_like(holdable)
+        left = np.maximum(_TORQUE * effort - np.abs(self.g[at]), (1.0 - _HOLDABLE) * effort)
+        gamma, why = np.empty(self.task.m), []
+        for group, distance in zip(self.postures.groups, self.distance, strict=True):
+            with np.errstate(divide="ignore"):
+                motors = (left / np.linalg.norm(force[at][:, :, group], axis=2)).min(axis=1)
+                speeds = (_SPEED * fastest / np.linalg.norm(speed[:, :, group], axis=2)).min(axis=1)
+            candidates = {
+                "an eighth of a usual distance": distance / 8.0,
+                "the motors": float(np.quantile(motors, 0.25)) / len(self.distance),
+                "the joints' speeds": float(np.median(speeds)) / len(self.distance),
+            }
+            decides = min(candidates, key=candidates.__getitem__)
+            gamma[group] = candidates[decides]
+            why.append(decides)
+        return gamma, why
+
+    def time(self, gamma: Array, rate: float, alpha: float) -> float:
+        """Return the time that a usual distance takes until hardly any error is left [s]."""
+        times = []
+        for group, distance in zip(self.postures.groups, self.distance, strict=True):
+            unit, g = np.array(self.task.units)[group][0], float(gamma[group][0])
+            fine = min(_FINE.get(unit, math.inf), 0.01 * distance)
+            far = max(0.0, distance - g) / (alpha * g)
+            times.append(far + 2.0 * math.log(max(g / fine, 1.0)) / rate)
+        return max(times)
+
+    def learning(self, gains: Diagonals, share: float, alpha: float | None) -> Learning:
+        """Return learning that is a share π of the fastest."""
+        assert self.Z is not None
+        D, _, slow = self.motion(gains)
+        J, Z = self.postures.J_hat, self.Z
+        # W = D⁻¹ M D⁻¹: learning at a rate P and motion make an oscillator, damped where WP is
+        # small. Its root turns products into symmetric matrices.
+        root = np.linalg.solve(D, np.linalg.cholesky(self.postures.M))
+
+        def largest(P: Array) -> float:
+            values = np.linalg.eigvalsh(np.swapaxes(root, 1, 2) @ P @ root)[:, -1]
+            return float(np.quantile(values, 0.95))
+
+        task_force = 0.5 * gains.kp
+        most = 0.6 * max(share, 0.35)
+        task_force *= min(1.0, most / largest(np.swapaxes(J, 1, 2) * task_force @ J))
+        felt = np.swapaxes(root, 1, 2) @ Z
+        C = np.mean(np.swapaxes(felt, 1, 2) @ felt, axis=0)
+        diagonal = np.diag(C)
+        S = 1.0 / np.sqrt(np.maximum(diagonal, 1e-8 * diagonal.max()))
+        metric = S[:, None] * C * S + _RIDGE * np.eye(len(S))
+        L = S[:, None] * np.linalg.inv(metric) * S
+        L *= 0.5 * share / largest(Z @ L @ np.swapaxes(Z, 1, 2))
+        own = np.median(np.diagonal(self.postures.M, axis1=1, axis2=2), axis=0)
+        joint_torque = 0.25 * gains.damping**2 / own
+        joint_torque *= min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
+        return Learning(
+            float(slow) if alpha is None else alpha,
+            0.5 * (L + L.T),
+            task_force,
+            joint_torque,
+            self._largest(),
+        )
+
+    def _largest(self) -> Array:
+        """Return how large each parameter is whose torque alone is what a motor has, RMS."""
+        assert self.Z is not None
+        Y = np.concatenate([self.Z, np.swapaxes(self.postures.J_hat, 1, 2)], axis=2)
+        usual = np.sqrt((Y**2).mean(axis=0))
+        effort = self.robot.effort_limits
+        with np.errstate(divide="ignore"):
+            known = (effort[:, None] / usual).min(axis=0)
+        return np.concatenate([known, effort])
+
+    def cases(self, gains: Diagonals, learning: Learning | None) -> law.LinearLaw:
+        """Return the linearised loop at some postures, of arms that differ from the believed."""
+        J_hat = self.postures.J_hat[:_CHECKED]
+        M_inv = self.postures.M_inv[:_CHECKED]
+        D, force, _ = self.motion(gains)
+        D, force = D[:_CHECKED], force[:_CHECKED]
+        J_hat_T = np.swapaxes(J_hat, 1, 2)
+        rate, pull = np.zeros_like(D), np.zeros_like(J_hat_T)
+        if learning is not None:
+            assert self.Z is not None
+            Z = self.Z[:_CHECKED]
+            rate = Z @ learning.gravity @ np.swapaxes(Z, 1, 2)
+            rate = rate + J_hat_T * learning.task_force @ J_hat + np.diag(learning.joint_torque)
+            pull = learning.alpha * np.linalg.pinv(J_hat)
+        truths = [
+            (M_inv / heavier, J)
+            for J, heavy in ((J_hat, 1.0), (self.with_tool, _HEAVIER))
+            for heavier in (heavy, _LIGHTER)
+        ]
+        each = [(M, J, force, D, rate, pull) for M, J in truths]
+        return law.LinearLaw(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
+
+    def curable(self, gains: Diagonals, learning: Learning | None) -> Flags:
+        """Return in which cases a loop without latency is stable, where latency is what counts.
+
+        In others the believed Jacobian is too far from the true one for any gains.
+        """
+        multipliers = np.linalg.eigvals(law.frame_map(self.cases(gains, learning), _IDEAL, 1, 0))
+        return np.asarray(np.abs(multipliers).max(axis=1) <= 1.0 + _ROUND_OFF)
+
+    def passes(
+        self, gains: Diagonals, learning: Learning | None, latency: Latency, counted: Flags
+    ) -> bool:
+        """Return whether the sampled, delayed linearisation is stable with a margin, and damped."""
+        loop = law.LinearLaw(*(part[counted] for part in self.cases(gains, learning)))
+        dt, samples, age, late = _timing(latency)
+        timing = (dt, samples, age, late, latency.velocity_filter)
+        larger = loop._replace(
+            stiffness=_MARGIN * loop.stiffness,
+            damping=_MARGIN * loop.damping,
+            learning=_MARGIN * loop.learning,
+        )
+        multipliers, more = (np.linalg.eigvals(law.frame_map(each, *timing)) for each in (loop, larger))
+        if not counted.any() or max(np.abs(multipliers).max(), np.abs(more).max()) > 1.0 + _ROUND_OFF:
+            return False
+        with np.errstate(divide="ignore"):
+            poles = np.log(multipliers.astype(complex)) / (samples * dt)
+        size = np.abs(poles)
+        slowest = _STILL * float((gains.kp / gains.kv).min())
+        slow = (size > slowest) & (size < 2.3 / latency.of_position)
+        ratios = np.where(slow, -poles.real / np.maximum(size, 1e-300), 1.0)
+        return float(np.quantile(ratios.min(axis=1), 0.1)) >= _DAMPED
+
+
+def tuned(
+    task: Task,
+    latency: Latency | None = None,
+    *,
+    settling_time: float | None = None,
+    regressor: GravityRegressor | None = None,
+    gains: Gains | None = None,
+    alpha: float | None = None,
+) -> Tuning:
+    """Return gains, saturation and learning with which an arm reaches targets fast, and safely.
+
+    With D = ĴᵀK_vĴ + B_c, W = D⁻¹MD⁻¹, π a share from 1 down, and quantiles over usual postures:
+
+    1. r, of ten rates from 1.5 to 8 1/s that are at most 0.3 over the lag of x, the one with which
+       a usual distance takes least time. Gains are `default_gains` of the settling time 4/r, with
+       the bandwidth that the lag of q̇ leaves; α is the rate of the slow pole.
+    2. γ, so that the position force asks for at most 75 % of the motors beside gravity, and for
+       90 % of the joints' speeds, and is at most an eighth of a usual distance.
+    3. L_d = ½K_p, reduced where λ_max(W ĴᵀL_dĴ) > 0.6 max(π, 0.35); L = k S(SCS + 0.03 I)⁻¹S with
+       C the mean of ZᵀWZ, S = diag(C)^−½ and k such that λ_max(W Z L Zᵀ) = π/2;
+       L_w = ¼B_c²/Mⱼⱼ, reduced where λ_max(W L_w) > π/2.
+    4. The check: the loop's sampled, delayed linearisation at twenty postures, of arms that are
+       lighter and heavier than believed and hold a tool that nobody told of, is stable with one
+       and a half times all of these, and in nine of ten cases its damping ratio is at least 0.15.
+       If not, π is reduced, and then r.
 
     Args:
         task: The task of the believed robot.
-        settling_time: > 0 [s].
-        bandwidth: How fast damping may be > 0 [1/s]: 1/dt where control is sampled with an exact q̇,
-            1/(dt + T) with a q̇ that is filtered with the time constant T.
+        latency: Of the loop; by default that of 1 kHz with ideal sensors.
+        settling_time: Wanted [s]; 4/r by default. Slower where the check asks for it.
+        regressor: Of the gravity that is to be learnt; None learns nothing.
+        gains: Gains that are given: then learning alone is chosen for them.
+        alpha: α, if it is given [1/s].
 
     Raises:
-        InvalidInputError: Numbers that are not positive, or a task that is singular in every
-            configuration.
+        InvalidInputError: As `default_gains`.
     """
-    require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
-    rate = _SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
-    fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
-    configurations, jacobians = _regular_configurations(task)
-    inertias = np.array([*map(Dynamics(task.robot).M, configurations)])
-    inverses = np.linalg.inv(inertias)
-    mobility = jacobians @ inverses @ np.swapaxes(jacobians, 1, 2)
-    inertia = np.median(1.0 / np.diagonal(mobility, axis1=1, axis2=2), axis=0)
-    angles, groups = np.array(task.units) == "rad", _groups(task)
-    kv = np.empty(task.m)
-    for group in groups:
-        kv[group] = 4.0 * rate * inertia[group].mean()
-    largest = np.linalg.norm(jacobians * np.sqrt(kv)[:, None], 2, axis=(1, 2)) ** 2
-    quieting = _DAMPING_SHARE * float(np.median(largest))
-    kv[angles] = np.maximum(kv[angles], 2.0 * quieting)
-    for group in groups:
-        # M⁻¹JᵀK_vJ has the eigenvalues of K_v times the mobility
-        fastest_mode = np.linalg.norm(mobility[:, group][:, :, group], 2, axis=(1, 2)).max()
-        kv[group] = np.minimum(kv[group], fastest / fastest_mode)
-    damping = rate * np.median(np.diagonal(inertias, axis1=1, axis2=2), axis=0) + quieting
-    most = fastest / np.diagonal(inverses, axis1=1, axis2=2).max(axis=0)
-    damping = np.minimum(damping, most)
-    kp = rate * (kv + _felt_damping(task, damping, jacobians))
-    return Gains(kp=kp, kv=kv, damping=damping)
+    latency = Latency() if latency is None else latency
+    arm, m, nv = _Arm(task, regressor), task.m, task.robot.nv
+    candidates, why_rate = _candidates(arm, latency, settling_time, gains)
+    tried: Tuning | None = None
+    for rate, chosen in candidates:
+        diagonals = chosen.diagonals(m, nv)
+        gamma, why_gamma = arm.saturation(diagonals)
+        reasons = (why_rate, *(f"gamma by {why}" for why in dict.fromkeys(why_gamma)))
+        shares = (0.0,) if regressor is None else _SHARES
+
+        def tuning(share: float, stable: bool) -> Tuning:
+            learning = None if regressor is None else arm.learning(diagonals, share, alpha)
+            return Tuning(chosen, gamma, learning, latency, rate, share, stable, reasons)
+
+        slowest = tuning(shares[-1], stable=True)
+        counted = arm.curable(diagonals, slowest.learning)
+        if not arm.passes(diagonals, slowest.learning, latency, counted):
+            tried = tuning(shares[-1], stable=False)
+            continue  # no faster learning will do
+        for share in shares[:-1]:
+            faster = tuning(share, stable=True)
+            if arm.passes(diagonals, faster.learning, latency, counted):
+                return faster
+        return slowest
+    assert tried is not None
+    return tried
 
 
-def position_gains(task: Task, kv: Array, damping: Array, settling_time: float) -> Array:
-    """Return K_p of `default_gains` for a K_v (m,) and a B_c (n_v,) of one's own, shape (m,)."""
-    _, jacobians = _regular_configurations(task)
-    return _SETTLED / settling_time * (kv + _felt_damping(task, damping, jacobians))
+def _candidates(
+    arm: _Arm, latency: Latency, settling_time: float | None, gains: Gains | None
+) -> tuple[Iterator[tuple[float, Gains]], str]:
+    """Return rates with their gains, each slower than the one before, and what decided."""
+    m, nv = arm.task.m, arm.robot.nv
+    if gains is not None:
+        _, _, alpha = arm.motion(gains.diagonals(m, nv))
+        return iter([(float(alpha), gains)]), "gains that were given"
+
+    @functools.cache
+    def of_rate(rate: float) -> Gains:
+        return default_gains(arm.task, SETTLED / rate, 1.0 / latency.of_velocity)
+
+    def time(rate: float) -> float:
+        diagonals = of_rate(rate).diagonals(m, nv)
+        gamma, _ = arm.saturation(diagonals)
+        return arm.time(gamma, rate, float(arm.motion(diagonals)[2]))
+
+    if settling_time is not None:
+        first = SETTLED / as_number("settling_time", settling_time, unit="s", above=0.0)
+        why = f"settling time {settling_time:g} s as asked"
+    else:
+        most = _LAG / latency.of_position
+        allowed = [rate for rate in _RATES if rate <= most] or [most]
+        first = min(allowed, key=time)
+        why = f"settling time {SETTLED / first:.3g} s: a usual reach takes {time(first):.3g} s"
+        if first == allowed[-1] and allowed[-1] < _RATES[-1]:
+            why += f", and x is {1e3 * latency.of_position:.3g} ms late"
+    return ((0.8**k * first, of_rate(0.8**k * first)) for k in range(12)), why
 
 
-def default_adaptation(
-    task: Task, gains: Diagonals, regressor: GravityRegressor, alpha: float | None = None
-) -> tuple[Array, float]:
-    """Return L and α for learning gravity about as fast as the gains let the task settle.
+def _timing(latency: Latency) -> tuple[float, int, int, int]:
+    """Return time of a sample, samples between frames of x, age of x, and lateness of torques.
 
-    α is the rate of the task's slow pole, min k_p / (k_v + K_b) with the K_b of `default_gains`.
-    L = k D with D = 1/mean(‖Zᵢ‖²), so that every parameter counts by the torque it makes, and k
-    such that near the target, where the position force makes up for what gravity compensation
-    lacks, that lack dies out with three times that rate where it does so fastest (the median over
-    configurations).
-
-    Learning a parameter and the motion of the joints that it acts on make an oscillator of
-    frequency ω² = Lᵢ Zᵢᵀ M⁻¹ Zᵢ. An entry of L is reduced to where ω is at most ten times the rate
-    of the slow pole in every configuration, or a light wrist would be shaken by what is learnt.
-
-    Args:
-        task: The task of the believed robot.
-        gains: Its gains.
-        regressor: Gravity regressor of the believed robot.
-        alpha: α if it is chosen already [1/s].
-
-    Returns:
-        The diagonal of L, shape (p,), and α [1/s].
+    The last two in samples. Long delays are counted in longer samples than those of control.
     """
-    configurations, J = _regular_configurations(task)
-    slow = slow_rate(task, gains, J)
-    alpha = slow if alpha is None else alpha
-    inertias = np.array([*map(Dynamics(task.robot).M, configurations)])
-    Z = np.array([*map(regressor.Z, configurations)])
-    D = 1.0 / np.mean((Z * Z).sum(axis=1), axis=0)
-    # e = K_p⁻¹ Ĵ⁺ᵀ Z Δθ at rest, and Δθ̇ = −L Zᵀ α Ĵ⁺ e
-    A = np.linalg.solve(J @ np.swapaxes(J, 1, 2), J) @ Z
-    learning = alpha * np.swapaxes(A * D, 1, 2) @ (A / gains.kp[:, None])
-    rates = np.linalg.eigvals(learning).real.max(axis=1)
-    accelerations = (Z * np.linalg.solve(inertias, Z)).sum(axis=1)
-    L = _LEARNING_SPEED * slow / float(np.median(rates)) * D
-    return np.minimum(L, (_FASTEST_LEARNING * slow) ** 2 / accelerations.max(axis=0)), alpha
+    dt = max(latency.period, 0.25 * latency.torque_delay)
+    frame = latency.image_period or max(dt, 0.25 * latency.image_age)
+    samples = max(1, round(frame / dt))
+    return dt, samples, round(latency.image_age / dt), round(latency.torque_delay / dt)
 
 
-def slow_rate(task: Task, gains: Diagonals, jacobians: Array | None = None) -> float:
-    """Return the rate of the slow pole, min k_p / (k_v + K_b), K_b as in `default_gains` [1/s]."""
-    if jacobians is None:
-        _, jacobians = _regular_configurations(task)
-    felt = _felt_damping(task, gains.damping, jacobians)
-    return float((gains.kp / (gains.kv + felt)).min())
-
-
-def usual_inertias(robot: Robot) -> Array:
-    """Return M(q) at k seeded configurations within the joint limits, shape (k, n_v, n_v)."""
-    rng, M = np.random.default_rng(0), Dynamics(robot).M
-    return np.array([M(robot.random_configuration(rng)) for _ in range(_CONFIGURATIONS)])
-
-
-def _felt_damping(task: Task, damping: Array, jacobians: Array) -> Array:
-    """Return what B_c adds to the damping along a task coordinate, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
-
-    The median over configurations, and the mean over coordinates of one unit; shape (m,).
-    """
-    mobility = jacobians**2 @ (1.0 / np.maximum(damping, _NO_DAMPING))
-    felt: Array = np.median(1.0 / mobility, axis=0)
-    for group in _groups(task):
-        felt[group] = felt[group].mean()
-    return felt
-
-
-def _groups(task: Task) -> list[np.ndarray[Any, np.dtype[np.bool_]]]:
-    """Return which coordinates have the same unit, unit by unit."""
-    units = np.array(task.units)
-    return [units == unit for unit in dict.fromkeys(task.units)]
-
-
-def _regular_configurations(task: Task) -> tuple[Array, Array]:
-    """Return seeded configurations where the task is seen and not near singular, with Ĵ at each."""
-    seen = np.array(seen_configurations(task, _CONFIGURATIONS))
-    jacobians = np.array([task.jacobian(q) for q in seen])
-    values = np.linalg.svd(jacobians, compute_uv=False)
-    smallest, largest = values[:, -1], values[:, 0]
-    ratios = np.divide(smallest, largest, out=np.zeros(len(seen)), where=largest > 0.0)
-    least = _REGULAR
-    if not (ratios > least).any():
-        # images of several points always tell little of some motion: then half of what is usual
-        least = max(0.5 * float(np.median(ratios)), _SINGULAR)
-    regular = ratios > least
-    if not regular.any():
-        raise InvalidInputError(
-            f"task must not be singular everywhere for gains to be chosen, got {task!r}; leave out "
-            'coordinates that the arm does not command, such as y by axes="xz"',
-            given=task,
-        )
-    return seen[regular], jacobians[regular]
+def _with_tool(robot: Robot) -> Robot:
+    """Return a robot whose tip is farther out, by the length of a tool that nobody told of."""
+    if robot.tip is None:
+        return robot
+    joint = next(each for each in robot.tree.joints.values() if each.child == robot.tip)
+    neutral = robot.neutral()
+    of_parent, of_tip = (
+        FrameKinematics(robot, frame).placement(neutral)[0] for frame in (joint.parent, robot.tip)
+    )
+    _, reach = reach_bound(robot, robot.tip)
+    length = _TOOL * reach if math.isfinite(reach) else 0.0
+    shift = length * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
+    return robot.with_kinematic_error({joint.name: shift})

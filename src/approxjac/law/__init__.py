@@ -38,6 +38,7 @@ from approxjac.law.pseudoinverse import (
     right_pinv,
     right_pinv_dot,
 )
+from approxjac.law.sampled_loop import LinearLaw, frame_map
 from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
 from approxjac.law.torque import (
     bounded_torque,
@@ -53,6 +54,7 @@ from approxjac.law.torque_limits import limited_torque
 __all__ = [
     "SINGULAR_RATIO",
     "Linear",
+    "LinearLaw",
     "Saturation",
     "Sine",
     "Tanh",
@@ -75,6 +77,7 @@ __all__ = [
     "estimated_velocity_torque",
     "extreme_singular_values",
     "feed_forward_torque",
+    "frame_map",
     "gravity",
     "inertial_block",
     "is_near_singular",

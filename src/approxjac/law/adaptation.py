@@ -7,6 +7,8 @@ import numpy as np
 from approxjac.law.products import dot
 from approxjac.validation import Array
 
+_SWEEPS = 20  # enough for a handful of bounds at once; what is left is a step's worth
+
 
 def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:
     """y = q̇ + α Ĵ⁺ s(e): the output along which the closed loop is passive.
@@ -41,20 +43,34 @@ def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
     return rate
 
 
-def within_bounds(rate: Array, theta_hat: Array, lower: Array, upper: Array) -> Array:
-    """Rate of θ̂ with what would lead out of bounds left out, entry by entry.
+def within_bounds(rate: Array, theta_hat: Array, lower: Array, upper: Array, L: Array) -> Array:
+    """Rate of θ̂ with what would lead out of bounds taken back.
 
-    The projection of Eq. (29) onto a box: where θ lies in the box and L is diagonal,
-    −Δθᵀ L⁻¹ dθ̂/dt only becomes smaller, so V̇ ≤ −W stays.
+    The projection of Eq. (29) onto a box, in the metric L⁻¹ of V: r = dθ̂/dt − L S λ, where S has
+    the sign of each bound that θ̂ is at and λ ≥ 0. Where θ lies in the box, ΔθᵀSλ ≤ 0 for any such
+    λ, so V̇ ≤ −W stays. With a diagonal L, entries that would lead out become zero.
 
     Args:
         rate: dθ̂/dt of (29), shape (p,).
         theta_hat: θ̂, shape (p,).
         lower: Smallest θ, shape (p,).
         upper: Largest θ, shape (p,).
+        L: Adaptation gain: a diagonal, shape (p,), or a matrix, shape (p, p).
 
     Returns:
         Shape (p,).
     """
-    outward = ((theta_hat <= lower) & (rate < 0.0)) | ((theta_hat >= upper) & (rate > 0.0))
-    return np.where(outward, 0.0, rate)
+    low, high = theta_hat <= lower, theta_hat >= upper
+    if not (low | high).any():
+        return rate
+    if L.ndim == 1:
+        return np.where((low & (rate < 0.0)) | (high & (rate > 0.0)), 0.0, rate)
+    at = np.flatnonzero(low | high)
+    sign = np.where(high[at], 1.0, -1.0)
+    multipliers, rate = np.zeros(len(at)), rate.copy()
+    for _ in range(_SWEEPS):  # Hildreth's: one bound after the other
+        for k, i in enumerate(at):
+            change = max(sign[k] * float(rate[i]) / float(L[i, i]), -multipliers[k])
+            multipliers[k] += change
+            rate -= change * sign[k] * L[:, i]
+    return rate

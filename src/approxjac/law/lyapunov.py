@@ -103,10 +103,14 @@ def parameter_potential(theta_error: Array, L: Array) -> float:
 
     Args:
         theta_error: Δθ = θ − θ̂, shape (p,).
-        L: Adaptation gain: a diagonal, shape (p,), or a matrix, shape (p, p).
+        L: Adaptation gain: a diagonal, shape (p,), with 0 for what is known and not learnt, or a
+            matrix, shape (p, p).
 
     Returns:
         The term [J].
     """
-    scaled = theta_error / L if L.ndim == 1 else np.linalg.solve(L, theta_error)
+    if L.ndim == 1:
+        scaled = np.divide(theta_error, L, out=np.zeros_like(theta_error), where=L > 0.0)
+    else:
+        scaled = np.linalg.solve(L, theta_error)
     return float(0.5 * theta_error @ scaled)

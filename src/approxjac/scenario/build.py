@@ -15,6 +15,7 @@ from approxjac.controllers import (
     Gains,
     Gravity,
     HeldMeasurement,
+    Latency,
     Limits,
     ModelGravity,
     NoGravity,
@@ -22,12 +23,12 @@ from approxjac.controllers import (
     RegressorGravity,
     SetpointController,
     TorqueLimited,
-    default_gains,
+    tuned,
 )
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Controller, TargetPath
-from approxjac.law import Linear, Sine
+from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
@@ -252,27 +253,38 @@ def _law(task: Task, gravity: Gravity, q0: Array, scenario: Scenario) -> Setpoin
         task,
         _gains(task, scenario),
         gravity=gravity,
-        saturation=Linear() if chosen.gamma is None else Sine(chosen.gamma),
+        saturation=None if chosen.gamma is None else Sine(chosen.gamma),
         velocity=None if differentiator is None else DifferentiatedVelocity(differentiator),
         posture=Posture(q0, stiffness) if stiffness else None,
+        latency=latency_of(scenario),
+        settling_time=chosen.settling_time,
     )
 
 
-def _gains(task: Task, scenario: Scenario) -> Gains:
-    """Return default gains that the loop's lags allow, but for those that are given."""
-    chosen, sensor = scenario.controller, scenario.sensor
-    lag = sampling_time(scenario) + (sensor.velocity_filter or 0.0) + scenario.loop.actuator_delay
-    if chosen.differentiator is not None:  # damping of law (5) acts as late as x tells Ẋ
-        lag += chosen.differentiator + sensor.delay
-        lag += 0.0 if sensor.rate is None else 0.5 / sensor.rate
-    bandwidth = {} if lag == 0.0 else {"bandwidth": 1.0 / lag}
-    gains = default_gains(task, chosen.settling_time, **bandwidth)
+def _gains(task: Task, scenario: Scenario) -> Gains | None:
+    """Return the gains that are given, with those of the rule beside them; None if none is."""
+    chosen = scenario.controller
     given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
+    if not any(given.values()):
+        return None
+    usual = tuned(task, latency_of(scenario), settling_time=chosen.settling_time).gains
     values = {
-        name: getattr(gains, name) if value is None else value[0] if len(value) == 1 else value
+        name: getattr(usual, name) if value is None else value[0] if len(value) == 1 else value
         for name, value in given.items()
     }
     return Gains(**values)
+
+
+def latency_of(scenario: Scenario) -> Latency:
+    """Return how late the loop of a scenario measures and acts; continuous control as at 1 kHz."""
+    sensor = scenario.sensor
+    return Latency(
+        period=sampling_time(scenario) or Latency.period,
+        torque_delay=scenario.loop.actuator_delay,
+        velocity_filter=sensor.velocity_filter or 0.0,
+        image_period=0.0 if sensor.rate is None else 1.0 / sensor.rate,
+        image_age=sensor.delay,
+    )
 
 
 def sampling_time(scenario: Scenario) -> float:

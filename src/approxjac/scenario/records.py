@@ -189,11 +189,12 @@ class ControllerChoice:
         law: "setpoint", the paper's.
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: "learnt" (law (28)), "exact" (fitted to the true one), "believed", or "none".
-        settling_time: Wanted by the default gains, s.
-        kp: K_p, one number or one a task coordinate; the default gains' one by default.
-        kv: K_v, one number or one a task coordinate; the default gains' one by default.
-        damping: Added joint damping, one number or one a joint; the default gains' one by default.
-        gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; none by default.
+        settling_time: Wanted, s; as fast as inertia, motors and latency allow by default.
+        kp: K_p, one number or one a task coordinate; by the rule for all defaults if not given.
+        kv: K_v, one number or one a task coordinate; by the rule if not given.
+        damping: Added joint damping, one number or one a joint; by the rule if not given.
+        gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; by default the tanh
+            of the rule, or none with gains that are given.
         posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
         limits: To be kept: "urdf", or a number of times the effort limits, then the motors' too.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
@@ -203,7 +204,7 @@ class ControllerChoice:
     law: Literal["setpoint"] = "setpoint"
     differentiator: float | None = _above(None)
     gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"
-    settling_time: float = _above(1.0)
+    settling_time: float | None = _above(None)
     kp: Numbers | None = _above(None)
     kv: Numbers | None = _above(None)
     damping: Numbers | None = _at_least(None)

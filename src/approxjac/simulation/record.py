@@ -110,8 +110,10 @@ class Record:
         """Return V of the true arm while a law ran, with its estimated Jacobians."""
         theta_error: Sequence[Array | None] = [None] * len(J_hat)
         if law.adaptation is not None:
+            theta_hat = law.learnt(run.state[which])
             theta = _true_parameters(law.adaptation.regressor, self._plant.robot)
-            theta_error = list(theta - law.learnt(run.state[which]))
+            unlearnt = np.zeros(theta_hat.shape[1] - len(theta))  # forces that are not there
+            theta_error = list(np.concatenate([theta, unlearnt]) - theta_hat)
         columns = run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error
         return [
             law.lyapunov_value(

@@ -21,6 +21,7 @@ class LinearLoop(NamedTuple):
     Attributes:
         G: ∂g/∂q at the target, of the robot and of its exact compensation, shape (n_v, n_v).
         friction: Diagonal of the natural friction B, shape (n_v,).
+        Z: Of all that is learnt, Y of `Adaptation`, shape (n_v, p).
         damping: Diagonal of the added damping B_c, shape (n_v,).
     """
 
@@ -76,7 +77,7 @@ def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> Linea
     learning = controller.adaptation
     Z, L, alpha, J_hat_pinv = np.zeros((n, 0)), np.zeros(0), 0.0, np.zeros((n, m))
     if learning is not None:
-        Z, L, alpha = learning.regressor.Z(q), learning.L, learning.alpha
+        Z, L, alpha = learning.Y(q, J_hat), learning.L, learning.alpha
         J_hat_pinv = controller.jacobian_pinv(J_hat)
     M, G = plant.dynamics.M(q), plant.dynamics.g_gradient(q)
     J = np.array(plant.sensor._sensor_jacobian(q))

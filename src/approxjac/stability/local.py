@@ -289,7 +289,7 @@ def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
     change = np.linalg.lstsq(rows, wanted.ravel() - rows @ believed, rcond=1e-12)[0]
     theta = believed + change
     if learning.bounds is not None:
-        lower, upper = learning.bounds
+        lower, upper = (bound[: regressor.p] for bound in learning.bounds)
         if not ((lower < theta) & (theta < upper)).all():
             raise InvalidInputError(
                 f"the bounds of AdaptiveGravity must hold theta = {theta.tolist()}, which gives "

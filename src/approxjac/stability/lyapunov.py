@@ -92,8 +92,8 @@ def lyapunov(
                 f"state = {state!r}, theta = {theta!r}",
                 given=(alpha, state, theta),
             )
-        state = as_array("state", state, (learning.regressor.p,))
-        theta = as_array("theta", theta, (learning.regressor.p,))
+        state = as_array("state", state, learning.theta0.shape)
+        theta = as_array("theta", theta, learning.theta0.shape)
         V += law.parameter_potential(theta - controller.learnt(state), learning.L)
     s_dot = controller.saturation.ds(e) * (J_e @ v)
     J_hat_pinv_dot = law.right_pinv_dot(J_hat, task.jacobian_dot(q, v))

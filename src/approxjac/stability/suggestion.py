@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.controllers import Gains, NoGravity, SetpointController, default_gains
-from approxjac.controllers.tuning import position_gains
+from approxjac.controllers.default_gains import position_gains
 from approxjac.errors import UnknownNameError
 from approxjac.stability.certificate import margin
 from approxjac.stability.closed_loop import ClosedLoop

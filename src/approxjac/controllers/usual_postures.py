@@ -1,0 +1,88 @@
+"""Seeded postures of the believed arm that default gains and learning are chosen from."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError
+from approxjac.robots import Dynamics, Robot
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import seen_configurations
+from approxjac.validation import Array
+
+_CONFIGURATIONS = 100
+_SINGULAR = 1e-6  # σ_min/σ_max that counts as no rank
+_REGULAR = 0.05  # configurations with σ_min below this share of σ_max are left out
+_NO_DAMPING = 1e-9  # instead of none, which would divide by zero
+
+
+class Postures(NamedTuple):
+    """Postures in which a task is seen and not near singular, and what the arm is like there.
+
+    Attributes:
+        q: Shape (k, nq).
+        J_hat: Believed Jacobians, shape (k, m, n_v).
+        M: Believed inertia matrices, shape (k, n_v, n_v).
+        M_inv: Their inverses.
+        groups: Which coordinates have the same unit, unit by unit, each of shape (m,).
+    """
+
+    q: Array
+    J_hat: Array
+    M: Array
+    M_inv: Array
+    groups: tuple[np.ndarray[Any, np.dtype[np.bool_]], ...]
+
+    def felt_damping(self, damping: Array) -> Array:
+        """Return what B_c (n_v,) adds to the damping along a task coordinate, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
+
+        The median over postures, and the mean over coordinates of one unit; shape (m,).
+        """
+        mobility = self.J_hat**2 @ (1.0 / np.maximum(damping, _NO_DAMPING))
+        return self.by_unit(np.median(1.0 / mobility, axis=0))
+
+    def by_unit(self, values: Array) -> Array:
+        """Return values (m,) with their mean over coordinates of one unit in place of each."""
+        values = values.copy()
+        for group in self.groups:
+            values[group] = values[group].mean()
+        return values
+
+
+@functools.lru_cache(maxsize=8)
+def usual_postures(task: Task) -> Postures:
+    """Return seeded postures within the joint limits, the same each time.
+
+    Raises:
+        InvalidInputError: The task is singular in all of them.
+    """
+    seen = np.array(seen_configurations(task, _CONFIGURATIONS))
+    jacobians = np.array([task.jacobian(q) for q in seen])
+    values = np.linalg.svd(jacobians, compute_uv=False)
+    smallest, largest = values[:, -1], values[:, 0]
+    ratios = np.divide(smallest, largest, out=np.zeros(len(seen)), where=largest > 0.0)
+    least = _REGULAR
+    if not (ratios > least).any():
+        # images of several points always tell little of some motion: then half of what is usual
+        least = max(0.5 * float(np.median(ratios)), _SINGULAR)
+    regular = ratios > least
+    if not regular.any():
+        raise InvalidInputError(
+            f"task must not be singular everywhere for gains to be chosen, got {task!r}; leave out "
+            'coordinates that the arm does not command, such as y by axes="xz"',
+            given=task,
+        )
+    q, J_hat = seen[regular], jacobians[regular]
+    M = np.array([*map(Dynamics(task.robot).M, q)])
+    units = np.array(task.units)
+    groups = tuple(units == unit for unit in dict.fromkeys(task.units))
+    return Postures(q, J_hat, M, np.linalg.inv(M), groups)
+
+
+def usual_inertias(robot: Robot) -> Array:
+    """Return M(q) at k seeded configurations within the joint limits, shape (k, n_v, n_v)."""
+    rng, M = np.random.default_rng(0), Dynamics(robot).M
+    return np.array([M(robot.random_configuration(rng)) for _ in range(_CONFIGURATIONS)])
