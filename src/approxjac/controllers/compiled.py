@@ -176,8 +176,8 @@ class CompiledSetpointController(SetpointController):
                 if usual:
                     if learning is not None:
                         g = Y.dot(state)
-                    if bounds is not None:
-                        rate = law.within_bounds(rate, state, *bounds, learning.L)
+                        if bounds is not None:
+                            rate = law.within_bounds(rate, state, *bounds, learning.L)
                     # made as Evaluation(...) makes it, in a third of the time
                     return made(Evaluation, (torque, rate, ok, e, J_hat, g, unlimited, 0.0))
             return ordinary(state, measurement, target)

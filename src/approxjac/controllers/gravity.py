@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.default_gains import slow_rate
+from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.tuning import Learning
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, short
@@ -210,8 +210,9 @@ class AdaptiveGravity(Immutable):
             given = getattr(self, name)
             if given is None:
                 given = 0.0 if chosen is None else getattr(chosen, name)
-            given = given[0] if np.size(given) == 1 else given
-            part = as_diagonal(name, given, size, positive=bool(np.any(given)))
+            values = np.ravel(given)
+            whole = np.full(size, values[0]) if len(values) == 1 else values
+            part = as_diagonal(name, whole, size, positive=bool(whole.any()))
             parts.append(part if part.any() else np.zeros(0))
         if L is None:
             assert chosen is not None
@@ -307,9 +308,10 @@ def require_gravity(gravity: Gravity, task: Task) -> None:
 
 
 def _adaptation_gain(L: Any, p: int) -> Array:
+    if is_scalar(L) and L == 0.0:
+        return np.zeros(p)
     if is_scalar(L) or all(is_scalar(row) for row in L):
-        diagonal = as_diagonal("L", L, p, positive=False)
-        return diagonal if not diagonal.any() else as_diagonal("L", L, p)
+        return as_diagonal("L", L, p)
     matrix = as_array("L", L, (p, p))
     as_diagonal("L", np.abs(matrix).max(), p)  # not beyond what gains may be
     asymmetry = np.abs(matrix - matrix.T).max()

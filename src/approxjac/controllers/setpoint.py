@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, require_arrays
+from approxjac.controllers.default_gains import slow_rate
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -23,10 +24,9 @@ from approxjac.controllers.gravity import (
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.posture import Posture, within_null_space
 from approxjac.controllers.saturation import require_saturation
-from approxjac.controllers.default_gains import slow_rate
+from approxjac.controllers.tuning import Tuning, tuned
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import ContinuousController, Evaluation, Measurement, Status, Target
-from approxjac.controllers.tuning import Tuning, tuned
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import uncombined, vanishing
@@ -426,9 +426,7 @@ class SetpointController(Immutable):
             theta_rate = law.theta_hat_rate(learning.L, Y, y)
             if learning.bounds is not None:
                 theta_hat = state[: self._p]
-                theta_rate = law.within_bounds(
-                    theta_rate, theta_hat, *learning.bounds, learning.L
-                )
+                theta_rate = law.within_bounds(theta_rate, theta_hat, *learning.bounds, learning.L)
             rate = theta_rate if self.velocity is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g)
 
@@ -438,6 +436,10 @@ class SetpointController(Immutable):
         """Return N τ₀ of `Posture`, shape (n_v,)."""
         pull = stiffness * pin.difference(self.task.robot.model, q, posture)
         return within_null_space(pull, J_hat, G, self._scale)
+
+    def __str__(self) -> str:
+        """Return this, and what the rule chose and why, a line each."""
+        return repr(self) if self.tuning is None else f"{self!r}\n{self.tuning}"
 
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"

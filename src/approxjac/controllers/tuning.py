@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -32,6 +32,7 @@ _RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt 
 _MARGIN = 1.5  # gains and learning may be larger by it
 _DAMPED = 0.15  # least damping ratio, in nine of ten cases
 _CHECKED = 20  # postures
+_SLOWER = 12  # rates that are tried, each 0.8 of the one before
 _TOOL = 0.18  # length of a tool that nobody told of, as a share of the arm's reach
 _LIGHTER, _HEAVIER = 0.7, 1.3  # true inertia as a multiple of the believed one
 _IDEAL = 1e-4  # period of a loop without latency [s]
@@ -69,7 +70,7 @@ class Tuning:
         learning: L, L_d, L_w, α and bounds; None where nothing is learnt.
         latency: The loop that it was chosen for.
         rate: r, rate of the task's slow pole [1/s].
-        share: π, the share of the fastest learning.
+        share: π, learning as a share of what inertia allows.
         stable: Whether the check by the sampled, delayed linearisation passed.
         reasons: What decided, a line each.
     """
@@ -82,6 +83,9 @@ class Tuning:
     share: float
     stable: bool
     reasons: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(self.reasons)
 
 
 class _Arm:
@@ -129,7 +133,7 @@ class _Arm:
                 speeds = (_SPEED * fastest / np.linalg.norm(speed[:, :, group], axis=2)).min(axis=1)
             candidates = {
                 "an eighth of a usual distance": distance / 8.0,
-                "the motors": float(np.quantile(motors, 0.25)) / len(self.distance),
+                "the motors": float(np.quantile(motors, 0.25, method="lower")) / len(self.distance),
                 "the joints' speeds": float(np.median(speeds)) / len(self.distance),
             }
             decides = min(candidates, key=candidates.__getitem__)
@@ -160,9 +164,9 @@ class _Arm:
             values = np.linalg.eigvalsh(np.swapaxes(root, 1, 2) @ P @ root)[:, -1]
             return float(np.quantile(values, 0.95))
 
-        task_force = 0.5 * gains.kp
         most = 0.6 * max(share, 0.35)
-        task_force *= min(1.0, most / largest(np.swapaxes(J, 1, 2) * task_force @ J))
+        task_force = 0.5 * gains.kp
+        task_force = task_force * min(1.0, most / largest(np.swapaxes(J, 1, 2) * task_force @ J))
         felt = np.swapaxes(root, 1, 2) @ Z
         C = np.mean(np.swapaxes(felt, 1, 2) @ felt, axis=0)
         diagonal = np.diag(C)
@@ -172,7 +176,7 @@ class _Arm:
         L *= 0.5 * share / largest(Z @ L @ np.swapaxes(Z, 1, 2))
         own = np.median(np.diagonal(self.postures.M, axis1=1, axis2=2), axis=0)
         joint_torque = 0.25 * gains.damping**2 / own
-        joint_torque *= min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
+        joint_torque = joint_torque * min(1.0, 0.5 * share / largest(np.diag(joint_torque)))
         return Learning(
             float(slow) if alpha is None else alpha,
             0.5 * (L + L.T),
@@ -198,13 +202,14 @@ class _Arm:
         D, force, _ = self.motion(gains)
         D, force = D[:_CHECKED], force[:_CHECKED]
         J_hat_T = np.swapaxes(J_hat, 1, 2)
-        rate, pull = np.zeros_like(D), np.zeros_like(J_hat_T)
+        rate: Array = np.zeros_like(D)
+        pull: Array = np.zeros_like(J_hat_T)
         if learning is not None:
             assert self.Z is not None
             Z = self.Z[:_CHECKED]
-            rate = Z @ learning.gravity @ np.swapaxes(Z, 1, 2)
+            rate = rate + Z @ learning.gravity @ np.swapaxes(Z, 1, 2)
             rate = rate + J_hat_T * learning.task_force @ J_hat + np.diag(learning.joint_torque)
-            pull = learning.alpha * np.linalg.pinv(J_hat)
+            pull = pull + learning.alpha * np.linalg.pinv(J_hat)
         truths = [
             (M_inv / heavier, J)
             for J, heavy in ((J_hat, 1.0), (self.with_tool, _HEAVIER))
@@ -212,6 +217,19 @@ class _Arm:
         ]
         each = [(M, J, force, D, rate, pull) for M, J in truths]
         return law.LinearLaw(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
+
+    def fastest(
+        self, gains: Diagonals, latency: Latency, alpha: float | None
+    ) -> tuple[float, Learning | None, bool]:
+        """Return the largest π that passes the check, its learning, and whether any passes."""
+        choices: list[tuple[float, Learning | None]] = [(0.0, None)]
+        if self.Z is not None:
+            choices = [(share, self.learning(gains, share, alpha)) for share in _SHARES]
+        slowest = choices[-1][1]
+        counted = self.curable(gains, slowest)
+        if not self.passes(gains, slowest, latency, counted):
+            return (*choices[-1], False)
+        return (*next(c for c in choices if self.passes(gains, c[1], latency, counted)), True)
 
     def curable(self, gains: Diagonals, learning: Learning | None) -> Flags:
         """Return in which cases a loop without latency is stable, where latency is what counts.
@@ -233,8 +251,11 @@ class _Arm:
             damping=_MARGIN * loop.damping,
             learning=_MARGIN * loop.learning,
         )
-        multipliers, more = (np.linalg.eigvals(law.frame_map(each, *timing)) for each in (loop, larger))
-        if not counted.any() or max(np.abs(multipliers).max(), np.abs(more).max()) > 1.0 + _ROUND_OFF:
+        if not counted.any():
+            return False
+        multipliers = np.linalg.eigvals(law.frame_map(loop, *timing))
+        of_larger = np.linalg.eigvals(law.frame_map(larger, *timing))
+        if max(np.abs(multipliers).max(), np.abs(of_larger).max()) > 1.0 + _ROUND_OFF:
             return False
         with np.errstate(divide="ignore"):
             poles = np.log(multipliers.astype(complex)) / (samples * dt)
@@ -284,40 +305,31 @@ def tuned(
     """
     latency = Latency() if latency is None else latency
     arm, m, nv = _Arm(task, regressor), task.m, task.robot.nv
-    candidates, why_rate = _candidates(arm, latency, settling_time, gains)
-    tried: Tuning | None = None
-    for rate, chosen in candidates:
-        diagonals = chosen.diagonals(m, nv)
-        gamma, why_gamma = arm.saturation(diagonals)
-        reasons = (why_rate, *(f"gamma by {why}" for why in dict.fromkeys(why_gamma)))
-        shares = (0.0,) if regressor is None else _SHARES
-
-        def tuning(share: float, stable: bool) -> Tuning:
-            learning = None if regressor is None else arm.learning(diagonals, share, alpha)
-            return Tuning(chosen, gamma, learning, latency, rate, share, stable, reasons)
-
-        slowest = tuning(shares[-1], stable=True)
-        counted = arm.curable(diagonals, slowest.learning)
-        if not arm.passes(diagonals, slowest.learning, latency, counted):
-            tried = tuning(shares[-1], stable=False)
-            continue  # no faster learning will do
-        for share in shares[:-1]:
-            faster = tuning(share, stable=True)
-            if arm.passes(diagonals, faster.learning, latency, counted):
-                return faster
-        return slowest
-    assert tried is not None
-    return tried
+    rates, of_rate, why = _rates(arm, latency, settling_time, gains)
+    for rate in rates:
+        diagonals = of_rate(rate).diagonals(m, nv)
+        share, learning, stable = arm.fastest(diagonals, latency, alpha)
+        if stable:
+            break
+    gamma, limited_by = arm.saturation(diagonals)
+    if rate < rates[0]:
+        why += f"; slower by the check, {SETTLED / rate:.3g} s"
+    if not stable:
+        why += "; no gains passed the check: this loop is too late"
+    reasons = [why, f"gamma {short(gamma)} by {' and '.join(dict.fromkeys(limited_by))}"]
+    if learning is not None:
+        reasons.append(f"learns at {100.0 * share:.0f} % of what inertia allows")
+    return Tuning(of_rate(rate), gamma, learning, latency, rate, share, stable, tuple(reasons))
 
 
-def _candidates(
+def _rates(
     arm: _Arm, latency: Latency, settling_time: float | None, gains: Gains | None
-) -> tuple[Iterator[tuple[float, Gains]], str]:
-    """Return rates with their gains, each slower than the one before, and what decided."""
+) -> tuple[list[float], Callable[[float], Gains], str]:
+    """Return rates to try, each slower than the one before, the gains of a rate, and why."""
     m, nv = arm.task.m, arm.robot.nv
     if gains is not None:
-        _, _, alpha = arm.motion(gains.diagonals(m, nv))
-        return iter([(float(alpha), gains)]), "gains that were given"
+        rate = float(arm.motion(gains.diagonals(m, nv))[2])
+        return [rate], lambda _: gains, f"settling time {SETTLED / rate:.3g} s by given gains"
 
     @functools.cache
     def of_rate(rate: float) -> Gains:
@@ -328,17 +340,17 @@ def _candidates(
         gamma, _ = arm.saturation(diagonals)
         return arm.time(gamma, rate, float(arm.motion(diagonals)[2]))
 
-    if settling_time is not None:
-        first = SETTLED / as_number("settling_time", settling_time, unit="s", above=0.0)
-        why = f"settling time {settling_time:g} s as asked"
-    else:
+    if settling_time is None:
         most = _LAG / latency.of_position
         allowed = [rate for rate in _RATES if rate <= most] or [most]
         first = min(allowed, key=time)
         why = f"settling time {SETTLED / first:.3g} s: a usual reach takes {time(first):.3g} s"
-        if first == allowed[-1] and allowed[-1] < _RATES[-1]:
-            why += f", and x is {1e3 * latency.of_position:.3g} ms late"
-    return ((0.8**k * first, of_rate(0.8**k * first)) for k in range(12)), why
+        if first == allowed[-1] != _RATES[-1]:
+            why += f", as x is {1e3 * latency.of_position:.3g} ms late"
+    else:
+        first = SETTLED / as_number("settling_time", settling_time, unit="s", above=0.0)
+        why = f"settling time {settling_time:g} s as asked"
+    return [0.8**k * first for k in range(_SLOWER)], of_rate, why
 
 
 def _timing(latency: Latency) -> tuple[float, int, int, int]:
@@ -364,4 +376,4 @@ def _with_tool(robot: Robot) -> Robot:
     _, reach = reach_bound(robot, robot.tip)
     length = _TOOL * reach if math.isfinite(reach) else 0.0
     shift = length * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
-    return robot.with_kinematic_error({joint.name: shift})
+    return robot.with_kinematic_error({joint.name: shift.tolist()})
