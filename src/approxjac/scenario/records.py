@@ -189,7 +189,7 @@ class ControllerChoice:
         law: "setpoint", the paper's.
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: "learnt" (law (28)), "exact" (fitted to the true one), "believed", or "none".
-        settling_time: Wanted, s; as fast as inertia, motors and latency allow by default.
+        settling_time: Wanted; by default as fast as inertia, motors and latency allow, s.
         kp: K_p, one number or one a task coordinate; by the rule for all defaults if not given.
         kv: K_v, one number or one a task coordinate; by the rule if not given.
         damping: Added joint damping, one number or one a joint; by the rule if not given.
