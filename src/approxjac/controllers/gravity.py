@@ -281,6 +281,26 @@ class Adaptation(NamedTuple):
         theta, left = self.regressor.fit(robot)
         return np.concatenate([theta, np.zeros(sum(self.sizes[1:]))]), left
 
+    def words(self, theta_hat: Array, task: Task) -> str:
+        """Return what a θ̂ (P,) says: a load on the last link, a force on the task, joint torques.
+
+        The load is the one that acts most like what was learnt of gravity.
+        """
+        change = theta_hat - self.theta0
+        of_gravity, force, torques = np.split(change, np.cumsum(self.sizes)[:-1])
+        mass, *moments = self.regressor.payload(of_gravity)
+        told = [f"as if the last link had {mass:+.3g} kg and {listed(np.round(moments, 4))} kg m more"]
+        if len(force):
+            units = {"m": "N", "rad": "N m"}
+            parts = zip(force, task.units, task.labels, strict=True)
+            along = [f"{d:+.3g} {units.get(u, f'J/{u}')} along {at}" for d, u, at in parts]
+            told.append(f"force {', '.join(along)}")
+        if len(torques):
+            i = int(np.abs(torques).argmax())
+            unit = "N" if self.robot.joint_units[i] == "m" else "N m"
+            told.append(f"torques up to {torques[i]:+.3g} {unit} ({self.robot.joint_names[i]})")
+        return "; ".join(told)
+
     def rests(self, torque: Array) -> bool:
         """Return whether any torque (n_v,) is beyond its limit, where θ̂ stands still."""
         share = torque / self.torque_limits

@@ -65,6 +65,8 @@ class GravityRegressor:
                 given=robot,
             )
         self._columns = candidates[kept]
+        self._held = grouping[:, candidates // 10 == self._last_mover()]
+        self._usual = np.sqrt(np.mean(stacked[:, kept] ** 2, axis=0))
         labels = ["m", "mx", "my", "mz"]
         movers = list(self._model.names)[1:]
         self.names = tuple(f"{movers[c // 10]}.{labels[c % 10]}" for c in self._columns)
@@ -126,6 +128,24 @@ class GravityRegressor:
         Z, g = self._samples(robot, rng)
         theta: Array = self.theta + np.linalg.lstsq(Z, g - Z @ self.theta, rcond=1e-12)[0]
         return theta, self._error(robot, theta, rng)
+
+    def payload(self, change: Array) -> Array:
+        """Return the load on the last link that acts most like a change of θ (p,).
+
+        Returns:
+            Mass [kg] and first moments in the axes of that link's joint [kg m], those of `moments`
+            only; of all loads that do so equally well, the smallest. Shape (1 + moments,).
+        """
+        weighted = self._held * self._usual[:, np.newaxis]
+        load: Array = np.linalg.lstsq(weighted, change * self._usual, rcond=1e-9)[0]
+        return load
+
+    def _last_mover(self) -> int:
+        """Return the index of the moving link that holds the tip."""
+        model, tip = self._model, self.robot.tip
+        if tip is None:
+            return int(model.nv) - 1
+        return int(model.frames[model.getFrameId(tip)].parentJoint) - 1
 
     def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return Z of this robot and g of another, stacked over random configurations."""

@@ -60,6 +60,8 @@ def text(result: Result) -> str:
         else f"{'asks for up to' if built.limits is None else 'up to'} {torque:.2f} of the limits",
         "status": _shares(run.status_counts()),
     }
+    if law.adaptation is not None:
+        told["learnt"] = law.adaptation.words(law.learnt(run.state[-1]), law.task)
     if result.on_path:
         largest, rms = (_size({run.task_unit: error}) for error in result.strayed)
         told["strayed"] = f"up to {largest} from the path, {rms} RMS"
