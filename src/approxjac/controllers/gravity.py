@@ -289,7 +289,8 @@ class Adaptation(NamedTuple):
         change = theta_hat - self.theta0
         of_gravity, force, torques = np.split(change, np.cumsum(self.sizes)[:-1])
         mass, *moments = self.regressor.payload(of_gravity)
-        told = [f"as if the last link had {mass:+.3g} kg and {listed(np.round(moments, 4))} kg m more"]
+        at = listed(np.round(moments, 4))
+        told = [f"as if the last link had {mass:+.3g} kg and {at} kg m more"]
         if len(force):
             units = {"m": "N", "rad": "N m"}
             parts = zip(force, task.units, task.labels, strict=True)
