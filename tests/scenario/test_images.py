@@ -51,7 +51,7 @@ def test_it_converges_to_within_the_noise(robot, parts):
 
 
 def test_law_5_differentiates_the_image_and_approaches():
-    result = made(controller={"differentiator": 0.05}, run={"duration": 3.0})
+    result = made(controller={"differentiator": 0.05}, run={"duration": 3.0, "seed": 1})
     assert result.built.law.velocity.time_constant == 0.05
     assert result.errors[-1].max() < 0.3 * result.errors[0].max()
 
@@ -147,11 +147,11 @@ def test_nothing_wrong_is_believed():
 @pytest.mark.parametrize(
     ("robot", "parts", "reason"),
     [
-        ("panda", {"run": {"duration": 0.5}}, "still approaching its target at the end"),
+        ("panda", {"run": {"seed": 1, "duration": 0.5}}, "still approaching its target at the end"),
         ("panda", {"run": {"duration": 1.0}, "sensor": {"dropout": 1.0}},
          "the measurement of x is lost"),
         ("panda", {"true": {"camera": {"distortion": ()}},
-                   "believed": {"camera": {"roll": math.pi}}, "run": {"seed": 1, "duration": 4.0}},
+                   "believed": {"camera": {"roll": math.pi}}, "run": {"seed": 0, "duration": 4.0}},
          "the measurement of x is lost"),
     ],
 )  # fmt: skip

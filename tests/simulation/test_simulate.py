@@ -24,17 +24,17 @@ class ConstantTorque(OwnController):
         return aj.Evaluation(self.torque, state, aj.Status.OK, e)
 
 
-def plant_of(robot, friction=0.0):
+def plant_of(robot, friction=0.0, **options):
     axes = "xz" if robot.nv == 2 else "xyz"
-    return aj.Plant(robot, aj.PositionTask(robot, axes=axes), friction=friction)
+    return aj.Plant(robot, aj.PositionTask(robot, axes=axes), friction=friction, **options)
 
 
 PLANE = plant_of(aj.load_robot("two_link")).sensor
 
 
 def released(robot, tau, duration, friction=0.0, **options):
-    """A run under a constant torque from a fixed start."""
-    plant = plant_of(robot, friction)
+    """A run under a constant torque from a fixed start, as if there were no joint stops."""
+    plant = plant_of(robot, friction, joint_limits=False)
     rng = np.random.default_rng(1)
     q0 = robot.random_configuration(rng)
     v0 = rng.uniform(-1, 1, robot.nv)

@@ -15,7 +15,7 @@ from approxjac.extras import package_of
 from approxjac.robots import Robot
 from approxjac.simulation.plant import Plant
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array, as_number
 
 if TYPE_CHECKING:
     import mujoco
@@ -43,7 +43,6 @@ class MujocoPlant(Plant):
         friction: As for `Plant`.
         floor: Height z of a horizontal floor in the world frame [m]; None for no floor. What is
             fixed to the base may be below it.
-        joint_limits: Whether the joints stop at `Robot.position_limits`.
         **options: The others of `Plant`.
 
     Attributes:
@@ -62,11 +61,10 @@ class MujocoPlant(Plant):
         friction: float | Sequence[float] | Array = 0.0,
         *,
         floor: float | None = None,
-        joint_limits: bool = True,
         **options: Any,
     ) -> None:
         super().__init__(robot, sensor, friction, **options)
-        self._arguments |= {"floor": floor, "joint_limits": joint_limits}
+        self._arguments |= {"floor": floor}
         if robot.mimic_joints.G is not None:
             raise InvalidInputError(
                 f"robot must have no mimic joints that move, which MuJoCo couples by a soft "
@@ -74,9 +72,7 @@ class MujocoPlant(Plant):
                 given=robot,
             )
         self.floor = None if floor is None else as_number("floor", floor, unit="m")
-        require("joint_limits", joint_limits, bool, "True or False")
-        self.joint_limits = joint_limits
-        self.mujoco_model = _mujoco_model(robot, self.floor, joint_limits)
+        self.mujoco_model = _mujoco_model(robot, self.floor, self.joint_limits)
         import mujoco
 
         self._mujoco, self._mujoco_data = mujoco, mujoco.MjData(self.mujoco_model)
@@ -97,6 +93,9 @@ class MujocoPlant(Plant):
         self._mujoco.mj_forward(self.mujoco_model, data)
         return np.array(data.qacc[places])
 
+    def _own_stops(self) -> None:
+        return None  # MuJoCo has its own
+
     def _is_free(self, q: Array) -> bool:
         data = self._mujoco_data
         data.qpos[self._places] = pin.difference(self.robot.model, self._neutral, q)
@@ -105,7 +104,7 @@ class MujocoPlant(Plant):
         return not data.ncon
 
     def _shown(self) -> list[str]:
-        return [*super()._shown(), f"floor={self.floor}", f"joint_limits={self.joint_limits}"]
+        return [*super()._shown(), f"floor={self.floor}"]
 
 
 def _mujoco_model(robot: Robot, floor: float | None, joint_limits: bool) -> mujoco.MjModel:

@@ -14,6 +14,7 @@ from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.model import WORLD
 from approxjac.simulation.integrators import Integrator
+from approxjac.simulation.joint_stops import JointStops
 from approxjac.simulation.sensing import Sensing, SensorReadings
 from approxjac.tasks import PositionTask, Task
 from approxjac.tasks.analysis import sees
@@ -37,7 +38,8 @@ class Plant(Immutable):
 
     It yields measurements and takes torques; nothing else of it reaches a controller. The
     direction of gravity is the robot's: see `Robot.with_gravity`. The term with τ_c is Coulomb
-    friction, which eq. (1) does not have.
+    friction, which eq. (1) does not have. Nor has it joint stops: what is claimed of eq. (1) is
+    claimed of arms strictly within their joint limits, where stops do nothing.
 
     Owns scratch memory: one instance a thread.
 
@@ -55,6 +57,8 @@ class Plant(Immutable):
             first one takes effect the robot is held by g(q). Needs dt.
         torque_limits: What the motors deliver at most, a number or shape (n_v,) [N m or N]; more
             is clipped, infinite is no limit. Nothing is clipped by default.
+        joint_limits: Whether the joints stop at `Robot.position_limits`, as `JointStops` says. A
+            sampled step that ends beyond a limit is one of semi-implicit Euler.
 
     Raises:
         InvalidInputError: A sensor on another robot, or numbers that are negative or of the
@@ -72,6 +76,7 @@ class Plant(Immutable):
         sensing: Sensing | None = None,
         actuator_delay: float = 0.0,
         torque_limits: float | Sequence[float] | Array | None = None,
+        joint_limits: bool = True,
     ) -> None:
         self._remember(locals())
         require("robot", robot, Robot, "the true Robot")
@@ -97,11 +102,17 @@ class Plant(Immutable):
         if torque_limits is not None:
             torque_limits = as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         self.torque_limits = torque_limits
+        require("joint_limits", joint_limits, bool, "True or False")
+        self.joint_limits = joint_limits
+        self._stops = self._own_stops()
         self._has_coulomb = max(self.coulomb.tolist()) > 0.0
         self._has_friction = self._has_coulomb or max(self.friction.tolist()) > 0.0
         self._has_mimic_joints = robot.mimic_joints.G is not None
         self._model = robot.model
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
+
+    def _own_stops(self) -> JointStops | None:
+        return JointStops(self.robot) if self.joint_limits else None
 
     @cached_property
     def dynamics(self) -> Dynamics:
@@ -230,7 +241,10 @@ class Plant(Immutable):
         """Return q̈ under a torque, shape (n_v,) [rad/s² or m/s²]."""
         nv = self.robot.nv
         q, v = self.robot.configuration(q), as_vector("v", v, nv)
-        return self._acceleration(q, v, self._delivered(as_vector("tau", tau, nv))).copy()
+        tau = self._delivered(as_vector("tau", tau, nv))
+        if self._stops is not None and self._stops.touched(q):
+            tau = tau + self._stops.torque(q, v)
+        return self._acceleration(q, v, tau).copy()
 
     def advance(
         self, q: Array, v: Array, tau: Array, dt: float, integrate: Integrator
@@ -239,7 +253,14 @@ class Plant(Immutable):
 
         Its arguments are not checked: a loop that calls it checks what comes out, once a step.
         """
-        return integrate(self._acceleration, self._moved, q, v, self._delivered(tau), dt)
+        tau = self._delivered(tau)
+        q_end, v_end = integrate(self._acceleration, self._moved, q, v, tau, dt)
+        if self._stops is None or not self._stops.touched(q_end):
+            return q_end, v_end
+        free = v + dt * self._acceleration(q, v, tau)
+        M_inv = self.dynamics.M_inv(q)
+        v_end = free + dt * M_inv @ self._stops.held_torque(q, free, M_inv, dt)
+        return self._moved(q, dt * v_end), v_end
 
     def _moved(self, q: Array, motion: Array) -> Array:
         """Return the configuration after a motion (n_v,) from q (nq,)."""
@@ -288,6 +309,8 @@ class Plant(Immutable):
             shown.append(f"actuator_delay={self.actuator_delay:g}")
         if self.torque_limits is not None:
             shown.append(f"torque_limits={short(self.torque_limits)}")
+        if not self.joint_limits:
+            shown.append("joint_limits=False")
         return shown
 
 
