@@ -54,6 +54,10 @@ class Status(_Outcome):
     MEASUREMENT_HELD = (
         "the task measurement is that of an earlier instant: the law was evaluated with it"
     )
+    OUT_OF_REACH = (
+        "the target is farther away than the believed arm reaches, with a tool that nobody told "
+        "of: what it learns stands still"
+    )
 
 
 class LimitStatus(_Outcome):

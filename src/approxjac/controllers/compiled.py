@@ -120,6 +120,7 @@ class CompiledSetpointController(SetpointController):
         kind = _SATURATIONS.index(type(self.saturation))
         gamma = np.broadcast_to(getattr(self.saturation, "gamma", 1.0), m)
         constants = np.concatenate([*self.diagonals, gamma, [self._scale, kind]])
+        is_far = self._is_far
         within_null_space, no_rate = self._pull_within_null_space, self._no_rate
         parts = (fits, is_small, saturated, taken_apart)
         bounds = None if learning is None else learning.bounds
@@ -173,7 +174,7 @@ class CompiledSetpointController(SetpointController):
                         )  # fmt: skip
                 except (TypeError, ValueError):  # not of float64, or beyond what has eigenvalues
                     usual = False
-                if usual:
+                if usual and not (learning is not None and is_far(q, e)):
                     if learning is not None:
                         g = Y.dot(state)
                         if bounds is not None:

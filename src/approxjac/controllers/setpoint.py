@@ -24,17 +24,19 @@ from approxjac.controllers.gravity import (
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.posture import Posture, within_null_space
 from approxjac.controllers.saturation import require_saturation
-from approxjac.controllers.tuning import Tuning, tuned
+from approxjac.controllers.tuning import UNKNOWN_TOOL, Tuning, tuned
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import ContinuousController, Evaluation, Measurement, Status, Target
 from approxjac.law import Linear, Saturation, Tanh
-from approxjac.tasks import Task
+from approxjac.robots.joint_limits import reach_bound
+from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.tasks.analysis import uncombined, vanishing
 from approxjac.validation import Array, Immutable, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
 _SATURATED, _SINGULAR = Status.TORQUE_SATURATED, Status.NEAR_SINGULAR
+_FAR = Status.OUT_OF_REACH
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,7 @@ class SetpointController(Immutable):
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
         self._pull = None if posture is None else posture.resolved(task)
         self._scale = vanishing(task)
+        self._origin, self._reach = _reach(task)
         self._subtracts = task._subtracts  # as most do
         back = uncombined(task)  # a target moves in the coordinates of what is measured
         self._combination = np.eye(task.m) if back is None else np.linalg.inv(back)
@@ -419,9 +422,11 @@ class SetpointController(Immutable):
             status = _LOST
         elif learning is not None and learning.rests(torque):
             status = _SATURATED
+        elif learning is not None and self._is_far(q, e):
+            status = _FAR
         elif singular:
             status = _SINGULAR
-        if learning is not None and not lost and status is not _SATURATED:
+        if learning is not None and (status is _OK or status is _SINGULAR):
             y = law.passive_output(v, w.dot(J_hat), self._alpha)
             theta_rate = law.theta_hat_rate(learning.L, Y, y)
             if learning.bounds is not None:
@@ -429,6 +434,17 @@ class SetpointController(Immutable):
                 theta_rate = law.within_bounds(theta_rate, theta_hat, *learning.bounds, learning.L)
             rate = theta_rate if self.velocity is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g)
+
+    def _is_far(self, q: Array, e: Array) -> bool:
+        """Return whether a target is out of reach, where nothing can be learnt.
+
+        It is e away from where the believed arm is: who measures x may stand anywhere.
+        """
+        k = len(self._origin)
+        if math.hypot(*e[:k].tolist()) <= UNKNOWN_TOOL * self._reach:
+            return False
+        there = self.task.value(q)[:k] - e[:k]
+        return math.dist(there.tolist(), self._origin) > (1.0 + UNKNOWN_TOOL) * self._reach
 
     def _pull_within_null_space(
         self, q: Array, J_hat: Array, G: Array, posture: Array, stiffness: Array
@@ -445,3 +461,12 @@ class SetpointController(Immutable):
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         parts = [f"law {law}", repr(self.task), repr(self.gains), repr(self.gravity)]
         return f"{type(self).__name__}({', '.join(parts)})"
+
+
+def _reach(task: Task) -> tuple[list[float], float]:
+    """Return where a position is reached from, along its axes [m], and how far; or ∞."""
+    if not isinstance(task, PositionTask | PoseTask):
+        return [], math.inf
+    origin, reach = reach_bound(task.robot, task.frame)
+    axes = ["xyz".index(axis) for axis in task.labels[:3]]
+    return origin[axes].tolist(), reach

@@ -33,7 +33,9 @@ _MARGIN = 1.5  # gains and learning may be larger by it
 _DAMPED = 0.15  # least damping ratio, in nine of ten cases
 _CHECKED = 20  # postures
 _SLOWER = 12  # rates that are tried, each 0.8 of the one before
-_TOOL = 0.18  # length of a tool that nobody told of, as a share of the arm's reach
+UNKNOWN_TOOL = 0.18
+"""Length of a tool that nobody told of, as a share of the arm's reach."""
+
 _LIGHTER, _HEAVIER = 0.7, 1.3  # true inertia as a multiple of the believed one
 _IDEAL = 1e-4  # period of a loop without latency [s]
 _ROUND_OFF = 1e-7  # of multipliers
@@ -374,6 +376,6 @@ def _with_tool(robot: Robot) -> Robot:
         FrameKinematics(robot, frame).placement(neutral)[0] for frame in (joint.parent, robot.tip)
     )
     _, reach = reach_bound(robot, robot.tip)
-    length = _TOOL * reach if math.isfinite(reach) else 0.0
+    length = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
     shift = length * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
     return robot.with_kinematic_error({joint.name: shift.tolist()})
