@@ -114,7 +114,8 @@ class AdaptiveGravity(Immutable):
         model: The believed robot, or a `GravityRegressor` of it. What it holds
             changes θ̂_g(0) only.
         L: Adaptation gain of θ_g: a number, a diagonal (p,), or a symmetric positive definite
-            matrix (p, p); 0 leaves θ̂_g as it is. None takes that of `tuned`.
+            matrix (p, p); 0 leaves θ̂_g as it is, and d and w are learnt. None takes that of
+            `tuned`.
         alpha: α > 0 of eq. (10) [1/s]; by default the rate of the task's slow pole.
         theta0: θ̂_g(0), a number or shape (p,); that of the believed robot by default.
         bounds: Smallest and largest θ_g, each a number or shape (p,), that θ̂_g is kept in by
@@ -123,7 +124,7 @@ class AdaptiveGravity(Immutable):
         torque_limits: Torques beyond which θ̂ stands still, a number or shape (n_v,) [N m or N];
             the believed robot's effort limits by default, `numpy.inf` for never.
         task_force: L_d ≥ 0 of d, a number or shape (m,); 0 does not learn it. By default 0 where L
-            is given, and else that of `tuned`.
+            is given, unless as 0, and else that of `tuned`.
         joint_torque: L_w ≥ 0 of w, a number or shape (n_v,), as `task_force`.
 
     Attributes:
@@ -194,6 +195,11 @@ class AdaptiveGravity(Immutable):
                     f"bounds must {wanted}, got {lower.tolist()} to {upper.tolist()}", given=bounds
                 )
         return lower, upper
+
+    @property
+    def wants_rule(self) -> bool:
+        """Whether `tuned` chooses how fast it learns."""
+        return self.L is None or not self.L.any()
 
     def adaptation(self, task: Task, gains: Diagonals, chosen: Learning | None) -> Adaptation:
         """Return this with its defaults filled in, for a task, its gains and what `tuned` chose.

@@ -171,7 +171,7 @@ class SetpointController(Immutable):
     ) -> Tuning | None:
         """Return what the rule chooses of gains, saturation and learning; None of nothing."""
         gravity, alpha, regressor = self.gravity, None, None
-        if isinstance(gravity, AdaptiveGravity) and gravity.L is None:
+        if isinstance(gravity, AdaptiveGravity) and gravity.wants_rule:
             alpha, regressor = gravity.alpha, gravity.regressor
         if gains is not None and regressor is None:
             return None

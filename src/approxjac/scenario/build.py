@@ -152,7 +152,9 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
         else:
             q0 = plant.ready_configuration() if start is None else draw()
         target = _target(sensor, q0, scenario, draw)
-    law = _law(task, gravity_from(truth, belief, scenario.controller.gravity), q0, scenario)
+    chosen = scenario.controller
+    gravity = gravity_from(truth, belief, chosen.gravity, chosen.integral)
+    law = _law(task, gravity, q0, scenario)
     controller: Controller = law
     if limits is not None:
         controller = TorqueLimited(law, limits, dt=sampling_time(scenario))
@@ -234,16 +236,23 @@ def _target(
 # -- who controls -----------------------------------------------------------------------
 
 
-def gravity_from(truth: Robot, belief: Robot, kind: str) -> Gravity:
-    """Return the gravity of a controller: "learnt", "exact", "believed" or "none"."""
-    if kind == "none":
-        return NoGravity(belief)
-    if kind == "believed":
-        return ModelGravity(belief)
+def gravity_from(truth: Robot, belief: Robot, kind: str, integral: str | None = None) -> Gravity:
+    """Return the gravity of a controller: "learnt", "exact", "believed" or "none".
+
+    With `integral` "learnt" it learns a task force and joint torques, too, with "none" it does not.
+    """
     if kind == "learnt":
-        return AdaptiveGravity(belief)
+        nothing = 0.0 if integral == "none" else None
+        return AdaptiveGravity(belief, task_force=nothing, joint_torque=nothing)
+    if kind == "none":
+        return AdaptiveGravity(belief, L=0.0, theta0=0.0) if integral == "learnt" else NoGravity(belief)
+    if kind == "believed":
+        return AdaptiveGravity(belief, L=0.0) if integral == "learnt" else ModelGravity(belief)
     regressor = GravityRegressor(belief)
-    return RegressorGravity(regressor, regressor.fit(truth)[0])
+    theta = regressor.fit(truth)[0]
+    if integral == "learnt":
+        return AdaptiveGravity(regressor, L=0.0, theta0=theta)
+    return RegressorGravity(regressor, theta)
 
 
 def _law(task: Task, gravity: Gravity, q0: Array, scenario: Scenario) -> SetpointController:

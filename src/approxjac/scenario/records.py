@@ -189,6 +189,7 @@ class ControllerChoice:
         law: "setpoint", the paper's.
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: "learnt" (law (28)), "exact" (fitted to the true one), "believed", or "none".
+        integral: Constant task force and joint torques, "learnt" or "none"; as gravity by default.
         settling_time: Wanted; by default as fast as inertia, motors and latency allow, s.
         kp: K_p, one number or one a task coordinate; by the rule for all defaults if not given.
         kv: K_v, one number or one a task coordinate; by the rule if not given.
@@ -204,6 +205,7 @@ class ControllerChoice:
     law: Literal["setpoint"] = "setpoint"
     differentiator: float | None = _above(None)
     gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"
+    integral: Literal["learnt", "none"] | None = None
     settling_time: float | None = _above(None)
     kp: Numbers | None = _above(None)
     kv: Numbers | None = _above(None)
