@@ -22,7 +22,7 @@ CAMERA = SENSORS | {"rate": 30.0, "delay": 0.06}
 KINDS = {
     "sensors": {"sensor": SENSORS, "loop": {"actuator_delay": 2e-3}},
     "camera": {"sensor": CAMERA, "loop": {"actuator_delay": 2e-3}},
-    "friction": {"controller": {"gravity": "exact"}},
+    "friction": {"controller": {"gravity": "exact", "integral": "learnt"}},
 }
 ARMS = {
     "sensors": ("panda", "ur5", "xarm7", "kinova", "z1"),
