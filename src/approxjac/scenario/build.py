@@ -244,15 +244,15 @@ def gravity_from(truth: Robot, belief: Robot, kind: str, integral: str | None = 
     if kind == "learnt":
         nothing = 0.0 if integral == "none" else None
         return AdaptiveGravity(belief, task_force=nothing, joint_torque=nothing)
-    if kind == "none":
-        return AdaptiveGravity(belief, L=0.0, theta0=0.0) if integral == "learnt" else NoGravity(belief)
-    if kind == "believed":
-        return AdaptiveGravity(belief, L=0.0) if integral == "learnt" else ModelGravity(belief)
-    regressor = GravityRegressor(belief)
-    theta = regressor.fit(truth)[0]
+    if kind == "exact":
+        regressor = GravityRegressor(belief)
+        theta = regressor.fit(truth)[0]
+        if integral == "learnt":
+            return AdaptiveGravity(regressor, L=0.0, theta0=theta)
+        return RegressorGravity(regressor, theta)
     if integral == "learnt":
-        return AdaptiveGravity(regressor, L=0.0, theta0=theta)
-    return RegressorGravity(regressor, theta)
+        return AdaptiveGravity(belief, L=0.0, theta0=0.0 if kind == "none" else None)
+    return NoGravity(belief) if kind == "none" else ModelGravity(belief)
 
 
 def _law(task: Task, gravity: Gravity, q0: Array, scenario: Scenario) -> SetpointController:
