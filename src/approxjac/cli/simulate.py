@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import tyro
@@ -23,7 +24,8 @@ def simulate(
 
     Example: approxjac simulate panda --object-length 0.2 --believed-length 0 --seed 1
 
-    Exit code 0 if the error ended within the tolerance, or a path was followed; 1 if not.
+    Exit code 0 if the error ended within the tolerance, or a path was followed; 1 if not. An error
+    that got there in the last tenth of the run only is too late to judge, and no failure.
 
     Args:
         scenario: The scenario.
@@ -46,6 +48,8 @@ def simulate(
         scenario = scenario.with_values({"loop": {"dt": 1e-3}})
     built = scenario.build()
     make_folder(out)
+    if built.warning:
+        print(f"approxjac: warning: {built.warning}", file=sys.stderr)
     if save is not None:
         scenario.save(save)
     live = None
@@ -67,4 +71,4 @@ def simulate(
     print(report.text(result))
     print(f"\nPictures, the run, its scenario and summary.json are in {out}")
     print(f"See it move: approxjac view {out / 'run.npz'}")
-    return 1 if result.reason else 0
+    return 1 if result.failed else 0

@@ -25,14 +25,6 @@ def beyond_positions(robot: Robot, q: Array) -> Array:
     return np.asarray(np.maximum(motions - high, low - motions))
 
 
-def farthest_beyond(robot: Robot, q: Array) -> str:
-    """Say which joint was how far beyond its limits at most, of configurations (N, nq)."""
-    beyond = beyond_positions(robot, q).max(axis=0)
-    i = int(beyond.argmax())
-    name, unit = robot.joint_names[i], robot.joint_units[i]
-    return f"{name} was {beyond[i]:.2g} {unit} beyond its position limits"
-
-
 def require_radians(name: str, robot: Robot, q: Array) -> None:
     """Refuse a configuration that is a turn or more beyond the limits of a joint: it is in degrees.
 

@@ -34,6 +34,7 @@ from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
 from approxjac.scenario.configurations import configuration_of, regular_configuration
 from approxjac.scenario.images import image_scene
+from approxjac.scenario.reachability import doubts
 from approxjac.scenario.records import Numbers, Object, Sensor, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
@@ -86,6 +87,11 @@ class BuiltScenario:
         """Torques that the true motors deliver, shape (n_v,) [N m or N]."""
         limits = self.plant.torque_limits
         return self.plant.robot.effort_limits if limits is None else limits
+
+    @functools.cached_property
+    def warning(self) -> str:
+        """Why the believed arm cannot reach the target, as far as it tells; or ""."""
+        return doubts(self.law.task, self.target, self.q0, self.scenario.run.duration)
 
     def run(
         self,

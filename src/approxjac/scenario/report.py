@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from approxjac.formatting import listed
 from approxjac.interface import LimitStatus, Status
-from approxjac.robots.joint_limits import farthest_beyond
 from approxjac.scenario.records import Belief
 from approxjac.scenario.result import Result
 from approxjac.scenario.scenario import Scenario
@@ -67,10 +66,12 @@ def text(result: Result) -> str:
         told["strayed"] = f"up to {largest} from the path, {rms} RMS"
     if built.limits is not None:
         told["limits"] = _shares(run.limit_status_counts())
-    if result.joint_limit_excess > 0.0:
-        told["beyond"] = farthest_beyond(built.plant.robot, run.q)
+    if run.at_stops:
+        told["stops"] = f"{run.stops_told()}; up to {result.joint_limit_excess:.2g} beyond"
     if not result.on_path and (run.x_d != run.x_d[0]).any():
         told["shown"] = "the target was moved while it ran: errors are to the target then"
+    if built.warning:
+        told["warning"] = built.warning
     told["verdict"] = ": ".join(filter(None, (result.verdict, result.reason)))
     lines = [f"{name:<11} {line}" for name, line in told.items()]
     return "\n".join([repr(built.plant.robot), *lines])

@@ -10,10 +10,10 @@ import numpy as np
 
 from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
-from approxjac.robots.joint_limits import beyond_positions, reach_bound
+from approxjac.robots.joint_limits import beyond_positions
 from approxjac.scenario.build import BuiltScenario
+from approxjac.scenario.reachability import too_far
 from approxjac.simulation import Trajectory
-from approxjac.tasks import PoseTask, PositionTask
 from approxjac.validation import Array
 
 _AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
@@ -132,16 +132,31 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """The verdict: converged, or not converged; of a path followed, or not followed."""
+        """The verdict: converged, converged late, or not; of a path followed, or not followed."""
         done = "followed" if self.on_path else "converged"
-        return f"not {done}" if self.reason else done
+        if self.late:
+            return f"{done} late"
+        return f"not {done}" if self.failed else done
+
+    @property
+    def late(self) -> bool:
+        """True if a target at rest was reached, but in the last tenth: too late to judge."""
+        reached = not (self.on_path or self.in_pixels or math.isnan(self.settling_time))
+        return reached and not self.converged
+
+    @property
+    def failed(self) -> bool:
+        """True if the task was not done; what is too late to judge is no failure."""
+        return bool(self.reason) and not self.late
 
     @property
     def reason(self) -> str:
-        """The reason why the task was not done; nothing if it was done."""
-        away, most = self._distance()
-        if self.converged and not (self.on_path and away > most):
+        """The reason why the task was not done, or cannot be judged; nothing if it was done."""
+        far = too_far(self.built.plant.sensor, self.run.x_d if self.on_path else self.run.x_d[-1:])
+        if self.converged and not (self.on_path and far):
             return ""
+        if self.late:
+            return f"within the tolerance since {self.settling_time:.3g} s only, too late to judge"
         run, size = self.run, np.nan_to_num(self.run.error_norm, nan=math.inf)  # behind the camera
         last = slice(-max(1, len(run.t) // 4), None)
         before = size[: -len(size[last])][-len(size[last]) :]
@@ -151,12 +166,12 @@ class Result:
 
         if mostly(run.status[last] == Status.MEASUREMENT_LOST):
             return "the measurement of x is lost"
-        if not (self.in_pixels or self.converged or math.isnan(self.settling_time)):
-            return f"within the tolerance since {self.settling_time:.3g} s only, too late to judge"
-        if away > most:
-            return (
-                f"out of reach: {away:.3g} m from the first joint, where {most:.3g} m is the most"
-            )
+        if far:
+            return far
+        stands = bool(len(before) and size[last].max() > 0.9 * before.max())
+        at_stop = (beyond_positions(self.built.plant.robot, run.q[last]) > 0.0).mean(axis=0) > 0.5
+        if stands and at_stop.any():
+            return f"stands at the joint stops of {', '.join(np.array(run.joint_names)[at_stop])}"
         asked = np.abs(run.tau[last]) > self.built.motor_limits * (1.0 + 1e-9)  # solvers round
         if mostly(asked.any(axis=1)):
             return "the law asks for more torque than the motors deliver"
@@ -165,27 +180,31 @@ class Result:
         if self.on_path:
             told = f"strays up to {self.strayed[0]:.3g} {run.task_unit} from its path"
             return f"{told}, where at most {self.tolerance:.3g} {run.task_unit} is following it"
-        stands = bool(len(before) and size[last].max() > 0.9 * before.max())
         if stands and mostly(run.status[last] == Status.NEAR_SINGULAR):
             return "stands where the believed Jacobian is singular along the error"
         moved = np.linalg.norm(run.x[last] - run.x[-1], axis=1).max()
         if moved < 0.1 * size[-1] and np.abs(run.v[-1]).max() < _AT_REST:
+            if self._learns(last) and size[-1] < 0.99 * size[last][0]:
+                return "still learning: the error shrinks as what lacks is learnt"
             learnt = self.built.scenario.controller.gravity == "learnt"
             weight = "" if learnt else ", or gravity is not compensated as it is"
             return f"came to rest away from its target: out of reach, blocked, friction{weight}"
         if not stands:
             return "still approaching its target at the end"
+        if self._learns(last):
+            return "still learning: the torque that it compensates still changes"
         return "moves on without approaching: too short a run, or not stable with these errors"
 
-    def _distance(self) -> tuple[float, float]:
-        """Return how far from the first joint the target is, and how far the tip gets [m]."""
-        sensor = self.built.plant.sensor
-        if not isinstance(sensor, PositionTask | PoseTask):
-            return 0.0, math.inf
-        first, most = reach_bound(sensor.robot, sensor.frame)
-        axes = ["xyz".index(axis) for axis in sensor.labels[:3]]
-        x_d = self.run.x_d if self.on_path else self.run.x_d[-1:]
-        return float(np.linalg.norm(x_d[:, : len(axes)] - first[axes], axis=1).max()), most
+    def _learns(self, last: slice) -> bool:
+        """Return whether more than 1 % of what lacks at the end was learnt in the last quarter.
+
+        At rest what lacks is the torque of the position force.
+        """
+        run, law, q = self.run, self.built.law, self.run.q[-1]
+        if law.adaptation is None:
+            return False
+        first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
+        return bool(np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.task_torque[-1]))
 
     def _held_back(self) -> str:
         """Return what limits did at the end, and which."""
@@ -217,6 +236,8 @@ class Result:
             "peak_torque_ratio": self.peak_torque_ratio,
             "verdict": self.verdict,
             "reason": self.reason,
+            "warning": built.warning,
+            "at_joint_stops_s": run.at_stops,
             "joint_limit_excess": self.joint_limit_excess,
             "limits": self._limits_summary(),
             "start": run.x[0],

@@ -15,8 +15,11 @@ import numpy as np
 from approxjac.errors import InvalidInputError, TrajectoryFileError
 from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Status
+from approxjac.robots.joint_limits import beyond_positions
 from approxjac.simulation.scene import Scene
 from approxjac.validation import Array, as_number, require
+
+_TOUCHES = 1e-6  # beyond a position limit; less is rounding [rad or m]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,6 +132,19 @@ class Trajectory:
             raise InvalidInputError("there is no ratio to an initial error of 0", given=t)
         return float(np.interp(t, self.t, norm) / norm[0])
 
+    @cached_property
+    def at_stops(self) -> dict[str, float]:
+        """Time [s] that each joint was at a stop, beyond a position limit; of those that were.
+
+        As far as recorded instants show: a contact lasts some 10 ms at least. Empty where the robot
+        is not known (`scene`).
+        """
+        if self.scene is None:
+            return {}
+        share = (beyond_positions(self.scene.truth, self.q) > _TOUCHES).mean(axis=0)
+        times = zip(self.joint_names, (share * (self.t[-1] - self.t[0])).tolist(), strict=True)
+        return {name: time for name, time in times if time > 0.0}
+
     def status_counts(self) -> dict[Status, int]:
         """Return at how many recorded instants each status held."""
         return {Status(s): n for s, n in sorted(Counter(self.status.tolist()).items())}
@@ -235,8 +251,15 @@ class Trajectory:
             f"torque  at most {np.abs(self.tau[:, k]).max():.3g} {unit} ({self.joint_names[k]})",
             f"status  {_counted(self.status_counts())}",
         ]
-        limits = self._limits()
-        return "\n".join([*lines, f"limits  {limits}"] if limits else lines)
+        if limits := self._limits():
+            lines.append(f"limits  {limits}")
+        if self.at_stops:
+            lines.append(f"stops   {self.stops_told()}")
+        return "\n".join(lines)
+
+    def stops_told(self) -> str:
+        """Return which joints were at their stops, and for how long, in words; "" if none was."""
+        return ", ".join(f"{name} for {time:.3g} s" for name, time in self.at_stops.items())
 
     def __repr__(self) -> str:
         norm, limits = self.error_norm, self._limits()
