@@ -6,6 +6,7 @@ import numpy as np
 
 import approxjac as aj
 from approxjac.controllers import Limiter
+from approxjac.controllers.limiter import Limited
 
 
 def clipped(law, limits):
@@ -27,11 +28,11 @@ class TaskTorqueScaled(Limiter):
     """
 
     def _limit(self, asked):
-        answer, g, _, lower, upper, _, _ = asked
+        answer, g, _, lower, upper, *_ = asked
         hold = np.minimum(np.maximum(g, lower), upper)
         change = answer.torque - hold
         room = np.where(change > 0.0, upper - hold, lower - hold)
         moves = change != 0.0
         share = np.min(room[moves] / change[moves], initial=1.0)
         torque = np.minimum(np.maximum(hold + share * change, lower), upper)
-        return torque, aj.LimitStatus.LIMITED, math.nan
+        return Limited(torque, aj.LimitStatus.LIMITED, math.nan, asked.memory)

@@ -89,6 +89,10 @@ class LimitStatus(_Outcome):
         "the solver gave no usable torque in time: gravity compensation and brakes, within the "
         "limits of torques and their rates"
     )
+    EXCEEDED = (
+        "a joint is faster or further than it may be; the torque of the law leads it back, within "
+        "all limits"
+    )
 
 
 class Measurement(NamedTuple):

@@ -85,9 +85,38 @@ def test_rate_bounds_never_leave_the_effort_limits():
 def test_position_bounds_let_a_joint_come_to_its_limit_exponentially():
     motion, position = np.array([0.5]), np.array([[-1.0], [1.0]])
     for _ in range(1000):
-        speed = rows.position_bounds(motion, position, 10.0)[1]
+        speed = rows.position_bounds(motion, position, 10.0, np.array([np.inf]))[1]
         motion = motion + 1e-3 * speed
     assert_allclose(1.0 - motion, 0.5 * (1.0 - 0.01) ** 1000)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_joint_that_comes_to_its_limit_brakes_with_no_more_than_its_deceleration(side):
+    position, a, dt = np.array([[-1.0], [1.0]]), np.array([3.0]), 1e-4
+    motion, before, hardest = np.array([-0.8 * side]), None, 0.0
+    for _ in range(30_000):
+        speed = rows.position_bounds(motion, position, 10.0, a)[int(side > 0.0)]
+        if before is not None:
+            hardest = max(hardest, float(np.abs(speed - before)[0]) / dt)
+        before, motion = speed, motion + dt * speed
+    assert hardest == pytest.approx(3.0, rel=1e-2)
+    assert 0.0 < 1.0 - side * motion[0] < 1e-6  # it gets there, not further
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "tiago_arm"])
+def test_motors_surely_brake_a_joint_in_almost_every_configuration(name, rng):
+    robot = aj.load_robot(name)
+    effort, dynamics = robot.effort_limits, Dynamics(robot)
+    a = rows.sure_deceleration(robot, effort)
+    assert (a > 0.0).all()
+    enough = []
+    for _ in range(200):
+        q = robot.random_configuration(rng)
+        needed = np.abs(dynamics.g(q))[:, None] + np.abs(dynamics.M(q)) * a  # joint by joint
+        enough.append((needed <= effort[:, None]).all(axis=0))
+    assert np.mean(enough, axis=0).min() > 0.95
+    unknown = rows.sure_deceleration(robot, np.full(robot.nv, np.inf))
+    assert np.isinf(unknown).all()
 
 
 def test_acceleration_bounds_stop_what_is_too_fast():

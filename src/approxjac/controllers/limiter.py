@@ -14,7 +14,8 @@ from approxjac.errors import MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
 from approxjac.validation import Array, require
 
-_FREE, _KEPT = LimitStatus.FREE, LimitStatus.PROOF_KEPT  # members of an enum are slow to look up
+_FREE = LimitStatus.FREE  # members of an enum are slow to look up
+_GOES_ON = _FREE, LimitStatus.PROOF_KEPT, LimitStatus.EXCEEDED  # V̇ ≤ −W holds
 
 
 class Asked(NamedTuple):
@@ -28,6 +29,7 @@ class Asked(NamedTuple):
         upper: Largest torques, shape (n_v,).
         clipped: The torque asked for, brought within them, shape (n_v,).
         free: Whether it was within them.
+        memory: What the limiter kept from the step before, shape (k,).
     """
 
     answer: Evaluation
@@ -37,13 +39,31 @@ class Asked(NamedTuple):
     upper: Array
     clipped: Array
     free: bool
+    memory: Array
+
+
+class Limited(NamedTuple):
+    """A torque within its bounds.
+
+    Attributes:
+        torque: Shape (n_v,).
+        status: What was done to it.
+        slack: σ [W].
+        memory: What to keep for the next step, shape (k,).
+    """
+
+    torque: Array
+    status: LimitStatus
+    slack: float
+    memory: Array
 
 
 class Limiter(ControllerWrapper):
     """A controller whose torque is brought within limits.
 
-    Its state is that of the controller, followed by the torque of the step before where the rate
-    of torques is limited; the first step starts from the torque that holds the arm.
+    Its state is that of the controller, followed by what the limiter itself keeps from step to
+    step, and by the torque of the step before where the rate of torques is limited; the first step
+    starts from the torque that holds the arm.
 
     Learning by eq. (29) goes on where the torque is free, or limited such that V̇ ≤ −W holds: the
     parameters are part of that V, and it needs them to move. Otherwise θ̂ rests (anti-windup). This
@@ -84,7 +104,12 @@ class Limiter(ControllerWrapper):
         self._rate = np.asarray(self.limits.rate)
         self._has_rate = bool(np.isfinite(self._rate).any())
         self._looks_ahead = False  # whether a torque within its limits may be limited too
-        self._memory = robot.nv if self._has_rate else 0
+        self._keep(np.zeros(0))
+
+    def _keep(self, kept: Array) -> None:
+        """Keep numbers from step to step; `kept` is what they are before the first one."""
+        self._kept = kept
+        self._memory = len(kept) + (len(self._upper) if self._has_rate else 0)
 
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step.
@@ -96,7 +121,7 @@ class Limiter(ControllerWrapper):
         """
         state = self._law.initial_state(measurement)
         if not self._has_rate:
-            return state
+            return np.concatenate([state, self._kept]) if len(self._kept) else state
         q = measurement.q
         if not np.isfinite(q).all():
             raise MeasurementError(
@@ -106,7 +131,7 @@ class Limiter(ControllerWrapper):
             )
         self.task.robot.configuration(q)
         hold = self._law.gravity_torque(state, q)
-        return np.concatenate([state, np.clip(hold, self._lower, self._upper)])
+        return np.concatenate([state, self._kept, np.clip(hold, self._lower, self._upper)])
 
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
@@ -115,9 +140,11 @@ class Limiter(ControllerWrapper):
 
         Arguments and errors are those of the controller.
         """
-        lower, upper = self._lower, self._upper
-        if self._has_rate:
-            state, before = self._split(state)
+        lower, upper, memory = self._lower, self._upper, self._kept
+        if self._memory:
+            state, memory = self._split(state)
+            if self._has_rate:
+                memory, before = np.split(memory, [len(self._kept)])
         after, answer = self._law.step(state, measurement, target, dt)
         if self._has_rate:
             within = np.minimum(np.maximum(before, lower), upper)
@@ -128,17 +155,17 @@ class Limiter(ControllerWrapper):
         free = torque.tolist() == wanted.tolist()
         if not free or self._looks_ahead:
             assert answer.gravity is not None  # no law of ours leaves it out
-            asked = Asked(answer, answer.gravity, measurement, lower, upper, torque, free)
-            torque, status, slack = self._limit(asked)
-        if self._p and status is not _FREE and status is not _KEPT:
+            asked = Asked(answer, answer.gravity, measurement, lower, upper, torque, free, memory)
+            torque, status, slack, memory = self._limit(asked)
+        if self._p and status not in _GOES_ON:
             after[: self._p] = state[: self._p]
-        if self._has_rate:
-            after = np.concatenate([after, torque])
+        if self._memory:
+            after = np.concatenate([after, memory, torque] if self._has_rate else [after, memory])
         return after, answer._replace(torque=torque, limit_status=status, slack=slack)
 
     @abc.abstractmethod
-    def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
-        """Return a torque within [lower, upper], what was done to it, and the slack."""
+    def _limit(self, asked: Asked) -> Limited:
+        """Return a torque within [lower, upper]."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.controller!r})"

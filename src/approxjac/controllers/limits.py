@@ -9,8 +9,13 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
-from approxjac.robots import Robot
+from approxjac.robots import Dynamics, Robot
 from approxjac.validation import Array, as_limits, as_number, require, shape_of
+
+_CONFIGURATIONS = 100
+_SHARE, _RARE = 0.5, 0.05
+_LEAST_LEFT = 0.05  # of the effort, where gravity takes all of it
+_NO_INERTIA = 1e-12  # instead of none, which would divide by zero
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,21 +103,55 @@ def rate_bounds(
     return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
 
 
-def position_bounds(motion: Array, position: Array, approach: float | Array) -> Array:
+def sure_deceleration(robot: Robot, effort: Array) -> Array:
+    """Return how fast motors can surely brake each joint, shape (n_v,) [rad/s² or m/s²].
+
+    Half of what is left of the efforts after gravity, in all but one of twenty configurations
+    within the joint limits: while one joint brakes, every motor that this asks for a torque has to
+    give it. The other half is for joints that brake together, for the terms in q̇, and for what the
+    arm carries. Infinite where no effort is known.
+
+    Args:
+        robot: The believed robot.
+        effort: Largest abs(τ), shape (n_v,).
+    """
+    dynamics, rng = Dynamics(robot), np.random.default_rng(0)
+    found = []
+    for _ in range(_CONFIGURATIONS):
+        q = robot.random_configuration(rng)
+        left = np.maximum(effort - np.abs(dynamics.g(q)), _LEAST_LEFT * effort)
+        inertia = np.maximum(np.abs(dynamics.M(q)), _NO_INERTIA)
+        found.append((left[:, np.newaxis] / inertia).min(axis=0))
+    return np.asarray(_SHARE * np.quantile(found, _RARE, axis=0, method="lower"))
+
+
+def position_bounds(
+    motion: Array, position: Array, approach: float | Array, deceleration: Array
+) -> Array:
     """Return speeds with which a joint comes to its limit ever more slowly, shape (2, n_v).
 
     A joint at a distance d from its limit may move towards it at κd at most, so it gets there as
-    exp(−κt) and needs no sudden stop. One beyond its limit has to come back.
+    exp(−κt) and needs no sudden stop; and, where that takes more than the deceleration a, at
+    √(2ad − (a/κ)²), along which it brakes with a until the two meet. One beyond its limit has to
+    come back.
 
     Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
-    manipulators with a high number of degrees of freedom", ICRA 1987.
+    manipulators with a high number of degrees of freedom", ICRA 1987, for κd.
 
     Args:
         motion: Joint positions, shape (n_v,) [rad or m].
         position: Their smallest and largest, shape (2, n_v).
         approach: κ [1/s].
+        deceleration: a > 0, shape (n_v,) [rad/s² or m/s²], infinite where it is never too little.
     """
-    return np.asarray(approach * (position - motion))
+    left = position - motion
+    speeds: Array = approach * left
+    knee = deceleration / approach  # the speed from which on it is a that counts
+    size = np.abs(speeds)
+    if (size <= knee).all():
+        return speeds
+    braked = np.sqrt(knee * np.maximum(2.0 * size - knee, 0.0))
+    return np.asarray(np.where(size <= knee, speeds, np.copysign(braked, left)))
 
 
 def acceleration_bounds(

@@ -4,38 +4,58 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.limiter import Asked, Limiter
+from approxjac.controllers.limit_weights import light_inertias, quickest, task_force_weight
+from approxjac.controllers.limiter import Asked, Limited, Limiter
 from approxjac.controllers.limits import (
     Limits,
     acceleration_bounds,
     position_bounds,
+    sure_deceleration,
 )
+from approxjac.controllers.prediction import Prediction
 from approxjac.controllers.qp_solvers import as_solver
 from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.usual_postures import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
-from approxjac.robots import Dynamics
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 Weight = Literal["joint inertia", "inertia", "identity", "task force"]
 Rows = tuple[Array, Array, Array]
 _WEIGHTS = ("joint inertia", "inertia", "identity", "task force")
 _OK = Status.OK
-_FREE, _LIMITED = LimitStatus.FREE, LimitStatus.LIMITED
+_FREE, _LIMITED, _INFEASIBLE = LimitStatus.FREE, LimitStatus.LIMITED, LimitStatus.INFEASIBLE
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
-_TASK_FORCE_KEPT = 100.0  # how much dearer it is to turn the task force than to reduce it
 _ROUND_OFF = 1e-10
 _MARGIN = 1e-6
+_TOLD = 1e-3  # beyond a limit of speed (as a share) or position [rad or m] that has its status
 _HUGE = 1e30  # below it nothing overflows
 _NO_LOWER, _NO_UPPER = np.array([-np.inf]), np.array([np.inf])
+
+
+class Ahead(NamedTuple):
+    """What a torque leads to in the next period, and what it may lead to.
+
+    Attributes:
+        speeds: Smallest and largest q̇, shape (2, n_v).
+        accelerations: Smallest and largest q̈, shape (2, n_v).
+        f: q̈ by the believed dynamics, shape (n_v,).
+        residual: r, by which periods have shown that to be wrong, shape (n_v,).
+        is_beyond: Whether a joint is beyond a limit already.
+    """
+
+    speeds: Array
+    accelerations: Array
+    f: Array
+    residual: Array
+    is_beyond: bool
 
 
 class TorqueLimited(Limiter):
@@ -111,14 +131,15 @@ class TorqueLimited(Limiter):
         self._rho = self.braking
         if not self._is_inertia:  # R of the task force is I at least
             diagonal = np.ones(robot.nv) if self._diagonal is None else self._diagonal
-            self._rho = self.braking / _quickest(inertias, 1.0 / diagonal)
-        light = _light(inertias)
-        self._brakes = self.braking / _quickest(inertias, light) * light
+            self._rho = self.braking / quickest(inertias, 1.0 / diagonal)
+        light = light_inertias(inertias)
+        self._brakes = self.braking / quickest(inertias, light) * light
         usual = np.median([np.diag(M) for M in inertias], axis=0)
         self._ramp = self._rate * usual if self._has_rate else None
         self._jerk = self._rate / usual if self._has_rate else None
-        # gravity is what the controller takes it for, which may be learnt or none
-        self._dynamics = Dynamics(robot.with_gravity((0.0, 0.0, 0.0)))
+        self._prediction = Prediction(controller, self._dt, self.braking)
+        self._dynamics = self._prediction.dynamics
+        self._deceleration = sure_deceleration(robot, self._upper)
         self._model = robot.model
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         # arrays, which NumPy multiplies with in a third of the time of numbers
@@ -127,10 +148,14 @@ class TorqueLimited(Limiter):
         self._position = np.array(self.limits.position)
         self._fastest = np.asarray(self.limits.velocity)
         self._slowest = -self._fastest
+        self._speeds_told = (1.0 + _TOLD) * np.array([self._slowest, self._fastest])
+        self._told = self._position + np.array([[-_TOLD], [_TOLD]])
         moving = np.isfinite(self._fastest).any()
         self._per_speed = 1.0 / self._fastest if moving else None
         bounds = (*self._position, self._slowest, self._fastest)
         self._looks_ahead = bool(np.isfinite(bounds).any())
+        if self._looks_ahead:
+            self._keep(self._prediction.nothing())
         self._no_rows = np.zeros((0, robot.nv)), np.zeros(0), np.zeros(0)
         # with a diagonal R, the nearest torque within bounds alone is the clipped one
         self._only_clips = not (proof or self._looks_ahead) and self._diagonal is not None
@@ -155,9 +180,9 @@ class TorqueLimited(Limiter):
                 raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)
         return super().step(state, measurement, target, dt)
 
-    def _limit(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
+    def _limit(self, asked: Asked) -> Limited:
         if self._only_clips:
-            return asked.clipped, _LIMITED, math.nan
+            return Limited(asked.clipped, _LIMITED, math.nan, asked.memory)
         q, v = asked.measurement.q, asked.measurement.v
         answer = asked.answer
         size = math.hypot(
@@ -168,44 +193,55 @@ class TorqueLimited(Limiter):
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
             return self._nearest(asked)
 
-    def _nearest(self, asked: Asked) -> tuple[Array, LimitStatus, float]:
+    def _nearest(self, asked: Asked) -> Limited:
         """Return what `_limit` does."""
-        answer, _, measurement, lower, upper, torque, free = asked
+        answer, _, measurement, lower, upper, torque, free, _ = asked
         wanted, q, v = answer.torque, measurement.q, measurement.v
-        y, rho, slack = None, 0.0, math.nan
+        y, rho, slack, ahead = None, 0.0, math.nan, None
         if not free and self.proof:
             y, rho = self._passive_output(answer, v)
             if self._diagonal is not None:
                 torque, slack = law.limited_torque(wanted, y, lower, upper, self._diagonal, rho)
-        speeds = q_dd = None
         keeps = True
         if self._looks_ahead:
-            speeds, q_dd, accelerations = self._predicted(asked, torque)
-            keeps = _is_within(q_dd, accelerations)
+            ahead = self._predicted(asked, torque)
+            keeps = _is_within(ahead.f + ahead.residual, ahead.accelerations)
         # the minimum without rows that it keeps is the minimum with them
-        if keeps and free:
-            return torque, _FREE, 0.0
-        if keeps and self._diagonal is not None:
-            return (torque, *self._said(answer, slack))
+        if keeps and (free or self._diagonal is not None):
+            status, slack = (_FREE, 0.0) if free else self._said(answer, slack)
+            return self._limited(asked, torque, status, slack, ahead)
 
         if y is None:
             y, rho = self._passive_output(answer, v)
         M_inv, rows = self._dynamics.M_inv(q), self._no_rows
-        if q_dd is not None:
+        if ahead is not None:
             # q̈ = M̂⁻¹τ + q̈₀ is within its bounds, with q̈₀ the acceleration without a torque
-            lowest, highest = accelerations - (q_dd - M_inv.dot(torque))
-            rows = M_inv, lowest, highest
+            q_dd_0 = ahead.f + ahead.residual - M_inv.dot(torque)
+            rows = M_inv, *(ahead.accelerations - q_dd_0)
         R = self._R
         if R is None:
-            R = M_inv if self._is_inertia else _task_force_weight(asked)
+            R = M_inv if self._is_inertia else task_force_weight(asked)
         found, verdict = self._solve(R, wanted, y, rho, lower, upper, rows)
         if found is not None:
-            return (found, *self._said(answer, _slack(found, wanted, y)))
-        infeasible = verdict is Verdict.INFEASIBLE
-        status = LimitStatus.INFEASIBLE if infeasible else LimitStatus.SOLVER_FAILED
-        torque = self._fallback(asked, speeds)
-        _, slack = self._said(answer, _slack(torque, wanted, y))
-        return torque, status, slack
+            status, slack = self._said(answer, _slack(found, wanted, y))
+        else:
+            found = self._fallback(asked, ahead)
+            _, slack = self._said(answer, _slack(found, wanted, y))
+            status = _INFEASIBLE if verdict is Verdict.INFEASIBLE else LimitStatus.SOLVER_FAILED
+        if ahead is not None:
+            ahead = ahead._replace(f=ahead.f + M_inv.dot(found - torque))
+        return self._limited(asked, found, status, slack, ahead)
+
+    def _limited(
+        self, asked: Asked, torque: Array, status: LimitStatus, slack: float, ahead: Ahead | None
+    ) -> Limited:
+        """Return a torque with its status, and the memory for the next step."""
+        if ahead is None:
+            return Limited(torque, status, slack, asked.memory)
+        if status is _FREE and ahead.is_beyond:
+            status = LimitStatus.EXCEEDED
+        memory = self._prediction.expecting(asked.measurement, ahead.f, ahead.residual)
+        return Limited(torque, status, slack, memory)
 
     def _solve(
         self,
@@ -245,25 +281,31 @@ class TorqueLimited(Limiter):
             return _LIMITED, math.nan  # without x, or without Ĵ⁺, there is no V
         return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
 
-    def _fallback(self, asked: Asked, speeds: Array | None) -> Array:
+    def _fallback(self, asked: Asked, ahead: Ahead | None) -> Array:
         """Return gravity compensation, and brakes towards speeds that joints may have; (n_v,)."""
-        v, (slowest, fastest) = asked.measurement.v, (0.0, 0.0) if speeds is None else speeds
+        v, slowest, fastest, hold = asked.measurement.v, 0.0, 0.0, asked.gravity
+        if ahead is not None:
+            slowest, fastest = ahead.speeds
+            hold = self._prediction.hold(asked.measurement, asked.gravity, ahead.residual)
         excess = v - np.minimum(np.maximum(0.0, slowest), fastest)
         brakes = self._brakes * np.abs(excess)
         if self._ramp is not None:
             brakes = np.minimum(brakes, np.sqrt(self._ramp * np.abs(excess)))
-        torque: Array = asked.gravity - np.sign(excess) * brakes
+        torque: Array = hold - np.sign(excess) * brakes
         return np.minimum(np.maximum(torque, asked.lower), asked.upper)
 
-    def _predicted(self, asked: Asked, torque: Array) -> tuple[Array, Array, Array]:
-        """Return bounds of speeds (2, n_v), q̈ by the believed dynamics, and its bounds."""
+    def _predicted(self, asked: Asked, torque: Array) -> Ahead:
+        """Return what a torque leads to, and what it may lead to."""
         q, v = asked.measurement.q, asked.measurement.v
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
-        speeds = position_bounds(motion, self._position, self._approach)
+        speeds = position_bounds(motion, self._position, self._approach, self._deceleration)
         # a joint far beyond its limit comes back no faster than it may move
         speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
-        q_dd = self._dynamics.forward(q, v, torque - asked.gravity)
-        return speeds, q_dd, acceleration_bounds(v, speeds, self._braking, self._jerk)
+        f = self._prediction.forward(asked.measurement, torque, asked.gravity)
+        residual = self._prediction.residual(asked.memory, asked.measurement)
+        accelerations = acceleration_bounds(v, speeds, self._braking, self._jerk)
+        is_beyond = not (_is_within(v, self._speeds_told) and _is_within(motion, self._told))
+        return Ahead(speeds, accelerations, f, residual, is_beyond)
 
     def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, float]:
         """Return y, shape (n_v,), and ρ.
@@ -312,7 +354,7 @@ class TorqueLimited(Limiter):
         if weight not in _WEIGHTS:
             raise UnknownNameError("weight", weight, "the weights", _WEIGHTS)
         if weight == "joint inertia":
-            return 1.0 / _light(inertias)
+            return 1.0 / light_inertias(inertias)
         return np.ones(nv) if weight == "identity" else None
 
     def __repr__(self) -> str:
@@ -321,42 +363,6 @@ class TorqueLimited(Limiter):
             f"TorqueLimited({self.controller!r}, weight={weight}, proof={self.proof}, "
             f"dt={self._dt:g}, braking={self.braking:g}, solver={self._solver.name})"
         )
-
-
-def _light(inertias: Array) -> Array:
-    """Return the least inertia of each joint, 1 / max (M⁻¹)ᵢᵢ, as the others give way; (n_v,).
-
-    Damping of D times it acts no faster than n_v D: tr(M⁻¹D) bounds its largest eigenvalue.
-    """
-    mobilities = np.linalg.inv(inertias)
-    light: Array = 1.0 / np.diagonal(mobilities, axis1=1, axis2=2).max(axis=0)
-    return light
-
-
-def _quickest(inertias: Array, damping: Array) -> float:
-    """Return the largest eigenvalue of M⁻¹D over configurations, D diagonal of shape (n_v,)."""
-    root = np.sqrt(damping)
-    scaled = root[:, np.newaxis] * np.linalg.inv(inertias) * root
-    return float(np.linalg.eigvalsh(scaled)[:, -1].max())
-
-
-def _task_force_weight(asked: Asked) -> Array:
-    """Return an R that makes it dear to turn the force on the task, shape (n_v, n_v).
-
-    R = I + w N P N with P = Ĵᵀ(ĴĴᵀ)⁻¹Ĵ, onto the joint torques that act on the task, and
-    N = I − uuᵀ, u the direction of the law's own τ* − g.
-    """
-    force = asked.answer.torque - asked.gravity
-    size, J_hat = math.hypot(*force.tolist()), asked.answer.J_hat
-    if size == 0.0 or J_hat is None:
-        return np.eye(len(force))
-    u = force / size
-    squares, U = np.linalg.eigh(J_hat.dot(J_hat.T))
-    regular = squares > law.SINGULAR_RATIO**2 * squares[-1]
-    basis = (U[:, regular] / np.sqrt(squares[regular])).T.dot(J_hat)
-    across = basis - np.outer(basis.dot(u), u)
-    R: Array = np.eye(len(force)) + _TASK_FORCE_KEPT * across.T.dot(across)
-    return R
 
 
 def _slack(torque: Array, wanted: Array, y: Array) -> float:

@@ -18,7 +18,7 @@ from approxjac.validation import Array, as_vector, plane_rows, require
 from approxjac.view.style import COLORS, SERIES, display_unit, new_figure, styled
 
 _STATUS_COLORS = dict(
-    zip(LimitStatus, ("#BBBBBB", *(SERIES[i] for i in (2, 3, 5, 1, 6, 4))), strict=True)
+    zip(LimitStatus, ("#BBBBBB", *(SERIES[i] for i in (2, 3, 5, 1, 6, 4, 0))), strict=True)
 )
 
 
