@@ -24,8 +24,11 @@ from approxjac.stability import lyapunov
 DT = 1e-3
 
 
-def law_of(robot, gravity=None, **options):
-    return aj.SetpointController(aj.PositionTask(robot), gravity=gravity, **options)
+def law_of(robot, gravity=None, gains=None, **options):
+    """A law that asks for as much as its error: s(e) = e."""
+    task = aj.PositionTask(robot)
+    gains = aj.default_gains(task) if gains is None else gains
+    return aj.SetpointController(task, gains, gravity=gravity, **options)
 
 
 def learning(robot):
@@ -716,10 +719,20 @@ def test_rates_of_braking_may_be_what_sampling_allows(panda):
     limited = aj.TorqueLimited(law_of(panda), dt=DT, braking=1.0 / DT, approach=1.0 / DT)
     assert (limited.braking, limited.approach) == (1.0 / DT, 1.0 / DT)
     assert aj.TorqueLimited(law_of(panda), braking=0.5).braking == 0.5
+    assert aj.TorqueLimited(law_of(panda), dt=DT).braking == 0.1 / DT
     for options in ({"braking": 1001.0}, {"braking": 10.0, "approach": 10.1}):
         with pytest.raises(aj.InvalidInputError, match=r"must be at most 10") as error:
             aj.TorqueLimited(law_of(panda), dt=DT, **options)
         assert error.value.given == list(options.values())[-1]
+
+
+def test_braking_is_as_fast_as_the_latency_that_a_law_was_tuned_for_allows(panda):
+    task = aj.PositionTask(panda)
+    late = aj.Latency(torque_delay=2e-3, velocity_filter=5e-3)
+    for latency, lag in ((None, 1e-3), (late, 8e-3)):
+        law = aj.SetpointController(task, latency=latency)
+        assert aj.TorqueLimited(law, dt=DT).braking == pytest.approx(0.3 / lag)
+    assert aj.TorqueLimited(law, dt=2.0 * DT).braking == pytest.approx(0.3 / 9e-3)
 
 
 def test_only_limits_of_speeds_and_positions_need_their_own_dt(panda, rng):

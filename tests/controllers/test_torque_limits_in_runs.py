@@ -14,7 +14,8 @@ DT = 1e-3
 
 
 def law_of(robot, gravity=None):
-    return aj.SetpointController(aj.PositionTask(robot), gravity=gravity)
+    task = aj.PositionTask(robot)
+    return aj.SetpointController(task, aj.default_gains(task), gravity=gravity)
 
 
 def test_the_rate_is_kept_over_a_run(panda):

@@ -35,6 +35,7 @@ _FREE, _LIMITED, _INFEASIBLE = LimitStatus.FREE, LimitStatus.LIMITED, LimitStatu
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
 _ROUND_OFF = 1e-10
 _MARGIN = 1e-6
+_UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
 _TOLD = 1e-3  # beyond a limit of speed (as a share) or position [rad or m] that has its status
 _HUGE = 1e30  # below it nothing overflows
 _NO_LOWER, _NO_UPPER = np.array([-np.inf]), np.array([np.inf])
@@ -88,7 +89,8 @@ class TorqueLimited(Limiter):
             rate of the task's slow pole: with a small α it is q̇ that counts, and the proof can be
             kept more often.
         dt: Sampling time [s].
-        braking: How fast damping may be [1/s], at most 1/dt; 0.1/dt by default.
+        braking: How fast damping may be, and the residual of `Prediction` [1/s], at most 1/dt. By
+            default 0.3 over the lag of q̇ where the law's own tuning knows it, else 0.1/dt.
         approach: κ of `position_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
             `QuadraticProgram` and returns its minimum.
@@ -120,8 +122,8 @@ class TorqueLimited(Limiter):
         robot = controller.task.robot
         self.proof = proof
         self.alpha = self._resolved_alpha(alpha)
-        self.braking = self._share_of("braking", braking, 1.0 / self._dt, 0.1)
-        self.approach = self._share_of("approach", approach, self.braking, 0.1)
+        self.braking = self._rate_of("braking", braking, 1.0 / self._dt, self._usual_braking())
+        self.approach = self._rate_of("approach", approach, self.braking, 0.1 * self.braking)
         self._solver = as_solver(solver)
         inertias = usual_inertias(robot)
         self._diagonal = self._resolved_weight(weight, inertias)
@@ -335,10 +337,17 @@ class TorqueLimited(Limiter):
             )
         return alpha
 
-    def _share_of(self, name: str, value: float | None, most: float, share: float) -> float:
-        """Return a rate that was given, at most `most`, or a share of it."""
+    def _usual_braking(self) -> float:
+        tuning = self.controller.tuning
+        if tuning is None:
+            return _UNKNOWN / self._dt
+        lag = tuning.latency.of_velocity - tuning.latency.period + self._dt
+        return _KNOWN / lag
+
+    def _rate_of(self, name: str, value: float | None, most: float, usual: float) -> float:
+        """Return a rate that was given, at most `most`, or the usual one."""
         if value is None:
-            return share * most
+            return usual
         rate = as_number(name, value, unit="1/s", above=0.0)
         if rate > most * (1.0 + 1e-9):
             raise InvalidInputError(
