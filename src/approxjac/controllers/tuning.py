@@ -103,7 +103,7 @@ class _Arm:
         x = [task.value(each) for each in q]
         between = np.array([task.error(a, b) for a, b in zip(x, [*x[1:], x[0]], strict=True)])
         self.distance = [
-            float(np.median(np.linalg.norm(between[:, group], axis=1)))
+            float(np.median(np.linalg.norm(between[:, group], axis=1))) or math.inf  # of one
             for group in self.postures.groups
         ]
 

@@ -14,8 +14,9 @@ from approxjac.tasks.analysis import seen_configurations
 from approxjac.validation import Array
 
 _CONFIGURATIONS = 100
-_SINGULAR = 1e-6  # σ_min/σ_max that counts as no rank
+_SINGULAR = 1e-9  # σ_min/σ_max that counts as no rank
 _REGULAR = 0.05  # configurations with σ_min below this share of σ_max are left out
+_FEW = 0.1  # as a share of them, of which nothing usual can be told
 _NO_DAMPING = 1e-9  # instead of none, which would divide by zero
 
 
@@ -65,7 +66,7 @@ def usual_postures(task: Task) -> Postures:
     smallest, largest = values[:, -1], values[:, 0]
     ratios = np.divide(smallest, largest, out=np.zeros(len(seen)), where=largest > 0.0)
     least = _REGULAR
-    if not (ratios > least).any():
+    if np.mean(ratios > least) < _FEW:
         # images of several points always tell little of some motion: then half of what is usual
         least = max(0.5 * float(np.median(ratios)), _SINGULAR)
     regular = ratios > least
