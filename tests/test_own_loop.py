@@ -19,9 +19,10 @@ ARM = aj.load_robot("two_link")
 TRUTH, BELIEF = ARM.with_object(0.3, 0.1), ARM.with_object(0.0)
 HEAVY = ARM.with_object(0.3, 0.5)
 SENSOR = aj.PositionTask(TRUTH, axes="xz")
-LAW = aj.SetpointController(
+LAW = aj.SetpointController(  # of 1 s, so that braking from 0.3 m/s takes little beside gravity
     aj.PositionTask(BELIEF, axes="xz"),
     gravity=aj.AdaptiveGravity(GravityRegressor(BELIEF)),
+    settling_time=1.0,
 )
 LIMITED = aj.TorqueLimited(LAW, aj.Limits(effort=(200.0, 100.0)))
 Q0 = np.array([0.6, 1.2])
@@ -235,7 +236,7 @@ def test_limits_that_void_the_proof_for_long_stop_it(own_loop):
 
 def test_an_arm_that_sinks_under_a_fault_is_braked_when_it_gains_speed(own_loop):
     """The weight that it has not learnt draws it down once x is lost."""
-    arm = Arm("blind", since=50, truth=ARM.with_object(0.3, 3.0))
+    arm = Arm("blind", since=50, truth=ARM.with_object(0.3, 5.0))
     why, log = lead(own_loop, arm)
     assert why == "blind, or at its limits, for too long"
     stopping = np.abs(log["v"][log["t"] > 0.55]).max(axis=1)

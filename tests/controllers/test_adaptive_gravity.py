@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity
@@ -50,16 +51,17 @@ def test_defaults_are_filled_in_where_nothing_is_given(arms):
     assert gravity.L is None
     assert gravity.alpha is None
     controller = aj.SetpointController(task, gravity=gravity)
-    filled = controller.adaptation
-    L, alpha = aj.controllers.default_adaptation(task, controller.diagonals, regressor)
-    assert_allclose(filled.L, L, atol=0)
-    assert filled.alpha == alpha
-    assert filled.L.shape == (12,)
-    assert (filled.L > 0.0).all()
-    assert_allclose(filled.alpha, 4.0, rtol=1e-6)  # the slow pole of gains that settle in 1 s
-    assert_allclose(filled.theta0, regressor.theta, atol=0)
+    filled, chosen = controller.adaptation, controller.tuning.learning
+    assert filled.sizes == (12, 3, 7)  # θ_g, d and w
+    blocks = [chosen.gravity, np.diag(chosen.task_force), np.diag(chosen.joint_torque)]
+    assert_allclose(filled.L, block_diag(*blocks), atol=0)
+    assert_allclose(filled.alpha, controller.tuning.rate, rtol=1e-6)  # that of the slow pole
+    assert_allclose(filled.theta0, [*regressor.theta, *np.zeros(10)], atol=0)
     assert_allclose(filled.torque_limits, [87.0] * 4 + [12.0] * 3)
-    assert filled.bounds is None
+    lower, upper = filled.bounds
+    assert_allclose(upper - filled.theta0, chosen.largest)
+    assert_allclose(filled.theta0 - lower, chosen.largest)
+    assert_allclose(chosen.largest[-7:], belief.effort_limits)
     assert aj.SetpointController(task).adaptation is None
 
 
@@ -78,22 +80,25 @@ def test_explicit_ones_are_kept(arms):
     assert_allclose(both.torque_limits, np.full(7, 9.0), atol=0)
     assert_allclose(both.bounds, [np.full(12, -1.0), np.full(12, 2.0)], atol=0)
     free = filled()
-    only_L = filled(L=0.3)
+    only_L = filled(L=0.3)  # then nothing else is learnt
+    assert only_L.sizes == (12, 0, 0)
     assert_allclose(only_L.L, np.full(12, 0.3), atol=0)
-    assert only_L.alpha == free.alpha
-    only_alpha = filled(alpha=2.0 * free.alpha)
-    assert only_alpha.alpha == 2.0 * free.alpha
-    # learning is as fast: L α stays
-    assert_allclose(only_alpha.L * only_alpha.alpha, free.L * free.alpha, rtol=1e-12)
-
-
-def test_every_arm_has_defaults(arm):
-    axes = "yz" if arm.name == "double_pendulum" else "xz" if arm.nv == 2 else "xyz"
-    gravity = aj.AdaptiveGravity(GravityRegressor(arm))
-    filled = aj.SetpointController(aj.PositionTask(arm, axes=axes), gravity=gravity).adaptation
-    assert np.isfinite(filled.L).all()
-    assert (filled.L > 0.0).all()
-    assert filled.alpha > 0.0
+    assert only_L.bounds is None
+    assert_allclose(only_L.alpha, free.alpha, rtol=1e-9)
+    assert filled(alpha=0.5 * free.alpha).alpha == 0.5 * free.alpha
+    some = filled(task_force=2.0, joint_torque=0.0)
+    assert some.sizes == (12, 3, 0)
+    assert_allclose(np.diag(some.L)[12:], np.full(3, 2.0), atol=0)
+    assert_allclose(some.L[:12, :12], free.L[:12, :12], atol=0)
+    beside = filled(L=0.3, joint_torque=np.arange(1.0, 8.0), bounds=(-9, 9))
+    assert_allclose(beside.L, [*np.full(12, 0.3), *range(1, 8)], atol=0)
+    assert_allclose(beside.bounds[1], [*np.full(12, 9.0), *np.full(7, np.inf)], atol=0)
+    kept = filled(bounds=(regressor.theta - 0.1, regressor.theta + 0.1))
+    assert_allclose(kept.bounds[1] - kept.theta0, [*np.full(12, 0.1), *free.bounds[1][12:]])
+    with pytest.raises(aj.InvalidInputError, match=r"task_force must have shape \(3,\)"):
+        filled(task_force=(1.0, 2.0))
+    with pytest.raises(aj.InvalidInputError, match="joint_torque must be"):
+        filled(joint_torque=-1.0)
 
 
 @pytest.mark.parametrize("from_zero", [False, True])
@@ -103,27 +108,36 @@ def test_with_default_gains_an_unknown_payload_is_learnt(arms, from_zero):
     With none at all the arm falls first, beyond its limits if nothing stops it.
     """
     theta0, plant = (np.zeros(12), {"joint_limits": False}) if from_zero else (None, None)
-    _, run = closed_loop(arms, 10.0, plant=plant, every=10.0, theta0=theta0)
+    controller, run = closed_loop(arms, 10.0, plant=plant, every=10.0, theta0=theta0)
     assert np.linalg.norm(run.error[0]) > 0.1
     assert np.linalg.norm(run.error[-1]) < 1e-3
     assert np.abs(run.v[-1]).max() < 1e-3
     # what is learnt is gravity where the arm stands
     truth, _, regressor, _ = arms
     g, Z = Dynamics(truth).g(run.q[-1]), regressor.Z(run.q[-1])
-    assert_allclose(Z @ run.state[-1], g, atol=0.05)
+    assert_allclose(controller.gravity_torque(run.state[-1], run.q[-1]), g, atol=0.05)
     assert np.abs(Z @ regressor.theta - g).max() > 1.0
 
 
 # -- bounds ---------------------------------------------------------------------------------
 
 
-def test_theta_stays_within_its_bounds_to_one_step(arms):
-    """Tight ones: the target is reached, but with a time constant of 7 s instead of 1.3 s."""
-    *_, regressor, theta = arms
+@pytest.fixture(scope="module")
+def gains(arms):
+    """Gains that settle within 1 s: with given ones, s(e) = e."""
+    return aj.default_gains(aj.PositionTask(arms[1]))
+
+
+@pytest.mark.parametrize("metric", ["diagonal", "full"])
+def test_theta_stays_within_its_bounds_to_one_step(arms, gains, metric):
+    """Tight ones: the target is reached, but far more slowly."""
+    _, belief, regressor, theta = arms
     lower = np.minimum(theta, regressor.theta) - 0.02
     upper = np.maximum(theta, regressor.theta) + 0.02
-    _, bounded = closed_loop(arms, 20.0, every=2e-3, bounds=(lower, upper))
-    _, free = closed_loop(arms, 6.0, every=2e-3)
+    L = aj.controllers.tuned(aj.PositionTask(belief), regressor=regressor).learning.gravity
+    options = {"L": np.diag(L).copy() if metric == "diagonal" else L, "every": 2e-3}
+    _, bounded = closed_loop(arms, 26.0, gains, bounds=(lower, upper), **options)
+    _, free = closed_loop(arms, 6.0, gains, **options)
     outside = np.maximum(np.maximum(lower - bounded.state, bounded.state - upper), 0.0)
     one_step = np.abs(np.diff(bounded.state, axis=0)).max(axis=0)
     assert (outside <= one_step).all()
@@ -153,7 +167,6 @@ def test_inside_the_bounds_nothing_changes(arms):
         ({"bounds": (9.0, -9.0)}, r"a smallest and a larger theta, got \[9\.0, 9\.0\] to \[-9"),
         ({"bounds": (0.0, 1e-3)}, r"bounds must hold theta0 = \[.*\], got \[0\.0, 0\.0\] to"),
         ({"bounds": (1.0, 1.0), "theta0": (1.0, 1.0)}, r"a smallest and a larger theta"),
-        ({"bounds": (-9.0, 9.0), "L": np.eye(2)}, "bounds need L to be a number or a diagonal: wi"),
         ({"L": 1e300}, r"L must be at most 1e\+60"),
         ({"L": 1e300 * np.eye(2)}, r"L must be at most 1e\+60"),
         ({"alpha": 1e300}, r"alpha must be at most 1e\+60"),
@@ -171,16 +184,18 @@ def test_bad_bounds_and_limits_are_refused(two_link, arguments, text):
 # -- saturated motors -----------------------------------------------------------------------
 
 
-def test_learning_stands_still_while_the_torque_is_beyond_the_limits(arms, rng):
+@pytest.mark.parametrize("L", [0.1, None], ids=["gravity", "all of it"])
+def test_learning_stands_still_while_the_torque_is_beyond_the_limits(arms, rng, L):
     _, belief, regressor, _ = arms
     task = aj.PositionTask(belief)
 
     def controller_with(limits):
-        gravity = aj.AdaptiveGravity(regressor, torque_limits=limits)
+        gravity = aj.AdaptiveGravity(regressor, L, torque_limits=limits)
         return aj.SetpointController(task, gravity=gravity)
 
     v, x, target = rng.uniform(-1, 1, 7), rng.uniform(-1, 1, 3), np.zeros(3)
-    free = rate_at(controller_with(np.inf), START, v, x, regressor.theta, target)
+    theta0 = controller_with(np.inf).adaptation.theta0
+    free = rate_at(controller_with(np.inf), START, v, x, theta0, target)
     assert free.status is aj.Status.OK
     assert np.abs(free.state_rate).max() > 0.0
     asked = np.abs(free.torque)
@@ -188,28 +203,47 @@ def test_learning_stands_still_while_the_torque_is_beyond_the_limits(arms, rng):
         for share, beyond in ((1.0 - 1e-9, True), (1.0 + 1e-9, False)):
             limits = np.full(7, np.inf)
             limits[joint] = share * asked[joint]
-            answer = rate_at(controller_with(limits), START, v, x, regressor.theta, target)
+            answer = rate_at(controller_with(limits), START, v, x, theta0, target)
             assert np.array_equal(answer.torque, free.torque)  # what is asked for stays
             assert (answer.status is aj.Status.TORQUE_SATURATED) is beyond
-            rate = np.zeros(12) if beyond else free.state_rate
+            rate = np.zeros(len(theta0)) if beyond else free.state_rate
             assert np.array_equal(answer.state_rate, rate)
     # a lost measurement is told first; many joints below their limits are not one beyond
     lost = np.full(3, np.nan)
-    answer = rate_at(controller_with(1e-3), START, v, lost, regressor.theta, target)
+    answer = rate_at(controller_with(1e-3), START, v, lost, theta0, target)
     assert answer.status is aj.Status.MEASUREMENT_LOST
-    answer = rate_at(controller_with(asked * 1.001), START, v, x, regressor.theta, target)
+    answer = rate_at(controller_with(asked * 1.001), START, v, x, theta0, target)
     assert answer.status is aj.Status.OK
 
 
 def test_without_limits_nothing_ever_stands_still(arms):
     _, belief, regressor, _ = arms
-    gravity = aj.AdaptiveGravity(regressor, torque_limits=np.inf)
-    controller = aj.SetpointController(aj.PositionTask(belief), gravity=gravity)
-    far = np.full(3, 1e6)
-    answer = rate_at(controller, START, np.zeros(7), far, regressor.theta, np.zeros(3))
+    task, gravity = (
+        aj.PositionTask(belief),
+        aj.AdaptiveGravity(regressor, 0.1, torque_limits=np.inf),
+    )
+    controller = aj.SetpointController(task, aj.Gains(1e8, 1.0, damping=1.0), gravity=gravity)
+    x = task.value(START)
+    answer = rate_at(controller, START, np.zeros(7), x, regressor.theta, x - 0.1)
     assert np.abs(answer.torque).max() > 1e6
     assert answer.status is aj.Status.OK
-    assert np.abs(answer.state_rate).max() > 1.0
+    assert np.abs(answer.state_rate).max() > 1e-3
+
+
+@pytest.mark.parametrize("axes", ["xyz", "zx"])
+def test_learning_stands_still_where_the_target_is_out_of_reach(arms, axes):
+    """Farther from the first joint than the stretched arm with a tool: nobody can learn there."""
+    _, belief, regressor, _ = arms
+    task = aj.PositionTask(belief, axes=axes)
+    gravity = aj.AdaptiveGravity(regressor, torque_limits=np.inf)
+    controller = aj.SetpointController(task, gravity=gravity)
+    theta, x = controller.adaptation.theta0, task.value(START)
+    for away, far in ((1.0, False), (1.8, True)):
+        for shift in (0.0, 7.0):  # whoever measures x may stand anywhere
+            target = np.full(task.m, away / np.sqrt(task.m)) + shift
+            answer = rate_at(controller, START, np.zeros(7), x + shift, theta, target)
+            assert (answer.status is aj.Status.OUT_OF_REACH) is far
+            assert (answer.state_rate == 0.0).all() == far
 
 
 def test_the_differentiator_goes_on_while_learning_stands_still(arms):
@@ -222,26 +256,32 @@ def test_the_differentiator_goes_on_while_learning_stands_still(arms):
     )
     measurement = aj.Measurement(0.0, START, np.zeros(7), np.full(3, 0.5))
     state = controller.initial_state(measurement)
-    state[12:] -= 0.002
+    p = len(state) - 3
+    state[p:] -= 0.002
     answer = controller.evaluate(state, measurement, np.zeros(3))
     assert answer.status is aj.Status.TORQUE_SATURATED
-    assert np.array_equal(answer.state_rate[:12], np.zeros(12))
-    assert_allclose(answer.state_rate[12:], np.full(3, 0.2))
+    assert np.array_equal(answer.state_rate[:p], np.zeros(p))
+    assert_allclose(answer.state_rate[p:], np.full(3, 0.2))
 
 
 def test_freezing_keeps_theta_from_winding_up_on_weak_motors(arms):
-    """Motors of half their torque, θ̂(0) = θ: what θ̂ is driven off by falls by a quarter."""
+    """Motors of half their torque, θ̂(0) = θ: what θ̂ is driven off by falls by a quarter.
+
+    In the metric L⁻¹, in which force and torques that are learnt compare with parameters.
+    """
     _, belief, _, theta = arms
     limits = 0.5 * belief.effort_limits
     gains = aj.default_gains(aj.PositionTask(belief), 0.5)
     peaks = []
     for frozen_at in (limits, np.inf):
-        _, run = closed_loop(
+        controller, run = closed_loop(
             arms, 3.0, gains, {"torque_limits": limits}, every=0.01,
             theta0=theta, torque_limits=frozen_at,
         )  # fmt: skip
         saturated = (run.status == aj.Status.TORQUE_SATURATED).any()
         assert saturated == np.isfinite(frozen_at).all()
         assert np.linalg.norm(run.error[-1]) < 1e-3
-        peaks.append(np.linalg.norm(run.state - theta, axis=1).max())
+        off = run.state - [*theta, *np.zeros(10)]
+        root = np.linalg.cholesky(controller.adaptation.L)
+        peaks.append(np.linalg.norm(np.linalg.solve(root, off.T), axis=0).max())
     assert peaks[0] < 0.75 * peaks[1]

@@ -368,7 +368,7 @@ def test_at_rest_an_image_that_does_not_change_is_no_fault(task):
 
     A force that no longer follows x lets it creep, here by less than 1 mm/s: that counts.
     """
-    held = aj.HeldMeasurement(aj.SetpointController(task), 0.02)
+    held = aj.HeldMeasurement(aj.SetpointController(task, aj.default_gains(task)), 0.02)
     frozen = aj.Sensing(x_rate=30.0, x_frozen=[(4.0, 9.0)])
     run = reach(held, frozen, 5.0, (0.02, 0.02, 0.02), truth=PANDA.with_gravity((0.2, 0.0, -9.5)))
     at_rest = run.t > 4.0

@@ -71,13 +71,6 @@ def test_the_gains_are_the_documented_formula(name):
     assert_allclose(gains.damping, damping, rtol=1e-7)
 
 
-def test_they_are_what_a_controller_without_gains_has(panda):
-    task = aj.PositionTask(panda)
-    gains, given = aj.default_gains(task), aj.SetpointController(task).gains
-    for name in ("kp", "kv", "damping"):
-        assert np.array_equal(getattr(gains, name), getattr(given, name))
-
-
 def test_coordinates_of_one_unit_have_one_gain(panda):
     for task in (aj.PoseTask(panda), aj.StackedTask(aj.PoseTask(panda))):
         gains = aj.default_gains(task)
