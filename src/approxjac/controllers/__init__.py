@@ -15,7 +15,7 @@ from approxjac.controllers.latency import Latency
 from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.measurement_hold import HeldMeasurement
-from approxjac.controllers.posture import Posture
+from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tuning import Learning, Tuning, tuned
@@ -25,6 +25,7 @@ from approxjac.interface import ContinuousController
 __all__ = [
     "Adaptation",
     "AdaptiveGravity",
+    "AwayFromStops",
     "CompiledSetpointController",
     "ContinuousController",
     "ControllerWrapper",

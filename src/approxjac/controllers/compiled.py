@@ -13,7 +13,7 @@ from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import Gravity, RegressorGravity
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.machine_code import compiled
-from approxjac.controllers.posture import Posture
+from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
 from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
@@ -67,7 +67,7 @@ class CompiledSetpointController(SetpointController):
         gravity: Gravity | None = None,
         saturation: Saturation | None = None,
         velocity: DifferentiatedVelocity | None = None,
-        posture: Posture | None = None,
+        posture: Posture | AwayFromStops | None = None,
         latency: Latency | None = None,
         settling_time: float | None = None,
     ) -> None:
@@ -121,7 +121,7 @@ class CompiledSetpointController(SetpointController):
         gamma = np.broadcast_to(getattr(self.saturation, "gamma", 1.0), m)
         constants = np.concatenate([*self.diagonals, gamma, [self._scale, kind]])
         is_far = self._is_far
-        within_null_space, no_rate = self._pull_within_null_space, self._no_rate
+        scale, no_rate = self._scale, self._no_rate
         parts = (fits, is_small, saturated, taken_apart)
         bounds = None if learning is None else learning.bounds
         if learning is None:
@@ -159,7 +159,7 @@ class CompiledSetpointController(SetpointController):
                 g = gravity(q).copy() if learning is None else nothing
                 bias = g
                 if pull is not None:
-                    bias = g + within_null_space(q, J_hat, J_hat.dot(J_hat.T), *pull)
+                    bias = g + within_null_space(pull(q), J_hat, J_hat.dot(J_hat.T), scale)
                 torque, e, rate = empty(n), empty(m), no_rate
                 try:
                     if guarded and not (J_hat.__class__ is ndarray and J_hat.dtype is float64):

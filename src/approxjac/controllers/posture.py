@@ -1,19 +1,24 @@
-"""`Posture`: a preferred posture of a redundant arm, in the null space of its task."""
+"""`Posture` and `AwayFromStops`: torques in the null space of a redundant arm's task."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac import law
+from approxjac.controllers.gains import Diagonals
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.robots.joint_limits import require_radians
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_array, as_diagonal, is_scalar, shape_of
+from approxjac.validation import Array, as_array, as_diagonal, as_number, is_scalar, shape_of
+
+_WIDEST = 0.6  # zone at a stop at most [rad or m]
+Torque = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,22 +51,74 @@ class Posture:
 
     __repr__ = short_fields
 
-    def resolved(self, task: Task) -> tuple[Array, Array]:
-        """Return q and the diagonal of k for the robot of a task.
+    def torque(self, task: Task, gains: Diagonals, rate: float) -> Torque:
+        """Return the function τ₀ of q (nq,) for the robot of a task; it knows no gains.
 
         Raises:
             InvalidInputError: A robot without self-motion, or wrong shapes.
         """
         robot = task.robot
-        if robot.nv <= task.m:
-            raise InvalidInputError(
-                f"posture is for arms with more joints than task coordinates, got one for "
-                f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
-                given=self,
-            )
-        q = robot.configuration(self.q, "q of the posture")
-        require_radians("q of the posture", robot, q)
-        return q, as_diagonal("stiffness", self.stiffness, robot.nv, unit="N m/rad")
+        _require_redundant(self, task)
+        wanted = robot.configuration(self.q, "q of the posture")
+        require_radians("q of the posture", robot, wanted)
+        stiffness = as_diagonal("stiffness", self.stiffness, robot.nv, unit="N m/rad")
+        model = robot.model
+        return lambda q: np.asarray(stiffness * pin.difference(model, q, wanted))
+
+
+@dataclass(frozen=True)
+class AwayFromStops:
+    """The torque N τ₀ that pushes joints away from their position limits, where they are near.
+
+    τ₀ = k (δ − d) for a joint at a distance d < δ from its stop, none elsewhere; k is r B_c with
+    r the rate of the task's slow pole: self-motion out of the zone is as fast as the task.
+
+    It is a `Posture` in all else: e = 0 stays the only equilibrium of the task, and
+    V̇ = −W + q̇ᵀN τ₀. Which way round a target is reached it does not know: an arm whose way is
+    barred by a stop stays there.
+
+    Attributes:
+        share: δ as a share of a joint's range, 0 to 0.5; δ is at most 0.6 rad or m.
+
+    Raises:
+        InvalidInputError: Another share.
+    """
+
+    share: float = 0.12
+
+    def __post_init__(self) -> None:
+        if as_number("share", self.share, above=0.0) > 0.5:
+            raise InvalidInputError(f"share must be at most 0.5, got {self.share!r}", given=self)
+
+    def torque(self, task: Task, gains: Diagonals, rate: float) -> Torque:
+        """Return the function τ₀ of q (nq,) for the robot of a task.
+
+        Raises:
+            InvalidInputError: A robot without self-motion.
+        """
+        robot = task.robot
+        _require_redundant(self, task)
+        lower, upper = robot.position_limits
+        width = np.minimum(self.share * (upper - lower), _WIDEST)
+        lower, upper = lower + width, upper - width
+        model, neutral, stiffness = robot.model, robot.neutral(), rate * gains.damping
+        is_vector = robot.nq == robot.nv
+
+        def torque(q: Array) -> Array:
+            motion = q if is_vector else pin.difference(model, neutral, q)
+            return np.asarray(stiffness * (np.minimum(np.maximum(motion, lower), upper) - motion))
+
+        return torque
+
+
+def _require_redundant(posture: Posture | AwayFromStops, task: Task) -> None:
+    robot = task.robot
+    if robot.nv <= task.m:
+        raise InvalidInputError(
+            f"posture is for arms with more joints than task coordinates, got one for "
+            f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
+            given=posture,
+        )
 
 
 def within_null_space(torque: Array, J_hat: Array, G: Array, scale: float) -> Array:

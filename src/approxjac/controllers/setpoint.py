@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, require_arrays
@@ -22,7 +21,7 @@ from approxjac.controllers.gravity import (
     require_gravity,
 )
 from approxjac.controllers.latency import Latency
-from approxjac.controllers.posture import Posture, within_null_space
+from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
 from approxjac.controllers.saturation import require_saturation
 from approxjac.controllers.tuning import UNKNOWN_TOOL, Tuning, tuned
 from approxjac.errors import InvalidInputError, MeasurementError
@@ -81,7 +80,8 @@ class SetpointController(Immutable):
             own, too, and s(e) = e where they are given.
         velocity: None for the paper's estimated task velocity Ĵq̇, law (6); or
             `DifferentiatedVelocity`, law (5).
-        posture: Where the self-motion of a redundant arm is drawn to; nowhere by default.
+        posture: Where the self-motion of a redundant arm is drawn to, or `AwayFromStops`; nowhere
+            by default.
         latency: Of the loop, for `tuned`; by default that of 1 kHz with ideal sensors.
         settling_time: Wanted, for `tuned`: the one number that makes all of it slower or faster
             [s]; by default as fast as inertia, motors and latency allow.
@@ -103,7 +103,7 @@ class SetpointController(Immutable):
         gravity: Gravity | None = None,
         saturation: Saturation | None = None,
         velocity: DifferentiatedVelocity | None = None,
-        posture: Posture | None = None,
+        posture: Posture | AwayFromStops | None = None,
         latency: Latency | None = None,
         settling_time: float | None = None,
     ) -> None:
@@ -112,7 +112,7 @@ class SetpointController(Immutable):
         for name, value, kind, wanted in (
             ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),
             ("velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"),
-            ("posture", posture, Posture, "Posture(q, stiffness) or None"),
+            ("posture", posture, (Posture, AwayFromStops), "Posture(q, stiffness) or None"),
             ("latency", latency, Latency, "Latency(period=...) or None"),
         ):
             if value is not None:
@@ -121,7 +121,7 @@ class SetpointController(Immutable):
         self.task = task
         self.gravity: Gravity = ModelGravity(robot) if gravity is None else gravity
         require_gravity(self.gravity, task)
-        self.velocity = velocity
+        self.velocity, self.latency = velocity, latency
         self.tuning = self._tuned(gains, latency, settling_time)
         if gains is None:
             assert self.tuning is not None
@@ -153,7 +153,9 @@ class SetpointController(Immutable):
         # as arrays, which NumPy takes in two thirds of the time of numbers
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
-        self._pull = None if posture is None else posture.resolved(task)
+        self._pull = None
+        if posture is not None:
+            self._pull = posture.torque(task, self.diagonals, slow_rate(task, self.diagonals))
         self._scale = vanishing(task)
         self._origin, self._reach = _reach(task)
         self._subtracts = task._subtracts  # as most do
@@ -403,7 +405,7 @@ class SetpointController(Immutable):
             g = law.gravity(Y, state[: self._p])  # with it, (6) below is (28)
         bias = g
         if self._pull is not None:
-            bias = bias + self._pull_within_null_space(q, J_hat, G, *self._pull)
+            bias = bias + within_null_space(self._pull(q), J_hat, G, self._scale)
         if v_d is not None:
             bias = bias + law.feed_forward_torque(J_hat, kv, v_d)
 
@@ -445,13 +447,6 @@ class SetpointController(Immutable):
             return False
         there = self.task.value(q)[:k] - e[:k]
         return math.dist(there.tolist(), self._origin) > (1.0 + UNKNOWN_TOOL) * self._reach
-
-    def _pull_within_null_space(
-        self, q: Array, J_hat: Array, G: Array, posture: Array, stiffness: Array
-    ) -> Array:
-        """Return N τ₀ of `Posture`, shape (n_v,)."""
-        pull = stiffness * pin.difference(self.task.robot.model, q, posture)
-        return within_null_space(pull, J_hat, G, self._scale)
 
     def __str__(self) -> str:
         """Return this, and what the rule chose and why, a line each."""

@@ -90,7 +90,7 @@ class TorqueLimited(Limiter):
             kept more often.
         dt: Sampling time [s].
         braking: How fast damping may be, and the residual of `Prediction` [1/s], at most 1/dt. By
-            default 0.3 over the lag of q̇ where the law's own tuning knows it, else 0.1/dt.
+            default 0.3 over the lag of q̇ where the law knows its latency, else 0.1/dt.
         approach: κ of `position_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
             `QuadraticProgram` and returns its minimum.
@@ -338,10 +338,10 @@ class TorqueLimited(Limiter):
         return alpha
 
     def _usual_braking(self) -> float:
-        tuning = self.controller.tuning
-        if tuning is None:
+        latency = self.controller.latency
+        if latency is None:
             return _UNKNOWN / self._dt
-        lag = tuning.latency.of_velocity - tuning.latency.period + self._dt
+        lag = latency.of_velocity - latency.period + self._dt
         return _KNOWN / lag
 
     def _rate_of(self, name: str, value: float | None, most: float, usual: float) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from approxjac.controllers import (
     AdaptiveGravity,
+    AwayFromStops,
     DifferentiatedVelocity,
     Gains,
     Gravity,
@@ -160,7 +161,7 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
         target = _target(sensor, q0, scenario, draw)
     chosen = scenario.controller
     gravity = gravity_from(truth, belief, chosen.gravity, chosen.integral)
-    law = _law(task, gravity, q0, scenario)
+    law = _law(task, gravity, q0, scenario, within_limits=limits is not None)
     controller: Controller = law
     if limits is not None:
         controller = TorqueLimited(law, limits, dt=sampling_time(scenario))
@@ -261,8 +262,15 @@ def gravity_from(truth: Robot, belief: Robot, kind: str, integral: str | None = 
     return NoGravity(belief) if kind == "none" else ModelGravity(belief)
 
 
-def _law(task: Task, gravity: Gravity, q0: Array, scenario: Scenario) -> SetpointController:
+def _law(
+    task: Task, gravity: Gravity, q0: Array, scenario: Scenario, *, within_limits: bool
+) -> SetpointController:
     chosen, stiffness = scenario.controller, scenario.controller.posture_stiffness
+    posture: Posture | AwayFromStops | None = None
+    if stiffness:
+        posture = Posture(q0, stiffness)
+    elif within_limits and task.robot.nv > task.m:
+        posture = AwayFromStops()
     differentiator = chosen.differentiator
     return SetpointController(
         task,
@@ -270,7 +278,7 @@ def _law(task: Task, gravity: Gravity, q0: Array, scenario: Scenario) -> Setpoin
         gravity=gravity,
         saturation=None if chosen.gamma is None else Sine(chosen.gamma),
         velocity=None if differentiator is None else DifferentiatedVelocity(differentiator),
-        posture=Posture(q0, stiffness) if stiffness else None,
+        posture=posture,
         latency=latency_of(scenario),
         settling_time=chosen.settling_time,
     )
