@@ -7,7 +7,7 @@ from arms import among
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.controllers import Posture, RegressorGravity
+from approxjac.controllers import AwayFromStops, Posture, RegressorGravity
 from approxjac.robots import GravityRegressor
 
 START = {
@@ -177,3 +177,54 @@ def test_near_a_singular_posture_it_fades_out_and_still_leaves_the_task_alone():
     sizes = np.linalg.norm(pulls, axis=1)
     assert sizes.min() < 0.05 * sizes.max()
     assert np.linalg.norm(np.diff(pulls, axis=0), axis=1).max() < 0.02 * sizes.max()
+
+
+# -- away from stops ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", among("panda", "xarm7", "pr2_left_arm"))
+def test_joints_near_their_stops_are_pushed_inwards_within_the_null_space(name, rng):
+    robot = aj.load_robot(name)
+    task, gains = aj.PositionTask(robot), aj.Gains(400.0, 80.0, damping=1.0)
+    plain = aj.SetpointController(task, gains)
+    pushed = aj.SetpointController(task, gains, posture=AwayFromStops(0.2))
+    lower, upper = robot.position_limits
+    width = np.minimum(0.2 * (upper - lower), 0.6)
+    near_ones = 0
+    for _ in range(60):
+        q, v = robot.random_configuration(rng), rng.uniform(-1, 1, robot.nv)
+        J_hat = task.jacobian(q)
+        values = np.linalg.svd(J_hat, compute_uv=False)
+        if values[-1] < 0.05 * values[0]:
+            continue
+        measurement = aj.Measurement(0.0, q, v, rng.uniform(-1, 1, 3))
+        target = np.array([0.4, 0.1, 0.5])
+        before, after = (c.evaluate(np.zeros(0), measurement, target) for c in (plain, pushed))
+        push = after.torque - before.torque
+        motion = pin.difference(robot.model, robot.neutral(), q)
+        deep = np.maximum(lower + width - motion, 0.0) - np.maximum(motion - upper + width, 0.0)
+        assert_allclose(J_hat @ push, np.zeros(3), atol=1e-9)
+        assert push @ deep >= -1e-9  # towards the middle of the joints' ranges, on the whole
+        assert np.any(push) == (np.abs(deep).max() > 0.0)
+        near_ones += np.any(deep)
+    assert near_ones > 5
+
+
+def test_an_arm_that_stands_at_a_stop_leaves_it_and_keeps_its_target(panda):
+    q0 = START["panda"].copy()
+    q0[5] = panda.position_limits[1][5] - 0.02
+    task = aj.PositionTask(panda)
+    plant = aj.Plant(panda)
+    distances = {}
+    for posture in (None, AwayFromStops()):
+        controller = aj.SetpointController(task, posture=posture)
+        run = aj.simulate(plant, controller, task.value(q0), q0, 6.0, dt=2e-3)
+        assert run.error_norm[-1] < 1e-3
+        distances[posture] = panda.position_limits[1][5] - run.q[-1][5]
+    assert distances[None] < 0.05 < 0.2 < distances[AwayFromStops()]
+
+
+@pytest.mark.parametrize("share", [0.0, -0.1, 0.6, np.nan])
+def test_a_zone_that_is_none_is_refused(share):
+    with pytest.raises(aj.InvalidInputError, match="share must be"):
+        AwayFromStops(share)

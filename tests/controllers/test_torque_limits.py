@@ -729,7 +729,7 @@ def test_rates_of_braking_may_be_what_sampling_allows(panda):
 def test_braking_is_as_fast_as_the_latency_that_a_law_was_tuned_for_allows(panda):
     task = aj.PositionTask(panda)
     late = aj.Latency(torque_delay=2e-3, velocity_filter=5e-3)
-    for latency, lag in ((None, 1e-3), (late, 8e-3)):
+    for latency, lag in ((aj.Latency(), 1e-3), (late, 8e-3)):
         law = aj.SetpointController(task, latency=latency)
         assert aj.TorqueLimited(law, dt=DT).braking == pytest.approx(0.3 / lag)
     assert aj.TorqueLimited(law, dt=2.0 * DT).braking == pytest.approx(0.3 / 9e-3)
