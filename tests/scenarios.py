@@ -11,13 +11,14 @@ def reach(robot="panda", **parts):
 
 
 def camera(robot="panda", **parts):
-    """A camera in the room that watches the tip of a tool nobody told of; tables change it."""
+    """A camera in the room that watches the tip of a tool nobody told of, without limits; tables
+    change it."""
     return Scenario(
         robot,
         true={"object": {"length": 0.15, "mass": 0.3}},
         task={"kind": "image"},
         sensor={"noise": 0.5, "rate": 30.0, "delay": 0.03},
-        controller={"gravity": "exact", "settling_time": 1.5, "unseen": 40.0},
+        controller={"gravity": "exact", "settling_time": 1.5, "unseen": 40.0, "limits": "none"},
         loop={"dt": 0.0025},
         run={"duration": 15.0},
     ).with_values(parts)

@@ -23,9 +23,9 @@ from reaches import ARMS, Case
 
 LAWS = ("defaults", "before", "operational space")
 KINDS = {
-    "ideal": {"controller": {"limits": None}},
+    "ideal": {"controller": {"limits": "none"}},
     "sensors": {
-        "controller": {"limits": None},
+        "controller": {"limits": "none"},
         "sensor": SENSORS,
         "loop": {"actuator_delay": 2e-3},
     },

@@ -50,7 +50,7 @@ def run_case(case):
             Scenario(
                 case.robot,
                 true={"object": {"length": length, "mass": mass}},
-                controller={"gravity": case.gravity},
+                controller={"gravity": case.gravity, "limits": "none"},
                 run={"start": "random", "duration": case.duration, "seed": case.seed},
             )
             .build()

@@ -105,7 +105,7 @@ def arm(robot):
     built = Scenario(
         robot,
         true={"object": {"length": length, "mass": mass}},
-        controller={"gravity": "exact", "settling_time": SETTLING_TIME},
+        controller={"gravity": "exact", "settling_time": SETTLING_TIME, "limits": "none"},
     ).build()
     return built, full_limits(built.plant.robot)
 

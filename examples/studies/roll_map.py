@@ -106,7 +106,7 @@ def prepared(roll, seed):
         believed={"camera": wrong},
         task={"kind": "image"},
         sensor={"noise": NOISE, "rate": FRAME_RATE, "delay": DELAY},
-        controller={"gravity": "exact", "settling_time": 1.5},
+        controller={"gravity": "exact", "settling_time": 1.5, "limits": "none"},
         run={"seed": seed},
     ).build()
 

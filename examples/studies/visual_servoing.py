@@ -59,7 +59,7 @@ class Scene(NamedTuple):
     noises: tuple = ()
     points: int = 1
     in_hand: bool = False
-    limits: str | None = None
+    limits: str = "none"
 
 
 ONE_POINT, WITHIN_LIMITS = "panda, one point", "panda, one point, limits kept"

@@ -102,7 +102,7 @@ def test_a_bad_file_is_one_clear_line(tmp_path, capsys, monkeypatch, text, messa
         (["panda", "--object-length", "-1"], "true.object.length must be a finite number >= 0"),
         (["panda", "--true.floor", "0"], "true.floor needs true.engine mujoco"),
         (["missing.toml"], "missing.toml does not exist"),
-        (["panda", "--controller.torque-rate", "9"], "torque_rate needs controller.limits"),
+        (["panda", "--no-limits", "--controller.torque-rate", "9"], "needs controller.limits"),
         (["panda", "--limits", "-1"], "controller.limits must be a finite number > 0"),
         (["panda", "--task.kind", "image", "--task.points", "4"], "task.points must be 1, 2 or 3"),
         (["panda", "--task.kind", "image", "--true.camera.focal-length", "0"],

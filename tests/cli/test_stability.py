@@ -148,7 +148,7 @@ def test_several_points_are_combined_in_the_controller_and_in_the_truth():
 
 
 def test_without_ranges_it_looks_at_the_true_robot():
-    scenario = Scenario("panda", sensor={"noise": 1e-3}, controller={"limits": "urdf"})
+    scenario = Scenario("panda", sensor={"noise": 1e-3}, controller={"limits": 0.5})
     loop = study.prepare(scenario)
     assert loop.plants[0].robot == aj.load_robot("panda").with_object(0.2, 0.5)
     assert loop.plants[0].sensing is None

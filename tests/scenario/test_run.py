@@ -49,7 +49,7 @@ def test_it_converges_and_says_so(done, tmp_path):
     limits = aj.load_robot("panda").effort_limits
     assert_allclose(summary["peak_torque_ratio"], np.abs(done.run.tau / limits).max())
     assert_allclose(summary["start_error_m"], 0.05 * math.sqrt(3.0))
-    assert summary["limits"] is None
+    assert set(summary["limits"]["status_counts"]) == {"FREE"}
     again = aj.Trajectory.load(tmp_path / "run.npz")
     assert np.array_equal(again.q, done.run.q)
     assert {path.name for path in tmp_path.iterdir()} == {
@@ -202,7 +202,9 @@ def test_what_the_believed_arm_cannot_reach_is_named_before_the_run(robot, parts
 
 def test_joints_that_touched_their_stops_are_reported():
     target = {"start": HOME, "target": (-0.6, 0.0, 0.4), "duration": 4.0}
-    result = reach(controller={"gravity": "exact"}, run=target).build().run()
+    unlimited = {"gravity": "exact", "limits": "none"}
+    result = reach(controller=unlimited, run=target).build().run()
+    assert result.summary()["limits"] is None
     low, high = aj.load_robot("panda").position_limits
     beyond = np.maximum(result.run.q - high, low - result.run.q).max()
     assert result.summary()["joint_limit_excess"] == beyond > 0.0
@@ -232,7 +234,10 @@ def test_joints_that_touched_their_stops_are_reported():
         ({"believed": {"shifts": {"elbow": (0.1, 0.0, 0.0)}}}, "joint 'elbow' not in panda"),
         ({"task": {"axes": "xw"}}, "axis 'w' not in axes"),
         ({"sensor": {"dropout": 2.0}}, "sensor.dropout must be a probability"),
-        ({"controller": {"torque_rate": 9.0}}, "controller.torque_rate needs controller.limits"),
+        (
+            {"controller": {"torque_rate": 9.0, "limits": "none"}},
+            "controller.torque_rate needs controller.limits",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(parts, text):
@@ -309,9 +314,19 @@ def test_reasons_tell_what_limits_did(limited):
     assert reason == f"held back at {at}: {status.PROOF_GIVEN_UP.message}"
 
 
-def test_limits_of_a_robot_that_has_none_are_refused():
-    with pytest.raises(aj.InvalidInputError, match="that of two_link has none, got urdf"):
-        reach("two_link", controller={"limits": "urdf"}).build()
+def test_a_robot_without_limits_keeps_none_and_has_no_share_of_them():
+    built = reach("two_link").build()
+    assert built.limits is None
+    assert built.controller is built.law
+    with pytest.raises(aj.InvalidInputError, match=r"that of two_link has none, got 0\.5"):
+        reach("two_link", controller={"limits": 0.5}).build()
+
+
+def test_limits_are_kept_unless_told_otherwise():
+    assert type(reach().build().controller) is aj.TorqueLimited
+    unlimited = reach(controller={"limits": "none"}).build()
+    assert unlimited.controller is unlimited.law
+    assert reach(loop={"dt": "continuous"}).build().limits is None
 
 
 def test_a_slack_that_is_not_known_is_none(limited):

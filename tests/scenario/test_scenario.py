@@ -63,13 +63,13 @@ def test_it_prints_what_differs_from_the_defaults():
     scenario = Scenario(
         "panda",
         true={"object": {"length": 0.3}, "shifts": {"panda_joint4": (0, 0.01, 0)}},
-        controller={"kp": 400, "limits": "urdf"},
+        controller={"kp": 400, "limits": "none"},
         run={"target": {"offset": (0.1, 0, 0)}},
     )
     assert str(scenario) == (
         'robot = "panda"\n\n[true]\nobject = { length = 0.3 }\n'
         "shifts = { panda_joint4 = [0.0, 0.01, 0.0] }\n\n"
-        '[controller]\nkp = [400.0]\nlimits = "urdf"\n\n'
+        '[controller]\nkp = [400.0]\nlimits = "none"\n\n'
         "[run]\ntarget = { offset = [0.1, 0.0, 0.0] }\n"
     )
     assert str(Scenario("ur5")) == 'robot = "ur5"\n'

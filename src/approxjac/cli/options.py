@@ -49,11 +49,17 @@ _COMMON = {
     "--duration": "run.duration",
     "--seed": "run.seed",
 }
+_FLAGS = {"--no-limits": ["--limits", "none"]}
 _STABILITY = {
     f"--{each.name.replace('_', '-')}": f"stability.{each.name}" for each in fields(Analysis)
 }
 SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COMMON | _STABILITY}
 """Command → short option → the key that it stands for; a report's errors are ranges."""
+
+
+def spelled_out(words: list[str]) -> list[str]:
+    """Return a command's words with --no-limits as what it stands for."""
+    return [part for word in words for part in _FLAGS.get(word, [word])]
 
 
 def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:

@@ -318,9 +318,11 @@ def sampling_time(scenario: Scenario) -> float:
 def _limits(scenario: Scenario, belief: Robot) -> Limits | None:
     """Return the limits that the controller keeps, with an entry for each joint."""
     share = scenario.controller.limits
-    if share is None:
+    if share == "none" or sampling_time(scenario) == 0.0:
         return None
     if not np.isfinite(belief.effort_limits).any():
+        if share == "urdf":
+            return None
         raise InvalidInputError(
             f"controller.limits are shares of the URDF's effort limits, and that of {belief.name} "
             f"has none, got {share}",

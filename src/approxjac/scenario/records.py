@@ -197,7 +197,8 @@ class ControllerChoice:
         gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; by default the tanh
             of the rule, or none with gains that are given.
         posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
-        limits: To be kept: "urdf", or a number of times the effort limits, then the motors' too.
+        limits: To be kept: "urdf", as far as it has any; a number of times the effort limits, then
+            the motors' too; or "none" (--no-limits). Continuous control has none.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
         unseen: Motion for which the x that was last seen will do, m, rad or px; none by default.
     """
@@ -212,7 +213,7 @@ class ControllerChoice:
     damping: Numbers | None = _at_least(None)
     gamma: float | None = _above(None)
     posture_stiffness: float = _at_least(0.0)
-    limits: float | Literal["urdf"] | None = _above(None)
+    limits: float | Literal["urdf", "none"] = _above("urdf")
     torque_rate: float | None = _above(None)
     unseen: float | None = _above(None)
 

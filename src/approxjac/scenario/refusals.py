@@ -45,12 +45,14 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("believed.camera", not image, "is for task.kind image", task.kind),
         ("true.camera.looking_at", in_hand, "is for a camera in the world", "one in hand"),
         ("controller.settling_time", gains, "is for default gains", "given ones"),
-        ("controller.torque_rate", control.limits is None, needs, "none"),
+        ("controller.torque_rate", control.limits == "none", needs, "none"),
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
     ]
-    for key in ("controller.limits", "controller.unseen", "sensor", "loop.actuator_delay"):
-        continuous = scenario.loop.dt == "continuous"
-        rules.append((key, continuous, "needs a loop.dt in s", "continuous"))
+    continuous = scenario.loop.dt == "continuous"
+    sampled = ["controller.torque_rate", "controller.unseen", "sensor", "loop.actuator_delay"]
+    if control.limits != "none":
+        sampled.append("controller.limits")
+    rules += [(key, continuous, "needs a loop.dt in s", "continuous") for key in sampled]
     # what a camera in hand watches is not the object
     for kind, held in (("true", true.object), ("believed", scenario.believed.object)):
         weightless = in_hand and held.mass == 0.0 and held.length != 0.0

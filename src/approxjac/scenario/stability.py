@@ -92,7 +92,7 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
     # a report is of eq. (1), and of whatever target
-    law = replace(scenario.controller, gravity=gravity, limits=None, torque_rate=None)
+    law = replace(scenario.controller, gravity=gravity, limits="none", torque_rate=None)
     built = build(replace(scenario, controller=law), arm)
     truth = _truth(arm, built, analysis)
     region = _region(built.law, truth, analysis)
