@@ -385,7 +385,11 @@ def test_a_path_begins_where_the_task_starts_and_is_followed(path):
 @pytest.mark.parametrize(
     ("duration", "parts", "reason"),
     [
-        (4.0, {"controller": {"gravity": "none"}}, "stands at the joint stops of panda_joint"),
+        (
+            4.0,
+            {"controller": {"gravity": "none", "limits": "none"}},
+            "stands at the joint stops of",
+        ),
         (2.0, {"sensor": {"dropout": 1.0}}, "the measurement of x is lost"),
         (1.0, {"controller": {"gravity": "exact", "kp": 1.0, "kv": 1.0}}, " m is following it"),
     ],
