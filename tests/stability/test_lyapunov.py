@@ -123,6 +123,48 @@ def test_seven_joints_with_learnt_gravity():
     assert_v_dot_is_minus_w(plant, controller, target, alpha=0.5, samples=6, h=2e-5, theta=theta)
 
 
+class Pushed(aj.Plant):
+    """An arm on which constant joint torques act, and a constant force as the belief has it."""
+
+    def __init__(self, truth, force, torque, task, **options):
+        super().__init__(truth, aj.PositionTask(truth), **options)
+        self.push = lambda q: task.jacobian(q).T @ force + torque
+
+    def acceleration(self, q, v, tau):
+        return super().acceleration(q, v, tau + self.push(q))
+
+
+def test_a_force_and_joint_torques_that_are_learnt_beside_gravity():
+    """Eq. (29) and Eq. (31) with the regressor [Z, Ĵᵀ, I], a full L, and by the rule for gains.
+
+    What lacks is gravity, a constant task force and constant joint torques.
+    """
+    truth, belief = true_and_believed("panda")
+    rng, task, regressor = (
+        np.random.default_rng(3),
+        aj.PositionTask(belief),
+        GravityRegressor(belief),
+    )
+    force, torque = rng.normal(size=3), rng.normal(size=7)
+    plant = Pushed(truth, force, torque, task, friction=0.2)
+    theta = np.concatenate([regressor.fit(truth)[0], -force, -torque])
+    root = rng.normal(size=(12, 12))
+    given = aj.AdaptiveGravity(
+        regressor, 0.1 * root @ root.T + 0.1 * np.eye(12), 0.5, torque_limits=np.inf,
+        task_force=(5.0, 10.0, 20.0), joint_torque=np.linspace(0.5, 3.0, 7),
+    )  # fmt: skip
+    rule = aj.AdaptiveGravity(regressor, bounds=(-100.0, 100.0), torque_limits=np.inf)
+    gains = aj.Gains(400.0, 80.0, damping=1.0)
+    target = plant.sensor.value(truth.neutral()) + [0.1, 0.2, -0.1]
+    for controller in (
+        aj.SetpointController(task, gains, gravity=given, saturation=Sine(0.1)),
+        aj.SetpointController(task, gravity=rule),
+    ):
+        assert controller.adaptation.sizes == (12, 3, 7)
+        alpha = controller.adaptation.alpha
+        assert_v_dot_is_minus_w(plant, controller, target, alpha, samples=4, h=2e-5, theta=theta)
+
+
 @pytest.fixture
 def adaptive_two_link(two_link):
     """A closed loop of (28), (29), its V along the flow, and one state of it."""
@@ -266,36 +308,45 @@ def test_a_posture_adds_the_power_of_its_torque(name):
         checked += 1
 
 
-def test_learning_within_bounds_keeps_v_falling():
+@pytest.mark.parametrize("metric", ["diagonal", "full"])
+def test_learning_within_bounds_keeps_v_falling(metric):
     """Projection, Eq. (29): at a bound, with θ in the box, V̇ ≤ −W, and < −W where it is at work."""
     truth, belief = unknown_tool("panda")
     plant = aj.Plant(truth, aj.PositionTask(truth), friction=0.2)
-    regressor = GravityRegressor(belief)
+    regressor, rng = GravityRegressor(belief), np.random.default_rng(11)
     theta, _ = regressor.fit(truth)
     lower, upper = np.minimum(theta, regressor.theta) - 0.05, np.maximum(theta, regressor.theta)
     upper = upper + 0.05
+    root = rng.normal(size=(12, 12))
+    options = {"L": np.full(12, 0.5), "alpha": 0.5, "torque_limits": np.inf}
+    if metric == "full":
+        options |= {"L": 0.05 * root @ root.T + 0.1 * np.eye(12)}
+        options |= {"task_force": 3.0, "joint_torque": 2.0}
 
     def controller_with(bounds):
-        gravity = aj.AdaptiveGravity(regressor, 0.5, 0.5, bounds=bounds, torque_limits=np.inf)
+        gravity = aj.AdaptiveGravity(regressor, bounds=bounds, **options)
         return aj.SetpointController(
             aj.PositionTask(belief), aj.Gains(400.0, 80.0, damping=1.0), gravity=gravity
         )
 
     bounded, free = controller_with((lower, upper)), controller_with(None)
+    L, others = bounded.adaptation.L, np.zeros(sum(bounded.adaptation.sizes) - 12)
+    L, theta = np.diag(L) if L.ndim == 1 else L, np.concatenate([theta, others])
     target = plant.sensor.value(truth.neutral()) + [0.1, 0.2, -0.1]
-    rng, at_work = np.random.default_rng(11), 0
+    at_work = 0
     for _ in range(20):
         q, v = truth.random_configuration(rng), rng.uniform(-1, 1, 7)
-        inside = rng.uniform(lower, upper)
-        at_a_bound = np.where(rng.random(12) < 0.5, lower, upper)
+        inside = np.concatenate([rng.uniform(lower, upper), others])
+        at_a_bound = np.concatenate([np.where(rng.random(12) < 0.5, lower, upper), others])
         measurement = plant.measure(0.0, q, v)
         rates = [c.evaluate(inside, measurement, target).state_rate for c in (bounded, free)]
         assert np.array_equal(*rates)
         # V̇ of both laws differs by −Δθᵀ L⁻¹ (dθ̂/dt bounded − dθ̂/dt free), as only θ̂'s rate does
         rates = [c.evaluate(at_a_bound, measurement, target).state_rate for c in (bounded, free)]
-        change = -(theta - at_a_bound) @ (rates[0] - rates[1]) / 0.5
+        change = -(theta - at_a_bound) @ np.linalg.solve(L, rates[0] - rates[1])
         assert change <= 0.0
         at_work += change < -1e-3
-        assert not (rates[0] < 0.0)[at_a_bound == lower].any()
-        assert not (rates[0] > 0.0)[at_a_bound == upper].any()
+        round_off = 1e-12 * np.abs(rates[1]).max()
+        assert (rates[0][:12][at_a_bound[:12] == lower] >= -round_off).all()
+        assert (rates[0][:12][at_a_bound[:12] == upper] <= round_off).all()
     assert at_work >= 15

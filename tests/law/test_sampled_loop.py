@@ -1,0 +1,106 @@
+"""The map from frame to frame against `simulate`, and against the loop sampled each time."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac import law
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.stability.linearization import LinearLoop, Timing, sampled_matrix
+
+DT, Q = 4e-3, np.array([0.4, 1.1])
+LIGHT = aj.load_robot("two_link").with_gravity((0.0, 0.0, -1e-6))  # its gradient is left out
+TRUTH, BELIEF = LIGHT.with_object(0.3, 0.5), LIGHT.with_object(0.0)
+REGRESSOR = GravityRegressor(BELIEF)
+GAINS = aj.Gains((40.0, 60.0), (15.0, 10.0), damping=(2.0, 1.0))
+FORCE, TORQUE, ALPHA = (30.0, 20.0), (2.0, 3.0), 2.0
+
+
+def linear():
+    """The parts of the map at Q, of a law that learns a task force and joint torques."""
+    J, J_hat = (aj.PositionTask(robot, axes="xz").jacobian(Q) for robot in (TRUTH, BELIEF))
+    kp, kv, damping = GAINS.diagonals(2, 2)
+    parts = (
+        Dynamics(TRUTH).M_inv(Q), J, J_hat.T * kp, J_hat.T * kv @ J_hat + np.diag(damping),
+        J_hat.T * FORCE @ J_hat + np.diag(TORQUE), ALPHA * np.linalg.inv(J_hat),
+    )  # fmt: skip
+    return law.LinearLaw(*(part[np.newaxis] for part in parts))
+
+
+@settings(max_examples=25)
+@given(st.integers(1, 5), st.integers(0, 9), st.integers(0, 3), st.sampled_from([0.0, 3e-3, 0.02]))
+def test_it_maps_the_state_as_simulate_does(samples, age, late, T):
+    """Frame by frame, from what a run near its target records of each sample."""
+    sensor = aj.PositionTask(TRUTH, axes="xz")
+    sensing = aj.Sensing(x_rate=1.0 / (samples * DT), x_delay=age * DT, velocity_filter=T or None)
+    plant = aj.Plant(TRUTH, sensor, sensing=sensing, actuator_delay=late * DT)
+    gravity = aj.AdaptiveGravity(
+        REGRESSOR, 0.0, ALPHA, REGRESSOR.fit(TRUTH)[0], torque_limits=np.inf,
+        task_force=FORCE, joint_torque=TORQUE,
+    )  # fmt: skip
+    controller = aj.SetpointController(aj.PositionTask(BELIEF, axes="xz"), GAINS, gravity=gravity)
+    waiting = -(-age // samples)
+    frames = waiting + 4
+    x_d = sensor.value(Q)
+    run = aj.simulate(
+        plant, controller, x_d, Q + [2e-6, -1e-6], frames * samples * DT, dt=DT, record_every=DT
+    )
+    J_hat = controller.task.jacobian(Q)
+    learnt = run.state[:, -4:-2] @ J_hat + run.state[:, -2:]
+    w, a = np.zeros_like(run.q), DT / (T + DT)
+    for k in range(1, len(run.t)):  # q̇ is that of differences, filtered, 0 at first
+        seen = a / DT * (run.q[k - 1] - Q) + w[k - 1] if k > 1 else np.zeros(2)
+        w[k] = (1.0 - a) * seen - a / DT * (run.q[k - 1] - Q)
+
+    def state(frame):
+        k = frame * samples
+        parts = [run.q[k] - Q, run.v[k], learnt[k], *([w[k]] if T else [])]
+        parts += [*(run.tau[k - late : k] - plant.dynamics.g(Q))]
+        parts += [run.x[(frame - i) * samples] - x_d for i in range(1, waiting + 1)]
+        return np.concatenate(parts)
+
+    [A] = law.frame_map(linear(), DT, samples, age, late, T)
+    first = max(waiting, -(-late // samples), 1)
+    states = np.array([state(frame) for frame in range(first, frames + 1)])
+    misses = states[1:] - states[:-1] @ A.T
+    assert (np.abs(misses) <= 1e-4 * np.abs(states).max(axis=0)).all()
+
+
+@pytest.mark.parametrize("age", [0, 1, 4])
+@pytest.mark.parametrize("late", [0, 2])
+@pytest.mark.parametrize("T", [0.0, 0.01])
+def test_with_a_frame_each_sample_it_is_the_sampled_loop(age, late, T, rng):
+    """det(zI − A) is the same but for the combinations of θ̂ that no joint feels, each z − 1.
+
+    There friction acts between samples, and gravity changes with q: here none.
+    """
+    n, m, p, dt = 4, 3, 9, 0.01
+    root, L_root = rng.normal(size=(n, n)), rng.normal(size=(p, p))
+    M, L = root @ root.T + np.eye(n), L_root @ L_root.T
+    J, J_hat, Y = rng.normal(size=(m, n)), rng.normal(size=(m, n)), rng.normal(size=(n, p))
+    kp, kv, damping, alpha = rng.random(m), rng.random(m), rng.random(n), 1.7
+    pinv = np.linalg.pinv(J_hat)
+    loop = LinearLoop(
+        M, np.zeros((n, n)), J, J_hat, pinv, kp, kv, np.zeros(n), damping, Y, L, alpha
+    )
+    parts = (
+        np.linalg.inv(M), J, J_hat.T * kp, J_hat.T * kv @ J_hat + np.diag(damping), Y @ L @ Y.T,
+        alpha * pinv,
+    )  # fmt: skip
+    [A] = law.frame_map(law.LinearLaw(*(x[np.newaxis] for x in parts)), dt, 1, age, late, T)
+    B = sampled_matrix(loop, Timing(dt, age, late, T or None))
+    assert len(B) - len(A) == p - n
+    for z in np.exp(1j * rng.uniform(0.5, 3.0, 5)) * rng.uniform(0.8, 1.5, 5):
+        of_A, of_B = (np.linalg.det(z * np.eye(len(C)) - C) for C in (A, B))
+        assert_allclose(of_B, of_A * (z - 1.0) ** (p - n), rtol=1e-9)
+
+
+def test_a_batch_is_each_of_it():
+    loop = linear()
+    stiffer = loop._replace(stiffness=2.0 * loop.stiffness)
+    both = law.LinearLaw(*(np.concatenate(pair) for pair in zip(loop, stiffer, strict=True)))
+    for one, of_both in zip((loop, stiffer), law.frame_map(both, DT, 3, 4, 1, 5e-3), strict=True):
+        assert_allclose(law.frame_map(one, DT, 3, 4, 1, 5e-3)[0], of_both, rtol=1e-12)
