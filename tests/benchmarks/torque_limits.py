@@ -45,7 +45,6 @@ def states(robot, task, rng):
 
 def step_table(law, limits, inputs):
     """Print the median time of each kind of step over that of the law alone."""
-    no_state = np.zeros(0)
     effort = aj.Limits(effort=limits.effort)
     limiters = {
         "effort only": aj.TorqueLimited(law, effort, proof=False),
@@ -60,21 +59,21 @@ def step_table(law, limits, inputs):
     for _ in range(ROUNDS):
         for measurement, target in inputs:
             start = clock()
-            law.step(no_state, measurement, target, 1e-3)
+            law.step(np.zeros(0), measurement, target, 1e-3)
             alone.append(clock() - start)
         for name, limiter in limiters.items():
-            problems = limiter._solver.problems
+            problems, state = limiter._solver.problems, limiter.initial_state(inputs[0][0])
             for measurement, target in inputs:
                 problems.clear()
                 start = clock()
-                _, answer = limiter.step(no_state, measurement, target, 1e-3)
+                _, answer = limiter.step(state, measurement, target, 1e-3)
                 taken = clock() - start
                 how = f"{len(problems)} QPs" if problems else "closed form"
                 how = "free" if answer.limit_status is aj.LimitStatus.FREE else how
                 times[name, how].append(taken)
     base = np.median(alone)
     print(f"the law alone: {1e6 * base:.1f} µs at the median of {len(inputs)} states\n")
-    print(f"{'limits':26}{'step':14}{'share':>8}{'µs':>8}{'ratio':>8}")
+    print(f"{'limits':26}{'step':14}{'share':>8}{'µs':>8}{'ratio':>8}{'/ free':>8}")
     for name in limiters:
         kinds = sorted(how for which, how in times if which == name)
         kinds = ["free", *(how for how in kinds if how != "free")]
@@ -82,7 +81,9 @@ def step_table(law, limits, inputs):
             taken = times[name, how]
             share, median = len(taken) / (ROUNDS * len(inputs)), np.median(taken)
             if taken:
-                print(f"{name:26}{how:14}{share:8.0%}{1e6 * median:8.1f}{median / base:8.2f}")
+                free = median / np.median(times[name, "free"])
+                ratios = f"{median / base:8.2f}{free:8.2f}"
+                print(f"{name:26}{how:14}{share:8.0%}{1e6 * median:8.1f}{ratios}")
 
 
 def problems_of(law, limits, inputs):
@@ -90,7 +91,7 @@ def problems_of(law, limits, inputs):
     limiter = aj.TorqueLimited(law, limits)
     limiter._solver = watched = Watched("daqp")
     for measurement, target in inputs:
-        limiter.step(np.zeros(0), measurement, target, 1e-3)
+        limiter.step(limiter.initial_state(measurement), measurement, target, 1e-3)
     return watched.problems[:PROBLEMS]
 
 

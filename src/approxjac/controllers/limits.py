@@ -16,6 +16,7 @@ _CONFIGURATIONS = 100
 _SHARE, _RARE = 0.5, 0.05
 _LEAST_LEFT = 0.05  # of the effort, where gravity takes all of it
 _NO_INERTIA = 1e-12  # instead of none, which would divide by zero
+_NO_KNEE = 1e30  # below it nothing overflows
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,13 +146,10 @@ def position_bounds(
         deceleration: a > 0, shape (n_v,) [rad/s² or m/s²], infinite where it is never too little.
     """
     left = position - motion
-    speeds: Array = approach * left
-    knee = deceleration / approach  # the speed from which on it is a that counts
-    size = np.abs(speeds)
-    if (size <= knee).all():
-        return speeds
-    braked = np.sqrt(knee * np.maximum(2.0 * size - knee, 0.0))
-    return np.asarray(np.where(size <= knee, speeds, np.copysign(braked, left)))
+    speeds: Array = np.abs(approach * left)
+    knee = np.minimum(deceleration / approach, _NO_KNEE)  # the speed from which on it is a's turn
+    braked = np.sqrt(knee * (2.0 * np.maximum(speeds, knee) - knee))
+    return np.asarray(np.copysign(np.minimum(speeds, braked), left))
 
 
 def acceleration_bounds(

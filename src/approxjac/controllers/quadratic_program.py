@@ -85,10 +85,10 @@ class Solver:
         """
         H, f, lower, upper, A, row_lower, row_upper = problem
         low, high = np.concatenate([lower, row_lower]), np.concatenate([upper, row_upper])
-        h, a = H.ravel(), A.ravel()
-        if not math.isfinite(h.dot(h) + f.dot(f) + a.dot(a)):  # the quickest way to see that
+        # the quickest ways to see both
+        if not math.isfinite(np.vdot(H, H) + np.vdot(f, f) + np.vdot(A, A)):
             return None, Verdict.FAILED
-        if not (low <= high).all():  # False of NaN, too
+        if False in (low <= high).tolist():  # of NaN, too
             crossed = (low > high).any()
             return None, Verdict.INFEASIBLE if crossed else Verdict.FAILED
         if self._function is None:
@@ -140,9 +140,9 @@ def _admitted(z: Array, problem: QuadraticProgram, low: Array, high: Array) -> A
     y = np.concatenate([z, A.dot(z)])
     held = np.minimum(np.maximum(y, low), high)
     inside: Array = held[:n]
-    farthest = np.abs(held - y).max()
-    if farthest <= _EXACT:
-        return inside
+    farthest = math.hypot(*(held - y).tolist())  # NaN of NaN
+    if farthest <= _EXACT or (farthest <= _TOLERANCE and inside.tolist() == z.tolist()):
+        return inside  # what is not moved holds its rows as it does
     rows, size = A.dot(inside), np.abs(inside)
     moved = np.concatenate([inside - z, np.clip(rows, low[n:], high[n:]) - rows])
     sizes = np.concatenate([size, np.abs(A).dot(size)])

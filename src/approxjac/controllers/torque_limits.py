@@ -49,14 +49,14 @@ class Ahead(NamedTuple):
         accelerations: Smallest and largest q̈, shape (2, n_v).
         f: q̈ by the believed dynamics, shape (n_v,).
         residual: r, by which periods have shown that to be wrong, shape (n_v,).
-        is_beyond: Whether a joint is beyond a limit already.
+        place: Joint positions and q̇, shape (2 n_v,).
     """
 
     speeds: Array
     accelerations: Array
     f: Array
     residual: Array
-    is_beyond: bool
+    place: Array
 
 
 class TorqueLimited(Limiter):
@@ -150,8 +150,9 @@ class TorqueLimited(Limiter):
         self._position = np.array(self.limits.position)
         self._fastest = np.asarray(self.limits.velocity)
         self._slowest = -self._fastest
-        self._speeds_told = (1.0 + _TOLD) * np.array([self._slowest, self._fastest])
-        self._told = self._position + np.array([[-_TOLD], [_TOLD]])
+        outermost = self._position + np.array([[-_TOLD], [_TOLD]])
+        too_fast = (1.0 + _TOLD) * np.array([self._slowest, self._fastest])
+        self._told = np.concatenate([outermost, too_fast], axis=1)
         moving = np.isfinite(self._fastest).any()
         self._per_speed = 1.0 / self._fastest if moving else None
         bounds = (*self._position, self._slowest, self._fastest)
@@ -240,7 +241,7 @@ class TorqueLimited(Limiter):
         """Return a torque with its status, and the memory for the next step."""
         if ahead is None:
             return Limited(torque, status, slack, asked.memory)
-        if status is _FREE and ahead.is_beyond:
+        if status is _FREE and not _is_within(ahead.place, self._told):
             status = LimitStatus.EXCEEDED
         memory = self._prediction.expecting(asked.measurement, ahead.f, ahead.residual)
         return Limited(torque, status, slack, memory)
@@ -306,8 +307,7 @@ class TorqueLimited(Limiter):
         f = self._prediction.forward(asked.measurement, torque, asked.gravity)
         residual = self._prediction.residual(asked.memory, asked.measurement)
         accelerations = acceleration_bounds(v, speeds, self._braking, self._jerk)
-        is_beyond = not (_is_within(v, self._speeds_told) and _is_within(motion, self._told))
-        return Ahead(speeds, accelerations, f, residual, is_beyond)
+        return Ahead(speeds, accelerations, f, residual, np.concatenate([motion, v]))
 
     def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, float]:
         """Return y, shape (n_v,), and ρ.
@@ -377,6 +377,8 @@ class TorqueLimited(Limiter):
 def _slack(torque: Array, wanted: Array, y: Array) -> float:
     """Return σ = yᵀ(τ − τ*) where positive by more than round-off [W]."""
     power = float(y.dot(torque - wanted))
+    if power <= 0.0:
+        return 0.0
     if not math.isfinite(power):
         return math.inf
     round_off = _ROUND_OFF * max(1.0, float(np.abs(y).dot(np.abs(wanted))))
