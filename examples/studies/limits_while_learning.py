@@ -8,13 +8,14 @@ targets are out of reach. The plants have no joint stops, which would hide what 
 
 A state counts as one that limits can be kept from where every joint that moves towards its stop
 can brake before it with the deceleration that its motors surely have (`sure_deceleration`). Others
-are told apart, and what they say in the first step is counted.
+are told apart, and what they say in the first step is counted. States are the same for each
+settling time.
 
     python examples/studies/limits_while_learning.py --out results/limits_while_learning
 
 Exit code 1 means that on the plant that the controller believes, from a start that counts, a joint
-was faster than 1.05 × its limit or further than 0.01 rad beyond a position limit, or that the first
-step of another start, or one in which a limit was broken, was said FREE.
+was faster than 1.05 × its limit or further than 0.01 rad beyond a position limit; or that it was
+from another start, and the first step or the one in which it was is said FREE.
 """
 
 import math
@@ -199,7 +200,7 @@ def table(outcomes):
                     if (o.case.plant, o.case.limiter, o.counts) == (plant, limiter, counts)
                 ]  # fmt: skip
                 if group:
-                    name = limiter if counts else f"{limiter}, too late to stop"
+                    name = limiter if counts else f"{limiter}, not sure to stop"
                     lines.append(row(plant, name, *numbers(group)))
         lines.append("")
     lines += ["The largest by arm with *limited*, from starts that count (states; reaches):", ""]
@@ -244,8 +245,8 @@ def shortcomings(outcomes):
             continue
         if o.counts and o.broken:
             found.append(f"{o.case}: {o.speed:.3f} × the speed, {o.beyond:.4f} rad, {o.broken}")
-        elif o.broken == "FREE" or (o.first == "FREE" and not o.counts):
-            found.append(f"{o.case}: a step of a start that is too late was said FREE")
+        elif o.broken and "FREE" in (o.first, o.broken):
+            found.append(f"{o.case}: broken from a start that is not sure to stop, but said FREE")
     return found
 
 
