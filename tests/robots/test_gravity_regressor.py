@@ -140,3 +140,17 @@ def test_fit_refuses_another_arm(two_link, panda):
         aj.InvalidInputError, match=r"robot must be under the gravity \[0.0, 0.0, -9"
     ):
         GravityRegressor(panda).fit(panda.with_gravity((0.0, 0.0, 9.81)))
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "so100"])  # so100: a joint named as its link
+def test_a_change_of_parameters_is_told_as_a_load_on_the_last_link(name):
+    """A rod of 0.5 kg, 0.2 m from the tip outwards, whose moment is in the link's own axes."""
+    robot = aj.load_robot(name)
+    truth = robot.with_object(0.2, 0.5)
+    regressor = GravityRegressor(robot)
+    load = regressor.payload(regressor.fit(truth)[0] - regressor.theta)
+    last = truth.model.frames[truth.model.getFrameId(truth.tip, pin.FrameType.BODY)].parentJoint
+    bodies = [model.inertias[last] for model in (truth.model, robot.model)]
+    moments = bodies[0].mass * bodies[0].lever - bodies[1].mass * bodies[1].lever
+    assert_allclose(load, [0.5, *moments], atol=1e-9)
+    assert_allclose(regressor.payload(np.zeros(regressor.p)), 0.0, atol=1e-12)

@@ -145,7 +145,7 @@ class GravityRegressor:
         model, tip = self._model, self.robot.tip
         if tip is None:
             return int(model.nv) - 1
-        return int(model.frames[model.getFrameId(tip)].parentJoint) - 1
+        return int(model.frames[model.getFrameId(tip, pin.FrameType.BODY)].parentJoint) - 1
 
     def _samples(self, robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return Z of this robot and g of another, stacked over random configurations."""
