@@ -32,7 +32,7 @@ _RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt 
 _MARGIN = 1.5  # gains and learning may be larger by it
 _DAMPED = 0.15  # least damping ratio, in nine of ten cases
 _CHECKED = 20  # postures
-_SLOWER = 12  # rates that are tried, each 0.8 of the one before
+_SLOWER, _STEPS = 0.8, 12  # rates that are tried, as a share of the one before, and how many
 UNKNOWN_TOOL = 0.18
 """Length of a tool that nobody told of, as a share of the arm's reach."""
 
@@ -255,12 +255,15 @@ class _Arm:
         )
         if not counted.any():
             return False
-        multipliers = np.linalg.eigvals(law.frame_map(loop, *timing))
-        of_larger = np.linalg.eigvals(law.frame_map(larger, *timing))
+        with np.errstate(over="ignore", invalid="ignore"):
+            maps = [law.frame_map(each, *timing) for each in (loop, larger)]
+        if not np.isfinite(maps).all():  # it grows beyond all numbers from one frame to the next
+            return False
+        multipliers, of_larger = np.linalg.eigvals(maps)
         if max(np.abs(multipliers).max(), np.abs(of_larger).max()) > 1.0 + _ROUND_OFF:
             return False
-        with np.errstate(divide="ignore"):
-            poles = np.log(multipliers.astype(complex)) / (samples * dt)
+        dead = multipliers == 0.0  # what is left of a delay
+        poles = np.log(np.where(dead, 1e-300, multipliers).astype(complex)) / (samples * dt)
         size = np.abs(poles)
         slowest = _STILL * float((gains.kp / gains.kv).min())
         slow = (size > slowest) & (size < 2.3 / latency.of_position)
@@ -352,7 +355,10 @@ def _rates(
     else:
         first = SETTLED / as_number("settling_time", settling_time, unit="s", above=0.0)
         why = f"settling time {settling_time:g} s as asked"
-    return [0.8**k * first for k in range(_SLOWER)], of_rate, why
+    # the same steps whatever is first, so that what is later is never faster
+    step = math.floor(math.log(first / _RATES[-1]) / math.log(_SLOWER)) + 1
+    slower = [_RATES[-1] * _SLOWER**k for k in range(step, step + _STEPS)]
+    return [first, *slower], of_rate, why
 
 
 def _timing(latency: Latency) -> tuple[float, int, int, int]:

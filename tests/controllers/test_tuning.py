@@ -1,0 +1,241 @@
+"""`tuned`: gains, saturation and learning from inertia, motors and latency, and what it refuses."""
+
+import math
+
+import numpy as np
+import pytest
+from arms import among
+from numpy.testing import assert_allclose
+from scenarios import reach
+
+import approxjac as aj
+from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
+from approxjac.controllers.tuning import Learning, _Arm
+from approxjac.controllers.usual_postures import usual_postures
+from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.scenario.build import latency_of
+
+IDEAL = Latency()
+SENSORS = Latency(torque_delay=2e-3, velocity_filter=5e-3, image_period=1 / 60)
+CAMERA = Latency(torque_delay=2e-3, velocity_filter=5e-3, image_period=1 / 30, image_age=0.06)
+
+
+def position_task(robot):
+    axes = "yz" if robot.name == "double_pendulum" else "xz" if robot.nv == 2 else "xyz"
+    return aj.PositionTask(robot, axes=axes)
+
+
+def learning_of(name, latency, **options):
+    task = position_task(aj.load_robot(name))
+    return task, tuned(task, latency, regressor=GravityRegressor(task.robot), **options)
+
+
+# -- what is chosen -------------------------------------------------------------------------
+
+
+def test_it_is_what_a_controller_without_gains_has(panda):
+    task = aj.PositionTask(panda)
+    for latency in (None, CAMERA):
+        chosen = tuned(task, latency)
+        law = aj.SetpointController(task, latency=latency)
+        bandwidth = 1.0 / (latency or IDEAL).of_velocity
+        by_rate = aj.default_gains(task, 4.0 / chosen.rate, bandwidth)
+        for name in ("kp", "kv", "damping"):
+            assert_allclose(getattr(law.gains, name), getattr(by_rate, name), rtol=1e-12)
+        far = np.array([1.0, -2.0, 0.5])
+        assert_allclose(law.saturation.s(far), chosen.gamma * np.tanh(far / chosen.gamma))
+        assert chosen.learning is None
+    given_gains = aj.SetpointController(task, aj.default_gains(task))
+    assert given_gains.tuning is None
+    assert_allclose(given_gains.saturation.s(far), far)
+
+
+def test_one_number_makes_all_of_it_slower():
+    _, quick = learning_of("panda", IDEAL)
+    _, slow = learning_of("panda", IDEAL, settling_time=4.0)
+    assert slow.rate == 1.0 < quick.rate
+    for name in ("kp", "kv"):
+        assert (getattr(slow.gains, name) < getattr(quick.gains, name)).all()
+    assert slow.learning.alpha < quick.learning.alpha
+    assert (slow.gamma > quick.gamma).all()  # softer gains may act from farther away
+    parts = ("gravity", "task_force", "joint_torque")
+    assert all(
+        np.trace(np.atleast_2d(getattr(slow.learning, part)))
+        < np.trace(np.atleast_2d(getattr(quick.learning, part)))
+        for part in parts
+    )
+
+
+@pytest.mark.parametrize("name", among("panda", "ur5", "so100"))
+def test_learning_is_as_fast_as_inertia_allows(name):
+    """λ_max(W Y L Yᵀ) of each part at 95 % of the postures, with D and M found by torques."""
+    task, chosen = learning_of(name, IDEAL)
+    robot, dynamics, rest = task.robot, Dynamics(task.robot), np.zeros(task.robot.nv)
+    kp, kv, damping = chosen.gains.diagonals(task.m, robot.nv)
+    share, learning = chosen.share, chosen.learning
+    regressor = GravityRegressor(robot)
+    fastest = []
+    for q in usual_postures(task).q:
+        g, J = dynamics.g(q), task.jacobian(q)
+        D = J.T * kv @ J + np.diag(damping)
+        M = np.array([dynamics.inverse(q, rest, unit) - g for unit in np.eye(robot.nv)]).T
+        W = np.linalg.solve(D, np.linalg.solve(D, M).T)
+        Z = regressor.Z(q)
+        parts = (
+            Z @ learning.gravity @ Z.T, J.T * learning.task_force @ J,
+            np.diag(learning.joint_torque),
+        )  # fmt: skip
+        fastest.append([np.linalg.eigvals(W @ part).real.max() for part in parts])
+    gravity, force, torque = np.quantile(fastest, 0.95, axis=0)
+    assert_allclose(gravity, 0.5 * share, rtol=1e-6)
+    assert force <= 0.6 * max(share, 0.35) * (1 + 1e-6)
+    assert torque <= 0.5 * share * (1 + 1e-6)
+    assert (learning.task_force <= 0.5 * kp * (1 + 1e-9)).all()
+    assert_allclose(learning.alpha, chosen.rate, rtol=1e-6)
+    assert (np.linalg.eigvalsh(learning.gravity) > 0.0).all()
+
+
+def test_every_arm_is_tuned(arm):
+    task = position_task(arm)
+    chosen = tuned(task, regressor=GravityRegressor(arm))
+    learning = chosen.learning
+    gains = chosen.gains.diagonals(task.m, arm.nv)
+    for values in (*gains, chosen.gamma, learning.task_force, learning.joint_torque):
+        assert np.isfinite(values).all()
+        assert (values > 0.0).all()
+    assert np.isfinite(learning.gravity).all()
+    assert (np.linalg.eigvalsh(learning.gravity) > 0.0).all()
+    assert (learning.largest > 0.0).all()
+    assert 0.0 < learning.alpha < math.inf
+    assert chosen.stable
+
+
+@pytest.mark.parametrize("name", among("panda", "ur5", "xarm7", "so100", "z1", "talos_arm"))
+def test_the_saturation_keeps_the_motors_within_their_torques(name, rng):
+    """At rest, however far the target: at most postures that they can hold with 70 %."""
+    robot = aj.load_robot(name)
+    law = aj.SetpointController(position_task(robot))
+    within = []
+    for _ in range(300):
+        q = robot.random_configuration(rng)
+        J, direction = law.task.jacobian(q), rng.normal(size=3)
+        values = np.linalg.svd(J, compute_uv=False)
+        g = Dynamics(robot).g(q)
+        if values[-1] < 0.05 * values[0] or (np.abs(g) > 0.7 * robot.effort_limits).any():
+            continue
+        x = law.task.value(q)
+        far = x + 10.0 * direction / np.linalg.norm(direction)
+        answer = law.evaluate(np.zeros(0), aj.Measurement(0.0, q, np.zeros(robot.nv), x), far)
+        within.append((np.abs(answer.torque) <= robot.effort_limits).all())
+    assert np.mean(within) > 0.8
+
+
+# -- latency --------------------------------------------------------------------------------
+
+
+def test_the_rate_is_a_third_of_what_the_lag_of_x_allows_at_most():
+    task = position_task(aj.load_robot("two_link"))
+    for latency in (CAMERA, Latency(0.02, 0.01), Latency(image_period=0.2, image_age=0.3)):
+        chosen = tuned(task, latency)
+        assert chosen.rate <= 0.3 / latency.of_position * (1 + 1e-9)
+    assert "as x is 401 ms late" in str(chosen)
+
+
+def test_what_is_later_is_not_faster():
+    """Mostly: of 38 random pairs one is, as filtered q̇ gets gains that an old x suits better."""
+    later = [
+        IDEAL, Latency(torque_delay=2e-3), Latency(torque_delay=0.01),
+        Latency(torque_delay=0.01, image_age=0.03), Latency(0.01, 0.01, 5e-3, 1 / 30, 0.06),
+        Latency(0.01, 0.02, 0.01, 0.1, 0.2),
+    ]  # fmt: skip
+    for name in ("two_link", "ur5"):
+        rates = [learning_of(name, latency)[1].rate for latency in later]
+        assert (np.diff(rates) <= 1e-9).all()
+        assert rates[-1] < 0.3 * rates[0]
+
+
+def before(arm, gains, alpha):
+    """The diagonal of L that the library had before, which is fast without latency."""
+    J, Z = arm.postures.J_hat, arm.Z
+    D = 1.0 / np.mean((Z * Z).sum(axis=1), axis=0)
+    A = np.linalg.solve(J @ np.swapaxes(J, 1, 2), J) @ Z
+    lack = np.linalg.eigvals(alpha * np.swapaxes(A * D, 1, 2) @ (A / gains.kp[:, None])).real
+    swings = (Z * (arm.postures.M_inv @ Z)).sum(axis=1).max(axis=0)
+    return np.minimum(3.0 * alpha / np.median(lack.max(axis=1)) * D, (10.0 * alpha) ** 2 / swings)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+@pytest.mark.parametrize("latency", [SENSORS, CAMERA], ids=["sensors", "camera"])
+def test_the_check_refuses_what_diverges_and_passes_what_the_rule_chose(name, latency):
+    """Gains for 0.5 s, three times the learning of before, and integral action of ½K_p."""
+    task, chosen = learning_of(name, latency)
+    arm = _Arm(task, GravityRegressor(task.robot))
+    gains = aj.default_gains(task, 0.5).diagonals(task.m, task.robot.nv)
+    alpha = arm.motion(gains)[2]
+    fast = Learning(
+        alpha, 3.0 * np.diag(before(arm, gains, alpha)), 0.5 * gains.kp,
+        np.zeros(task.robot.nv), np.zeros(0),
+    )  # fmt: skip
+    all_cases = np.ones(4 * len(arm.postures.q[:20]), dtype=bool)
+    assert not arm.passes(gains, fast, latency, all_cases)
+    assert chosen.stable
+    rule = chosen.gains.diagonals(task.m, task.robot.nv)
+    assert arm.passes(rule, chosen.learning, latency, all_cases)
+
+
+def test_what_is_too_late_for_any_gains_says_so():
+    task = position_task(aj.load_robot("panda"))
+    hopeless = tuned(task, Latency(image_age=100.0), settling_time=0.01)
+    assert not hopeless.stable
+    assert "no gains passed the check: this loop is too late" in str(hopeless)
+
+
+def test_law_5_is_damped_as_late_as_it_differentiates(panda):
+    task = aj.PositionTask(panda)
+    law_6 = aj.SetpointController(task, latency=CAMERA)
+    law_5 = aj.SetpointController(task, latency=CAMERA, velocity=DifferentiatedVelocity(0.05))
+    lag = law_5.tuning.latency.velocity_filter - law_6.tuning.latency.velocity_filter
+    assert_allclose(lag, 0.05 + CAMERA.image_age + 0.5 * CAMERA.image_period)
+    assert (law_5.gains.damping <= law_6.gains.damping).all()
+
+
+def test_printing_a_controller_says_what_was_chosen_and_why():
+    task = position_task(aj.load_robot("ur5"))
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot), latency=CAMERA)
+    first, time, gamma, learns = str(law).splitlines()
+    assert first == repr(law)
+    assert time.startswith(f"settling time {4.0 / law.tuning.rate:.3g} s: a usual reach takes ")
+    assert "as x is 79.7 ms late" in time
+    assert gamma.startswith("gamma ")
+    assert " by " in gamma
+    assert learns == f"learns at {100.0 * law.tuning.share:.0f} % of what inertia allows"
+    asked = aj.SetpointController(task, settling_time=2.0)
+    assert "settling time 2 s as asked" in str(asked)
+    assert "\n" not in str(aj.SetpointController(task, aj.default_gains(task)))
+
+
+def test_latency_tells_its_lags_and_refuses_what_is_none():
+    assert_allclose(SENSORS.of_velocity, 8e-3)
+    assert_allclose(SENSORS.of_position, 3e-3 + 0.5 / 60)
+    assert_allclose(CAMERA.of_position, 0.063 + 0.5 / 30)
+    assert Latency(1e-3, 0.0, 0.0, 0.0, 0.0) == IDEAL
+    for period in (0.0, -1e-3, math.nan, math.inf, "1 ms", None):
+        with pytest.raises(aj.InvalidInputError, match=r"period must be a finite number > 0 \[s\]"):
+            Latency(period)
+    for name in ("torque_delay", "velocity_filter", "image_period", "image_age"):
+        for value in (-1e-9, math.nan, math.inf, True):
+            text = rf"{name} must be a finite number >= 0 \[s\]"
+            with pytest.raises(aj.InvalidInputError, match=text):
+                Latency(**{name: value})
+    with pytest.raises(aj.InvalidInputError, match="latency must be Latency"):
+        aj.SetpointController(position_task(aj.load_robot("ur5")), latency=0.002)
+
+
+def test_the_latency_of_a_scenario_is_that_of_its_loop():
+    late = reach(
+        sensor={"rate": 30.0, "delay": 0.06, "velocity_filter": 5e-3},
+        loop={"dt": 2e-3, "actuator_delay": 4e-3},
+    )
+    assert latency_of(late) == Latency(2e-3, 4e-3, 5e-3, 1 / 30, 0.06)
+    assert late.build().law.tuning.latency == latency_of(late)
+    assert latency_of(reach(loop={"dt": "continuous"})) == IDEAL
