@@ -119,6 +119,20 @@ def test_with_default_gains_an_unknown_payload_is_learnt(arms, from_zero):
     assert np.abs(Z @ regressor.theta - g).max() > 1.0
 
 
+def test_what_is_learnt_is_told_in_words(arms):
+    _, belief, regressor, theta = arms
+    task = aj.PositionTask(belief)
+    learns = aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)).adaptation
+    told = learns.words(np.array([*theta, 0.0, -3.0, 0.0, *np.zeros(5), 0.25, 0.0]), task)
+    assert told.startswith("as if the last link had +1 kg and [")
+    assert "-3 N along y" in told
+    assert "0.25 N m" in told
+    assert "panda_joint6" in told
+    only_gravity = aj.AdaptiveGravity(regressor, L=0.1)
+    learns = aj.SetpointController(task, gravity=only_gravity).adaptation
+    assert "force" not in learns.words(theta, task)
+
+
 # -- bounds ---------------------------------------------------------------------------------
 
 
