@@ -112,7 +112,7 @@ def test_every_arm_is_tuned(arm):
 
 @pytest.mark.parametrize("name", among("panda", "ur5", "xarm7", "so100", "z1", "talos_arm"))
 def test_the_saturation_keeps_the_motors_within_their_torques(name, rng):
-    """At rest, however far the target: at most postures that they can hold with 70 %."""
+    """At rest, however far the target: measured at 92 to 100 % of what they hold with 70 %."""
     robot = aj.load_robot(name)
     law = aj.SetpointController(position_task(robot))
     within = []
@@ -127,7 +127,7 @@ def test_the_saturation_keeps_the_motors_within_their_torques(name, rng):
         far = x + 10.0 * direction / np.linalg.norm(direction)
         answer = law.evaluate(np.zeros(0), aj.Measurement(0.0, q, np.zeros(robot.nv), x), far)
         within.append((np.abs(answer.torque) <= robot.effort_limits).all())
-    assert np.mean(within) > 0.8
+    assert np.mean(within) > 0.88
 
 
 # -- latency --------------------------------------------------------------------------------
