@@ -3,7 +3,8 @@
 import numpy as np
 
 import approxjac as aj
-from approxjac.controllers.tuning import _regular_configurations, slow_rate
+from approxjac.controllers.default_gains import slow_rate
+from approxjac.controllers.usual_postures import usual_postures
 
 SPEED, FASTEST = 3.0, 10.0  # of learning, in rates of the task's slow pole
 
@@ -28,10 +29,9 @@ def adaptation_before(task, gains):
     than ten times that rate.
     """
     diagonals = gains.diagonals(task.m, task.robot.nv)
-    configurations, J = _regular_configurations(task)
-    slow, dynamics = slow_rate(task, diagonals, J), aj.robots.Dynamics(task.robot)
-    regressor = aj.robots.GravityRegressor(task.robot)
-    Z, M = (np.array([*map(f, configurations)]) for f in (regressor.Z, dynamics.M))
+    slow, regressor = slow_rate(task, diagonals), aj.robots.GravityRegressor(task.robot)
+    configurations, J, M, *_ = usual_postures(task)
+    Z = np.array([*map(regressor.Z, configurations)])
     D = 1.0 / np.mean((Z * Z).sum(axis=1), axis=0)
     A = np.linalg.solve(J @ np.swapaxes(J, 1, 2), J) @ Z
     rates = np.linalg.eigvals(slow * np.swapaxes(A * D, 1, 2) @ (A / diagonals.kp[:, None]))

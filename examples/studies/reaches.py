@@ -5,6 +5,7 @@ They are scenarios with all defaults, run as `approxjac simulate` runs them.
 
 import math
 from collections import Counter
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -68,6 +69,16 @@ def scenario(case, **more):
     run = {"start": "random", "duration": case.duration, "seed": case.seed}
     more["run"] = run | more.get("run", {})
     return Scenario(case.robot, **more)
+
+
+def without_stops(built):
+    """Return a reach whose joints do not stop at their ends."""
+    plant = built.plant
+    free = aj.Plant(
+        plant.robot, plant.sensor, sensing=plant.sensing, actuator_delay=plant.actuator_delay,
+        torque_limits=plant.torque_limits, joint_limits=False,
+    )  # fmt: skip
+    return replace(built, plant=free)
 
 
 def run(case, built):
