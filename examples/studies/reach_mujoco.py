@@ -1,6 +1,7 @@
 """Reach in MuJoCo with real sensing, with a slow camera, and with joints that stick.
 
-All defaults, and a tool that nobody told the controller of. MuJoCo stops the joints at their ends.
+All defaults, and a tool that nobody told the controller of. MuJoCo stops the joints at their ends, but
+where friction is looked at.
 docs/reaching.md has what came out.
 
     python examples/studies/reach_mujoco.py --out results/reach_mujoco
@@ -37,6 +38,7 @@ def run_case(case):
     built = reaches.scenario(case, true={"engine": "mujoco"}, **KINDS[case.kind]).build()
     if case.kind == "friction":
         built.plant.mujoco_model.dof_frictionloss[:] = STICTION
+        built.plant.mujoco_model.jnt_limited[:] = 0  # what is left is friction's, and no stop's
     return reaches.run(case, built)
 
 

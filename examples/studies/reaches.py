@@ -110,7 +110,7 @@ def run(case, built):
         stops=", ".join(np.array(record.joint_names)[ends[-1] > -AT_STOP]),
         limited=sum(n for name, n in tally.counts.items() if name not in FREELY) / steps,
         statuses=dict(tally.counts + tally.said),
-        reason=result.reason,
+        reason=result.reason if law_of(built.controller) is built.law else "",
     )
 
 
@@ -209,5 +209,5 @@ def failure(outcome):
         told.append(f"{outcome.stops} at the end of its range")
     if outcome.limited > 0.0:
         told.append(f"limited in {100.0 * outcome.limited:.0f} % of the steps")
-    told.append(outcome.reason or "within 1 mm, then out of it again")
+    told.append(outcome.reason or "not within 1 mm to the end")
     return f"- {case.kind}, {case.robot}, seed {case.seed}: {'; '.join(told)}"
