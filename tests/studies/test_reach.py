@@ -27,7 +27,8 @@ def test_the_time_is_that_from_which_on_the_error_stays():
 
 def test_a_reach_is_that_of_approxjac_simulate_and_what_the_law_asks_for_is_seen_behind_limits():
     case = Case("panda", 1, "limits", duration=0.2)
-    built = reaches.scenario(case, controller={"limits": 0.4, "gravity": "exact"}).build()
+    stiff = {"limits": 0.4, "gravity": "exact", "kp": 3000.0, "kv": 100.0, "damping": 5.0}
+    built = reaches.scenario(case, controller=stiff).build()
     outcome, result = reaches.run(case, built), built.run()
     assert outcome.final_error == result.run.error_norm[-1]
     assert result.peak_torque_ratio <= 1.0 + 1e-9 < outcome.asked
