@@ -31,6 +31,7 @@ _TORQUE, _HOLDABLE, _SPEED = 0.75, 0.7, 0.9  # shares of the limits
 _RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt slowly
 _MARGIN = 1.5  # gains and learning may be larger by it
 _DAMPED = 0.15  # least damping ratio, in nine of ten cases
+_LATE = 0.36  # more of it, times r and the lag of x: frames are never as regular as thought
 _CHECKED = 20  # postures
 _SLOWER, _STEPS = 0.8, 12  # rates that are tried, as a share of the one before, and how many
 UNKNOWN_TOOL = 0.18
@@ -265,10 +266,11 @@ class _Arm:
         dead = multipliers == 0.0  # what is left of a delay
         poles = np.log(np.where(dead, 1e-300, multipliers).astype(complex)) / (samples * dt)
         size = np.abs(poles)
-        slowest = _STILL * float((gains.kp / gains.kv).min())
-        slow = (size > slowest) & (size < 2.3 / latency.of_position)
+        rate = float(self.motion(gains)[2])
+        slow = (size > _STILL * rate) & (size < 2.3 / latency.of_position)
         ratios = np.where(slow, -poles.real / np.maximum(size, 1e-300), 1.0)
-        return float(np.quantile(ratios.min(axis=1), 0.1)) >= _DAMPED
+        wanted = _DAMPED + _LATE * rate * latency.of_position
+        return float(np.quantile(ratios.min(axis=1), 0.1)) >= wanted
 
 
 def tuned(
@@ -294,7 +296,8 @@ def tuned(
        L_w = ¼B_c²/Mⱼⱼ, reduced where λ_max(W L_w) > π/2.
     4. The check: the loop's sampled, delayed linearisation at twenty postures, of arms that are
        lighter and heavier than believed and hold a tool that nobody told of, is stable with one
-       and a half times all of these, and in nine of ten cases its damping ratio is at least 0.15.
+       and a half times all of these, and in nine of ten cases its damping ratio is at least
+       0.15 + 0.36 r times the lag of x.
        If not, π is reduced, and then r.
 
     Args:
