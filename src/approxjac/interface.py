@@ -64,7 +64,7 @@ class LimitStatus(_Outcome):
     """Outcome of limits for the torque that a law asks for, in one step of a controller.
 
     The proof is that of Theorem 1: V̇ ≤ −W, which any torque with yᵀ(τ − τ*) ≤ 0 keeps. Where
-    gravity is learnt, and stands still, V̇ has −yᵀZ(θ − θ̂) besides the slack.
+    what is learnt stands still, V̇ has −yᵀY(θ − θ̂) besides the slack.
     """
 
     UNLIMITED = "the controller knows no limits"
@@ -78,8 +78,8 @@ class LimitStatus(_Outcome):
         "own torque: V̇ ≤ −W still holds where it held"
     )
     PROOF_GIVEN_UP = (
-        "the torque was brought within the limits, which adds the slack to V̇; what is learnt "
-        "stands still"
+        "the torque was brought within the limits, which adds the slack to V̇; learning goes on "
+        "without the joints that are at a limit"
     )
     INFEASIBLE = (
         "no torque keeps all limits at once: gravity compensation and brakes, within the limits of "

@@ -2,6 +2,7 @@
 
 from approxjac.controllers.compiled import CompiledSetpointController
 from approxjac.controllers.default_gains import default_gains
+from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -16,7 +17,7 @@ from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.measurement_hold import HeldMeasurement
 from approxjac.controllers.posture import AwayFromStops, Posture
-from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
+from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tuning import Learning, Tuning, tuned
 from approxjac.controllers.wrapper import ControllerWrapper, law_of

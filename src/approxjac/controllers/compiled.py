@@ -9,12 +9,13 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE
+from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import Gravity, RegressorGravity
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.machine_code import compiled
 from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
-from approxjac.controllers.setpoint import DifferentiatedVelocity, SetpointController
+from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.law import Linear, Saturation, Sine, Tanh
@@ -120,7 +121,7 @@ class CompiledSetpointController(SetpointController):
         kind = _SATURATIONS.index(type(self.saturation))
         gamma = np.broadcast_to(getattr(self.saturation, "gamma", 1.0), m)
         constants = np.concatenate([*self.diagonals, gamma, [self._scale, kind]])
-        is_far = self._is_far
+        is_far = self._reach.is_exceeded
         scale, no_rate = self._scale, self._no_rate
         parts = (fits, is_small, saturated, taken_apart)
         bounds = None if learning is None else learning.bounds

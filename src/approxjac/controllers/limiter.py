@@ -6,16 +6,23 @@ import abc
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
+from approxjac import law
 from approxjac.controllers.limits import Limits, rate_bounds
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import MeasurementError
-from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array, require
 
 _FREE = LimitStatus.FREE  # members of an enum are slow to look up
 _GOES_ON = _FREE, LimitStatus.PROOF_KEPT, LimitStatus.EXCEEDED  # V̇ ≤ −W holds
+
+_GIVES_UP = LimitStatus.PROOF_GIVEN_UP, LimitStatus.LIMITED
+_TOLD = Status.OK, Status.NEAR_SINGULAR  # of the law, where there is something to learn from
+_AT_LIMIT = 0.02  # a joint this near to its position limit counts as at it [rad or m]
+_NEARLY = 0.98  # of a limit of torque or speed
 
 
 class Asked(NamedTuple):
@@ -66,8 +73,11 @@ class Limiter(ControllerWrapper):
     starts from the torque that holds the arm.
 
     Learning by eq. (29) goes on where the torque is free, or limited such that V̇ ≤ −W holds: the
-    parameters are part of that V, and it needs them to move. Otherwise θ̂ rests (anti-windup). This
-    takes the place of `AdaptiveGravity.torque_limits`.
+    parameters are part of that V, and it needs them to move. Where the proof is given up, joints
+    that are at a limit count as locked: the others go on learning as the arm of these joints does,
+    y = q̇ + α(ĴP)⁺s(e) with P leaving out what is locked. So an arm that weight has pushed to a
+    stop learns what it needs to leave it, and nothing winds up where the others cannot lessen the
+    error. Otherwise θ̂ rests. This takes the place of `AdaptiveGravity.torque_limits`.
 
     Args:
         controller: The controller whose torque to limit.
@@ -159,9 +169,35 @@ class Limiter(ControllerWrapper):
             torque, status, slack, memory = self._limit(asked)
         if self._p and status not in _GOES_ON:
             after[: self._p] = state[: self._p]
+            if status in _GIVES_UP and answer.status in _TOLD:
+                after[: self._p] += dt * self._rate_of_others(state, measurement, answer, torque)
         if self._memory:
             after = np.concatenate([after, memory, torque] if self._has_rate else [after, memory])
         return after, answer._replace(torque=torque, limit_status=status, slack=slack)
+
+    def _rate_of_others(
+        self, state: Array, measurement: Measurement, answer: Evaluation, torque: Array
+    ) -> Array:
+        """Return the rate of θ̂ (p,) of the joints that are at no limit; 0 where all are free."""
+        controller, (_, q, v, *_), J_hat = self._law, measurement, answer.J_hat
+        learning = controller.adaptation
+        assert learning is not None
+        assert J_hat is not None
+        robot = self.task.robot
+        motion = q if robot.nq == robot.nv else pin.difference(robot.model, robot.neutral(), q)
+        low, high = np.asarray(self.limits.position)
+        locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
+        locked |= np.abs(v) > _NEARLY * np.asarray(self.limits.velocity)
+        locked |= np.abs(torque) > _NEARLY * self._upper
+        if not locked.any():
+            return np.zeros(self._p)
+        J_free, s = np.where(locked, 0.0, J_hat), controller.saturation.s(answer.e)
+        w, _ = law.damped_gram_solve(J_free @ J_free.T, s, scale=float(np.linalg.norm(J_hat, 2)))
+        y = law.passive_output(np.where(locked, 0.0, v), w @ J_free, learning.alpha)
+        rate = law.theta_hat_rate(learning.L, learning.Y(q, J_hat), y)
+        if learning.bounds is None:
+            return rate
+        return law.within_bounds(rate, state[: self._p], *learning.bounds, learning.L)
 
     @abc.abstractmethod
     def _limit(self, asked: Asked) -> Limited:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, require_arrays
 from approxjac.controllers.default_gains import slow_rate
+from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains import Gains
 from approxjac.controllers.gravity import (
     Adaptation,
@@ -22,34 +23,20 @@ from approxjac.controllers.gravity import (
 )
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
+from approxjac.controllers.reach import Reach
 from approxjac.controllers.saturation import require_saturation
-from approxjac.controllers.tuning import UNKNOWN_TOOL, Tuning, tuned
+from approxjac.controllers.tuning import Tuning, tuned
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import ContinuousController, Evaluation, Measurement, Status, Target
 from approxjac.law import Linear, Saturation, Tanh
-from approxjac.robots.joint_limits import reach_bound
-from approxjac.tasks import PoseTask, PositionTask, Task
+from approxjac.tasks import Task
 from approxjac.tasks.analysis import uncombined, vanishing
-from approxjac.validation import Array, Immutable, as_number, as_vector, require
+from approxjac.validation import Array, Immutable, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
 _SATURATED, _SINGULAR = Status.TORQUE_SATURATED, Status.NEAR_SINGULAR
 _FAR = Status.OUT_OF_REACH
-
-
-@dataclass(frozen=True)
-class DifferentiatedVelocity:
-    """Ẋ of the earlier law (5): the measured x, filtered with a time constant T and differentiated.
-
-    Attributes:
-        time_constant: T > 0 [s]. Sampled control needs dt well below it.
-    """
-
-    time_constant: float = 0.02
-
-    def __post_init__(self) -> None:
-        as_number("time_constant", self.time_constant, unit="s", above=0.0)
 
 
 class SetpointController(Immutable):
@@ -157,7 +144,7 @@ class SetpointController(Immutable):
         if posture is not None:
             self._pull = posture.torque(task, self.diagonals, slow_rate(task, self.diagonals))
         self._scale = vanishing(task)
-        self._origin, self._reach = _reach(task)
+        self._reach = Reach(task)
         self._subtracts = task._subtracts  # as most do
         back = uncombined(task)  # a target moves in the coordinates of what is measured
         self._combination = np.eye(task.m) if back is None else np.linalg.inv(back)
@@ -226,24 +213,6 @@ class SetpointController(Immutable):
         w, _ = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=self._scale)
         return law.passive_output(v, w.dot(J_hat), alpha)
 
-    def task_torque(self, e: Array, v: Array, J_hat: Array, rate: Array) -> Array:
-        """Return −Ĵᵀ(K_p s(e) + K_v Ĵq̇), the part of a torque that acts on a task at rest.
-
-        Args:
-            e: Task error, NaN where x was lost, shape (…, m).
-            v: Joint velocity q̇, shape (…, n_v).
-            J_hat: Estimated Jacobian Ĵ, shape (…, m, n_v).
-            rate: Rate of the state, from which law (5) has Ẋ, shape (…, n_state).
-
-        Returns:
-            Shape (…, n_v) [N m or N]; without K_p s(e) where x was lost.
-        """
-        kp, kv, _ = self.diagonals
-        s = np.nan_to_num(self.saturation.s(e))
-        x_dot = rate[..., self._p :] if self.velocity else (J_hat @ v[..., None])[..., 0]
-        torque: Array = -((kp * s + kv * x_dot)[..., None, :] @ J_hat)[..., 0, :]
-        return torque
-
     @functools.cached_property
     def alpha(self) -> float:
         """α of the Lyapunov function where none is given [1/s].
@@ -254,36 +223,6 @@ class SetpointController(Immutable):
         if self.adaptation is not None:
             return self.adaptation.alpha
         return _ALPHA_SHARE * slow_rate(self.task, self.diagonals)
-
-    def lyapunov_value(
-        self,
-        e: Array,
-        v: Array,
-        J_hat: Array,
-        M: Array,
-        alpha: float,
-        theta_error: Array | None = None,
-    ) -> float:
-        """Return V of (12), or (31) where gravity is learnt, with Ĵ⁺ as in the law.
-
-        Args:
-            e: True task error, shape (m,).
-            v: Joint velocity q̇, shape (n_v,).
-            J_hat: Estimated Jacobian Ĵ, shape (m, n_v).
-            M: True inertia matrix, shape (n_v, n_v).
-            alpha: α [1/s].
-            theta_error: θ − θ̂, shape (p,), where gravity is learnt.
-
-        Returns:
-            V [J]; NaN where the error is not known.
-        """
-        if not np.isfinite(e).all():
-            return math.nan
-        (kp, kv, _), s, S = self.diagonals, self.saturation.s(e), self.saturation.S(e)
-        V = law.V(v, s, S, self.jacobian_pinv(J_hat), M, kp, kv, alpha)
-        if self.adaptation is None or theta_error is None:
-            return V
-        return V + law.parameter_potential(theta_error, self.adaptation.L)
 
     def jacobian_pinv(self, J_hat: Array) -> Array:
         """Return Ĵ⁺ of a Ĵ (m, n_v), damped near singular ones as in the law; shape (n_v, m)."""
@@ -424,7 +363,7 @@ class SetpointController(Immutable):
             status = _LOST
         elif learning is not None and learning.rests(torque):
             status = _SATURATED
-        elif learning is not None and self._is_far(q, e):
+        elif learning is not None and self._reach.is_exceeded(q, e):
             status = _FAR
         elif singular:
             status = _SINGULAR
@@ -437,17 +376,6 @@ class SetpointController(Immutable):
             rate = theta_rate if self.velocity is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g)
 
-    def _is_far(self, q: Array, e: Array) -> bool:
-        """Return whether a target is out of reach, where nothing can be learnt.
-
-        It is e away from where the believed arm is: who measures x may stand anywhere.
-        """
-        k = len(self._origin)
-        if math.hypot(*e[:k].tolist()) <= UNKNOWN_TOOL * self._reach:
-            return False
-        there = self.task.value(q)[:k] - e[:k]
-        return math.dist(there.tolist(), self._origin) > (1.0 + UNKNOWN_TOOL) * self._reach
-
     def __str__(self) -> str:
         """Return this, and what the rule chose and why, a line each."""
         return repr(self) if self.tuning is None else f"{self!r}\n{self.tuning}"
@@ -456,12 +384,3 @@ class SetpointController(Immutable):
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
         parts = [f"law {law}", repr(self.task), repr(self.gains), repr(self.gravity)]
         return f"{type(self).__name__}({', '.join(parts)})"
-
-
-def _reach(task: Task) -> tuple[list[float], float]:
-    """Return where a position is reached from, along its axes [m], and how far; or ∞."""
-    if not isinstance(task, PositionTask | PoseTask):
-        return [], math.inf
-    origin, reach = reach_bound(task.robot, task.frame)
-    axes = ["xyz".index(axis) for axis in task.labels[:3]]
-    return origin[axes].tolist(), reach

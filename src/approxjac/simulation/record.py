@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.controllers import SetpointController, law_of
+from approxjac.controllers.run_terms import lyapunov_value, task_torque
 from approxjac.interface import Controller, Evaluation, Measurement
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.simulation.plant import Plant
@@ -101,7 +102,7 @@ class Record:
             if isinstance(law, SetpointController) and name == "V":
                 found[which] = self._V(law, run, which, J_hat[which])
             elif isinstance(law, SetpointController):
-                found[which] = law.task_torque(e[which], run.v[which], J_hat[which], rate[which])
+                found[which] = task_torque(law, e[which], run.v[which], J_hat[which], rate[which])
         return found
 
     def _V(
@@ -116,8 +117,8 @@ class Record:
             theta_error = list(np.concatenate([theta, unlearnt]) - theta_hat)
         columns = run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error
         return [
-            law.lyapunov_value(
-                law.task.error(x, x_d), v, J, self._plant.dynamics.M(q), law.alpha, off
+            lyapunov_value(
+                law, law.task.error(x, x_d), v, J, self._plant.dynamics.M(q), law.alpha, off
             )
             for x, x_d, q, v, J, off in zip(*columns, strict=True)
         ]

@@ -1,0 +1,35 @@
+"""`Reach`: whether a target is out of reach for sure."""
+
+from __future__ import annotations
+
+import math
+
+from approxjac.controllers.tuning import UNKNOWN_TOOL
+from approxjac.robots.joint_limits import reach_bound
+from approxjac.tasks import PoseTask, PositionTask, Task
+from approxjac.validation import Array
+
+
+class Reach:
+    """How far the believed arm reaches with its task; of other tasks than positions without end.
+
+    Args:
+        task: The task of the believed robot.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._task, self._origin, self._most = task, [0.0], math.inf
+        if isinstance(task, PositionTask | PoseTask):
+            origin, self._most = reach_bound(task.robot, task.frame)
+            self._origin = origin[["xyz".index(axis) for axis in task.labels[:3]]].tolist()
+
+    def is_exceeded(self, q: Array, e: Array) -> bool:
+        """Return whether a target is too far away for the arm, and a tool that nobody told of.
+
+        It is e (m,) away from where the believed arm is at q: who measures x may stand anywhere.
+        """
+        k = len(self._origin)
+        if math.hypot(*e[:k].tolist()) <= UNKNOWN_TOOL * self._most:
+            return False
+        there = self._task.value(q)[:k] - e[:k]
+        return math.dist(there.tolist(), self._origin) > (1.0 + UNKNOWN_TOOL) * self._most
