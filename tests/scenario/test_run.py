@@ -208,12 +208,13 @@ def test_joints_that_touched_their_stops_are_reported():
     low, high = aj.load_robot("panda").position_limits
     beyond = np.maximum(result.run.q - high, low - result.run.q).max()
     assert result.summary()["joint_limit_excess"] == beyond > 0.0
-    name, seconds = next(iter(result.run.at_stops.items()))
+    touched = result.run.at_stops
+    name, seconds = max(touched.items(), key=lambda item: item[1])
     assert 0.5 < seconds < 4.0
-    assert result.summary()["at_joint_stops_s"] == {name: seconds}
-    assert f"{name} for {seconds:.3g} s; up to {beyond:.2g} beyond" in report.text(result)
-    assert f"stops   {name} for " in str(result.run)
-    assert result.reason == f"stands at the joint stops of {name}"
+    assert result.summary()["at_joint_stops_s"] == touched
+    assert f"{name} for {seconds:.3g} s" in report.text(result)
+    assert f"up to {beyond:.2g} beyond" in report.text(result)
+    assert f"{name} for " in str(result.run)
 
 
 @pytest.mark.parametrize(
