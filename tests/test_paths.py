@@ -136,8 +136,8 @@ def test_every_controller_takes_a_path(loop):
         assert run.error_norm[-1] < 0.1
 
 
-def test_the_velocity_of_a_target_acts_as_a_velocity_of_the_task(loop):
-    """K_v (Ĵq̇ − ẋ_d): with ẋ_d = Ĵq̇ the torque is that of an arm at rest but for joint damping."""
+def test_the_law_acts_on_the_motion_relative_to_that_of_the_target(loop):
+    """It is that of a target at rest with q̇ − Ĵ⁺ẋ_d in place of q̇, in what learns too."""
     _, law, _ = loop
     x = law.task.value(START)
     v = np.array([0.1, -0.3, 0.2, 0.4, 0.1, -0.2, 0.3])
@@ -145,7 +145,15 @@ def test_the_velocity_of_a_target_acts_as_a_velocity_of_the_task(loop):
     moving = aj.Target(x, law.task.jacobian(START) @ v)
     still = law.evaluate(np.zeros(0), here._replace(v=np.zeros(7)), x)
     answer = law.evaluate(np.zeros(0), here, moving)
-    assert_allclose(answer.torque, still.torque - law.diagonals.damping * v, atol=1e-12)
+    J_hat = law.task.jacobian(START)
+    relative = v - np.linalg.pinv(J_hat) @ J_hat @ v
+    assert_allclose(answer.torque, still.torque - law.diagonals.damping * relative, atol=1e-9)
+    learner = aj.SetpointController(law.task, gravity=aj.AdaptiveGravity(law.task.robot))
+    state, x_d = learner.initial_state(here), x + [0.02, -0.01, 0.03]
+    along = learner.evaluate(state, here, aj.Target(x_d, J_hat @ v))
+    at_rest = learner.evaluate(state, here._replace(v=relative), x_d)
+    assert_allclose(along.torque, at_rest.torque, atol=1e-9)
+    assert_allclose(along.state_rate, at_rest.state_rate, atol=1e-9)
     lost = law.evaluate(np.zeros(0), here._replace(x=np.full(3, np.nan)), moving)
     blind = law.evaluate(np.zeros(0), here._replace(x=np.full(3, np.nan)), x)
     assert_allclose(lost.torque, blind.torque)  # nobody follows a target blindly

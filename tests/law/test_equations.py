@@ -45,14 +45,6 @@ def test_eq_27_and_28(numbers, rng):
     assert_allclose(tau, law.estimated_velocity_torque(**numbers, g=Z @ theta))
 
 
-def test_the_feed_forward_makes_damping_act_on_the_velocity_to_the_target(numbers, rng):
-    x_d_dot, g = rng.normal(size=M), rng.normal(size=NV)
-    tau = law.estimated_velocity_torque(**numbers, g=g)
-    tau += law.feed_forward_torque(numbers["J_hat"], numbers["kv"], x_d_dot)
-    to_the_target = numbers["J_hat"] @ numbers["v"] - x_d_dot
-    assert_allclose(tau, -force(numbers, to_the_target) - numbers["damping"] * numbers["v"] + g)
-
-
 def test_the_bounded_law_and_its_bound(numbers, rng):
     J_hat, kp, s, v = (numbers[name] for name in ("J_hat", "kp", "s", "v"))
     kd, v0, gamma = rng.uniform(1, 2, NV), rng.uniform(0.5, 1, NV), rng.uniform(0.5, 1, M)

@@ -42,11 +42,11 @@ _FAR = Status.OUT_OF_REACH
 class SetpointController(Immutable):
     """Bring a measured task value to a target with an approximate Jacobian.
 
-    τ = −Ĵᵀ(K_p s(e) + K_v (Ĵq̇ − ẋ_d)) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
+    τ = −Ĵᵀ(K_p s(e) + K_v Ĵq̇) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
     believed robot only, through the Jacobian of `task` and through `gravity`.
 
-    The theorems are for a target at rest. With ẋ_d as a feed-forward a moving target is followed
-    more closely, but nothing is proven then; gravity that is learnt is disturbed by the motion.
+    The theorems are for a target at rest. For one that moves, q̇ − Ĵ⁺ẋ_d takes the place of q̇, in
+    the torque and in what learns: it is followed more closely, but nothing is proven then.
 
     Its state is θ̂ where gravity is learnt, followed by the differentiator's state for law (5).
 
@@ -345,8 +345,9 @@ class SetpointController(Immutable):
         bias = g
         if self._pull is not None:
             bias = bias + within_null_space(self._pull(q), J_hat, G, self._scale)
-        if v_d is not None:
-            bias = bias + law.feed_forward_torque(J_hat, kv, v_d)
+        if v_d is not None:  # the law of the motion relative to Ĵ⁺ẋ_d, which follows the target
+            reference, _ = law.damped_gram_solve(G, v_d, scale=self._scale)
+            v = v - reference.dot(J_hat)
 
         rate = self._no_rate
         if self.velocity is None:
@@ -355,7 +356,8 @@ class SetpointController(Immutable):
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
             # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
             x_dot = J_hat.dot(v) if lost else (x - state[self._p :]) / self._lag
-            torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, bias)
+            relative = x_dot if v_d is None else x_dot - v_d
+            torque = law.measured_velocity_torque(J_hat, kp, kv, s, relative, v, damping, bias)
             rate = x_dot if learning is None else np.append(self._no_rate[: self._p], x_dot)
 
         status = _OK

@@ -50,14 +50,6 @@ def estimated_velocity_torque(
     return torque
 
 
-def feed_forward_torque(J_hat: Array, kv: Array, x_d_dot: Array) -> Array:
-    """Ĵᵀ K_v ẋ_d, with which K_v of eqs. (5), (6) and (28) acts on the velocity to the target.
-
-    No equation of the paper, whose targets rest. ẋ_d is the target's velocity, shape (m,).
-    """
-    return dot(kv * x_d_dot, J_hat)
-
-
 def learnt_gravity_torque(
     J_hat: Array,
     kp: Array,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.controllers import law_of
 from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions
@@ -201,7 +202,7 @@ class Result:
         At rest what lacks is the torque of the position force.
         """
         run, law, q = self.run, self.built.law, self.run.q[-1]
-        if law.adaptation is None:
+        if law.adaptation is None or law_of(self.built.controller) is not law:
             return False
         first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
         return bool(np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.task_torque[-1]))
