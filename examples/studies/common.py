@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -89,3 +90,25 @@ def carried_object(robot):
     if share <= 1.0:
         return LENGTH, MASS
     return round(LENGTH / share ** (1.0 / 3.0), 3), round(MASS / share, 3)
+
+
+def plain_law(built, settling_time):
+    """Return a scenario with the law of the paper, which a study is about, and no joint stops.
+
+    Gains for a settling time [s] at the loop's lags, and s(e) = e, in place of the rule's.
+    """
+    law, scenario = built.law, built.scenario
+    dt, sensor = scenario.loop.dt, scenario.sensor
+    lag = dt + (sensor.velocity_filter or 0.0) + scenario.loop.actuator_delay
+    if law.velocity is not None:  # Ẋ of law (5) is as late as x
+        lag += law.velocity.time_constant + sensor.delay
+        lag += 0.0 if sensor.rate is None else 0.5 / sensor.rate
+    gains = aj.default_gains(law.task, settling_time, 1.0 / lag)
+    chosen = aj.SetpointController(law.task, gains, gravity=law.gravity, velocity=law.velocity)
+    controller, unseen = chosen, scenario.controller.unseen
+    if built.limits is not None:
+        controller = aj.TorqueLimited(chosen, built.limits, dt=dt)
+    if unseen is not None:
+        controller = aj.HeldMeasurement(controller, unseen)
+    plant = built.plant._rebuilt(joint_limits=False)
+    return replace(built, plant=plant, law=chosen, controller=controller)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 import usual_limiters
-from common import carried_object, head, parser, row, run_all, write
+from common import carried_object, head, parser, plain_law, row, run_all, write
 from lyapunov_decrease import Decrease, decrease
 
 import approxjac as aj
@@ -107,7 +107,7 @@ def arm(robot):
         true={"object": {"length": length, "mass": mass}},
         controller={"gravity": "exact", "settling_time": SETTLING_TIME, "limits": "none"},
     ).build()
-    return built, full_limits(built.plant.robot)
+    return plain_law(built, SETTLING_TIME), full_limits(built.plant.robot)
 
 
 def full_limits(truth):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from common import head, parser, row, run_all, write
+from common import head, parser, plain_law, row, run_all, write
 
 import approxjac as aj
 from approxjac import view
@@ -100,7 +100,7 @@ def run_case(case):
 def prepared(roll, seed):
     """Return arm, cameras and default gains with a roll [deg]."""
     wrong = {"roll": math.radians(roll), "focal_factor": 1.3, "depth_factor": 1.5}
-    return Scenario(
+    built = Scenario(
         "panda",
         true={"object": {"length": 0.15, "mass": 0.3}},
         believed={"camera": wrong},
@@ -109,6 +109,7 @@ def prepared(roll, seed):
         controller={"gravity": "exact", "settling_time": 1.5, "limits": "none"},
         run={"seed": seed},
     ).build()
+    return plain_law(built, 1.5)
 
 
 @cache

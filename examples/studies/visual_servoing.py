@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from common import head, parser, row, run_all, write
+from common import head, parser, plain_law, row, run_all, write
 from velocity_servo import VelocityServo
 
 import approxjac as aj
@@ -125,7 +125,7 @@ def with_default_gains(case, law):
         "depth_factor": 1.0 + signs[2] * DEPTH,
     }
     held = {"length": 0.0, "mass": 0.0} if scene.in_hand else {"length": 0.15, "mass": 0.3}
-    return Scenario(
+    built = Scenario(
         scene.robot,
         true={"object": held, "camera": {"mount": "tip"} if scene.in_hand else {}},
         believed={"camera": wrong},
@@ -140,6 +140,7 @@ def with_default_gains(case, law):
         },
         run={"duration": 15.0, "seed": case.seed},
     ).build()
+    return plain_law(built, SETTLING_TIME)
 
 
 def run_case(case):

@@ -148,7 +148,7 @@ def settling_shares(name, settling_time):
     """Of the believed arm itself, 7 cm along each axis: times to 2 % as shares of the wanted."""
     task = position_task(aj.load_robot(name))
     controller = aj.SetpointController(task, aj.default_gains(task, settling_time))
-    plant, dt = aj.Plant(task.robot, task), 2e-3 * settling_time
+    plant, dt = aj.Plant(task.robot, task, joint_limits=False), 2e-3 * settling_time
     shares = []
     for start in np.array(STARTS[name]):
         for direction in np.vstack([np.eye(task.m), -np.eye(task.m)]):

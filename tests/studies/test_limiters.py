@@ -115,7 +115,8 @@ def test_failures_are_named_and_fewer_runs_than_with_clipping_are_a_shortcoming(
 
 def test_scaling_keeps_the_direction_of_the_task_torque():
     panda, rng = aj.load_robot("panda"), np.random.default_rng(0)
-    law = aj.SetpointController(aj.PositionTask(panda))
+    task = aj.PositionTask(panda)
+    law = aj.SetpointController(task, aj.default_gains(task))
     effort = 0.9 * panda.effort_limits
     scaled = TaskTorqueScaled(law, aj.Limits(effort))
     q = panda.random_configuration(rng)

@@ -27,7 +27,7 @@ _RATES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # [1/s]
 _LAG = 0.3  # rate times lag of x at most: a quarter of what makes a delayed integrator ring
 _SHARES = (1.0, 0.7, 0.49, 0.34, 0.24, 0.17, 0.12)  # of the learning that inertia alone allows
 _FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}  # errors that count as none
-_TORQUE, _HOLDABLE, _SPEED = 0.72, 0.7, 0.9  # shares of the limits
+_TORQUE, _HOLDABLE, _SPEED = 0.755, 0.7, 0.9  # shares of the limits
 _RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt slowly
 _MARGIN = 1.5  # gains and learning may be larger by it
 _DAMPED = 0.15  # least damping ratio, in nine of ten cases
@@ -121,14 +121,15 @@ class _Arm:
         alpha = (kp / (kv + self.postures.felt_damping(damping))).min()
         return D, np.swapaxes(J, 1, 2) * kp, alpha
 
-    def saturation(self, gains: Diagonals) -> tuple[Array, list[str]]:
+    def saturation(self, gains: Diagonals, latency: Latency) -> tuple[Array, list[str]]:
         """Return γ (m,), which keeps torques and speeds within their limits, and what decided."""
-        D, force, _ = self.motion(gains)
+        D, force, rate = self.motion(gains)
         effort, fastest = self.robot.effort_limits, self.robot.velocity_limits
         speed = np.linalg.solve(D, force)
         holdable = (np.abs(self.g) <= _HOLDABLE * effort).all(axis=1)
         at = holdable if holdable.any() else np.ones_like(holdable)
-        left = np.maximum(_TORQUE * effort - np.abs(self.g[at]), (1.0 - _HOLDABLE) * effort)
+        share = _TORQUE / (1.0 + rate * latency.of_position)  # what is late overshoots
+        left = np.maximum(share * effort - np.abs(self.g[at]), (1.0 - _HOLDABLE) * effort)
         gamma, why = np.empty(self.task.m), []
         for group, distance in zip(self.postures.groups, self.distance, strict=True):
             with np.errstate(divide="ignore"):
@@ -289,7 +290,8 @@ def tuned(
     1. r, of ten rates from 1.5 to 8 1/s that are at most 0.3 over the lag of x, the one with which
        a usual distance takes least time. Gains are `default_gains` of the settling time 4/r, with
        the bandwidth that the lag of q̇ leaves; α is the rate of the slow pole.
-    2. γ, so that the position force asks for at most 72 % of the motors beside gravity, and for
+    2. γ, so that the position force asks for at most 75 % of the motors beside gravity, less where x
+       is late, and for
        90 % of the joints' speeds, and is at most an eighth of a usual distance.
     3. L_d = ½K_p, reduced where λ_max(W ĴᵀL_dĴ) > 0.6 max(π, 0.35); L = k S(SCS + 0.03 I)⁻¹S with
        C the mean of ZᵀWZ, S = diag(C)^−½ and k such that λ_max(W Z L Zᵀ) = π/2;
@@ -319,7 +321,7 @@ def tuned(
         share, learning, stable = arm.fastest(diagonals, latency, alpha)
         if stable:
             break
-    gamma, limited_by = arm.saturation(diagonals)
+    gamma, limited_by = arm.saturation(diagonals, latency)
     if rate < rates[0]:
         why += f"; slower by the check, {SETTLED / rate:.3g} s"
     if not stable:
@@ -345,7 +347,7 @@ def _rates(
 
     def time(rate: float) -> float:
         diagonals = of_rate(rate).diagonals(m, nv)
-        gamma, _ = arm.saturation(diagonals)
+        gamma, _ = arm.saturation(diagonals, latency)
         return arm.time(gamma, rate, float(arm.motion(diagonals)[2]))
 
     if settling_time is None:
