@@ -290,9 +290,8 @@ def tuned(
     1. r, of ten rates from 1.5 to 8 1/s that are at most 0.3 over the lag of x, the one with which
        a usual distance takes least time. Gains are `default_gains` of the settling time 4/r, with
        the bandwidth that the lag of q̇ leaves; α is the rate of the slow pole.
-    2. γ, so that the position force asks for at most 75 % of the motors beside gravity, less where x
-       is late, and for
-       90 % of the joints' speeds, and is at most an eighth of a usual distance.
+    2. γ, so that the position force asks for at most 75 % of the motors beside gravity, less where
+       x is late, and for 90 % of the joints' speeds; an eighth of a usual distance at most.
     3. L_d = ½K_p, reduced where λ_max(W ĴᵀL_dĴ) > 0.6 max(π, 0.35); L = k S(SCS + 0.03 I)⁻¹S with
        C the mean of ZᵀWZ, S = diag(C)^−½ and k such that λ_max(W Z L Zᵀ) = π/2;
        L_w = ¼B_c²/Mⱼⱼ, reduced where λ_max(W L_w) > π/2.
