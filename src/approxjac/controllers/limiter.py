@@ -178,7 +178,11 @@ class Limiter(ControllerWrapper):
     def _rate_of_others(
         self, state: Array, measurement: Measurement, answer: Evaluation, torque: Array
     ) -> Array:
-        """Return the rate of θ̂ (p,) of the joints that are at no limit; 0 where all are free."""
+        """Return the rate of θ̂ (p,) of the joints that are at no limit; 0 where all are free.
+
+        `answer` is that of the law, before the limits; 0 where it asks for more than the motors
+        have.
+        """
         controller, (_, q, v, *_), J_hat = self._law, measurement, answer.J_hat
         learning = controller.adaptation
         assert learning is not None
@@ -189,8 +193,8 @@ class Limiter(ControllerWrapper):
         locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
         locked |= np.abs(v) > _NEARLY * np.asarray(self.limits.velocity)
         locked |= np.abs(torque) > _NEARLY * self._upper
-        if not locked.any():
-            return np.zeros(self._p)
+        if not locked.any() or (np.abs(answer.torque) > self._upper).any():
+            return np.zeros(self._p)  # or θ̂ would ask for ever more than the motors have
         J_free, s = np.where(locked, 0.0, J_hat), controller.saturation.s(answer.e)
         w, _ = law.damped_gram_solve(J_free @ J_free.T, s, scale=float(np.linalg.norm(J_hat, 2)))
         y = law.passive_output(np.where(locked, 0.0, v), w @ J_free, learning.alpha)
