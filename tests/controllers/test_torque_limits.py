@@ -173,7 +173,7 @@ def test_clipping_breaks_what_the_QP_keeps(panda, rng):
     assert broken > 5
 
 
-@pytest.mark.parametrize(("scale", "speed"), [(0.4, 0.5), (4.0, 2.0)])
+@pytest.mark.parametrize(("scale", "speed"), [(0.4, 0.5), (4.0, 0.05)])
 def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale, speed, rng):
     """There learning is that of an arm whose joints at a limit are locked: y = q̇ + α(ĴP)⁺s(e)."""
     law = learning(panda)
@@ -189,6 +189,11 @@ def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale
     seen = {}
     for _ in range(150):
         measurement, target = some_measurement(panda, rng, speed=speed, error=0.2)
+        if scale > 1.0:  # two joints at their stops
+            q, x = measurement.q.copy(), measurement.x
+            q[[1, 3]] = panda.position_limits[1][[1, 3]] - 0.001
+            measurement = measurement._replace(q=q, x=law.task.value(q))
+            target = target - x + measurement.x
         state = limited.initial_state(measurement)
         after, answer = limited.step(state, measurement, target, DT)
         before = law.learnt(state)
