@@ -392,7 +392,11 @@ def test_a_path_begins_where_the_task_starts_and_is_followed(path):
             "stands at the joint stops of",
         ),
         (2.0, {"sensor": {"dropout": 1.0}}, "the measurement of x is lost"),
-        (1.0, {"controller": {"gravity": "exact", "kp": 1.0, "kv": 1.0}}, " m is following it"),
+        (
+            1.0,
+            {"controller": {"gravity": "exact", "kp": 1.0, "kv": 1.0, "damping": 0.1}},
+            " m is following it",
+        ),
     ],
 )
 def test_what_kept_it_from_following_is_named(duration, parts, reason):

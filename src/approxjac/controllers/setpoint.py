@@ -345,20 +345,21 @@ class SetpointController(Immutable):
         bias = g
         if self._pull is not None:
             bias = bias + within_null_space(self._pull(q), J_hat, G, self._scale)
-        if v_d is not None:  # the law of the motion relative to Ĵ⁺ẋ_d, which follows the target
-            reference, _ = law.damped_gram_solve(G, v_d, scale=self._scale)
-            v = v - reference.dot(J_hat)
-
-        rate = self._no_rate
-        if self.velocity is None:
-            torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
-        else:
+        rate, x_dot = self._no_rate, None
+        if self.velocity is not None:
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
             # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
             x_dot = J_hat.dot(v) if lost else (x - state[self._p :]) / self._lag
-            relative = x_dot if v_d is None else x_dot - v_d
-            torque = law.measured_velocity_torque(J_hat, kp, kv, s, relative, v, damping, bias)
             rate = x_dot if learning is None else np.append(self._no_rate[: self._p], x_dot)
+        relative = x_dot
+        if v_d is not None:  # the law of the motion relative to ẋ_d, and to Ĵ⁺ẋ_d of the joints
+            relative = (J_hat.dot(v) if x_dot is None else x_dot) - v_d
+            reference, _ = law.damped_gram_solve(G, v_d, scale=self._scale)
+            v = v - reference.dot(J_hat)
+        if relative is None:
+            torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
+        else:
+            torque = law.measured_velocity_torque(J_hat, kp, kv, s, relative, v, damping, bias)
 
         status = _OK
         if lost:
@@ -375,7 +376,7 @@ class SetpointController(Immutable):
             if learning.bounds is not None:
                 theta_hat = state[: self._p]
                 theta_rate = law.within_bounds(theta_rate, theta_hat, *learning.bounds, learning.L)
-            rate = theta_rate if self.velocity is None else np.append(theta_rate, x_dot)
+            rate = theta_rate if x_dot is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g)
 
     def __str__(self) -> str:
