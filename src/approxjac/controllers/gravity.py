@@ -101,7 +101,7 @@ class RegressorGravity(Immutable):
 
 
 class AdaptiveGravity(Immutable):
-    """What a law learns by eq. (29): Z(q) θ̂_g + Ĵᵀd̂ + ŵ, with all of θ̂ = (θ̂_g, d̂, ŵ).
+    """Z(q) θ̂_g + Ĵᵀd̂ + ŵ with all of θ̂ = (θ̂_g, d̂, ŵ) learnt by eq. (29).
 
     Beside the gravity parameters θ_g these are a constant force d on the task, which is integral
     action with a proof, and constant joint torques w, which take up friction. (28), (29) hold for
@@ -198,7 +198,7 @@ class AdaptiveGravity(Immutable):
 
     @property
     def wants_rule(self) -> bool:
-        """Whether `tuned` chooses how fast it learns."""
+        """True if `tuned` chooses its rates of learning."""
         return self.L is None or not self.L.any()
 
     def adaptation(self, task: Task, gains: Diagonals, chosen: Learning | None) -> Adaptation:

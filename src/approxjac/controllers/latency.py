@@ -10,7 +10,7 @@ from approxjac.validation import as_number
 
 @dataclass(frozen=True, repr=False)
 class Latency:
-    """How late a loop measures and acts; by default as a loop of 1 kHz with ideal sensors does.
+    """Lags of a loop that measures and acts; by default those of 1 kHz with ideal sensors.
 
     Attributes:
         period: Of control, > 0 [s].

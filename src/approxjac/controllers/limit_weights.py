@@ -1,4 +1,4 @@
-"""What a torque limiter weighs torques by, and how fast damping acts."""
+"""Weights of a torque limiter, and the speed at which damping acts."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from approxjac.validation import Array
 
 
 class Reach:
-    """How far the believed arm reaches with its task; of other tasks than positions without end.
+    """Bound on the reach of the believed arm; infinite for other tasks than positions and poses.
 
     Args:
         task: The task of the believed robot.

@@ -42,7 +42,7 @@ _NO_LOWER, _NO_UPPER = np.array([-np.inf]), np.array([np.inf])
 
 
 class Ahead(NamedTuple):
-    """What a torque leads to in the next period, and what it may lead to.
+    """Motion that a torque leads to in the next period, and its bounds.
 
     Attributes:
         speeds: Smallest and largest q̇, shape (2, n_v).

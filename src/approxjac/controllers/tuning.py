@@ -46,7 +46,7 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class Learning(NamedTuple):
-    """How fast to learn what of θ̂ = (θ_g, d, w), and how far.
+    """Rates and bounds of learning θ̂ = (θ_g, d, w).
 
     Attributes:
         alpha: α of eq. (10) [1/s].
