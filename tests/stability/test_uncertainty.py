@@ -204,9 +204,6 @@ class Fixed(aj.tasks.Camera):
     def interaction(self, r):
         return np.eye(3)[::2]
 
-    def interaction_dot(self, r, r_dot):
-        return np.zeros((2, 3))
-
 
 def test_what_a_calibration_does_not_have_is_refused(arm, watched):
     assert aj.Uncertainty(arm, camera=Fixed(["roll"]), roll=(0.0, 0.1)).names == ("camera roll",)

@@ -74,28 +74,6 @@ def test_the_interaction_matrix_by_opencv_and_by_finite_differences(lens, rng):
         assert_allclose(J, np.array(columns).T, rtol=1e-6, atol=1e-6 * np.abs(J).max())
 
 
-@pytest.mark.parametrize("lens", LENSES)
-def test_the_rate_of_the_interaction_matrix_by_finite_differences(lens, rng):
-    cam, h = camera(LENSES[lens]), 1e-6
-    inside, _ = points_in_view(cam, rng, 20)
-    # also where a point is taken at the edge of the image, or nearer than the camera sees
-    around = rng.uniform((-1.0, -2.0, -1.0), (2.5, 1.5, 2.0), (60, 3))
-    for r in [*inside, *around]:
-        r_dot = rng.uniform(-1, 1, 3)
-        ahead, behind = (cam.interaction(r + step * r_dot) for step in (h, -h))
-        J_dot = cam.interaction_dot(r, r_dot)
-        scale = np.abs(cam.interaction(r)).max() + np.abs(J_dot).max()
-        difference = np.abs(J_dot - (ahead - behind) / (2 * h)).max() / scale
-        assert difference < 1e-5 or _at_an_edge(cam, r, h)
-
-
-def _at_an_edge(cam, r, h):
-    """Whether a point crosses within h to where it is taken at the edge of the view."""
-    X, Y, Z = cam.in_camera(r)
-    edges = [cam.ray(np.array(corner)) for corner in ((-0.5, 239.5), (639.5, 239.5), (319.5, -0.5))]
-    return min(abs(Z - cam.near), *(abs(np.array([X, Y]) / Z - e).min() for e in edges)) < 10 * h
-
-
 def test_it_is_the_interaction_matrix_of_the_textbook(rng):
     """Chaumette and Hutchinson, Visual servo control, Part I: L for a point (x, y), Z."""
     cam = aj.PinholeCamera(1.0, (2, 2), center=(0.0, 0.0))  # normalised coordinates
@@ -248,9 +226,6 @@ def test_calibrations_that_do_not_exist_are_refused():
 
         def interaction(self, r):
             return np.eye(3)[:2]
-
-        def interaction_dot(self, r, r_dot):
-            return np.zeros((2, 3))
 
     assert Flat().calibration == {}
     assert Flat().mount is None

@@ -44,10 +44,6 @@ class Camera(Saved, ABC):
     def interaction(self, r: Array) -> Array:
         """Return the image Jacobian J_I = ∂X/∂r, shape (2, 3)."""
 
-    @abstractmethod
-    def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        """Return d/dt of `interaction` for a point that moves with ṙ, shape (2, 3)."""
-
     def seen(self, x: Array) -> Array:
         """Return image coordinates x (2,) if they are in the field of view, and NaN otherwise."""
         return x
@@ -133,9 +129,6 @@ class PlanarCamera(Camera):
 
     def interaction(self, r: Array) -> Array:
         return self._J.copy()
-
-    def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        return np.zeros((2, 3))
 
     @property
     def calibration(self) -> Mapping[str, Calibrated]:

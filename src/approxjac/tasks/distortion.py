@@ -30,14 +30,11 @@ class RadialDistortion:
         self._none = not any(self._k)
         self.largest_radius = self._largest_radius()
 
-    def _factors(self, rho: float) -> tuple[float, float, float]:
-        """Return 1 + k₁ρ + k₂ρ² + k₃ρ³ and its first two derivatives by ρ."""
+    def _factors(self, rho: float) -> tuple[float, float]:
+        """Return 1 + k₁ρ + k₂ρ² + k₃ρ³ and its derivative by ρ."""
         k1, k2, k3 = self._k
-        return (
-            1.0 + rho * (k1 + rho * (k2 + rho * k3)),
-            k1 + rho * (2.0 * k2 + rho * 3.0 * k3),
-            2.0 * k2 + 6.0 * k3 * rho,
-        )
+        factor = 1.0 + rho * (k1 + rho * (k2 + rho * k3))
+        return factor, k1 + rho * (2.0 * k2 + rho * 3.0 * k3)
 
     def _largest_radius(self) -> float:
         """Return ‖p‖ from which on the image folds back; infinite where it never does."""
@@ -59,17 +56,9 @@ class RadialDistortion:
         """Return ∂(distorted)/∂p at p = (x, y), a symmetric matrix: its entries 11, 12 and 22."""
         if self._none:
             return 1.0, 0.0, 1.0
-        factor, slope, _ = self._factors(x * x + y * y)
+        factor, slope = self._factors(x * x + y * y)
         twice = 2.0 * slope
         return factor + twice * x * x, twice * x * y, factor + twice * y * y
-
-    def slopes_dot(self, p: Array, p_dot: Array) -> Array:
-        """Return d/dt of the matrix of `slopes` for a ray that moves with ṗ (2,), shape (2, 2)."""
-        rho_dot = 2.0 * float(p @ p_dot)
-        _, slope, curve = self._factors(float(p @ p))
-        turned = np.outer(p_dot, p)
-        J_dot: Array = slope * (rho_dot * np.eye(2) + 2.0 * (turned + turned.T))
-        return J_dot + 2.0 * curve * rho_dot * np.outer(p, p)
 
     def undistorted(self, shown: Array) -> Array:
         """Return the ray (2,) shown at `shown` (2,) by the lens; beyond the fold, the last one."""

@@ -169,40 +169,6 @@ class PointKinematics:
         arms = self.points @ R.T
         return arms + o, J[:3] - _skews(arms) @ J[3:]
 
-    def motion(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the motion of the points along q̇, as seen from the mount.
-
-        Returns:
-            r (k, 3) [m], ṙ (k, 3) [m/s], J = ∂r/∂q (k, 3, n_v) and J̇ (k, 3, n_v).
-
-        Raises:
-            InvalidInputError: A q or v of the wrong length or not finite.
-        """
-        q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
-        r, A = self.jacobians(q)
-        r_dot: Array = A @ v
-        moved, moved_dot = self._in_world(q)[1], np.zeros_like(A)
-        if self._frame is not None:
-            J, R, _ = self._frame.motion(q)
-            arms = self.points @ R.T
-            arms_dot = np.cross(J[3:] @ v, arms)
-            J_dot = self._frame.jacobian_dot(q, v)
-            moved_dot = J_dot[:3] - _skews(arms_dot) @ J[3:] - _skews(arms) @ J_dot[3:]
-        if self._mount is None:
-            return r, r_dot, A, moved_dot
-        J, R, _ = self._mount.motion(q)
-        R_t, J_dot = R.T.copy(), self._mount.jacobian_dot(q, v)
-        own = R_t @ J[3:]
-        turn = pin.skew(own @ v)  # of the mount, in its own axes
-        own_dot = R_t @ J_dot[3:] - turn @ own
-        A_dot = (
-            R_t @ (moved_dot - J_dot[:3])
-            - turn @ (R_t @ (moved - J[:3]))
-            + _skews(r_dot) @ own
-            + _skews(r) @ own_dot
-        )
-        return r, r_dot, A, A_dot
-
 
 def _chosen(r: Array, at: Array | None) -> Array:
     return r if at is None else np.where(np.isfinite(at), at, r)

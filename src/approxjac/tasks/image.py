@@ -168,13 +168,7 @@ class ImageTask(Task):
                 f"depth='believed', got {self!r}",
                 given=self.depth,
             )
-        motion, camera = self._kinematics.motion(q, v), self.camera
-        return np.vstack(
-            [
-                camera.interaction_dot(r, r_dot) @ J + camera.interaction(r) @ J_dot
-                for r, r_dot, J, J_dot in zip(*motion, strict=True)
-            ]
-        )
+        return super().jacobian_dot(q, v)
 
     def on(self, robot: Robot) -> ImageTask:
         depth: Any = self.depth

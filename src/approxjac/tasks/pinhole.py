@@ -237,22 +237,6 @@ class PinholeCamera(Camera):
         ])  # fmt: skip  # in the camera's own axes
         return np.asarray(J @ self._R_t)
 
-    def interaction_dot(self, r: Array, r_dot: Array) -> Array:
-        own, own_dot = self.in_camera(r), self._R_t @ r_dot
-        x, y, Z = self._within(own)
-        p = np.array([x, y])
-        Z_dot = float(own_dot[2]) if own[2] > self.near else 0.0
-        low, high = np.transpose(self._edges)
-        free = (p > low) & (p < high)  # at an edge a ray stands still
-        p_dot = np.where(free, (own_dot[:2] - p * Z_dot) / Z, 0.0)
-        a, b, d = self._lens.slopes(x, y)
-        lens, lens_dot = np.array([[a, b], [b, d]]), self._lens.slopes_dot(p, p_dot)
-        ray = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]]) / Z
-        ray_dot = -(Z_dot / Z) * ray
-        ray_dot[:, 2] -= p_dot / Z
-        J_dot = self._f[:, None] * (lens_dot @ ray + lens @ ray_dot)
-        return np.asarray(J_dot @ self._R_t)
-
     def _within(self, own: Array) -> tuple[float, float, float]:
         """Return ray (x, y) and depth of a point in the camera's axes, moved into its view."""
         X, Y, Z = own.tolist()
