@@ -1,4 +1,7 @@
-"""Validation of what users give; `Immutable` objects, and what a file keeps of them."""
+"""Validation of what users give; `Immutable` objects, and what a file keeps of them.
+
+What a function here refuses is an InvalidInputError, with the name of the argument and its value.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,6 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
     """Return `value` as a new read-only float array of `shape`, all entries finite.
 
     An axis that has a name in place of a length, such as "k", may have any but 0.
-
-    Raises:
-        InvalidInputError: Wrong shape, not numeric, NaN or infinite.
     """
     suffix = f" [{unit}]" if unit else ""
     wanted = str(shape).replace("'", "")
@@ -58,9 +58,6 @@ def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
     """Return `value` itself if it is a finite float vector of `size`, else a copy that is.
 
     The quick way for vectors that come a thousand times a second.
-
-    Raises:
-        InvalidInputError: Wrong shape, not numeric, NaN or infinite.
     """
     if (
         type(value) is ndarray
@@ -73,11 +70,7 @@ def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
 
 
 def as_entries(name: str, value: Any, size: int, unit: str = "") -> Array:
-    """Return a number, or one number an entry, as a read-only float vector of `size`.
-
-    Raises:
-        InvalidInputError: As `as_array`.
-    """
+    """Return a number, or one number an entry, as a read-only float vector of `size`."""
     return as_array(name, [value] * size if is_scalar(value) else value, (size,), unit)
 
 
@@ -89,11 +82,7 @@ def as_number(
     minimum: float = -math.inf,
     above: float = -math.inf,
 ) -> float:
-    """Return `value` as a finite float that is >= `minimum` and > `above`.
-
-    Raises:
-        InvalidInputError: Not a number, not finite, or out of range.
-    """
+    """Return `value` as a finite float that is >= `minimum` and > `above`."""
     if type(value) is float and value >= minimum and value > above and math.isfinite(value):
         return value  # the quick way
     suffix = f" [{unit}]" if unit else ""
@@ -116,11 +105,7 @@ def as_number(
 
 
 def as_integer(name: str, value: Any, minimum: int) -> int:
-    """Return `value` if it is an integer >= `minimum`.
-
-    Raises:
-        InvalidInputError: It is not.
-    """
+    """Return `value` if it is an integer >= `minimum`."""
     if type(value) is not int or value < minimum:
         raise InvalidInputError(
             f"{name} must be an integer >= {minimum}, got {value!r}", given=value
@@ -131,11 +116,7 @@ def as_integer(name: str, value: Any, minimum: int) -> int:
 def as_diagonal(
     name: str, value: Any, size: int, *, unit: str = "", positive: bool = True
 ) -> Array:
-    """Return a diagonal given as a scalar or a vector as a read-only vector of `size`.
-
-    Raises:
-        InvalidInputError: Wrong shape, not finite, above 1e60, negative, or zero where `positive`.
-    """
+    """Return a diagonal given as a scalar or a vector as a read-only vector of `size`."""
     if (
         type(value) is float
         and (value > 0.0 or (value == 0.0 and not positive))
@@ -165,11 +146,7 @@ def as_diagonal(
 
 
 def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
-    """Return limits given as a scalar or a vector as a read-only vector; inf is no limit.
-
-    Raises:
-        InvalidInputError: Wrong shape, not numeric, or not > 0.
-    """
+    """Return limits given as a scalar or a vector as a read-only vector; inf is no limit."""
     try:
         if np.asarray(value).dtype.kind not in "iuf":
             raise TypeError
@@ -187,11 +164,7 @@ def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
 
 
 def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -> None:
-    """Refuse an object of another kind than the one an argument is for.
-
-    Raises:
-        InvalidInputError: `value` is not an instance of `kind`.
-    """
+    """Refuse an object of another kind than the one an argument is for."""
     if isinstance(value, type) or not isinstance(value, kind):  # a class may look like a protocol
         given = f"the class {value.__name__}" if isinstance(value, type) else repr(value)
         raise InvalidInputError(f"{name} must be {wanted}, got {given}", given=value)
@@ -214,12 +187,7 @@ def shape_of(value: Any) -> tuple[int, ...]:
 
 
 def axis_rows(name: str, axes: str) -> list[int]:
-    """Return the rows of the world axes that a text such as "xz" names.
-
-    Raises:
-        InvalidInputError: Not a text, no axis, or one named twice.
-        UnknownNameError: An axis that is not x, y or z.
-    """
+    """Return the rows of the world axes that a text such as "xz" names."""
     if not isinstance(axes, str) or not axes or len(set(axes)) != len(axes):
         raise InvalidInputError(
             f"{name} must name each axis once, such as 'xyz' or 'xz', got {axes!r}", given=axes
@@ -231,11 +199,7 @@ def axis_rows(name: str, axes: str) -> list[int]:
 
 
 def plane_rows(plane: str) -> list[int]:
-    """Return the rows of the two world axes of a plane such as "xz".
-
-    Raises:
-        InvalidInputError, UnknownNameError: No such plane.
-    """
+    """Return the rows of the two world axes of a plane such as "xz"."""
     rows = axis_rows("plane", plane)
     if len(rows) != 2:
         raise InvalidInputError(

@@ -49,7 +49,7 @@ class Dynamics:
 
     def C(self, q: Array, v: Array) -> Array:
         """Coriolis matrix C(q, q̇) with Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""
-        return np.array(self._coriolis_matrix(self._mimic_joints.q(self._q(q)), self._v(v)))
+        return self._coriolis_matrix(self._mimic_joints.q(self._q(q)), self._v(v))
 
     def M_dot(self, q: Array, v: Array) -> Array:
         """dM/dt = C + Cᵀ along q̇, shape (n_v, n_v)."""
@@ -58,10 +58,8 @@ class Dynamics:
 
     def M_gradient(self, q: Array) -> Array:
         """∂M/∂q_k, shape (n_v, n_v, n_v), k first: `M_dot` along each joint."""
-        q_all, n = self._mimic_joints.q(self._q(q)), len(self._zero)
-        dM = np.empty((n, n, n))
-        for k, unit in enumerate(np.eye(n)):
-            dM[k] = self._coriolis_matrix(q_all, unit)
+        q_all, units = self._mimic_joints.q(self._q(q)), np.eye(self.robot.nv)
+        dM: Array = np.array([self._coriolis_matrix(q_all, unit) for unit in units])
         return dM + np.swapaxes(dM, 1, 2)
 
     def coriolis(self, q: Array, v: Array) -> Array:
@@ -111,7 +109,7 @@ class Dynamics:
     def _coriolis_matrix(self, q_all: Array, v: Array) -> Array:
         v_all = self._mimic_joints.v(v)
         C = pin.computeCoriolisMatrix(self._all, self._all_data, q_all, v_all)
-        return self._mimic_joints.rows(self._mimic_joints.columns(C))
+        return np.array(self._mimic_joints.rows(self._mimic_joints.columns(C)))
 
     def _q(self, q: Array) -> Array:
         return self.robot.configuration(q)

@@ -11,14 +11,9 @@ from approxjac.validation import Array
 
 
 def beyond_positions(robot: Robot, q: Array) -> Array:
-    """Return how far each joint is beyond its position limits, negative within.
+    """Return how far each joint is beyond its limits at q (N, nq); shape (N, n_v) [rad or m].
 
-    Args:
-        robot: The robot.
-        q: Configurations, shape (N, nq).
-
-    Returns:
-        Shape (N, n_v) [rad or m]; −∞ where a joint has no limits.
+    Negative within them, −∞ where a joint has none.
     """
     low, high = robot.position_limits
     motions = np.array([pin.difference(robot.model, robot.neutral(), each) for each in q])
@@ -29,9 +24,6 @@ def require_radians(name: str, robot: Robot, q: Array) -> None:
     """Refuse a configuration that is a turn or more beyond the limits of a joint: it is in degrees.
 
     One that is a little beyond them may be where a run ended.
-
-    Raises:
-        InvalidInputError: It is.
     """
     beyond = beyond_positions(robot, q[np.newaxis])[0]
     beyond[np.array(robot.joint_units) != "rad"] = 0.0

@@ -15,11 +15,6 @@ def lock_off_chain(
     """Return a URDF with the joints fixed that `load_robot` locks; itself if there are none.
 
     A mimic joint and the joint that it follows are one: both stay free if either is needed.
-
-    Raises:
-        UnknownNameError: No such link, or in `free` no such moving joint.
-        InvalidInputError: `base` without a tip, or not between the root and the tip; or nothing
-            is left to move.
     """
     moving = [joint.name for joint in urdf.joints.values() if joint.type != "fixed"]
     free = _names(free, moving, urdf)

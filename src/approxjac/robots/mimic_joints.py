@@ -52,13 +52,7 @@ class MimicJoints:
 
 
 def build_coupled(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
-    """Return the Pinocchio model of a URDF, without mimic joints in q and v, and how these move.
-
-    Raises:
-        UrdfError: A mimic joint that follows itself or nothing that moves, or one that Pinocchio
-            cannot couple.
-        ValueError: From Pinocchio, of what is no URDF.
-    """
+    """Return the Pinocchio model of a URDF, without mimic joints in q and v, and how these move."""
     root = urdf.copy().root
     # not every parser takes every geometry, nor instructions
     etree.strip_tags(root, etree.Comment, etree.ProcessingInstruction)

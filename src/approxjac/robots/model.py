@@ -17,12 +17,7 @@ WORLD = pin.Convention.WORLD  # members of Pinocchio's enums are slow to look up
 
 
 def build_model(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
-    """Return the Pinocchio model of a URDF, and how mimic joints follow from its joints.
-
-    Raises:
-        UrdfError: Not a URDF, no moving joint, joints of more than one degree of freedom,
-            moving links without inertia, or mimic joints that nothing leads.
-    """
+    """Return the Pinocchio model of a URDF, and how mimic joints follow from its joints."""
     source = urdf.source
     try:
         model, mimic_joints = build_coupled(urdf)

@@ -60,12 +60,7 @@ class Urdf:
 
     @classmethod
     def parse(cls, text: str, source: str) -> Urdf:
-        """Return the tree of a URDF text.
-
-        Raises:
-            UrdfError: Not well-formed XML, the root is not <robot>, xacro is not expanded, or an
-                element or attribute that URDF requires is missing or wrong.
-        """
+        """Return the tree of a URDF text; refuse what is no XML or no valid URDF."""
         # The text is decoded already; an encoding it declares would be applied a second time.
         bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
         try:

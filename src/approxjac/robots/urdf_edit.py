@@ -22,12 +22,7 @@ _LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
 
 
 def direction(axis: str | Sequence[float]) -> Array:
-    """Return a unit vector from "x", "-z", … or a vector.
-
-    Raises:
-        UnknownNameError: A text that names no axis.
-        InvalidInputError: A vector of the wrong shape, zero or not finite.
-    """
+    """Return a unit vector from "x", "-z", … or a vector."""
     if isinstance(axis, str):
         letter = axis.removeprefix("-").removeprefix("+")
         if letter not in ("x", "y", "z"):
@@ -42,11 +37,7 @@ def direction(axis: str | Sequence[float]) -> Array:
 
 
 def object_size(length: float, mass: float, radius: float) -> tuple[float, float, float]:
-    """Return length [m], mass [kg] and radius [m] of an object as numbers.
-
-    Raises:
-        InvalidInputError: Negative, not finite or too large.
-    """
+    """Return length [m], mass [kg] and radius [m] of an object as numbers."""
     length = as_number("length", length, unit="m", minimum=0.0)
     mass = as_number("mass", mass, unit="kg", minimum=0.0)
     radius = as_number("radius", radius, unit="m", minimum=0.0)
@@ -128,13 +119,7 @@ def with_object(
 
 
 def with_moved_origins(urdf: Urdf, errors: Mapping[str, tuple[Array, Array]]) -> Urdf:
-    """Return a URDF with the origins of joints moved.
-
-    Args:
-        urdf: What is edited.
-        errors: Joint → shift in the parent link's frame, shape (3,) [m], and rotation vector in the
-            joint's own frame, shape (3,) [rad].
-    """
+    """Return a URDF with joints moved: their shifts (3,) [m] and rotation vectors (3,) [rad]."""
     new = urdf.copy()
     for element in new.root.iterfind("joint"):
         name = element.get("name")

@@ -99,11 +99,7 @@ class BuiltScenario:
         progress: Callable[[float], None] | None = None,
         observer: Callable[[SampledLoop], None] | None = None,
     ) -> Result:
-        """Simulate for the scenario's duration and judge it; the arguments are those of `simulate`.
-
-        Raises:
-            SimulationError: The closed loop diverged.
-        """
+        """Simulate, with the arguments of `simulate`, and judge the run."""
         from approxjac.scenario.result import Result
 
         run, dt = self.scenario.run, sampling_time(self.scenario)
@@ -352,17 +348,9 @@ def _sensing(given: Sensor) -> Sensing | None:
     """Return the errors of measurements; None if there are none."""
     if given == Sensor():
         return None
+    of_x = {f"x_{name}": getattr(given, name) for name in ("noise", "quantum", "delay", "dropout")}
+    of_q = {name: getattr(given, name) for name in ("q_noise", "q_quantum", "velocity_filter")}
     part = () if given.lost_part is None else (given.lost_part - 1,)
     lost: Any = () if given.lost is None else ((*given.lost, *part),)
-    return Sensing(
-        x_noise=given.noise,
-        x_quantum=given.quantum,
-        x_delay=given.delay,
-        x_dropout=given.dropout,
-        x_rate=given.rate,
-        x_lost=lost,
-        x_frozen=() if given.frozen is None else (given.frozen,),
-        q_noise=given.q_noise,
-        q_quantum=given.q_quantum,
-        velocity_filter=given.velocity_filter,
-    )
+    frozen = () if given.frozen is None else (given.frozen,)
+    return Sensing(**of_x, **of_q, x_rate=given.rate, x_lost=lost, x_frozen=frozen)

@@ -25,10 +25,7 @@ def regular_configuration(
     """Return a random configuration that can be a start or a target.
 
     Within the joint limits, neither J nor Ĵ is near singular, and holding it takes at most 70 % of
-    the effort limits, shape (n_v,) [N m or N], by default those of the URDF.
-
-    Raises:
-        InvalidInputError: None was found.
+    the effort limits (n_v,) [N m or N], by default those of the URDF.
     """
     effort = sensor.robot.effort_limits if effort is None else effort
     dynamics = Dynamics(sensor.robot)
@@ -55,11 +52,7 @@ def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bo
 def configuration_of(
     robot: Robot, name: str, joints: tuple[float, ...], within_limits: bool = True
 ) -> Array:
-    """Return the configuration (nq,) of one number a joint, continuous joints included.
-
-    Raises:
-        InvalidInputError: Another count, or beyond the joint limits.
-    """
+    """Return the configuration (nq,) of one number a joint, continuous joints included."""
     motion = as_array(name, joints, (robot.nv,), "rad or m")
     low, high = robot.position_limits
     for i in np.nonzero((motion < low) | (motion > high))[0] if within_limits else ():

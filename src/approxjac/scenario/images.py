@@ -37,18 +37,7 @@ Scene = tuple[ImageTask, ImageTask]  # of the true robot and camera, of the beli
 def image_scene(
     truth: Robot, belief: Robot, mount: str, scenario: Scenario, rng: np.random.Generator
 ) -> tuple[Scene, Array, Array]:
-    """Return the tasks of a pinhole camera, the start, and a goal, shape (nq,) each.
-
-    Args:
-        truth: The true robot.
-        belief: The believed robot.
-        mount: Frame of both that "tip" means for a camera in hand.
-        scenario: The scenario.
-        rng: Draws the goal, and the start where it is not given.
-
-    Raises:
-        InvalidInputError: A camera that does not see the points, or too many of them.
-    """
+    """Return the tasks of a pinhole camera, the start, and a goal, shape (nq,) each."""
     points, camera = scenario.task.points, scenario.true.camera
     if not 1 <= points <= 3:
         raise InvalidInputError(f"task.points must be 1, 2 or 3, got {points!r}", given=points)
@@ -233,11 +222,7 @@ def _images(sensor: ImageTask, q: Array) -> Array:
 
 
 def _given_start(sensor: ImageTask, scenario: Scenario) -> Array | None:
-    """Return the given start; None if there is none.
-
-    Raises:
-        InvalidInputError: The camera does not see all points there.
-    """
+    """Return the given start; None if there is none."""
     if not isinstance(scenario.run.start, tuple):
         return None
     q0 = configuration_of(sensor.robot, "run.start", scenario.run.start)

@@ -12,11 +12,7 @@ from approxjac.scenario.scenario import Scenario
 
 
 def require_effect(scenario: Scenario) -> None:
-    """Refuse what was given but would do nothing, or what contradicts something else.
-
-    Raises:
-        InvalidInputError: Such a value.
-    """
+    """Refuse what was given but would do nothing, or what contradicts something else."""
     usual = Scenario(scenario.robot)
     for key, useless, what, where in _rules(scenario):
         value = attrgetter(key)(scenario)

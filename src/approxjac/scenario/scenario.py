@@ -98,7 +98,8 @@ class Scenario:
 
         Errors name `where` the table is from; they are those of `Scenario`.
         """
-        return filled(self, table, where)
+        made: Scenario = filled(self, table, where)
+        return made
 
     def save(self, path: str | Path) -> Path:
         """Write the scenario file that says the same, and return its path."""

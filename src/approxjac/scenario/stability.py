@@ -77,11 +77,7 @@ def uncertainty_of(loop: ClosedLoop) -> Uncertainty | None:
 
 
 def prepare(scenario: Scenario) -> ClosedLoop:
-    """Return a scenario's controller with the errors that it may meet, and the region.
-
-    Raises:
-        ApproxJacError: Values that do not fit the robot, or each other.
-    """
+    """Return a scenario's controller with the errors that it may meet, and the region."""
     analysis = scenario.stability
     if analysis.map_points == 1:
         raise InvalidInputError("stability.map_points must be 0 or >= 2, got 1", given=1)
@@ -114,9 +110,6 @@ def analyse(
         executor: Shares the rollouts; this process by default.
         progress: Called with the name of a part of the work and the share of it that is done.
         found: Called with the report of the tests, long before the rest is known.
-
-    Raises:
-        ApproxJacError: An empty region, or a target out of reach.
     """
     analysis, tell = scenario.stability, progress or (lambda what, share: None)
     controller, uncertainty = loop.controller, uncertainty_of(loop)

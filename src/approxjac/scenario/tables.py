@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import Field, fields, is_dataclass, replace
 from functools import cache
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from approxjac.scenario.records import Goal
 from approxjac.validation import as_number
 
 Table = Mapping[str, Any]
-Record = TypeVar("Record")
 _UNIONS = (Union, types.UnionType)
 
 
@@ -28,29 +27,17 @@ def hints(kind: type) -> Mapping[str, Any]:
     return get_type_hints(kind)
 
 
-def filled(record: Record, values: Table, where: str = "", key: str = "") -> Record:
-    """Return a record with the values of a table in place of its own.
+def filled(record: Any, values: Table, where: str = "", key: str = "") -> Any:
+    """Return a record with the values of a table in place of its own, as `Scenario` refuses them.
 
-    Args:
-        record: The record; what the table does not name stays as it is there.
-        values: Field → value, or record, or table of a record.
-        where: The file that the table is from, for errors; none by default.
-        key: Dotted name of the record within its scenario; the scenario itself by default.
-
-    Raises:
-        UnknownNameError: A key that the record does not have, or a choice that there is not.
-        InvalidInputError: A value of another type, or out of range.
+    A value may be a record or its table. Errors name the file `where` the table is from, and the
+    dotted `key` of the record within its scenario.
     """
-    given: Any = record
-    made: Record = replace(given, **checked(type(given), given, values, where, key))
-    return made
+    return replace(record, **checked(type(record), record, values, where, key))
 
 
 def checked(kind: type, base: Any, values: Table, where: str = "", key: str = "") -> dict[str, Any]:
-    """Return the values of a table as the fields of a kind of record have them, as `filled` does.
-
-    Tables within the table are filled into the fields of `base`.
-    """
+    """Return values of a table as a kind of record has them; those of inner tables fill `base`."""
     known: dict[str, Field[Any]] = {field.name: field for field in fields(kind)}
     table = " ".join(word for word in (where, f"[{key}]" if key else "") if word) or "a scenario"
     found = {}

@@ -14,15 +14,10 @@ Integrator = Callable[[Acceleration, Motion, Array, Array, Array, float], tuple[
 def rk4(
     acceleration: Acceleration, moved: Motion, q: Array, v: Array, tau: Array, dt: float
 ) -> tuple[Array, Array]:
-    """Return (q, v) after dt by the classical Runge–Kutta method, order 4.
+    """Return (q, v) after dt [s] by the classical Runge–Kutta method, order 4.
 
-    Args:
-        acceleration: q̈ of (q, q̇, τ), which may alias scratch memory.
-        moved: Configuration after a motion (n_v,) from a configuration (nq,).
-        q: Configuration, shape (nq,).
-        v: Velocity, shape (n_v,).
-        tau: Torque, shape (n_v,).
-        dt: Time [s].
+    The acceleration q̈(q, q̇, τ) may alias scratch memory; `moved` is q (nq,) after a motion
+    (n_v,).
     """
     half = 0.5 * dt
     a1 = acceleration(q, v, tau).copy()

@@ -168,11 +168,7 @@ Wanted = Target | TargetPath | Array
 
 
 def wanted_of(sensor: Task, target: object, t: float) -> Wanted:
-    """Return a target, or a path, whose value at t [s] is one of the sensor.
-
-    Raises:
-        InvalidInputError: Wrong shape, not finite, or not a value that the sensor has.
-    """
+    """Return a target, or a path, whose value at t [s] is one of the sensor."""
     if isinstance(target, type) or not isinstance(target, Target | TargetPath):
         return sensor.target(target)
     now = target.at(t) if isinstance(target, TargetPath) else target
@@ -238,11 +234,7 @@ def first_state(
 
 
 def require_fit(plant: Plant, controller: Controller, dt: float | None) -> None:
-    """Refuse a controller that is none, of another task, or for another sampling time.
-
-    Raises:
-        InvalidInputError: It does not fit.
-    """
+    """Refuse a controller that is none, of another task, or for another sampling time."""
     like = "a controller, such as SetpointController(...)"
     require("controller", controller, Controller, like)
     require("task of the controller", controller.task, Task, "the task of the believed robot")

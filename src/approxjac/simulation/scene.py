@@ -58,11 +58,7 @@ class Scene:
 
     @classmethod
     def from_dict(cls, kept: Mapping[str, Any]) -> Scene:
-        """Return the scene that `to_dict` described.
-
-        Raises:
-            ApproxJacError, KeyError, TypeError, ValueError: It did not.
-        """
+        """Return the scene that `to_dict` described."""
         truth = _restored_robot(kept["truth"])
         belief = None if kept["belief"] is None else _restored_robot(kept["belief"])
         limits = [np.inf if x is None else float(x) for x in kept["torque_limits"]]
@@ -85,11 +81,7 @@ def _restored_robot(kept: Mapping[str, Any]) -> Robot:
 
 
 def _restored_task(kept: Mapping[str, Any] | None, robot: Robot | None) -> Task | None:
-    """Return the task of a robot that a file keeps, as it was before it was saved, if it does.
-
-    Raises:
-        ApproxJacError, KeyError, TypeError: The file keeps something else.
-    """
+    """Return the task of a robot that a file keeps, as it was before it was saved, if it does."""
     if kept is None or robot is None:
         return None
     if kept["kind"] == "stacked":

@@ -103,10 +103,6 @@ class SensorReadings:
         task: The task that is measured.
         dt: Sampling time of control [s].
         seed: Of the noise and the dropouts.
-
-    Raises:
-        InvalidInputError: A number of entries that fits neither the task nor the robot, or a part
-            that the task does not have.
     """
 
     def __init__(self, sensing: Sensing, task: Task, dt: float, seed: int) -> None:

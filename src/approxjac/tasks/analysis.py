@@ -54,9 +54,6 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
     """Draw seeded configurations within the joint limits in which the task's sensor sees it.
 
     They are `count`, or fewer where they are rare.
-
-    Raises:
-        InvalidInputError: None was found.
     """
     rng = np.random.default_rng(0)
     # as random_configuration, whose range is the same for all of them

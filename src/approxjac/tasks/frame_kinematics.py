@@ -121,9 +121,6 @@ class PointKinematics:
         points: Positions in the frame that they are fixed to, shape (k, 3) [m].
         frame: That frame.
         mount: The frame that they are seen from.
-
-    Raises:
-        UnknownNameError: No such frame.
     """
 
     def __init__(self, robot: Robot, points: Array, frame: str | None, mount: str | None) -> None:
