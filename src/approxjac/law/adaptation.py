@@ -39,8 +39,7 @@ def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
     Returns:
         Rate of the estimated parameters, shape (p,).
     """
-    rate: Array = -L * dot(y, Z) if L.ndim == 1 else -dot(L, dot(y, Z))
-    return rate
+    return -L * dot(y, Z) if L.ndim == 1 else -dot(L, dot(y, Z))
 
 
 def within_bounds(rate: Array, theta_hat: Array, lower: Array, upper: Array, L: Array) -> Array:
@@ -55,10 +54,7 @@ def within_bounds(rate: Array, theta_hat: Array, lower: Array, upper: Array, L: 
         theta_hat: θ̂, shape (p,).
         lower: Smallest θ, shape (p,).
         upper: Largest θ, shape (p,).
-        L: Adaptation gain: a diagonal, shape (p,), or a matrix, shape (p, p).
-
-    Returns:
-        Shape (p,).
+        L: Adaptation gain, as of `theta_hat_rate`.
     """
     low, high = theta_hat <= lower, theta_hat >= upper
     if not (low | high).any():

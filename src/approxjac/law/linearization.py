@@ -51,14 +51,10 @@ def adaptive_closed_loop_matrix(
     the two cancel. Ĵ and Z in (29) are taken at the target: what multiplies their changes is zero
     there.
 
+    The arguments are those of `closed_loop_matrix`, without leading axes, and
+
     Args:
-        M: Inertia matrix at the target, shape (n_v, n_v).
-        J: True task Jacobian there, shape (m, n_v).
-        J_hat: Estimated task Jacobian there, shape (m, n_v).
         J_hat_pinv: Ĵ⁺ as the law has it, shape (n_v, m).
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
-        B: Diagonal of all viscous damping, natural and added, shape (n_v,).
         Z: Gravity regressor there, shape (n_v, p).
         L: Adaptation gain: a diagonal, shape (p,), or a matrix, shape (p, p).
         alpha: Scalar α > 0 [1/s].
@@ -78,5 +74,4 @@ def adaptive_closed_loop_matrix(
 
 def learning_gain(L: Array, Z: Array) -> Array:
     """L Zᵀ of (29), shape (p, n_v), with L a diagonal (p,) or a matrix (p, p)."""
-    gain: Array = L[:, np.newaxis] * Z.T if L.ndim == 1 else L @ Z.T
-    return gain
+    return L[:, np.newaxis] * Z.T if L.ndim == 1 else L @ Z.T

@@ -63,21 +63,16 @@ def W(
     Implements Eq. (13). Departures: the last term is −s(e)ᵀ(d/dt Ĵ⁺)ᵀM q̇ (the paper's dot is
     missing), and (B − ½Ṁ + S)q̇ is evaluated as B q̇ + C(q, q̇)q̇ − Ṁ q̇.
 
+    The arguments are those of `V`, and
+
     Args:
-        v: Joint velocity q̇, shape (n_v,).
-        s: Saturated error s(e), shape (m,).
         s_dot: ds/dt = s'(e) J q̇, shape (m,).
         J: True ∂e/∂q, the task Jacobian where e = x − x_d, shape (m, n_v).
         J_hat: Estimated task Jacobian, shape (m, n_v).
-        J_hat_pinv: Ĵ⁺, shape (n_v, m).
         J_hat_pinv_dot: d/dt Ĵ⁺, shape (n_v, m).
-        M: Inertia matrix, shape (n_v, n_v).
-        M_dot: Its time derivative, shape (n_v, n_v).
+        M_dot: Time derivative of M, shape (n_v, n_v).
         coriolis: C(q, q̇)q̇, shape (n_v,).
         B: Diagonal of all viscous damping, natural and added, shape (n_v,).
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
-        alpha: Scalar α [1/s].
 
     Returns:
         W [W].

@@ -98,13 +98,9 @@ def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: fl
 def _surely_regular(bound: float, trace: float, singular_ratio: float, scale: float) -> bool:
     """Return whether a symmetric 2 × 2 or 3 × 3 matrix surely has σ_min above the ratio.
 
-    Args:
-        bound: What its smallest eigenvalue times trace² is at least: det · trace of a 2 × 2 matrix,
-            whose other eigenvalue is at most the trace; 4 det of a 3 × 3 matrix, of which the
-            product of the other two is at most (trace/2)².
-        trace: Its trace; the largest eigenvalue is at least a third of it.
-        singular_ratio: See `damped_gram_solve`.
-        scale: See `damped_gram_solve`.
+    `bound` is at most its smallest eigenvalue times trace²: det · trace of a 2 × 2 matrix, whose
+    other eigenvalue is at most the trace; 4 det of a 3 × 3 matrix, of which the product of the
+    other two is at most (trace/2)². The largest eigenvalue is at least a third of the trace.
     """
     return bound > singular_ratio**2 * trace * trace * trace and trace > 3.0 * scale * scale
 

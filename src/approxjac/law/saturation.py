@@ -180,14 +180,12 @@ class Tanh(_Bounded):
 
 def sine(u: Array, gamma: Array) -> Array:
     """γ sin u up to u = π/2, ±γ beyond, with u = e/γ. Implements Eq. (8), the paper's example."""
-    s: Array = gamma * np.sin(angle(u))
-    return s
+    return gamma * np.sin(angle(u))
 
 
 def tanh(u: Array, gamma: Array) -> Array:
     """γ tanh u with u = e/γ."""
-    s: Array = gamma * np.tanh(u)
-    return s
+    return gamma * np.tanh(u)
 
 
 def angle(u: Array) -> Array:

@@ -1,7 +1,7 @@
 """The control laws: eqs. (5), (6) and (28), and a bounded one to compare them with.
 
 Shapes: Ĵ is (m, n_v), K_p, K_v, s and Ẋ are (m,) with the gains' diagonals, q̇, g, τ and the
-added damping B_c are (n_v,).
+diagonal of the added damping B_c are (n_v,).
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ def measured_velocity_torque(
 
     The arguments are those of `estimated_velocity_torque`, and Ẋ (m,).
     """
-    torque: Array = g - damping * v - dot(kp * s + kv * x_dot, J_hat)
-    return torque
+    return g - damping * v - dot(kp * s + kv * x_dot, J_hat)
 
 
 def estimated_velocity_torque(
@@ -46,8 +45,7 @@ def estimated_velocity_torque(
     Returns:
         Joint torque τ, shape (n_v,).
     """
-    torque: Array = g - damping * v - dot(kp * s + kv * dot(J_hat, v), J_hat)
-    return torque
+    return g - damping * v - dot(kp * s + kv * dot(J_hat, v), J_hat)
 
 
 def learnt_gravity_torque(
@@ -63,10 +61,8 @@ def learnt_gravity_torque(
     """τ = −Ĵᵀ(K_p s(e) + K_v Ĵ q̇) − B_c q̇ + Z(q) θ̂.
 
     Implements Eq. (28): eq. (6) with the gravity that has been learnt so far. (`SetpointController`
-    composes it from (27) and (6), as its gravity may come from elsewhere.)
-
-    The arguments are those of `estimated_velocity_torque` with the gravity regressor Z (n_v, p) and
-    the estimated parameters θ̂ (p,) in place of g.
+    composes it from (27) and (6), as its gravity may come from elsewhere.) The gravity regressor Z
+    is (n_v, p), the estimated parameters θ̂ are (p,).
     """
     return estimated_velocity_torque(J_hat, kp, kv, s, v, damping, gravity(Z, theta_hat))
 
@@ -82,46 +78,21 @@ def bounded_torque(
     `bounded_torque_bound`.
 
     Args:
-        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
-        kp: Diagonal of K_p, shape (m,).
-        s: Saturated error s(e), shape (m,).
-        v: Joint velocity q̇, shape (n_v,).
+        J_hat: Ĵ, which like kp, s, v and g is that of `estimated_velocity_torque`.
         kd: Diagonal of K_d, the largest damping torques, shape (n_v,).
         v0: Velocities v₀ at which they saturate, shape (n_v,).
-        g: Gravity torque, shape (n_v,).
-
-    Returns:
-        Joint torque τ, shape (n_v,).
     """
-    torque: Array = g - kd * np.tanh(v / v0) - dot(kp * s, J_hat)
-    return torque
+    return g - kd * np.tanh(v / v0) - dot(kp * s, J_hat)
 
 
 def bounded_torque_bound(J_hat: Array, kp: Array, gamma: Array, kd: Array, g: Array) -> Array:
     """Σⱼ abs(Ĵⱼᵢ) k_pj γⱼ + k_di + abs(gᵢ), which no abs(τᵢ) of `bounded_torque` exceeds.
 
-    Args:
-        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
-        kp: Diagonal of K_p, shape (m,).
-        gamma: Saturation values γ of s, shape (m,).
-        kd: Diagonal of K_d, shape (n_v,).
-        g: Gravity torque, shape (n_v,).
-
-    Returns:
-        Shape (n_v,).
+    The arguments are those of `bounded_torque`, and the saturation values γ of s, shape (m,).
     """
-    bound: Array = np.abs(g) + kd + dot(kp * gamma, np.abs(J_hat))
-    return bound
+    return np.abs(g) + kd + dot(kp * gamma, np.abs(J_hat))
 
 
 def gravity(Z: Array, theta: Array) -> Array:
-    """g = Z(q) θ. Implements Eq. (27).
-
-    Args:
-        Z: Gravity regressor, shape (n_v, p).
-        theta: Gravity parameters, shape (p,).
-
-    Returns:
-        Gravity torque, shape (n_v,).
-    """
+    """g = Z(q) θ, of the regressor Z (n_v, p) and gravity parameters (p,). Implements Eq. (27)."""
     return dot(Z, theta)

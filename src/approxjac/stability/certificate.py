@@ -8,14 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import (
-    Best,
-    Family,
-    MatrixForm,
-    Setting,
-    Weights,
-    best_weights,
-)
+from approxjac.stability.matrix_form import Best, Family, MatrixForm, Setting, Weights, best_weights
 from approxjac.stability.rollouts import clopper_pearson
 from approxjac.stability.samples import Samples
 from approxjac.stability.theorem1 import CONSTANTS, badness, constants, theorem1

@@ -157,8 +157,6 @@ class ClosedLoop:
                 q, size, gradient = moved, nearer, its_gradient
         return None
 
-    # -- drawing --------------------------------------------------------------------------
-
     def draw(self, n: int, rng: np.random.Generator) -> Samples:
         """Draw n samples, or more to have every true robot as often.
 

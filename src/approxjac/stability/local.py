@@ -296,8 +296,7 @@ def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
                 f"the true gravity, got {lower.tolist()} to {upper.tolist()}",
                 given=learning.bounds,
             )
-    gravity: Array = Z @ theta
-    return gravity
+    return np.asarray(Z @ theta)
 
 
 def _null_space(Z: Array, gravity: float) -> Array:

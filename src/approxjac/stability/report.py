@@ -270,21 +270,14 @@ def stability_report(
     if loop.target is not None:
         truths, configured = loop.targets(0, rng)
     local = local_test(loop, truths, configured)
-    everywhere = samples.join(fresh)
-    outcome = None
+    everywhere, outcome = samples.join(fresh), None
     if runs and isinstance(truth, Uncertainty):
         outcome = rollouts(
             controller, truth, loop.region, target=target, runs=runs, seed=seed, executor=executor,
             progress=lambda done: tell("rollouts", done / runs),
         )  # fmt: skip
+    first, singular_q = theorem1(everywhere, setting), loop.singular_configuration(samples)
+    gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
     return StabilityReport(
-        loop,
-        everywhere,
-        theorem1(everywhere, setting),
-        matrix,
-        local,
-        outcome,
-        loop.gravity_error(samples.q[:: max(1, len(samples) // 20)]),
-        loop.singular_configuration(samples),
-        seed,
+        loop, everywhere, first, matrix, local, outcome, gravity_error, singular_q, seed
     )

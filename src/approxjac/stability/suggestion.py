@@ -240,15 +240,10 @@ def part_that_certifies(
     """Return the largest part of the errors, of five tried, that a report certifies.
 
     A report asks for more than `tolerance` does: it draws more configurations, and checks on others
-    what it chose. Arguments are as of `damping_that_certifies`.
+    what it chose. The arguments are those of `damping_that_certifies`, and
 
     Args:
-        controller: The controller.
-        uncertainty: The errors at scale 1.
-        region: Where to look.
         largest: Scale to begin with, such as what `tolerance` tells; half of it is the last tried.
-        progress: Called with the share of the scales that were tried.
-        options: Of each report.
 
     Returns:
         The errors, scaled down; None if no part tried is certified, or `largest` is 0.

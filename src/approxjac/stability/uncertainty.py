@@ -96,9 +96,6 @@ class Uncertainty:
     friction: float | Sequence[float] | Array = 0.0
     factor: float = 1.0
     _coordinates: tuple[Coordinate, ...] = field(init=False)
-    _joints: tuple[str, ...] = field(init=False)
-    _perturbation: Perturbation = field(init=False)
-    _make_task: Callable[..., Task] = field(init=False)
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
@@ -111,22 +108,14 @@ class Uncertainty:
             self._set(name, as_bounds(name, getattr(self, name), self.arm, unit))
         if not is_scalar(self.friction):
             self._set("friction", tuple(self.friction))  # type: ignore[arg-type]
-        joints = tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
-        self._set("_joints", joints)
         given = [
             *as_range("object_length", self.object_length, self.believed_length, "m"),
             *as_range("object_mass", self.object_mass, self.believed_mass, "kg"),
-            *joint_coordinates(joints, self.joint_shifts, self.joint_rotations),
+            *joint_coordinates(self._joints, self.joint_shifts, self.joint_rotations),
             *camera_coordinates(self.camera, self.focal_length, self.distance, self.roll),
         ]
         self._set("_coordinates", tuple(known.scaled(self.factor) for known in given))
         self._require_physical()
-        self._set("_perturbation", self._perturbed())
-        make = self.task or ImageTask
-        if self.task is None and self.camera is None:
-            # the axes of the belief, as errors may let another arm command others
-            make = partial(PositionTask, axes=best_axes(self.belief()))
-        self._set("_make_task", make)
         self.plant(self.believed)  # refuses a task, an axis or friction that fit no such robot
 
     # -- the box ------------------------------------------------------------------------
@@ -146,25 +135,20 @@ class Uncertainty:
         """Number of uncertain coordinates; 0 where the belief is the truth."""
         return len(self._coordinates)
 
-    @cached_property
-    def _ranges(self) -> Array:
-        """Believed, smallest and largest value of each, shape (3, d)."""
-        return np.array([known[2:] for known in self._coordinates]).reshape(-1, 3).T
-
     @property
     def believed(self) -> Array:
         """Believed value of each, shape (d,)."""
-        return np.array(self._ranges[0])
+        return np.array([known.believed for known in self._coordinates])
 
     @property
     def low(self) -> Array:
         """The smallest values that they may have, shape (d,)."""
-        return np.array(self._ranges[1])
+        return np.array([known.low for known in self._coordinates])
 
     @property
     def high(self) -> Array:
         """The largest values that they may have, shape (d,)."""
-        return np.array(self._ranges[2])
+        return np.array([known.high for known in self._coordinates])
 
     def scaled(self, factor: float) -> Uncertainty:
         """Return a box of the same coordinates, shrunk or grown about what is believed.
@@ -215,9 +199,8 @@ class Uncertainty:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
-        _, low, high = self._ranges
-        # as rng.uniform, which takes its time
-        return np.asarray(low + (high - low) * rng.random(self.d))
+        low = self.low
+        return low + (self.high - low) * rng.random(self.d)  # as rng.uniform, which takes its time
 
     # -- the robots ---------------------------------------------------------------------
 
@@ -248,8 +231,7 @@ class Uncertainty:
         Raises:
             InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.
         """
-        robot = self.robot(values)
-        camera = None if self.camera is None else self._true_camera(self._by_name(values))
+        robot, camera = self.robot(values), self._true_camera(self._by_name(values))
         return Plant(robot, self._task_of(robot, camera), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:
@@ -273,17 +255,19 @@ class Uncertainty:
 
     @cached_property
     def _of_robot(self) -> tuple[Array, list[int]]:
-        """Believed length, mass, shifts and rotations in a row, and where the uncertain ones are.
-
-        These are the first of the coordinates, in their order.
-        """
+        """Believed length, mass, shifts, rotations in a row; where the first coordinates are in it."""
         parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
         of_joints = [f"{joint} {kind} {axis}" for kind, joint, axis in parts]
         names = ["object_length", "object_mass", *of_joints]
         believed = np.array([self.believed_length, self.believed_mass, *np.zeros(len(of_joints))])
         return believed, [names.index(name) for name in self.names if name in names]
 
-    def _perturbed(self) -> Perturbation:
+    @cached_property
+    def _joints(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys([*self.joint_shifts, *self.joint_rotations]))
+
+    @cached_property
+    def _perturbation(self) -> Perturbation:
         given = self.object_length is not None or self.object_mass is not None
         if not given and self.believed_length == 0.0 and self.believed_mass == 0.0:
             return Perturbation(self.arm, joints=self._joints)
@@ -306,6 +290,13 @@ class Uncertainty:
             if at.get(f"camera {name}", known.value) != known.value
         }
         return self.camera.recalibrated(wrong) if wrong else self.camera
+
+    @cached_property
+    def _make_task(self) -> Callable[..., Task]:
+        if self.task is None and self.camera is None:
+            # the axes of the belief, as errors may let another arm command others
+            return partial(PositionTask, axes=best_axes(self.belief()))
+        return self.task or ImageTask
 
     def _task_of(self, robot: Robot, camera: Camera | None) -> Task:
         task = self._make_task(robot) if camera is None else self._make_task(robot, camera)
@@ -351,8 +342,7 @@ class Uncertainty:
             try:
                 self._true_camera(at)
             except InvalidInputError as error:
-                units = [known.unit for known in unsure]
-                shown = ", ".join(map(in_words, at, corner, units))
+                shown = ", ".join(map(in_words, at, corner, (known.unit for known in unsure)))
                 raise InvalidInputError(
                     f"a camera must exist everywhere in the set, got {shown}{grown}: {error}",
                     given=corner,
