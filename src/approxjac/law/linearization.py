@@ -51,13 +51,9 @@ def adaptive_closed_loop_matrix(
     the two cancel. Ĵ and Z in (29) are taken at the target: what multiplies their changes is zero
     there.
 
-    The arguments are those of `closed_loop_matrix`, without leading axes, and
-
-    Args:
-        J_hat_pinv: Ĵ⁺ as the law has it, shape (n_v, m).
-        Z: Gravity regressor there, shape (n_v, p).
-        L: Adaptation gain: a diagonal, shape (p,), or a matrix, shape (p, p).
-        alpha: Scalar α > 0 [1/s].
+    The arguments are those of `closed_loop_matrix`, without leading axes; Ĵ⁺ as the law has it,
+    shape (n_v, m); the gravity regressor Z at the target, shape (n_v, p); the adaptation gain L, a
+    diagonal (p,) or a matrix (p, p); and α > 0 [1/s].
 
     Returns:
         A, shape (2 n_v + p, 2 n_v + p).

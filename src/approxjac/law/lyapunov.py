@@ -63,16 +63,10 @@ def W(
     Implements Eq. (13). Departures: the last term is −s(e)ᵀ(d/dt Ĵ⁺)ᵀM q̇ (the paper's dot is
     missing), and (B − ½Ṁ + S)q̇ is evaluated as B q̇ + C(q, q̇)q̇ − Ṁ q̇.
 
-    The arguments are those of `V`, and
-
-    Args:
-        s_dot: ds/dt = s'(e) J q̇, shape (m,).
-        J: True ∂e/∂q, the task Jacobian where e = x − x_d, shape (m, n_v).
-        J_hat: Estimated task Jacobian, shape (m, n_v).
-        J_hat_pinv_dot: d/dt Ĵ⁺, shape (n_v, m).
-        M_dot: Time derivative of M, shape (n_v, n_v).
-        coriolis: C(q, q̇)q̇, shape (n_v,).
-        B: Diagonal of all viscous damping, natural and added, shape (n_v,).
+    The arguments are those of `V`; ds/dt = s'(e) J q̇, shape (m,); the true ∂e/∂q for J, which is
+    the task Jacobian where e = x − x_d, and Ĵ, shape (m, n_v); d/dt Ĵ⁺, shape (n_v, m); dM/dt,
+    shape (n_v, n_v); C(q, q̇)q̇, shape (n_v,); and B, the diagonal of all viscous damping, natural
+    and added, shape (n_v,).
 
     Returns:
         W [W].

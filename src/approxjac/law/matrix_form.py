@@ -18,8 +18,8 @@ All functions take stacks of configurations, arrays with any leading axes, of th
 - M, the inertia matrix, and D of `dissipation`: (…, n_v, n_v);
 - J, the true task Jacobian, and Ĵ, the estimated one: (…, m, n_v);
 - G, the cross weight: (…, n_v, m);
-- ∂M, ∂Ĵ and ∂G, derivatives with respect to each q_k: those of M, Ĵ and G with an axis (…, n_v, ·, ·)
-  for k before the last two;
+- ∂M, ∂Ĵ and ∂G, derivatives with respect to each q_k: those of M, Ĵ and G with an axis for k
+  before the last two, (…, n_v, ·, ·);
 - s(e) and s'(e): (…, m);
 - the diagonals of K_p, K_v and W: (m,), and that of all viscous damping B: (n_v,).
 """

@@ -75,12 +75,8 @@ def bounded_torque(
     No equation of the paper: the regulator with fixed estimates after W. E. Dixon, "Adaptive
     regulation of amplitude limited robot manipulators with uncertain kinematics and dynamics", IEEE
     Trans. Automatic Control 52(3), 2007. Whatever e and q̇ are, abs(τᵢ) is at most
-    `bounded_torque_bound`.
-
-    Args:
-        J_hat: Ĵ, which like kp, s, v and g is that of `estimated_velocity_torque`.
-        kd: Diagonal of K_d, the largest damping torques, shape (n_v,).
-        v0: Velocities v₀ at which they saturate, shape (n_v,).
+    `bounded_torque_bound`. Ĵ, K_p, s, q̇ and g are those of `estimated_velocity_torque`; K_d (n_v,)
+    is the diagonal of the largest damping torques, v₀ (n_v,) the velocities at which they saturate.
     """
     return g - kd * np.tanh(v / v0) - dot(kp * s, J_hat)
 

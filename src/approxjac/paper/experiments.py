@@ -35,25 +35,17 @@ _WRONG_LENGTHS = (0.75, 1.25, 0.0)
 
 @dataclass(frozen=True)
 class Experiment:
-    """One of the paper's simulations.
-
-    Attributes:
-        camera: Believed camera.
-        lengths: Believed l̂₁, l̂₂, l̂_o [m].
-        kp: K_p = kp I [N/m].
-        kv: K_v = kv I [N s/m].
-        learn_gravity: θ̂ starts at zero and is learnt, with `LEARNING_GAIN` and `ALPHA`.
-    """
+    """One of the paper's simulations."""
 
     figure: int
     title: str
-    camera: PlanarCamera
-    lengths: tuple[float, float, float]
-    kp: float
-    kv: float
+    camera: PlanarCamera  # believed
+    lengths: tuple[float, float, float]  # believed l̂₁, l̂₂, l̂_o [m]
+    kp: float  # K_p = kp I [N/m]
+    kv: float  # K_v = kv I [N s/m]
     paper_says: Verdict
     paper_words: str
-    learn_gravity: bool = False
+    learn_gravity: bool = False  # θ̂ starts at zero, with `LEARNING_GAIN` and `ALPHA`
 
 
 EXPERIMENTS: Mapping[int, Experiment] = {

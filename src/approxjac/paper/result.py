@@ -107,21 +107,13 @@ def run_experiment(
 
 @dataclass(frozen=True)
 class JacobianBound:
-    """The largest Jacobian error allowed, for Figure 4's controller at the target.
+    """The largest Jacobian error allowed, for Figure 4's controller at the target."""
 
-    Attributes:
-        lambda_2: λ₂ = λ_min[ĴᵀĴ + B/k_v] of (23).
-        alpha: λ₂^½, which allows the largest p.
-        largest_allowed_p: λ₂^½, the largest p that (23) allows for any a and α: (25).
-        allowed_p_at_a_of_figure_4: The largest p that (23) allows for any α at its gain ratio a.
-        p_of_figure_4: ‖Jᵀ − Ĵᵀ‖ there.
-    """
-
-    lambda_2: float
-    alpha: float
-    largest_allowed_p: float
-    allowed_p_at_a_of_figure_4: float
-    p_of_figure_4: float
+    lambda_2: float  # λ_min[ĴᵀĴ + B/k_v] of (23)
+    alpha: float  # λ₂^½, which allows the largest p
+    largest_allowed_p: float  # λ₂^½, the largest p that (23) allows for any a and α: (25)
+    allowed_p_at_a_of_figure_4: float  # the largest that (23) allows for any α at its gain ratio a
+    p_of_figure_4: float  # ‖Jᵀ − Ĵᵀ‖ there
 
     @property
     def condition_23_met(self) -> bool:

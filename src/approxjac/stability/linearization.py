@@ -14,45 +14,29 @@ from approxjac.validation import Array
 
 
 class LinearLoop(NamedTuple):
-    """Parts of the linearised laws (6) and (28), (29); p = 0 where gravity is known.
-
-    They are those of `law.adaptive_closed_loop_matrix`, and
-
-    Attributes:
-        G: ∂g/∂q at the target, of the robot and of its exact compensation, shape (n_v, n_v).
-        friction: Diagonal of the natural friction B, shape (n_v,).
-        Z: Of all that is learnt, Y of `Adaptation`, shape (n_v, p).
-        damping: Diagonal of the added damping B_c, shape (n_v,).
-    """
+    """Parts of the linearised laws (6) and (28), (29), as of `law.adaptive_closed_loop_matrix`."""
 
     M: Array
-    G: Array
+    G: Array  # ∂g/∂q at the target, of the robot and of its exact compensation, (n_v, n_v)
     J: Array
     J_hat: Array
     J_hat_pinv: Array
     kp: Array
     kv: Array
-    friction: Array
-    damping: Array
-    Z: Array
+    friction: Array  # diagonal of the natural B, (n_v,)
+    damping: Array  # diagonal of the added B_c, (n_v,)
+    Z: Array  # of all that is learnt, Y of `Adaptation`, (n_v, p); p = 0 where gravity is known
     L: Array
     alpha: float
 
 
 class Timing(NamedTuple):
-    """When things happen in sampled control.
+    """When things happen in sampled control."""
 
-    Attributes:
-        dt: Sampling time [s].
-        x_late: Age of the measured x in samples.
-        torque_late: Samples from a torque to its effect.
-        velocity_filter: Time constant of q̇ from differences of q [s]; None is a tachometer.
-    """
-
-    dt: float
-    x_late: int = 0
-    torque_late: int = 0
-    velocity_filter: float | None = None
+    dt: float  # sampling time [s]
+    x_late: int = 0  # age of the measured x in samples
+    torque_late: int = 0  # samples from a torque to its effect
+    velocity_filter: float | None = None  # of q̇ from differences of q [s]; None is a tachometer
 
     @property
     def dead_time(self) -> float:

@@ -37,17 +37,11 @@ _BOX = 30.0  # unknowns are sought within so many times their natural size
 
 
 class Weights(NamedTuple):
-    """A Lyapunov function V = ½q̇ᵀMq̇ + q̇ᵀM(Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂)s + Σ wᵢSᵢ(eᵢ).
+    """A Lyapunov function V = ½q̇ᵀMq̇ + q̇ᵀM(Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂)s + Σ wᵢSᵢ(eᵢ)."""
 
-    Attributes:
-        A1: A₁, shape (m, m) [1/s]; αI in the paper.
-        A2: A₂, shape (m, m) [1/s]; zero in the paper.
-        w: Shape (m,) [N per unit of the task]; k_p + αk_v in the paper.
-    """
-
-    A1: Array
-    A2: Array
-    w: Array
+    A1: Array  # shape (m, m) [1/s]; αI in the paper
+    A2: Array  # shape (m, m) [1/s]; zero in the paper
+    w: Array  # shape (m,) [N per unit of the task]; k_p + αk_v in the paper
 
     def plus(self, share: float, other: Weights) -> Weights:
         """Return these weights and a share of others."""
@@ -56,23 +50,14 @@ class Weights(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """The closed loop's part of the conditions, the same in every sample.
+    """The closed loop's part of the conditions, the same in every sample."""
 
-    Attributes:
-        kp: Diagonal of K_p, shape (m,).
-        kv: Diagonal of K_v, shape (m,).
-        B: Diagonal of all viscous damping, shape (n_v,).
-        c_bar: c̄ of eq. (8).
-        fixed_alpha: α where gravity is learnt with it by (29); None if α is free [1/s].
-        large_gains: Leave out what inertia takes, as in the limit of large gains.
-    """
-
-    kp: Array
-    kv: Array
-    B: Array
-    c_bar: float
-    fixed_alpha: float | None = None
-    large_gains: bool = False
+    kp: Array  # diagonal of K_p, shape (m,)
+    kv: Array  # diagonal of K_v, shape (m,)
+    B: Array  # diagonal of all viscous damping, shape (n_v,)
+    c_bar: float  # c̄ of eq. (8)
+    fixed_alpha: float | None = None  # α where gravity is learnt with it by (29) [1/s]
+    large_gains: bool = False  # leave out what inertia takes, as in the limit of large gains
 
     @property
     def alpha(self) -> float:
@@ -178,19 +163,12 @@ class _Unknowns:
 
 
 class Best(NamedTuple):
-    """The Lyapunov function of a family with the largest least margin.
-
-    Attributes:
-        weights: The function.
-        margins: Its margin in every sample, shape (N,).
-        active: Indices of the samples that decided it.
-        unknowns: The scaled unknowns of `weights`, to start from again.
-    """
+    """The Lyapunov function of a family with the largest least margin."""
 
     weights: Weights
-    margins: Array
-    active: Indices
-    unknowns: Array
+    margins: Array  # in every sample, shape (N,)
+    active: Indices  # of the samples that decided it
+    unknowns: Array  # the scaled ones of `weights`, to start from again
 
 
 def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
@@ -221,8 +199,7 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
 def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tuple[Array, float]:
     """Maximise the least margin: μ is raised to that of the best point until no point beats it.
 
-    For a given μ, X − μY is affine in the unknowns, and each of its eigenvectors v gives a linear
-    bound vᵀ(X − μY)v of its least eigenvalue from above.
+    X − μY is affine in the unknowns; its eigenvectors v bound its least eigenvalue by vᵀ(X − μY)v.
     """
     from scipy.optimize import linprog
 

@@ -14,33 +14,19 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Samples:
-    """All that the conditions need of N combinations of true robot, configuration and target.
+    """All that the conditions need of N combinations of true robot, configuration and target."""
 
-    Attributes:
-        truth: Index of the true robot, shape (N,).
-        q: Configuration, shape (N, nq).
-        x_d: Target, shape (N, n_x).
-        M: Inertia matrix of the true robot, shape (N, n_v, n_v).
-        dM: ∂M/∂q_k, shape (N, n_v, n_v, n_v), k first.
-        J: True task Jacobian, shape (N, m, n_v).
-        J_e: True ∂e/∂q, which is J where e = x − x_d, shape (N, m, n_v).
-        J_hat: Ĵ, shape (N, m, n_v).
-        dJ_hat: ∂Ĵ/∂q_k, shape (N, n_v, m, n_v), k first.
-        s: s(e), shape (N, m).
-        slope: s'(e), shape (N, m).
-    """
-
-    truth: Indices
-    q: Array
-    x_d: Array
-    M: Array
-    dM: Array
-    J: Array
-    J_e: Array
-    J_hat: Array
-    dJ_hat: Array
-    s: Array
-    slope: Array
+    truth: Indices  # of the true robot, shape (N,)
+    q: Array  # configuration, shape (N, nq)
+    x_d: Array  # target, shape (N, n_x)
+    M: Array  # inertia matrix of the true robot, shape (N, n_v, n_v)
+    dM: Array  # ∂M/∂q_k, shape (N, n_v, n_v, n_v), k first
+    J: Array  # true task Jacobian, shape (N, m, n_v)
+    J_e: Array  # true ∂e/∂q, which is J where e = x − x_d, shape (N, m, n_v)
+    J_hat: Array  # Ĵ, shape (N, m, n_v)
+    dJ_hat: Array  # ∂Ĵ/∂q_k, shape (N, n_v, m, n_v), k first
+    s: Array  # s(e), shape (N, m)
+    slope: Array  # s'(e), shape (N, m)
 
     def __repr__(self) -> str:
         return f"Samples({len(self)} of {len(set(self.truth.tolist()))} true robots)"

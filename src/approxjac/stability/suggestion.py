@@ -240,10 +240,8 @@ def part_that_certifies(
     """Return the largest part of the errors, of five tried, that a report certifies.
 
     A report asks for more than `tolerance` does: it draws more configurations, and checks on others
-    what it chose. The arguments are those of `damping_that_certifies`, and
-
-    Args:
-        largest: Scale to begin with, such as what `tolerance` tells; half of it is the last tried.
+    what it chose. `largest` is the scale to begin with, such as what `tolerance` tells; half of it
+    is the last tried. The other arguments are those of `damping_that_certifies`.
 
     Returns:
         The errors, scaled down; None if no part tried is certified, or `largest` is 0.

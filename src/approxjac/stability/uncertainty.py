@@ -255,7 +255,7 @@ class Uncertainty:
 
     @cached_property
     def _of_robot(self) -> tuple[Array, list[int]]:
-        """Believed length, mass, shifts, rotations in a row; where the first coordinates are in it."""
+        """Believed length, mass, shifts and rotations, and where the uncertain ones are in them."""
         parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
         of_joints = [f"{joint} {kind} {axis}" for kind, joint, axis in parts]
         names = ["object_length", "object_mass", *of_joints]

@@ -12,25 +12,15 @@ from approxjac.validation import Array
 
 
 class Joint(NamedTuple):
-    """A joint of a tree: the child sits at `origin`, turned about or moved along `axis`.
+    """A joint of a tree: the child sits at `origin`, turned about or moved along `axis`."""
 
-    Attributes:
-        name: In the URDF.
-        parent: Link that carries it.
-        child: Link that it carries.
-        kind: "revolute", "prismatic" or "fixed".
-        origin: In the parent's node, shape (4, 4) [m].
-        axis: Unit vector in the child's node, shape (3,); zero for a fixed one.
-        column: Which of the `joint_positions` moves it; −1 for a fixed one.
-    """
-
-    name: str
-    parent: str
-    child: str
-    kind: str
-    origin: Array
-    axis: Array
-    column: int
+    name: str  # in the URDF
+    parent: str  # link that carries it
+    child: str  # link that it carries
+    kind: str  # "revolute", "prismatic" or "fixed"
+    origin: Array  # in the parent's node, shape (4, 4) [m]
+    axis: Array  # unit vector in the child's node, shape (3,); zero for a fixed one
+    column: int  # which of the `joint_positions` moves it; −1 for a fixed one
 
 
 def robot_joints(robot: Robot) -> tuple[Joint, ...]:
