@@ -13,15 +13,7 @@ _PIVOTS = 100  # for two dozen bounds at once mostly a dozen
 def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:
     """y = q̇ + α Ĵ⁺ s(e): the output along which the closed loop is passive.
 
-    Implements Eq. (10).
-
-    Args:
-        v: Joint velocity q̇, shape (n_v,).
-        J_hat_pinv_s: Ĵ⁺ s(e), shape (n_v,).
-        alpha: Scalar α > 0 [1/s].
-
-    Returns:
-        y, shape (n_v,).
+    Implements Eq. (10), with the joint velocity q̇, Ĵ⁺ s(e) and y of shape (n_v,), α > 0 [1/s].
     """
     return v + alpha * J_hat_pinv_s
 
@@ -35,9 +27,6 @@ def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
         L: Adaptation gain: a diagonal, shape (p,), or a matrix, shape (p, p).
         Z: Gravity regressor, shape (n_v, p).
         y: Passive output (10), shape (n_v,).
-
-    Returns:
-        Rate of the estimated parameters, shape (p,).
     """
     return -L * dot(y, Z) if L.ndim == 1 else -dot(L, dot(y, Z))
 

@@ -17,23 +17,18 @@ def jacobian_error(J: Array, J_hat: Array) -> float:
 
 
 def lambda_2(J_hat: Array, B_over_kv: Array) -> float:
-    """λ₂ = λ_min[Ĵᵀ Ĵ + B / k_v]. Implements Eq. (23), its eigenvalue.
+    """λ₂ = λ_min[Ĵᵀ Ĵ + B / k_v] of Ĵ (m, n_v) and the diagonal of B / k_v (n_v,).
 
-    Args:
-        J_hat: Estimated task Jacobian, shape (m, n_v).
-        B_over_kv: Diagonal of B / k_v, shape (n_v,).
+    Implements Eq. (23), its eigenvalue.
     """
     smallest = np.linalg.eigvalsh(J_hat.T @ J_hat + np.diag(B_over_kv))[0]
     return max(float(smallest), 0.0)  # it is never negative but for round-off
 
 
 def largest_alpha(kv: Array, c_bar: float, lambda_m: float) -> float:
-    """The α below which k_vi c̄ − αλ_m > 0 for all i [1/s]. Implements Eq. (14).
+    """The α below which k_vi c̄ − αλ_m > 0 for all i [1/s], with λ_m = λ_max[Ĵ⁺ᵀ M Ĵ⁺].
 
-    Args:
-        kv: Diagonal of K_v, shape (m,).
-        c_bar: c̄ of eq. (8).
-        lambda_m: λ_max[Ĵ⁺ᵀ M Ĵ⁺].
+    Implements Eq. (14), of the diagonal of K_v (m,) and c̄ of eq. (8).
     """
     return float(kv.min()) * c_bar / lambda_m
 

@@ -94,10 +94,7 @@ def stiffness_block(J_hat: Array, G: Array, kp: Array) -> Array:
 
 
 def potential_matrix(M: Array, G: Array, weights: Array, c_bar: float) -> Array:
-    """P = [[M, M G], [·, 2c̄ W]] of V ≥ ½ zᵀPz, with c̄ of eq. (8); (…, n_v + m, n_v + m).
-
-    Implements Eq. (14) as a matrix.
-    """
+    """P = [[M, M G], [·, 2c̄ W]], (…, n_v + m, n_v + m): V ≥ ½ zᵀPz. Implements Eq. (14)."""
     return _blocks(M, M @ G, 2.0 * c_bar * np.diag(weights))
 
 

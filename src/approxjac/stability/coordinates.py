@@ -35,9 +35,7 @@ class Coordinate(NamedTuple):
 
 
 def as_range(name: str, given: Any, believed: float, unit: str, of: str = "") -> list[Coordinate]:
-    """Return the coordinate whose range was given as (low, high), or none for None.
-
-    `of` is what the coordinate's name begins with.
+    """Return the coordinate, named `of` + name, whose range was given as (low, high), if any was.
 
     Raises:
         InvalidInputError: Not two finite numbers, reversed, or without what is believed in it.

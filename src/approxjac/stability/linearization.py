@@ -82,9 +82,6 @@ def sampled_matrix(loop: LinearLoop, timing: Timing) -> Array:
     z = (δq, q̇, δθ̂, w, the late x, the late torques), the oldest first. The filtered velocity is
     (a/dt) δq + w with a = dt/(T + dt). Between samples the torque is held while friction and
     gravity act all the time, so that gravity and its sampled compensation do not quite cancel.
-
-    Returns:
-        Square, of the sum of `Timing.states`.
     """
     (n, _), m, dt = loop.Z.shape, len(loop.J), timing.dt
     sizes = timing.states(loop)

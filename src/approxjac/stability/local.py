@@ -214,10 +214,9 @@ class LocalTest:
 def local_test(
     loop: ClosedLoop, truths: Indices, configurations: Array, timing: Timing | None = None
 ) -> LocalTest:
-    """Linearise a closed loop with each configuration (of the first thousand) as a target.
+    """Linearise a closed loop, as it is sampled or (None) continuous, at each of many targets.
 
-    True robots `truths` (N,) with configurations (N, nq), and the timing of sampled control or
-    None for the continuous loop.
+    They are true robots (N,) with configurations (N, nq), of which the first thousand are taken.
     """
     truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
     at = [

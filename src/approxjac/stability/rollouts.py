@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from types import NoneType
+from typing import Any
 
 import numpy as np
 
@@ -103,7 +105,7 @@ class Rollouts:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval for the probability to converge: see `clopper_pearson`."""
+        """95 % interval for the probability to converge, after Clopper and Pearson (1934)."""
         return clopper_pearson(self.n_converged, self.n)
 
     @property
@@ -173,13 +175,10 @@ def rollouts(
     dt = as_number("dt", dt, unit="s", above=0.0)
     require_fit(uncertainty.plant(uncertainty.believed), controller, dt)
     require("region", region, Region, "a Region, such as JointBox(robot)")
-    if executor is not None:
-        require("executor", executor, Executor, "an executor of concurrent.futures or None")
-    if progress is not None and not callable(progress):
-        raise InvalidInputError(
-            f"progress must be a function of the number of runs done, got {progress!r}",
-            given=progress,
-        )
+    optional: Any = (Executor, NoneType)
+    require("executor", executor, optional, "an executor of concurrent.futures or None")
+    optional = (Callable, NoneType)
+    require("progress", progress, optional, "a function of the number of runs done")
     runs, seed = as_integer("runs", runs, 1), as_integer("seed", seed, 0)
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)
@@ -199,28 +198,10 @@ def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tupl
 
     Whatever the probability is, the interval holds it in at least the share `confidence` of all
     samples; each end is missed in at most half of the rest.
-
-    Args:
-        successes: 0 to `runs`.
-        runs: ≥ 1.
-        confidence: > 0 and < 1.
-
-    Raises:
-        InvalidInputError: Numbers out of range.
     """
-    if not (type(runs) is type(successes) is int and 0 <= successes <= runs and runs >= 1):
-        raise InvalidInputError(
-            f"successes must be an integer of 0 to runs >= 1, got {successes!r} of {runs!r}",
-            given=(successes, runs),
-        )
-    if as_number("confidence", confidence, above=0.0) >= 1.0:
-        raise InvalidInputError(
-            f"confidence must be > 0 and < 1, such as 0.95, got {confidence!r}", given=confidence
-        )
     from scipy.special import betaincinv
 
-    tail = 0.5 * (1.0 - confidence)
-    failures = runs - successes
+    tail, failures = 0.5 * (1.0 - confidence), runs - successes
     low = 0.0 if successes == 0 else float(betaincinv(successes, failures + 1, tail))
     high = 1.0 if failures == 0 else float(betaincinv(successes + 1, failures, 1.0 - tail))
     return low, high

@@ -51,20 +51,17 @@ def robot_look(robot: Robot, like: tuple[Robot, Look] | None = None) -> Look:
     """Return the look of each link of a robot, and what of it is missing.
 
     A link looks like the <visual>s of the URDF that are found. Meshes are simplified until the
-    whole robot keeps to 25 000 triangles, shared by size, and are ready for smooth shading: sharp
-    edges have vertices of their own on either side. There are more where what is never simplified
-    has more (boxes, cylinders, spheres, capsules, meshes of up to 200 triangles) and where fewer
-    would tear a mesh of many small parts apart: of the arms of `robot_names()`, talos_arm.
+    whole robot keeps to 25 000 triangles, shared by size, and are ready for smooth shading. There
+    are more where what is never simplified has more (boxes, cylinders, spheres, capsules, meshes of
+    up to 200 triangles) and where fewer would tear a mesh of many small parts apart.
 
-    A link of which nothing is found is drawn as capsules from its origin to the origins of the
-    joints that it carries and that are away from it (by a tenth of the radius), but for those to
-    mere frames; without such joints it is a ball. One that has no <visual> is drawn so as well, in
-    a robot where others have towards moving joints and the tip only, and never as a ball. The
-    radius is 5 % of the length of the arm, along its links from the first moving joint to the last
-    (of an arm with one moving joint: to its farthest link).
+    A link of which nothing is found is drawn as capsules from its origin to the joints that it
+    carries, but for those to mere frames; without any away from it, it is a ball. One that has no
+    <visual> is drawn so as well, in a robot where others have towards moving joints and the tip
+    only, and never as a ball.
 
-    With another robot and its look as `like`, such as the arm as it is, links that are the same in
-    both take the very same shapes, without delay.
+    With another robot and its look as `like`, links that are the same in both take the very same
+    shapes, without delay.
     """
     root = robot.tree.root
     taken = {} if like is None else _taken(root, *like)

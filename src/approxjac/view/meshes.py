@@ -64,9 +64,8 @@ def shares(counts: Sequence[int], sizes: Sequence[float], budget: float) -> list
     """Share a number of triangles among meshes, by size.
 
     On a curved surface n triangles leave a gap in proportion to size²/(radius n): shared by size,
-    all are off by about the same. No mesh gets more than it has, or less than 200.
-
-    The budget is exceeded only where 200 for each is too many.
+    all are off by about the same. No mesh gets more than it has, or less than 200, even where that
+    is too many.
     """
     has, weight = np.array(counts, dtype=float), np.array(sizes)
 
@@ -102,11 +101,7 @@ def simplify(mesh: Trimesh, count: int) -> Trimesh:
 
 
 def smooth(mesh: Trimesh) -> Trimesh:
-    """Return a mesh whose triangles share vertices only along edges that are not sharp.
-
-    So a viewer that takes the mean of normals at each vertex keeps edges and shows round things
-    round.
-    """
+    """Return a mesh that shows sharp edges as edges, and what is round as round, when shaded."""
     return trimesh.graph.smooth_shade(mesh, angle=_SHARP, facet_minarea=None)
 
 

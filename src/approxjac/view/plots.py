@@ -59,13 +59,12 @@ def plot_torque(
     """
     _require_run(run)
     with styled(ax) as ax:
-        scale, known = np.ones(run.tau.shape[1]), False
+        tau, known = run.tau, False
         if limits is not None and np.isfinite(limits).any():
             # no line where none is known
-            scale, known = np.where(np.isfinite(limits), limits, np.nan), True
+            tau, known = tau / np.where(np.isfinite(limits), limits, np.nan), True
         for i, joint in enumerate(run.joint_names):
-            color = SERIES[i % len(SERIES)]
-            ax.plot(run.t, run.tau[:, i] / scale[i], color=color, label=joint)
+            ax.plot(run.t, tau[:, i], color=SERIES[i % len(SERIES)], label=joint)
         if known:
             for side, name in ((1.0, "limit"), (-1.0, None)):
                 ax.axhline(side, color=COLORS["neutral"], linewidth=1.0, linestyle="--", label=name)

@@ -54,13 +54,9 @@ def plot_allowed_error(
             bounds = law.allowed_p_velocity(at, alpha, lambda2), law.allowed_p_position(at, alpha)
             label = f"the controller's own a = {own_a:.3g} allows p = {min(bounds):.3g}"
             ax.axvline(own_a, color=SERIES[3], label=label)
-        ax.set(
-            xlabel="a = k_p / k_v [1/s]",
-            ylabel=f"allowed p [{unit}]",
-            title=f"Figure 1: allowed Jacobian error (α = √λ₂ = {alpha:.4f} 1/s)",
-            ylim=(0.0, 1.25 * max(p, float(velocity.max()))),
-            xlim=(left, right),
-        )
+        ax.set(xlabel="a = k_p / k_v [1/s]", ylabel=f"allowed p [{unit}]", xlim=(left, right))
+        ax.set(ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
+        ax.set_title(f"Figure 1: allowed Jacobian error (α = √λ₂ = {alpha:.4f} 1/s)")
         if wide:
             ax.set_xscale("log")
     return ax

@@ -81,10 +81,9 @@ class Tree:
 
 
 def joint_positions(robot: Robot, q: Array) -> Array:
-    """Return positions of all moving joints, mimic ones too, in configurations q (N, nq).
+    """Return positions of all moving joints, by their `column`, in configurations q (N, nq).
 
-    They are in the order of `Joint.column`, shape (N, n_all) [rad or m]; those of continuous
-    joints have no jumps.
+    Of shape (N, n_all), mimic joints included [rad or m]; those of continuous joints do not jump.
     """
     mimic = robot.mimic_joints
     q_all = np.array([mimic.q(row) for row in q]).reshape(len(q), mimic.model.nq)

@@ -52,9 +52,8 @@ def page_data(
 ) -> dict[str, Any]:
     """Return the contents of a page, for `document`.
 
-    It shows the `Frames.columns` of a run at configurations q (N, nq), and says whose arm it is,
-    what is believed wrongly and further facts, each a name and a text. A live page gets instants
-    while it is open, and its targets can be dragged.
+    It shows the `Frames.columns` of a run at configurations q (N, nq), and further facts, each a
+    name and a text. A live page gets instants while it is open, and its targets can be dragged.
     """
     scene = stage.scene
     believed = "" if scene.belief is None else ", and what its controller believes of it"
@@ -170,12 +169,11 @@ def _plots(scene: Scene, labels: list[str], units: Sequence[str]) -> list[dict[s
 def _image_axes(camera: Camera) -> dict[str, Any]:
     """Return names, unit and borders of the image's coordinates, as they are plotted."""
     unit, scale = display_unit(camera.unit)
-    border = None
-    if isinstance(camera, PinholeCamera):
-        border = [-0.5, -0.5, camera.size[0] - 0.5, camera.size[1] - 0.5]
-    down = border is not None  # v of a pinhole camera points down
-    labels = list(camera.labels)
-    return {"labels": labels, "unit": unit, "scale": scale, "border": border, "down": down}
+    axes = {"labels": list(camera.labels), "unit": unit, "scale": scale}
+    if isinstance(camera, PinholeCamera):  # whose v points down
+        width, height = camera.size
+        return axes | {"border": [-0.5, -0.5, width - 0.5, height - 0.5], "down": True}
+    return axes | {"border": None, "down": False}
 
 
 def asset(name: str) -> str:

@@ -79,10 +79,7 @@ class Frames:
         } | self._images(q, x_measured, x_d)
 
     def _believed_tip(self, q: Array, task_torque: Array) -> tuple[Array, Array]:
-        """Return where the tip is believed and the force there that a torque stands for, (N, 3).
-
-        A force alone, where one explains the torque; else the force beside a moment, as of a pose.
-        """
+        """Return where the tip is believed and the force there that a torque stands for, (N, 3)."""
         tip, force = np.full((len(q), 3), np.nan), np.full((len(q), 3), np.nan)
         if self._believed is None:
             return tip, force
@@ -94,7 +91,7 @@ class Frames:
             if np.isfinite(torque).all():
                 force[i] = _wrench(J[0], torque)
                 left = np.linalg.norm(J[0].T @ force[i] - torque)
-                if left > _LITTLE * np.linalg.norm(torque):
+                if left > _LITTLE * np.linalg.norm(torque):  # there is a moment too, as of a pose
                     force[i] = _wrench(whole.jacobian(row), torque)[:3]
         return tip, force
 

@@ -39,13 +39,8 @@ def _camera_view(task: Task | None, size: float, middle: Array) -> dict[str, Any
     """Return how the camera of a task is drawn, in the axes of what it is fixed to, if it has one.
 
     The image coordinates X are at `corner` + a `right` + b `down` with (a, b) = (X − low)/(high −
-    low). Lens distortion is left out of the drawing.
-
-    The arm has a size [m], and its middle (3,) in the world [m].
-
-    Returns:
-        "apex", "corner", "right", "down" (3,) [m]; "low", "high" (2,) [unit of the image];
-        "reach", how far lines of sight go, in distances of the image; "mount", a frame or None.
+    low), without lens distortion. `reach` is how far lines of sight go, in distances of the image.
+    The arm has a size, and its middle (3,) in the world [m].
     """
     feature = image_feature(task)
     camera = None if feature is None else feature.camera
@@ -146,11 +141,7 @@ class Stage:
         return built
 
     def _arm(self, role: str, drawing: _Drawing, built: dict[str, Any]) -> None:
-        """Draw an arm.
-
-        Links of the true one take the colours that show the state of their joint; shapes that the
-        believed one has as well are listed, not sent twice.
-        """
+        """Draw an arm; shapes that the believed one has as well are listed, not sent twice."""
         tree, true = self._trees[role], self._trees["true"]
         objects = held_objects(self.robots[role])
         ghost = {"opacity": _GHOST, "depthWrite": False}
@@ -169,10 +160,7 @@ class Stage:
                     drawing.mesh(path, shape, COLORS["believed"], **ghost)
 
     def _bones(self, drawing: _Drawing) -> None:
-        """Draw a rod along each link that the controller believes longer, shorter or bent.
-
-        Wrong joint origins change no mesh: without it one would see gaps in the ghost only.
-        """
+        """Draw a rod along each link that is believed longer, shorter or bent: no mesh tells."""
         tree = self._trees["believed"]
         origins = {joint.name: joint.origin for joint in self._trees["true"].joints}
         # an object is as long as it is believed to be

@@ -20,10 +20,7 @@ _PARALLEL = 1e-6
 
 
 def link_points(robot: Robot, q: Array, boxes: Mapping[str, Array]) -> Array:
-    """Return points of all links at some of the configurations q (N, nq), shape (n, 3) [m].
-
-    They are given by link in its own frame, each (k, 3).
-    """
+    """Return points of links (k, 3), each in its frame, at some of the q (N, nq); (n, 3) [m]."""
     data, points = robot.model.createData(), []
     every = max(1, len(q) // _INSTANTS)
     for row in [*q[::every], *q[-1:]]:
@@ -46,11 +43,8 @@ def viewpoint(
 ) -> dict[str, Any]:
     """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
 
-    Cameras in the world, as the `Stage` has them, are to be in view, too.
-
-    Returns:
-        "direction", a unit vector towards the eye; "points", corners of what must be in view;
-        "normal", of the plane that the arm moves in, or else up.
+    Cameras in the world, as the `Stage` has them, are to be in view, too. "direction" is a unit
+    vector towards the eye, "normal" that of the plane that the arm moves in, or else up.
     """
     cameras = [camera for camera in cameras if camera["mount"] is None]
     stands = [camera["apex"] for camera in cameras]
