@@ -1,7 +1,5 @@
 """The right pseudo-inverse Ĵ⁺, damped near singular poses, and its time derivative."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Inverse kinematics of a true robot, for analysis only."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

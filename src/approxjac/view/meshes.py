@@ -1,7 +1,5 @@
 """Triangle meshes to look at: from files, and made lighter."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs as pages: writing them, opening them, and an index of those in a folder."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys
