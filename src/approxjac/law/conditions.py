@@ -64,8 +64,7 @@ def best_alpha(
     with α and the second rises.
     """
     slope = float(kp.min()) - c1 + c0
-    crossing = float(kv.max()) * lambda1 / slope if slope > 0.0 else alpha_max
-    return min(crossing, alpha_max)
+    return min(float(kv.max()) * lambda1 / slope, alpha_max) if slope > 0.0 else alpha_max
 
 
 def allowed_p_velocity(a: Array, alpha: float, lambda2: float) -> Array:

@@ -1,11 +1,9 @@
 """Uncertain coordinates: what is believed of each, the range that it may be in, its words."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
@@ -24,7 +22,7 @@ class Coordinate(NamedTuple):
     low: float
     high: float
 
-    def scaled(self, factor: float) -> Coordinate:
+    def scaled(self, factor: float) -> Self:
         """Shrunk or grown about what is believed.
 
         Exact for the factors 0 and 1, and never without what is believed, whatever is rounded.

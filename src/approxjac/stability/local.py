@@ -283,8 +283,7 @@ def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
     regressor = learning.regressor
     Z = np.array([regressor.Z(at) for at in nearby])
     rows, believed = Z.reshape(-1, regressor.p), regressor.theta
-    change = np.linalg.lstsq(rows, wanted.ravel() - rows @ believed, rcond=1e-12)[0]
-    theta = believed + change
+    theta = believed + np.linalg.lstsq(rows, wanted.ravel() - rows @ believed, rcond=1e-12)[0]
     if learning.bounds is not None:
         lower, upper = (bound[: regressor.p] for bound in learning.bounds)
         if not ((lower < theta) & (theta < upper)).all():

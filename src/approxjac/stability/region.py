@@ -1,9 +1,8 @@
 """Regions of joint space: where the stability tests look."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -112,7 +111,7 @@ class JointBox(Region):
     @classmethod
     def around(
         cls, robot: Robot, q: Sequence[float] | Array, radius: float | Sequence[float] | Array
-    ) -> JointBox:
+    ) -> Self:
         """Return the box of all configurations whose joints are within `radius` [rad or m] of q."""
         radius = as_entries("radius", radius, robot.nv, "rad")
         require_radians("q", robot, robot.configuration(q))
@@ -297,8 +296,7 @@ class RegularPart(Region):
         return self._is_regular(q) and self.region.contains(q)
 
     def _is_regular(self, q: Array) -> bool:
-        smallest = np.linalg.svd(self.task.jacobian(q), compute_uv=False)[-1]
-        return bool(smallest >= self.sigma_min)
+        return bool(np.linalg.svd(self.task.jacobian(q), compute_uv=False)[-1] >= self.sigma_min)
 
     def __repr__(self) -> str:
         return f"RegularPart({self.region!r}, sigma_min >= {self.sigma_min:g})"

@@ -23,6 +23,8 @@ from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array, as_integer
 
+_THEOREM1 = ("holds", "p", "allowed_p", "alpha", "margin", "allowed_p_large_gains", "alpha_range")
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StabilityReport:
@@ -165,10 +167,7 @@ class StabilityReport:
             "certified_by": self.certified_by,
             "singular_q": self.singular_q,
             "theorem1": {
-                **{name: getattr(first, name) for name in ("holds", "p", "allowed_p", "alpha")},
-                "margin": first.margin,
-                "allowed_p_large_gains": first.allowed_p_large_gains,
-                "alpha_range": first.alpha_range,
+                **{name: getattr(first, name) for name in _THEOREM1},
                 "constants": {name: getattr(first, name) for name in CONSTANTS},
                 "worst_q": {name: samples.q[first.worst[name]] for name in CONSTANTS},
             },

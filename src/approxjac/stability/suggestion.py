@@ -137,9 +137,8 @@ def suggest_gains(
 
     def demands(gains: Gains) -> Candidate:
         own = loop.with_gains(gains)
-        pull = (own.setting.kp * samples.s)[..., None]
-        force = np.swapaxes(samples.J_hat, -1, -2) @ pull
-        ratio = float((np.abs(weight - force[..., 0]) / limits).max())
+        pull = np.swapaxes(samples.J_hat, -1, -2) @ (own.setting.kp * samples.s)[..., None]
+        ratio = float((np.abs(weight - pull[..., 0]) / limits).max())
         slowest = local_test(own, *targets, Timing(dt)).decay_rates.min()
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         left = np.nan  # of no use where both of the others are missed

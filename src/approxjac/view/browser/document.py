@@ -176,5 +176,5 @@ def _image_axes(camera: Camera) -> dict[str, Any]:
 
 def asset(name: str) -> str:
     """Return the text of a file that pages are made of."""
-    folder = resources.files("approxjac.view.browser") / "assets"
-    return (folder / name).read_text(encoding="utf-8")
+    file = resources.files("approxjac.view.browser") / "assets" / name
+    return file.read_text(encoding="utf-8")

@@ -1,7 +1,5 @@
 """`LiveView`: a run in the browser while it goes on."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math
@@ -9,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -96,7 +94,7 @@ class LiveView:
         """Address of the page, once the run has begun."""
         return None if self._server is None else self._server.url
 
-    def __enter__(self) -> LiveView:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
