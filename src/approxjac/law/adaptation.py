@@ -1,5 +1,7 @@
 """The passive output, eq. (10), and the adaptation of the gravity parameters, eq. (29)."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from approxjac.law.products import dot

@@ -4,6 +4,8 @@ Theorem 1 asks for p, a bound of ‖Jᵀ − Ĵᵀ‖, below both curves of the 
 large enough for what inertia and damping take, c₀ and c₁.
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from approxjac.validation import Array

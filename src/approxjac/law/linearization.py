@@ -1,5 +1,7 @@
 """The closed loops of eq. (9) and of eqs. (28), (29), linearised at the target."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from approxjac.validation import Array

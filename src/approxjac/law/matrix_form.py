@@ -24,6 +24,8 @@ All functions take stacks of configurations, arrays with any leading axes, of th
 - the diagonals of K_p, K_v and W: (m,), and that of all viscous damping B: (n_v,).
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from approxjac.validation import Array

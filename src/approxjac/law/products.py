@@ -3,6 +3,8 @@
 What is compiled (`controllers.compiled`) has loops in its place: BLAS takes longer at these sizes.
 """
 
+from __future__ import annotations
+
 from approxjac.validation import Array
 
 

@@ -1,5 +1,7 @@
 """The right pseudo-inverse Ĵ⁺, damped near singular poses, and its time derivative."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

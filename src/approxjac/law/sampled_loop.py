@@ -1,5 +1,7 @@
 """The closed loop of eqs. (28), (29) to first order as it runs: sampled, late, x in frames."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -7,6 +7,8 @@ No bounded s has a global d̄ in (8): θ s(θ) grows with θ while s² stays put
 given up to an error e_max; d and c̄ hold everywhere.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -4,6 +4,8 @@ Replacing the law's τ* by another τ changes V̇ by yᵀ(τ − τ*), with the 
 The paper has no torque limits; this is what its proof leaves room for.
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -1,5 +1,7 @@
 """The paper's simulations: arm, camera, what is believed of both, gains, and what is left open."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

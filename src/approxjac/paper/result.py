@@ -1,5 +1,7 @@
 """Results of the study: a simulation judged, and the bound of Figure 1."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Tests 1 and 2 over a region: constants and Lyapunov functions, with their worst cases."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

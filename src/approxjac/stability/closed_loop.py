@@ -1,5 +1,7 @@
 """`ClosedLoop`: a controller on one or several true robots, and the samples it is tested on."""
 
+from __future__ import annotations
+
 import copy
 from collections.abc import Sequence
 
@@ -79,12 +81,12 @@ class ClosedLoop:
         self.parts = [VisiblePart(region, plant.sensor, k) for k, plant in enumerate(self.plants)]
         self._attained: list[list[Array]] | None = None
 
-    def scaled(self, factor: float) -> "ClosedLoop":
+    def scaled(self, factor: float) -> ClosedLoop:
         """Return the loop with the errors of its `Uncertainty` shrunk or grown."""
         assert isinstance(self.truth, Uncertainty)
         return ClosedLoop(self.controller, self.truth.scaled(factor), self.region, self.target)
 
-    def with_gains(self, gains: Gains) -> "ClosedLoop":
+    def with_gains(self, gains: Gains) -> ClosedLoop:
         """Return the loop with other gains of its controller."""
         other = copy.copy(self)
         other.controller = self.controller.with_gains(gains)

@@ -1,9 +1,11 @@
 """Uncertain coordinates: what is believed of each, the range that it may be in, its words."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
@@ -22,7 +24,7 @@ class Coordinate(NamedTuple):
     low: float
     high: float
 
-    def scaled(self, factor: float) -> Self:
+    def scaled(self, factor: float) -> Coordinate:
         """Shrunk or grown about what is believed.
 
         Exact for the factors 0 and 1, and never without what is believed, whatever is rounded.

@@ -1,5 +1,7 @@
 """Inverse kinematics of a true robot, for analysis only."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np

@@ -1,5 +1,7 @@
 """A closed loop near its target to first order: continuous, and as it runs sampled."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

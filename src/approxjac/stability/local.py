@@ -1,5 +1,7 @@
 """Test 3: eigenvalues of the closed loop linearised at a target, or at many of a region."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

@@ -1,5 +1,7 @@
 """V and W of a closed loop at one state, eqs. (12), (13) and (31)."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 from approxjac import law

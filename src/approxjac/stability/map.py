@@ -1,5 +1,7 @@
 """`stability_map`: where in the plane of two parameters each of the four tests passes."""
 
+from __future__ import annotations
+
 import functools
 import itertools
 from collections.abc import Callable, Sequence

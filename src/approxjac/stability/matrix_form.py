@@ -5,6 +5,8 @@ decomposition of all of them and a linear program of the few directions that mat
 SciPy) take less than a conic solver takes to read the problem.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -41,7 +43,7 @@ class Weights(NamedTuple):
     A2: Array  # shape (m, m) [1/s]; zero in the paper
     w: Array  # shape (m,) [N per unit of the task]; k_p + αk_v in the paper
 
-    def plus(self, share: float, other: "Weights") -> "Weights":
+    def plus(self, share: float, other: Weights) -> Weights:
         """Return these weights and a share of others."""
         return Weights(*(mine + share * its for mine, its in zip(self, other, strict=True)))
 

@@ -1,8 +1,9 @@
 """Regions of joint space: where the stability tests look."""
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -111,7 +112,7 @@ class JointBox(Region):
     @classmethod
     def around(
         cls, robot: Robot, q: Sequence[float] | Array, radius: float | Sequence[float] | Array
-    ) -> Self:
+    ) -> JointBox:
         """Return the box of all configurations whose joints are within `radius` [rad or m] of q."""
         radius = as_entries("radius", radius, robot.nv, "rad")
         require_radians("q", robot, robot.configuration(q))

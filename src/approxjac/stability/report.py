@@ -1,5 +1,7 @@
 """`stability_report`: the four tests over a region, before anything moves."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass

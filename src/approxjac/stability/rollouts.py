@@ -1,5 +1,7 @@
 """Sampled closed loop: rollouts over starts and errors, with an exact confidence interval."""
 
+from __future__ import annotations
+
 import copy
 import math
 import pickle

@@ -1,5 +1,7 @@
 """`Samples` that the conditions are evaluated on: true robots, configurations and targets."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -32,11 +34,11 @@ class Samples:
     def __len__(self) -> int:
         return len(self.q)
 
-    def take(self, which: Indices) -> "Samples":
+    def take(self, which: Indices) -> Samples:
         """Return the samples of some indices."""
         return Samples(*(getattr(self, f.name)[which] for f in fields(self)))
 
-    def join(self, *others: "Samples") -> "Samples":
+    def join(self, *others: Samples) -> Samples:
         """Return these samples and others after them."""
         each = (self, *others)
         return Samples(*(np.concatenate([getattr(s, f.name) for s in each]) for f in fields(self)))

@@ -1,5 +1,7 @@
 """Gains that pass a test for a set of errors, or what to relax; what would certify a loop."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

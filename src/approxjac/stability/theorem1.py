@@ -1,5 +1,7 @@
 """Test 1: Theorem 1 of the paper, with its constants taken over samples."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 

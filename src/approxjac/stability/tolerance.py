@@ -1,5 +1,7 @@
 """`tolerance`: how much larger or smaller errors may be before each test gives way."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args

@@ -1,12 +1,14 @@
 """`Uncertainty`: how the true robot may differ from the believed one."""
 
+from __future__ import annotations
+
 import inspect
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -148,7 +150,7 @@ class Uncertainty:
         """The largest values that they may have, shape (d,)."""
         return np.array([known.high for known in self._coordinates])
 
-    def scaled(self, factor: float) -> Self:
+    def scaled(self, factor: float) -> Uncertainty:
         """Return a box of the same coordinates, shrunk or grown about what is believed.
 
         Raises:

@@ -1,5 +1,7 @@
 """`VisiblePart` of a region: elsewhere no law acts, and no condition says anything."""
 
+from __future__ import annotations
+
 import numpy as np
 import pinocchio as pin
 

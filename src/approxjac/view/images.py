@@ -1,5 +1,7 @@
 """Plots of what cameras see. Each draws into axes, by default new ones, and returns them."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any

@@ -1,5 +1,7 @@
 """`robot_look`: the shapes of the links of a robot."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence, Set
 from functools import cache
 from pathlib import Path

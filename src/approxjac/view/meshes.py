@@ -1,5 +1,7 @@
 """Triangle meshes to look at: from files, and made lighter."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Plots of a run. Each draws into axes, by default new ones, and returns them to go on from."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Plots of what the stability tests say."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,5 +1,7 @@
 """One look for every plot: colour-blind safe, readable in print, reproducible files."""
 
+from __future__ import annotations
+
 import io
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -1,5 +1,7 @@
 """A robot as a tree of nodes, each link under its parent, as MeshCat nests them."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

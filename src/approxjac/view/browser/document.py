@@ -1,5 +1,7 @@
 """The page itself: one HTML file with all that it needs inside."""
 
+from __future__ import annotations
+
 import base64
 import html
 import json

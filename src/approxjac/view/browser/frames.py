@@ -1,5 +1,7 @@
 """`Frames`: all that the page shows at each instant of a run, from the run's record."""
 
+from __future__ import annotations
+
 from itertools import pairwise
 from typing import Any
 

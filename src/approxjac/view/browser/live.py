@@ -1,5 +1,7 @@
 """`LiveView`: a run in the browser while it goes on."""
 
+from __future__ import annotations
+
 import contextlib
 import json
 import math
@@ -7,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -94,7 +96,7 @@ class LiveView:
         """Address of the page, once the run has begun."""
         return None if self._server is None else self._server.url
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> LiveView:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:

@@ -1,5 +1,7 @@
 """Runs as pages: writing them, opening them, and an index of those in a folder."""
 
+from __future__ import annotations
+
 import os
 import re
 import sys

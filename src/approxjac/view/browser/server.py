@@ -1,5 +1,7 @@
 """`PageServer`: one page for browsers on this machine, and messages to and from it."""
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import json

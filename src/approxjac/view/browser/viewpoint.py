@@ -1,5 +1,7 @@
 """The view of a scene that the page starts with, so that nobody needs to turn it first."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
