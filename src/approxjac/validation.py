@@ -195,7 +195,7 @@ def axis_rows(name: str, axes: str) -> list[int]:
     for letter in axes:
         if letter not in "xyz":
             raise UnknownNameError("axis", letter, name, "xyz")
-    return ["xyz".index(letter) for letter in axes]
+    return list(map("xyz".index, axes))
 
 
 def plane_rows(plane: str) -> list[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,8 +14,7 @@ from approxjac.robots.urdf import Follows, Urdf, leader_of
 from approxjac.validation import Array
 
 
-@dataclass(eq=False)
-class MimicJoints:
+class MimicJoints(NamedTuple):
     """All moving joints as they follow from the n_v that move on their own: q_all = A q + b.
 
     Pinocchio can leave mimic joints out of q and v, but not every algorithm of it can. Those that
@@ -27,16 +26,18 @@ class MimicJoints:
     Attributes:
         model: Pinocchio model in which mimic joints move on their own.
         G: v_all = G v, shape (n_all, n_v), or None where nothing is coupled.
+        A: As above, shape (nq_all, nq).
+        b: As above, shape (nq_all,).
     """
 
     model: pin.Model
     G: Array | None = None
-    _A: Array | None = None
-    _b: Array | None = None
+    A: Array | None = None
+    b: Array | None = None
 
     def q(self, q: Array) -> Array:
         """Configuration of all joints, shape (nq_all,)."""
-        return q if self._A is None or self._b is None else self._A @ q + self._b
+        return q if self.A is None or self.b is None else self.A @ q + self.b
 
     def v(self, v: Array) -> Array:
         """Velocities of all joints, shape (n_all,)."""

@@ -12,7 +12,7 @@ import pinocchio as pin
 from approxjac.robots.model import require_inertia
 from approxjac.robots.robot import Robot
 from approxjac.robots.urdf import Urdf
-from approxjac.robots.urdf_edit import OBJECT_RADIUS, direction, object_moments, object_size
+from approxjac.robots.urdf_edit import OBJECT_RADIUS, direction, object_size, rotation_onto
 from approxjac.validation import Array
 
 
@@ -120,8 +120,7 @@ class _Parts:
         errors = {at[joint]: i for i, joint in enumerate(joints)}
         self._n, self._object, self._tip = n, -1, -1
         if n is not None:
-            self._along = np.outer(n, n)
-            self._across = np.eye(3) - self._along
+            self._onto_axis = rotation_onto(n)
             self._object, self._tip = at["object_joint"], at["object_tip_joint"]
         # what is elsewhere on its link: joints with an error, the tip of the object, and all that a
         # fixed one of them carries, each with where it is: on the link, or on a frame that moves
@@ -138,49 +137,51 @@ class _Parts:
             carrier = on if on in carried or k == self._tip else None
             joint = frame.parentJoint if moves else None
             place = pin.SE3(place) if carrier is None else origin
+            if frame.type == pin.FrameType.BODY:  # a link is where its joint is
+                place = None
             self._places.append((k, joint, carrier, place, back, errors.get(k)))
             if not moves:
                 carried.append(k)
         # inertias of what may move within a link; the rest of the link as dynamic parameters
+        self._at = {k: pin.SE3(frame.placement) for k, frame in enumerate(frames)}
+        self._inertias: dict[int, pin.Inertia] = {}
         self._links: dict[int, tuple[Array, list[int]]] = {}
         for k, frame in enumerate(frames):
-            own = _parameters(frame)
+            own = frame.placement.act(frame.inertia).toDynamicParameters()
             if k == self._object or (k in carried and own.any()):
                 j = frame.parentJoint
                 rest, parts = self._links.get(j, (model.inertias[j].toDynamicParameters(), []))
                 self._links[j] = rest - own, [*parts, k]
+                self._inertias[k] = pin.Inertia(frame.inertia)
 
     def change(
         self, model: pin.Model, length: float, mass: float, shifts: Array, rotations: Array
     ) -> None:
         """Change a copy of the model, as `Perturbation.robot` is told."""
-        frames, placements = model.frames, model.jointPlacements
+        frames, at, inertias = model.frames, self._at.copy(), self._inertias.copy()
         if self._n is not None:
             tip = length * self._n
-            across, along = object_moments(length, mass, OBJECT_RADIUS)
-            inertia = across * self._across + along * self._along
-            frames[self._object].inertia = pin.Inertia(mass, 0.5 * tip, inertia)
+            cylinder = pin.Inertia.FromCylinder(mass, OBJECT_RADIUS, length)
+            inertias[self._object] = pin.SE3(self._onto_axis, 0.5 * tip).act(cylinder)
+            frames[self._object].inertia = inertias[self._object]
         for k, joint, carrier, place, back, error in self._places:
             if k == self._tip:
                 place = pin.SE3(_NO_TURN, tip)
             if error is not None:
-                place = place * pin.SE3(pin.exp3(rotations[error]), back @ shifts[error])
+                place = place * pin.SE3(pin.exp3(rotations[error]), back.dot(shifts[error]))
             if carrier is not None:
-                place = frames[carrier].placement * place
+                place = at[carrier] if place is None else at[carrier] * place
+            at[k] = place
             if joint is None:
                 frames[k].placement = place
             else:
-                placements[joint] = place
+                model.jointPlacements[joint] = place
         for j, (rest, parts) in self._links.items():
-            total = sum((_parameters(frames[k]) for k in parts), rest)
+            total = rest
+            for k in parts:
+                total = total + at[k].act(inertias[k]).toDynamicParameters()
             if total[0] != 0.0:  # or it has no centre of mass
                 model.inertias[j] = pin.Inertia.FromDynamicParameters(total)
 
 
 _NO_TURN = np.eye(3)
-
-
-def _parameters(frame: pin.Frame) -> Array:
-    """Return dynamic parameters of what a frame adds to its link, shape (10,)."""
-    parameters: Array = frame.placement.act(frame.inertia).toDynamicParameters()
-    return parameters

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,6 +11,7 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import meshes, urdf_edit
+from approxjac.robots.mimic_joints import MimicJoints
 from approxjac.robots.model import build_model, outward_axis, own_joints
 from approxjac.robots.urdf import Urdf
 from approxjac.validation import Array, Immutable, as_array, as_number, as_vector, require, shape_of
@@ -358,7 +358,7 @@ class Robot(Immutable):
         """Return the same robot with models of its own, which may be changed at once."""
         new, model, mimic_joints = cls.__new__(cls), pin.Model(robot.model), robot.mimic_joints
         independent = model if mimic_joints.G is None else pin.Model(mimic_joints.model)
-        mimic_joints = replace(mimic_joints, model=independent)
+        mimic_joints = MimicJoints(independent, *mimic_joints[1:])
         new.__dict__.update(robot.__dict__, model=model, mimic_joints=mimic_joints, **changes)
         return new
 

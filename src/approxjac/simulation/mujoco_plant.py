@@ -54,6 +54,8 @@ class MujocoPlant(Plant):
         UrdfError: MuJoCo cannot open the URDF, such as for collision meshes that are missing.
     """
 
+    _stops = None  # MuJoCo has its own
+
     def __init__(
         self,
         robot: Robot,
@@ -92,9 +94,6 @@ class MujocoPlant(Plant):
         data.qfrc_applied[places] = tau
         self._mujoco.mj_forward(self.mujoco_model, data)
         return np.array(data.qacc[places])
-
-    def _own_stops(self) -> None:
-        return None  # MuJoCo has its own
 
     def _is_free(self, q: Array) -> bool:
         data = self._mujoco_data

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NoReturn, Self
 
 import numpy as np
 import pinocchio as pin
@@ -83,11 +84,7 @@ class Plant(Immutable):
         sensor = PositionTask(robot) if sensor is None else sensor
         require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
         if sensor.robot != robot:
-            raise InvalidInputError(
-                f"sensor must be a task of the plant's own robot, the true one, such as "
-                f"PositionTask(truth), got {sensor!r} of another (the believed one?)",
-                given=sensor,
-            )
+            _refuse_other(sensor)
         if sensing is not None:
             require("sensing", sensing, Sensing, "Sensing(...) or None")
             SensorReadings(sensing, sensor, dt=1.0, seed=0)  # refuses wrong lengths
@@ -104,14 +101,25 @@ class Plant(Immutable):
         self.torque_limits = torque_limits
         require("joint_limits", joint_limits, bool, "True or False")
         self.joint_limits = joint_limits
-        self._stops = self._own_stops()
         self._has_coulomb = max(self.coulomb.tolist()) > 0.0
         self._has_friction = self._has_coulomb or max(self.friction.tolist()) > 0.0
         self._has_mimic_joints = robot.mimic_joints.G is not None
         self._model = robot.model
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
 
-    def _own_stops(self) -> JointStops | None:
+    def _of(self, robot: Robot, sensor: Task) -> Self:
+        """Return this plant of another robot with the same joints, in a fifth of the time."""
+        if sensor.robot is not robot:
+            _refuse_other(sensor)
+        plant, arguments = object.__new__(type(self)), {"robot": robot, "sensor": sensor}
+        vars(plant).update(vars(self), **arguments, _arguments=self._arguments | arguments)
+        plant._model = robot.model
+        for name in ("dynamics", "_data", "_stops"):
+            vars(plant).pop(name, None)
+        return plant
+
+    @cached_property
+    def _stops(self) -> JointStops | None:
         return JointStops(self.robot) if self.joint_limits else None
 
     @cached_property
@@ -312,6 +320,14 @@ class Plant(Immutable):
         if not self.joint_limits:
             shown.append("joint_limits=False")
         return shown
+
+
+def _refuse_other(sensor: Task) -> NoReturn:
+    raise InvalidInputError(
+        f"sensor must be a task of the plant's own robot, the true one, such as "
+        f"PositionTask(truth), got {sensor!r} of another (the believed one?)",
+        given=sensor,
+    )
 
 
 def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:

@@ -135,6 +135,10 @@ class Uncertainty:
         """Number of uncertain coordinates; 0 where the belief is the truth."""
         return len(self._coordinates)
 
+    @cached_property
+    def _low_and_width(self) -> tuple[Array, Array]:
+        return self.low, self.high - self.low
+
     @property
     def believed(self) -> Array:
         """Believed value of each, shape (d,)."""
@@ -199,8 +203,8 @@ class Uncertainty:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """Return values drawn uniformly from the box, shape (d,)."""
-        low = self.low
-        return low + (self.high - low) * rng.random(self.d)  # as rng.uniform, which takes its time
+        low, width = self._low_and_width
+        return low + width * rng.random(len(low))  # as rng.uniform, which takes its time
 
     # -- the robots ---------------------------------------------------------------------
 
@@ -214,13 +218,14 @@ class Uncertainty:
 
     def robot(self, values: Sequence[float] | Array) -> Robot:
         """Return the true robot at some values, the believed one itself where nothing is wrong."""
-        believed, places = self._of_robot
+        believed, uncertain = self._of_robot
         at = believed.copy()
-        at[places] = self._checked(values)[: len(places)]
-        if (at == believed).all():
+        for place, value in zip(uncertain, self._checked(values).tolist(), strict=False):
+            at[place] = value
+        if at == believed:
             return self.belief()
-        length, mass = at[:2].tolist()
-        return self._perturbation.robot(length, mass, *at[2:].reshape(2, -1, 3))
+        length, mass, *places = at
+        return self._perturbation.robot(length, mass, *np.array(places).reshape(2, -1, 3))
 
     def plant(self, values: Sequence[float] | Array) -> Plant:
         """Return the true robot at some values, with its sensor and friction.
@@ -231,8 +236,13 @@ class Uncertainty:
         Raises:
             InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.
         """
-        robot, camera = self.robot(values), self._true_camera(self._by_name(values))
-        return Plant(robot, self._task_of(robot, camera), self.friction)
+        robot = self.robot(values)
+        camera = None if self.camera is None else self._true_camera(self._by_name(values))
+        return self._nominal._of(robot, self._task_of(robot, camera))
+
+    @cached_property
+    def _nominal(self) -> Plant:
+        return Plant(self.belief(), self.believed_task(), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:
         """Return values (d,) in words, such as "object_length 0.300 m, camera roll 0.349 rad"."""
@@ -254,12 +264,13 @@ class Uncertainty:
         return dict(zip(self.names, self._checked(values).tolist(), strict=True))
 
     @cached_property
-    def _of_robot(self) -> tuple[Array, list[int]]:
+    def _of_robot(self) -> tuple[list[float], list[int]]:
         """Believed length, mass, shifts and rotations, and where the uncertain ones are in them."""
         parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
         of_joints = [f"{joint} {kind} {axis}" for kind, joint, axis in parts]
         names = ["object_length", "object_mass", *of_joints]
-        believed = np.array([self.believed_length, self.believed_mass, *np.zeros(len(of_joints))])
+        believed = [float(self.believed_length), float(self.believed_mass)]
+        believed += [0.0] * len(of_joints)
         return believed, [names.index(name) for name in self.names if name in names]
 
     @cached_property

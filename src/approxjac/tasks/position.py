@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from approxjac.robots import Robot
@@ -37,7 +39,7 @@ class PositionTask(Task):
         require("robot", robot, Robot, "a Robot")
         self.frame = robot.tip_or(frame)
         self.axes = best_axes(robot, self.frame) if axes is None else axes
-        self._rows = _as_slice(axis_rows("axes", self.axes))
+        self._rows = _as_slice(tuple(axis_rows("axes", self.axes)))
         super().__init__(robot, tuple(self.axes), ("m",) * len(self.axes))
         self._frame = FrameKinematics(robot, self.frame)
         self._features = (Feature(slice(0, self.m), self.frame, self.axes),)
@@ -58,12 +60,13 @@ class PositionTask(Task):
         return f"PositionTask({self.robot.name!r}, {self.frame!r}, {self.axes!r})"
 
 
-def _as_slice(rows: list[int]) -> slice | list[int]:
+@cache
+def _as_slice(rows: tuple[int, ...]) -> slice | list[int]:
     """Return rows at equal distances as a slice, which NumPy takes without a copy."""
     step = rows[1] - rows[0] if len(rows) > 1 else 1
     end = rows[-1] + step
     found = slice(rows[0], end if end >= 0 else None, step)
-    return found if list(range(3))[found] == rows else rows
+    return found if tuple(range(3))[found] == rows else list(rows)
 
 
 def best_axes(robot: Robot, frame: str | None = None) -> str:

@@ -83,8 +83,14 @@ class Task(Immutable, Saved, ABC):
         InvalidInputError: Labels and units of different lengths, or more of them than joints.
     """
 
+    # for this package's own tasks, as is all else with an underscore
     _uses_x = False  # the Jacobian depends on the measured x, and not on q only
     _features: tuple[Feature, ...] = ()  # what it follows, part by part, to draw it
+    _subtracts: bool  # the error is x − x_d
+    _origin: Array  # a value to measure others from
+    _untold: list[int]  # entries of x that no error tells
+    # what is measured at once, such as a point of an image: entries of x, and of the error
+    _parts: tuple[tuple[slice, slice], ...]
 
     def __init__(
         self, robot: Robot, labels: Sequence[str], units: Sequence[str], n_x: int | None = None
@@ -105,12 +111,8 @@ class Task(Immutable, Saved, ABC):
         self.robot = robot
         self.labels, self.units = tuple(labels), tuple(units)
         self.m, self.n_x = m, m if n_x is None else n_x
-        # for this package's own tasks, as is all else with an underscore
-        self._subtracts = type(self).error is Task.error  # the error is x − x_d
-        self._origin = np.zeros(self.n_x)  # a value to measure others from
-        self._untold: list[int] = []  # entries of x that no error tells
-        # what is measured at once, such as a point of an image: entries of x, and of the error
-        self._parts: tuple[tuple[slice, slice], ...] = ((slice(0, self.n_x), slice(0, m)),)
+        own = {"_subtracts": type(self).error is Task.error, "_origin": np.zeros(self.n_x)}
+        vars(self).update(own, _untold=[], _parts=((slice(0, self.n_x), slice(0, m)),))
 
     @abstractmethod
     def value(self, q: Array) -> Array:
