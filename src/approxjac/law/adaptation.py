@@ -19,14 +19,10 @@ def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array
 
 
 def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
-    """dθ̂/dt = −L Zᵀ y.
+    """dθ̂/dt = −L Zᵀ y, shape (p,), with the passive output y of (10), shape (n_v,).
 
-    Implements Eq. (29), differentiated.
-
-    Args:
-        L: Adaptation gain: a diagonal, shape (p,), or a matrix, shape (p, p).
-        Z: Gravity regressor, shape (n_v, p).
-        y: Passive output (10), shape (n_v,).
+    Implements Eq. (29), differentiated. The adaptation gain L is a diagonal (p,) or a matrix
+    (p, p), the gravity regressor Z is (n_v, p).
     """
     return -L * dot(y, Z) if L.ndim == 1 else -dot(L, dot(y, Z))
 
@@ -36,14 +32,8 @@ def within_bounds(rate: Array, theta_hat: Array, lower: Array, upper: Array, L: 
 
     The projection of Eq. (29) onto a box, in the metric L⁻¹ of V: r = dθ̂/dt − L S λ, where S has
     the sign of each bound that θ̂ is at and λ ≥ 0. Where θ lies in the box, ΔθᵀSλ ≤ 0 for any such
-    λ, so V̇ ≤ −W stays. With a diagonal L, entries that would lead out become zero.
-
-    Args:
-        rate: dθ̂/dt of (29), shape (p,).
-        theta_hat: θ̂, shape (p,).
-        lower: Smallest θ, shape (p,).
-        upper: Largest θ, shape (p,).
-        L: Adaptation gain, as of `theta_hat_rate`.
+    λ, so V̇ ≤ −W stays. With a diagonal L, entries that would lead out become zero. The rate is
+    that of `theta_hat_rate`, with its L; θ̂ and its smallest and largest values are (p,).
     """
     low, high = theta_hat <= lower, theta_hat >= upper
     if not (low | high).any():

@@ -86,17 +86,10 @@ def W(
 
 
 def parameter_potential(theta_error: Array, L: Array) -> float:
-    """½ Δθᵀ L⁻¹ Δθ, added to V where gravity is learnt.
+    """½ Δθᵀ L⁻¹ Δθ [J], added to V where gravity is learnt, with Δθ = θ − θ̂ (p,).
 
-    Implements Eq. (31). Departure: the paper prints L for L⁻¹.
-
-    Args:
-        theta_error: Δθ = θ − θ̂, shape (p,).
-        L: Adaptation gain: a diagonal, shape (p,), with 0 for what is known and not learnt, or a
-            matrix, shape (p, p).
-
-    Returns:
-        The term [J].
+    The adaptation gain L is a diagonal (p,), with 0 for what is known and not learnt, or a matrix
+    (p, p). Implements Eq. (31). Departure: the paper prints L for L⁻¹.
     """
     if L.ndim == 1:
         scaled = np.divide(theta_error, L, out=np.zeros_like(theta_error), where=L > 0.0)

@@ -14,14 +14,7 @@ SINGULAR_RATIO = 0.02
 
 
 def right_pinv(J: Array) -> Array:
-    """J⁺ = Jᵀ(J Jᵀ)⁻¹, so that J J⁺ = I.
-
-    Args:
-        J: Matrix of full row rank, shape (m, n_v), m ≤ n_v.
-
-    Returns:
-        J⁺, shape (n_v, m).
-    """
+    """J⁺ = Jᵀ(J Jᵀ)⁻¹, shape (n_v, m), of J (m, n_v) with full row rank, so that J J⁺ = I."""
     return np.asarray(np.linalg.solve(J @ J.T, J).T, dtype=np.float64)
 
 
@@ -112,15 +105,7 @@ def extreme_singular_values(J: Array) -> tuple[float, float]:
 
 
 def right_pinv_dot(J: Array, J_dot: Array) -> Array:
-    """d/dt of `right_pinv`: (I − J⁺J) J̇ᵀ (J Jᵀ)⁻¹ − J⁺ J̇ J⁺.
-
-    Args:
-        J: Matrix of full row rank, shape (m, n_v).
-        J_dot: Its time derivative, shape (m, n_v).
-
-    Returns:
-        Shape (n_v, m).
-    """
+    """d/dt of `right_pinv`: (I − J⁺J) J̇ᵀ (J Jᵀ)⁻¹ − J⁺ J̇ J⁺, shape (n_v, m), with J̇ (m, n_v)."""
     J_pinv = right_pinv(J)
     tail = np.linalg.solve(J @ J.T, J_dot).T  # J̇ᵀ (J Jᵀ)⁻¹
     return tail - J_pinv @ (J @ tail) - J_pinv @ (J_dot @ J_pinv)

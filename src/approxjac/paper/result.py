@@ -20,17 +20,12 @@ REPORT_TIMES = (5.0, 20.0, 60.0, 120.0)
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One experiment, run.
-
-    Attributes:
-        local: The exact linearisation at the target.
-        theta_hat: θ̂ at the end, shape (2,); None where gravity is known.
-    """
+    """One experiment, run."""
 
     experiment: Experiment
     run: Trajectory
-    local: LocalStability
-    theta_hat: Array | None
+    local: LocalStability  # the exact linearisation at the target
+    theta_hat: Array | None  # at the end, shape (2,); None where gravity is known
 
     @property
     def settles(self) -> bool:

@@ -35,15 +35,8 @@ _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be compute
 class ClosedLoop:
     """A controller on one or several true robots, with the region and target that are analysed.
 
-    It draws configurations and targets that the true robot's sensor sees.
-
-    Args:
-        controller: The controller, of law (6) or (28).
-        truth: The true robot, as a plant or as a robot on which the controller's own task is
-            measured; or the set of true robots, of which all corners are taken.
-        region: Where configurations are drawn; the joint limits of the believed robot without
-            near-singular configurations by default.
-        target: x_d, shape (n_x,), or None for the values of other configurations of the region.
+    It draws configurations and targets that the true robot's sensor sees. The arguments are those
+    of `stability_report`.
 
     Attributes:
         corners: Values of the uncertain coordinates of each true robot, shape (k, d).

@@ -33,21 +33,12 @@ _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the largest scale
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Candidate:
-    """Gains, and how they meet the three demands.
-
-    Attributes:
-        gains: K_p, K_v and B_c.
-        margin: Of the chosen test, positive if it passes; NaN where it was not asked, as neither
-            of the other demands is met.
-        torque_ratio: Largest torque at the start as a share of the limits.
-        settling_time: Until 2 % of a small error are left, in the worst case [s]; infinite where
-            the sampled loop is not stable.
-    """
+    """Gains, and how they meet the three demands."""
 
     gains: Gains
-    margin: float
-    torque_ratio: float
-    settling_time: float
+    margin: float  # of the chosen test; NaN where it was not asked, as both others are missed
+    torque_ratio: float  # largest torque at the start as a share of the limits
+    settling_time: float  # to 2 % of a small error in the worst case [s]; inf if not stable
 
     def met(self, settling_time: float) -> tuple[bool, bool, bool]:
         """Return whether the test, the torque and the time [s] are as demanded."""

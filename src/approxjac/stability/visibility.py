@@ -17,15 +17,11 @@ _HALVINGS = 30  # of the way out of the view
 
 
 class UnattainedError(InvalidInputError):
-    """A target that a true robot does not attain in the region, or a region that it cannot see.
-
-    Attributes:
-        truth: Index of the true robot, or of the run.
-    """
+    """A target that a true robot does not attain in the region, or a region that it cannot see."""
 
     def __init__(self, message: str, *, given: object, truth: int) -> None:
         super().__init__(message, given=given)
-        self.truth = truth
+        self.truth = truth  # index of the true robot, or of the run
 
 
 class VisiblePart:

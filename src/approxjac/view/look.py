@@ -27,16 +27,12 @@ _AROUND = 32  # sides of what is round; a multiple of 4, so that it reaches its 
 class Look(NamedTuple):
     """Shapes of the links of a robot.
 
-    Attributes:
-        shapes: Link → its meshes, in the frame of the link [m], not to be changed. Both sides of
-            triangles are to be drawn: not all files have them counterclockwise.
-        missing: Meshes and geometry of the URDF that cannot be shown, each by its name, and why.
-        found: Links that look as the URDF says, at least in part.
+    Both sides of triangles are to be drawn: not all files have them counterclockwise.
     """
 
-    shapes: Mapping[str, tuple[Trimesh, ...]]
-    missing: tuple[str, ...]
-    found: frozenset[str]
+    shapes: Mapping[str, tuple[Trimesh, ...]]  # by link, in its frame [m], not to be changed
+    missing: tuple[str, ...]  # what of the URDF cannot be shown, by name, and why
+    found: frozenset[str]  # links that look as the URDF says, at least in part
 
 
 class _Visual(NamedTuple):

@@ -50,12 +50,8 @@ def plot_torque(
 ) -> Axes:
     """Draw the torque of each joint against time.
 
-    Args:
-        run: The run.
-        ax: Axes to draw into; new ones by default.
-        limits: Effort limits, shape (n_v,) [N m or N], infinite where none is known. With them
-            each torque is drawn as a share of its limit.
-        title: Of the axes.
+    With effort `limits`, shape (n_v,) [N m or N], infinite where none is known, each torque is
+    drawn as a share of its limit.
     """
     _require_run(run)
     with styled(ax) as ax:
@@ -167,11 +163,11 @@ def plot_parameters(
 ) -> Axes:
     """Draw the gravity parameters θ̂ that were learnt against time.
 
-    Args:
-        run: The run of a controller that learns gravity.
-        names: Names of the parameters, as `GravityRegressor.names` has them.
-        ax: Axes to draw into; new ones by default.
-        theta: Their true values, drawn dashed if given, shape (p,).
+    Their `names` are as `GravityRegressor.names` has them; the true values `theta`, shape (p,), are
+    drawn dashed if given.
+
+    Raises:
+        InvalidInputError: More names than the state of the run has entries.
     """
     _require_run(run)
     if len(names) > run.state.shape[1]:

@@ -56,20 +56,14 @@ def held_objects(robot: Robot) -> dict[str, float]:
 
 
 class Tree:
-    """The nodes of a robot, all under one that is named `root`.
-
-    Attributes:
-        joints: All of them, from the base outwards.
-        paths: Link → names of the nodes down to it, the root first; also of joints, whose node is
-            that of their child.
-        drivers: Link → index (into v and τ) of the joint that moves it last; −1 if none does.
-    """
+    """The nodes of a robot, all under one that is named `root`."""
 
     def __init__(self, robot: Robot, root: str) -> None:
-        self.joints = robot_joints(robot)
+        self.joints = robot_joints(robot)  # from the base outwards
         base = self.joints[0].parent
+        # link → names of the nodes down to it; also of joints, whose node is that of their child
         self.paths: dict[str, tuple[str, ...]] = {base: (root, _node(base))}
-        self.drivers = {base: -1}
+        self.drivers = {base: -1}  # link → index of the joint that moves it last; −1 if none does
         G = robot.mimic_joints.G
         leaders = np.arange(robot.nv) if G is None else np.abs(G).argmax(axis=1)  # of all columns
         for joint in self.joints:

@@ -28,11 +28,6 @@ class PageServer:
         page: Makes the page, whenever a browser asks for it.
         greeting: Makes the message that a page gets first, when it is there.
         port: To serve at; 7007 by default, or any free one if that is taken.
-
-    Attributes:
-        url: Of the page.
-        taken: The usual port, where another program has it; else None.
-        opened: Set when a page is there.
     """
 
     def __init__(
@@ -44,9 +39,9 @@ class PageServer:
         self._greeting = greeting
         self._socket = _bound(port)
         found = self._socket.getsockname()[1]
-        self.taken = _PORT if port is None and found != _PORT else None
+        self.taken = _PORT if port is None and found != _PORT else None  # by another program
         self.url = f"http://{_HOST}:{found}/"
-        self.opened = threading.Event()
+        self.opened = threading.Event()  # by the first page
         self._received: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._pages: set[Any] = set()
         self._loop = asyncio.new_event_loop()

@@ -80,13 +80,8 @@ def _three_corners(low: Array, high: Array) -> Array:
 class Stage:
     """Everything of a scene that is drawn once and then only moved.
 
-    With the stage of a scene with the same true robot as `like`, its look is taken over.
-
-    Attributes:
-        robots: By role, "true" and, if there is one, "believed".
-        size: Of the arm: the farthest that a link gets from the base [m].
-        cameras: As `_camera_view` draws them, with "role" and "node", the path of what carries it.
-        boxes: By role, link → points of the box around its shapes, in its frame, each (k, 3) [m].
+    With the stage of a scene with the same true robot as `like`, its look is taken over. Robots are
+    known by their role, "true" and, if there is one, "believed".
     """
 
     def __init__(self, scene: Scene, like: Stage | None = None) -> None:
@@ -101,12 +96,12 @@ class Stage:
             self.robots["believed"] = scene.belief
             self._looks["believed"] = robot_look(scene.belief, like=(scene.truth, true))
         self._trees = {role: Tree(robot, role) for role, robot in self.robots.items()}
-        self.boxes = {role: _boxes(look) for role, look in self._looks.items()}
+        self.boxes = {role: _boxes(look) for role, look in self._looks.items()}  # around links
         around = reach_points(scene.truth)
         middle = 0.5 * (around.min(axis=0) + around.max(axis=0))
-        self.size = float(np.linalg.norm(around, axis=1).max())
+        self.size = float(np.linalg.norm(around, axis=1).max())  # the farthest that a link gets
         self._tasks = {"true": scene.sensor, "believed": scene.task}
-        self.cameras = []
+        self.cameras = []  # as they are drawn, with the path of the node that carries each
         for role in self.robots:
             camera = _camera_view(self._tasks[role], self.size, middle)
             if camera is not None:
