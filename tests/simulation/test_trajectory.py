@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from own_controller import OwnController
 
 import approxjac as aj
-from approxjac import law
 from approxjac.controllers import DifferentiatedVelocity, law_of
 from approxjac.errors import TrajectoryFileError
 from approxjac.robots import GravityRegressor
@@ -142,7 +141,7 @@ def test_V_at_a_singular_pose_is_finite():
     run = aj.simulate(
         aj.Plant(arm, task), aj.SetpointController(task), [1.0, 1.0], q, 0.01, dt=None
     )
-    assert law.extreme_singular_values(task.jacobian(q))[0] < 1e-6
+    assert np.linalg.svd(task.jacobian(q), compute_uv=False)[-1] < 1e-6
     assert np.isfinite(run.V).all()
 
 

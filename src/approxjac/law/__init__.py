@@ -33,10 +33,8 @@ from approxjac.law.matrix_form import (
 from approxjac.law.pseudoinverse import (
     SINGULAR_RATIO,
     damped_gram_solve,
-    extreme_singular_values,
     is_near_singular,
     right_pinv,
-    right_pinv_dot,
 )
 from approxjac.law.sampled_loop import LinearLaw, frame_map
 from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
@@ -74,7 +72,6 @@ __all__ = [
     "decrease_matrix",
     "dissipation",
     "estimated_velocity_torque",
-    "extreme_singular_values",
     "frame_map",
     "gravity",
     "inertial_block",
@@ -91,7 +88,6 @@ __all__ = [
     "passive_output",
     "potential_matrix",
     "right_pinv",
-    "right_pinv_dot",
     "stiffness_block",
     "theta_hat_rate",
     "within_bounds",

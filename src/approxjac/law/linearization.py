@@ -26,9 +26,8 @@ def closed_loop_matrix(M: Array, J: Array, J_hat: Array, kp: Array, kv: Array, B
     n = M.shape[-1]
     A = np.zeros((*M.shape[:-2], 2 * n, 2 * n))
     A[..., :n, n:] = np.eye(n)
-    forces = np.swapaxes(J_hat, -1, -2)
-    A[..., n:, :n] = -np.linalg.solve(M, forces * kp @ J)
-    A[..., n:, n:] = -np.linalg.solve(M, forces * kv @ J_hat + np.diag(B))
+    A[..., n:, :n] = -np.linalg.solve(M, J_hat.mT * kp @ J)
+    A[..., n:, n:] = -np.linalg.solve(M, J_hat.mT * kv @ J_hat + np.diag(B))
     return A
 
 

@@ -33,7 +33,7 @@ from approxjac.validation import Array
 
 def dissipation(J_hat: Array, kv: Array, B: Array) -> Array:
     """D = ĴᵀK_vĴ + B, what damps the closed loop. Implements Eq. (9), its damping."""
-    return _T(J_hat) @ (kv[:, None] * J_hat) + np.diag(B)
+    return J_hat.mT @ (kv[:, None] * J_hat) + np.diag(B)
 
 
 def cross_weight_pinv(J_hat: Array, dJ_hat: Array) -> tuple[Array, Array]:
@@ -41,12 +41,11 @@ def cross_weight_pinv(J_hat: Array, dJ_hat: Array) -> tuple[Array, Array]:
 
     Implements Eq. (12), its second term.
     """
-    inverse = np.linalg.inv(J_hat @ _T(J_hat))
-    G: Array = _T(J_hat) @ inverse
-    tail = _T(dJ_hat) @ inverse[..., None, :, :]
+    inverse = np.linalg.inv(J_hat @ J_hat.mT)
+    G: Array = J_hat.mT @ inverse
+    tail = dJ_hat.mT @ inverse[..., None, :, :]
     many, J_many = G[..., None, :, :], J_hat[..., None, :, :]
-    dG: Array = tail - many @ (J_many @ tail) - many @ (dJ_hat @ many)
-    return G, dG
+    return G, tail - many @ (J_many @ tail) - many @ (dJ_hat @ many)
 
 
 def cross_weight_damped(D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> tuple[Array, Array]:
@@ -56,9 +55,9 @@ def cross_weight_damped(D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> tup
     cross block of Q, and it exists at singular Ĵ too. A widening of Eq. (12).
     """
     weighted = kv[:, None] * J_hat
-    G: Array = np.asarray(np.linalg.solve(D, _T(weighted)), dtype=np.float64)
-    half = _T(dJ_hat) @ weighted[..., None, :, :]
-    rhs = _T(kv[:, None] * dJ_hat) - (half + _T(half)) @ G[..., None, :, :]
+    G: Array = np.asarray(np.linalg.solve(D, weighted.mT), dtype=np.float64)
+    half = dJ_hat.mT @ weighted[..., None, :, :]
+    rhs = (kv[:, None] * dJ_hat).mT - (half + half.mT) @ G[..., None, :, :]
     return G, np.asarray(np.linalg.solve(D[..., None, :, :], rhs), dtype=np.float64)
 
 
@@ -71,9 +70,9 @@ def inertial_block(
     −q̇ᵀN q̇ with N linear in s and s', the `slope`.
     """
     along: Array = np.einsum("...kij,...k->...ij", dM, (G @ s[..., None])[..., 0])
-    turning = _T((dG @ s[..., None, :, None])[..., 0])
+    turning = (dG @ s[..., None, :, None])[..., 0].mT
     N = 0.5 * along + M @ (turning + G @ (slope[..., None] * J))
-    return 0.5 * (N + _T(N))
+    return 0.5 * (N + N.mT)
 
 
 def decrease_matrix(
@@ -83,14 +82,14 @@ def decrease_matrix(
 
     N is that of `inertial_block`, or zero in the limit of large gains.
     """
-    cross = 0.5 * (D @ G + _T(J_hat) * kp - _T(J) * weights)
+    cross = 0.5 * (D @ G + J_hat.mT * kp - J.mT * weights)
     return _blocks(D - N, cross, stiffness_block(J_hat, G, kp))
 
 
 def stiffness_block(J_hat: Array, G: Array, kp: Array) -> Array:
     """sym(K_p Ĵ G), the block of Q that belongs to s(e); αK_p in eq. (13). Shape (…, m, m)."""
     block = kp[:, None] * (J_hat @ G)
-    return 0.5 * (block + _T(block))
+    return 0.5 * (block + block.mT)
 
 
 def potential_matrix(M: Array, G: Array, weights: Array, c_bar: float) -> Array:
@@ -100,14 +99,5 @@ def potential_matrix(M: Array, G: Array, weights: Array, c_bar: float) -> Array:
 
 def _blocks(upper: Array, cross: Array, lower: Array) -> Array:
     """[[upper, cross], [crossᵀ, lower]] for each configuration."""
-    n, m = cross.shape[-2:]
-    joined = np.empty((*cross.shape[:-2], n + m, n + m))
-    joined[..., :n, :n] = upper
-    joined[..., :n, n:] = cross
-    joined[..., n:, :n] = _T(cross)
-    joined[..., n:, n:] = lower
-    return joined
-
-
-def _T(A: Array) -> Array:
-    return np.swapaxes(A, -1, -2)
+    lower = np.broadcast_to(lower, (*cross.shape[:-2], *lower.shape[-2:]))
+    return np.block([[upper, cross], [cross.mT, lower]])

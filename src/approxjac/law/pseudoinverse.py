@@ -96,16 +96,3 @@ def _surely_regular(bound: float, trace: float, singular_ratio: float, scale: fl
     other two is at most (trace/2)². The largest eigenvalue is at least a third of the trace.
     """
     return bound > singular_ratio**2 * trace * trace * trace and trace > 3.0 * scale * scale
-
-
-def extreme_singular_values(J: Array) -> tuple[float, float]:
-    """Smallest and largest singular value of J, shape (m, n_v) with m ≤ n_v."""
-    squares = np.linalg.eigvalsh(J @ J.T)
-    return math.sqrt(max(float(squares[0]), 0.0)), math.sqrt(float(squares[-1]))
-
-
-def right_pinv_dot(J: Array, J_dot: Array) -> Array:
-    """d/dt of `right_pinv`: (I − J⁺J) J̇ᵀ (J Jᵀ)⁻¹ − J⁺ J̇ J⁺, shape (n_v, m), with J̇ (m, n_v)."""
-    J_pinv = right_pinv(J)
-    tail = np.linalg.solve(J @ J.T, J_dot).T  # J̇ᵀ (J Jᵀ)⁻¹
-    return tail - J_pinv @ (J @ tail) - J_pinv @ (J_dot @ J_pinv)

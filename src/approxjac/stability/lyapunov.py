@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from approxjac import law
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
@@ -73,8 +75,8 @@ def lyapunov(
     e = sensor.error(sensor.value(q), target)
     s = controller.saturation.s(e)
     J_e, J_hat = sensor._error_jacobian(e, sensor._sensor_jacobian(q)), task.jacobian(q)
-    sigma_min, sigma_max = law.extreme_singular_values(J_hat)
-    if sigma_min <= 1e-7 * sigma_max:
+    sizes = np.linalg.svd(J_hat, compute_uv=False)
+    if sizes[-1] <= 1e-7 * sizes[0]:
         raise InvalidInputError(
             "q must not be a singular configuration of the believed robot, where Ĵ⁺ does not "
             f"exist, got {q.tolist()}",
@@ -96,7 +98,7 @@ def lyapunov(
         theta = as_array("theta", theta, learning.theta0.shape)
         V += law.parameter_potential(theta - controller.learnt(state), learning.L)
     s_dot = controller.saturation.ds(e) * (J_e @ v)
-    J_hat_pinv_dot = law.right_pinv_dot(J_hat, task.jacobian_dot(q, v))
+    _, (J_hat_pinv_dot,) = law.cross_weight_pinv(J_hat, task.jacobian_dot(q, v)[None])
     M_dot, C, B = dynamics.M_dot(q, v), dynamics.coriolis(q, v), plant.friction + damping
     W = law.W(v, s, s_dot, J_e, J_hat, J_hat_pinv, J_hat_pinv_dot, M, M_dot, C, B, kp, kv, alpha)
     return LyapunovValue(V, W)

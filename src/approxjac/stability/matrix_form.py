@@ -120,10 +120,10 @@ class MatrixForm:
         n = self._D.shape[-1]
         positive = np.linalg.eigvalsh(Y[:, n:, n:])[:, 0] > 0.0
         factor = np.linalg.inv(np.linalg.cholesky(Y[positive]))
-        decrease = np.linalg.eigvalsh(factor @ Q[positive] @ np.swapaxes(factor, -1, -2))[:, 0]
+        decrease = np.linalg.eigvalsh(factor @ Q[positive] @ factor.mT)[:, 0]
         # of P the margin is 1 less the largest singular value of the whitened cross block
         cross, M = P[positive, :n, n:], self.samples.M[positive]
-        square = np.swapaxes(cross, -1, -2) @ np.linalg.solve(M, cross)
+        square = cross.mT @ np.linalg.solve(M, cross)
         roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
         size = np.linalg.eigvalsh(square / np.outer(roots, roots))[:, -1]
         margins[positive] = np.minimum(decrease, 1.0 - np.sqrt(np.maximum(size, 0.0)))
@@ -219,12 +219,11 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
     for _ in range(_ROUNDS):
         # eigenvectors in the metric of the best point, where Y is positive
         factor = np.linalg.inv(np.linalg.cholesky(Y0 + np.tensordot(best, Y1, 1)))
-        factor_T = np.swapaxes(factor, -1, -2)
         violated = X0 + np.tensordot(y, X1, 1) - mu * (Y0 + np.tensordot(y, Y1, 1))
-        values, vectors = np.linalg.eigh(factor @ violated @ factor_T)
+        values, vectors = np.linalg.eigh(factor @ violated @ factor.mT)
         which = np.unravel_index(np.argsort(values[..., 0], axis=None)[:_CUTS], values.shape[:2])
         for column in range(2):
-            v = (factor_T[which] @ vectors[which][..., column, None])[..., 0]
+            v = (factor.mT[which] @ vectors[which][..., column, None])[..., 0]
             cuts_X = np.concatenate([cuts_X, _along(v, X0, X1, which)])
             cuts_Y = np.concatenate([cuts_Y, _along(v, Y0, Y1, which)])
         bound = cuts_X - mu * cuts_Y

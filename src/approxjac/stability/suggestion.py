@@ -130,7 +130,7 @@ def suggest_gains(
 
     def demands(gains: Gains) -> Candidate:
         own = loop.with_gains(gains)
-        pull = np.swapaxes(samples.J_hat, -1, -2) @ (own.setting.kp * samples.s)[..., None]
+        pull = samples.J_hat.mT @ (own.setting.kp * samples.s)[..., None]
         ratio = float((np.abs(weight - pull[..., 0]) / limits).max())
         slowest = local_test(own, *targets, Timing(dt)).decay_rates.min()
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
