@@ -19,10 +19,7 @@ from approxjac.validation import Array, as_number
 
 
 class _Outcome(enum.IntEnum):
-    """An outcome with a name and a message: a sentence a person can act on.
-
-    They are numbered in their order, which files of runs rely on.
-    """
+    """An outcome with a name and a message; files of runs rely on the order, its number."""
 
     message: str
 

@@ -117,14 +117,6 @@ def as_diagonal(
     name: str, value: Any, size: int, *, unit: str = "", positive: bool = True
 ) -> Array:
     """Return a diagonal given as a scalar or a vector as a read-only vector of `size`."""
-    if (
-        type(value) is float
-        and (value > 0.0 or (value == 0.0 and not positive))
-        and (value <= _LARGEST)
-    ):
-        array = np.full(max(size, 1), value)  # the quick way
-        array.flags.writeable = False
-        return array
     if len(shape_of(value)) == 2:
         raise InvalidInputError(
             f"{name} must be a number or the diagonal of a matrix, one number an entry, got shape "

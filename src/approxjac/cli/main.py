@@ -54,9 +54,9 @@ def _run(arguments: list[str]) -> int:
     """Read the arguments, with all text of the chosen command and a line of each other one."""
     chosen = arguments[0] if arguments else ""
     app = tyro.extras.SubcommandApp()
+    scenario = None
     if chosen in options.SHORT:
-        arguments = options.spelled_out(arguments)
-    scenario, arguments = options.from_file(arguments)
+        scenario, arguments = options.from_file(arguments)
     for name, command in _COMMANDS.items():
         line = str(command.__doc__).split("\n")[0]
         taking = options.with_options(command, scenario) if name in options.SHORT else command

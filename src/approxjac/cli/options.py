@@ -57,20 +57,14 @@ SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COM
 """Command → short option → the key that it stands for; a report's errors are ranges."""
 
 
-def spelled_out(words: list[str]) -> list[str]:
-    """Return a command's words with --no-limits as what it stands for."""
-    return [part for word in words for part in _FLAGS.get(word, [word])]
-
-
 def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:
-    """Return the scenario of the file among a command's words, and the words with its robot."""
+    """Return the scenario of the file among a command's words, and the words with its robot.
+
+    In these --no-limits is what it stands for.
+    """
+    words = [part for word in words for part in _FLAGS.get(word, [word])]
     for i, word in enumerate(words):
-        if (
-            word[0] != "-"
-            and word.endswith(".toml")
-            and words[0] in SHORT
-            and words[i - 1] != "--save"
-        ):
+        if word.endswith(".toml") and word[0] != "-" and words[i - 1] != "--save":
             scenario = Scenario.load(word)
             if any(other.startswith(("--target", "--run.target")) for other in words):  # not both
                 scenario = scenario.with_values({"run": {"target": Goal()}})

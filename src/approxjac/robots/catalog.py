@@ -8,17 +8,11 @@ from typing import NamedTuple
 
 
 class NamedRobot(NamedTuple):
-    """A robot that loads by name.
+    """A robot that loads by name."""
 
-    Attributes:
-        path: URDF, relative to our `urdf/` folder or to example-robot-data's `robots/`.
-        tip: Suggested end-effector frame.
-        base: Link that the arm starts from where it is part of a larger robot; the root if None.
-    """
-
-    path: str
-    tip: str
-    base: str | None = None
+    path: str  # of its URDF, in our `urdf/` folder or in example-robot-data's `robots/`
+    tip: str  # suggested end-effector frame
+    base: str | None = None  # link that the arm starts from if it is part of a larger robot
 
 
 NAMED: Mapping[str, NamedRobot] = {

@@ -180,11 +180,7 @@ def _anywhere(robot: Robot, rng: np.random.Generator) -> list[Array]:
 
 
 def _independent_columns(A: Array) -> tuple[list[int], Array]:
-    """Keep each column of A that does not depend on those before it.
-
-    Returns:
-        The kept column indices, and the matrix G with A θ = A[:, kept] (G θ) for all θ.
-    """
+    """Return the columns of A that do not depend on those before, and G with A = A[:, kept] G."""
     scale = np.linalg.norm(A, axis=0)
     some = np.nonzero(scale > _RANK_TOLERANCE * scale.max(initial=0.0))[0]
     # on the diagonal is what of a column no combination of those before it makes

@@ -18,11 +18,7 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
-    """Return the file that a URDF means by a mesh name, or None where there is none.
-
-    `package://` is looked up in the folders above the URDF, in ROS_PACKAGE_PATH and in the
-    share folder of example-robot-data; other names are relative to the URDF.
-    """
+    """Return the file that a URDF means by a mesh name, as ROS finds packages, or None."""
     if filename.startswith("package://"):
         relative = filename.removeprefix("package://")
         roots = [urdf_dir, *urdf_dir.parents] if urdf_dir is not None else []
@@ -36,19 +32,12 @@ def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
 
 
 def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
-    """Make a URDF open alike in Pinocchio, MuJoCo, MeshCat and yourdfpy.
+    """Make a URDF open alike in Pinocchio, MuJoCo, MeshCat and yourdfpy, to be written to `path`.
 
-    Mesh files that are found are named by their full path. Collision meshes that MuJoCo cannot
-    read are converted to STL, into the folder `{name}_meshes` beside the file. MuJoCo is asked to
-    keep links on fixed joints as bodies (it merges them otherwise, and the tip frame is lost) and
-    not to invent a mass for shapes of links that have none, unless the URDF already speaks to
-    MuJoCo. Of links that do not move, inertias that no body can have, which MuJoCo refuses, are
-    written as zero; they act on nothing.
-
-    Args:
-        urdf: The copy to change.
-        urdf_dir: Folder that mesh names are relative to.
-        path: File that will be written.
+    Mesh files that are found are named by their full path; collision meshes that MuJoCo cannot
+    read are converted to STL, into the folder `{name}_meshes` beside the file. Unless the URDF
+    already speaks to MuJoCo, it is asked to keep links on fixed joints as bodies (it merges them
+    otherwise, and the tip frame is lost) and not to invent a mass for shapes of links without one.
     """
     root, folder = urdf.root, path.with_name(f"{path.stem}_meshes")
     converted: dict[Path, Path] = {}
@@ -69,6 +58,7 @@ def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
         carrier = carriers.get(link)
         return carrier is not None and (carrier.type != "fixed" or moves(carrier.parent))
 
+    # MuJoCo refuses inertias that no body can have also where they act on nothing
     for inertia in root.iterfind("link/inertial/inertia"):
         if not _possible(inertia) and not moves(inertia.getparent().getparent().get("name")):
             inertia.attrib.update(dict.fromkeys(_MOMENTS, "0"))

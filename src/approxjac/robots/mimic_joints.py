@@ -22,18 +22,12 @@ class MimicJoints(NamedTuple):
     a word. They are run on `model`, in which every joint moves on its own, and brought back with
     v_all = G v, which is constant. Where nothing is coupled, `model` is the robot's own model and
     every method returns what it is given.
-
-    Attributes:
-        model: Pinocchio model in which mimic joints move on their own.
-        G: v_all = G v, shape (n_all, n_v), or None where nothing is coupled.
-        A: As above, shape (nq_all, nq).
-        b: As above, shape (nq_all,).
     """
 
     model: pin.Model
-    G: Array | None = None
-    A: Array | None = None
-    b: Array | None = None
+    G: Array | None = None  # (n_all, n_v), None where nothing is coupled
+    A: Array | None = None  # (nq_all, nq)
+    b: Array | None = None  # (nq_all,)
 
     def q(self, q: Array) -> Array:
         """Configuration of all joints, shape (nq_all,)."""

@@ -61,10 +61,7 @@ def _is_lower(n: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
 
 
 def outward_axis(model: pin.Model, frame: int) -> str:
-    """Return the axis of a frame, "-z", …, along which the last three joints before it lead to it.
-
-    With every joint at zero; z where the frame is in their place.
-    """
+    """Return the axis of a frame, "-z", …, along which the last three joints at zero lead to it."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     joints = list(model.supports[model.frames[frame].parentJoint])[1:] or [0]

@@ -108,10 +108,7 @@ def _again(perturbation: Perturbation, values: tuple[Any, ...], gravity: Array) 
 
 
 class _Parts:
-    """The parts of a Pinocchio model that depend on the object and on the origins of joints.
-
-    The model is that without perturbations; n is the object's axis, shape (3,), None without one.
-    """
+    """What in a model depends on the object, along n (3,) or None, and on the origins of joints."""
 
     def __init__(self, model: pin.Model, joints: Sequence[str], n: Array | None) -> None:
         frames = list(model.frames)

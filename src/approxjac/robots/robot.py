@@ -130,13 +130,10 @@ class Robot(Immutable):
 
         Infinite where none is known: continuous joints, and limits of zero width.
         """
-        lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
-        for joint in self._joints.values():
-            low = float(self.model.lowerPositionLimit[joint.idx_q])
-            high = float(self.model.upperPositionLimit[joint.idx_q])
-            if joint.nq == 1 and low < high:
-                lower[joint.idx_v], upper[joint.idx_v] = low, high
-        return lower, upper
+        at = [joint.idx_q for joint in self._joints.values()]
+        low, high = self.model.lowerPositionLimit[at], self.model.upperPositionLimit[at]
+        known = np.array([joint.nq == 1 for joint in self._joints.values()]) & (low < high)
+        return np.where(known, low, -np.inf), np.where(known, high, np.inf)
 
     def neutral(self) -> Array:
         """Configuration with every joint at zero, shape (nq,)."""

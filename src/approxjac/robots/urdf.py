@@ -23,20 +23,15 @@ Follows = tuple[str, float, float]
 
 
 class UrdfJoint(NamedTuple):
-    """A <joint>.
-
-    Attributes:
-        axis: Axis in the child's frame, shape (3,), of any length.
-        limits: Lower and upper limit [rad or m]; 0 where none is given.
-    """
+    """A <joint>."""
 
     element: Any
     name: str
     type: str
     parent: str
     child: str
-    axis: Array
-    limits: tuple[float, float]
+    axis: Array  # in the child's frame, shape (3,), of any length
+    limits: tuple[float, float]  # [rad or m]; 0 where none is given
 
     @property
     def origin(self) -> pin.SE3:
@@ -124,10 +119,7 @@ class Urdf:
 
 
 def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
-    """Return the joint at the end of a chain of followers, and the multiplier and offset to it.
-
-    Itself, 1 and 0 if it follows no other; one of them where joints follow each other.
-    """
+    """Return the joint at the end of a chain of followers, with the multiplier and offset to it."""
     multiplier, offset = 1.0, 0.0
     for _ in following:
         if joint not in following:
@@ -166,10 +158,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def _floats(text: str | None) -> list[float]:
-    """Return the numbers in a text, none if it holds anything else.
-
-    Stricter than Python: of what urdfdom cannot read, it drops the whole element without an error.
-    """
+    """Return the numbers in a text; none where urdfdom would drop the element without an error."""
     words = (text or "").split()
     if len(words) == 1:
         words = [text or ""]  # blanks around a single number are among what it cannot read

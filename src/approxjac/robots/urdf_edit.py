@@ -77,8 +77,7 @@ def rotation_onto(axis: Array) -> Array:
 def object_moments(length: float, mass: float, radius: float) -> tuple[float, float]:
     """Return moments of inertia of a uniform cylinder, across its axis and along it [kg m²].
 
-    A thin rod (radius 0) has m l²/12 across it; along it, where MuJoCo refuses 0, it has the
-    inertia of the cylinder it is drawn as.
+    Of a thin rod (radius 0) along it that of the cylinder it is drawn as: MuJoCo refuses 0.
     """
     across = mass * (3.0 * radius**2 + length**2) / 12.0
     return across, 0.5 * mass * _drawn_radius(length, radius) ** 2
@@ -89,9 +88,8 @@ def with_object(
 ) -> Urdf:
     """Return a URDF with a uniform cylinder from the origin of `parent` along `axis`, and its tip.
 
-    Both new links keep the orientation of `parent`, so that a length of 0 puts the tip frame
-    exactly onto it. A massless object has no <inertial>, one without length no geometry
-    (other tools refuse cylinders of length 0), neither to see nor to touch.
+    Both new links keep the orientation of `parent`. A massless object has no <inertial>, one
+    without length no geometry, as other tools refuse cylinders of length 0.
     """
     middle = pin.SE3(rotation_onto(axis), 0.5 * length * axis)
     link = E.link(name=name)
@@ -131,10 +129,7 @@ def with_moved_origins(urdf: Urdf, errors: Mapping[str, tuple[Array, Array]]) ->
 
 
 def with_locked_joints(urdf: Urdf, positions: Mapping[str, float]) -> Urdf:
-    """Return a URDF with joints fixed at positions [rad or m], and those that mimic them.
-
-    A mimic joint that is named itself is fixed where this says.
-    """
+    """Return a URDF with joints fixed at positions [rad or m], and those that mimic them."""
     locked = dict(positions)
     moving = {joint.name for joint in urdf.joints.values() if joint.type != "fixed"}
     following = {joint: follows for joint, follows in urdf.followers.items() if joint in moving}

@@ -240,10 +240,7 @@ def _target(
 
 
 def gravity_from(truth: Robot, belief: Robot, kind: str, integral: str | None = None) -> Gravity:
-    """Return the gravity of a controller: "learnt", "exact", "believed" or "none".
-
-    With `integral` "learnt" it learns a task force and joint torques, too, with "none" it does not.
-    """
+    """Return the gravity of a controller by its kind; `integral` says if it learns forces, too."""
     if kind == "learnt":
         nothing = 0.0 if integral == "none" else None
         return AdaptiveGravity(belief, task_force=nothing, joint_torque=nothing)

@@ -186,10 +186,8 @@ def _reach(robot: Robot) -> float:
 
 
 def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
-    """Return σ_min/σ_max of J above which a configuration is not near singular.
-
-    Of several points it is small everywhere: what counts is how small it usually is.
-    """
+    """Return σ_min/σ_max of J above which a configuration of such images is not near singular."""
+    # of several points it is small everywhere: what counts is how small it usually is
     values = [np.linalg.svd(s.jacobian(q, s.value(q)), compute_uv=False) for s, q in usual]
     ratio = float(np.median([each[-1] / each[0] for each in values]))
     if not ratio > _SINGULAR:
@@ -222,7 +220,7 @@ def _images(sensor: ImageTask, q: Array) -> Array:
 
 
 def _given_start(sensor: ImageTask, scenario: Scenario) -> Array | None:
-    """Return the given start; None if there is none."""
+    """Return the given start, in which the camera has to see all points; None if there is none."""
     if not isinstance(scenario.run.start, tuple):
         return None
     q0 = configuration_of(sensor.robot, "run.start", scenario.run.start)

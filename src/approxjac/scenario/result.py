@@ -197,10 +197,7 @@ class Result:
         return "moves on without approaching: too short a run, or not stable with these errors"
 
     def _learns(self, last: slice) -> bool:
-        """Return whether more than 1 % of what lacks at the end was learnt in the last quarter.
-
-        At rest what lacks is the torque of the position force.
-        """
+        """Return whether 1 % of the position force at the end was learnt in the last quarter."""
         run, law, q = self.run, self.built.law, self.run.q[-1]
         if law.adaptation is None or law_of(self.built.controller) is not law:
             return False

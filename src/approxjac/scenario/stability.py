@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
 
@@ -40,34 +40,18 @@ from approxjac.tasks import Camera, CombinedTask, ImageTask, Task
 from approxjac.tasks.analysis import features
 from approxjac.validation import Array
 
-_RANGES = (
-    "object_length", "object_mass", "joint_shifts", "joint_rotations", "focal_length", "distance",
-    "roll",
-)  # fmt: skip
-
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
 class StabilityResult:
-    """The tests of a loop, and what follows.
-
-    Attributes:
-        scenario: The scenario.
-        report: The four tests.
-        tolerances: Largest scale of the errors for each test; nothing if none are given.
-        raised_damping: Factor of the damping with which all errors are certified; None if they are
-            already, or with none that was tried.
-        certified_part: The errors, scaled down, that are certified as it is; None if all are, or
-            none that were tried.
-        map: The stability map, or None.
-    """
+    """The tests of a loop, and what follows; None of what was not needed, or not found."""
 
     scenario: Scenario
     report: StabilityReport
-    tolerances: dict[Test, Tolerance] = field(default_factory=dict)
-    raised_damping: float | None = None
-    certified_part: Uncertainty | None = None
+    tolerances: dict[Test, Tolerance] = field(default_factory=dict)  # scales of the errors
+    raised_damping: float | None = None  # its factor with which all errors are certified
+    certified_part: Uncertainty | None = None  # the errors, scaled down, certified as it is
     map: StabilityMap | None = None
 
 
@@ -102,14 +86,10 @@ def analyse(
     progress: Progress | None = None,
     found: Callable[[StabilityReport], None] = lambda report: None,
 ) -> StabilityResult:
-    """Return the tests of a loop, the errors that they tolerate, and the map.
+    """Return the tests of a loop that `prepare` made, the errors that they tolerate, and the map.
 
-    Args:
-        scenario: The scenario.
-        loop: Its loop, from `prepare`.
-        executor: Shares the rollouts; this process by default.
-        progress: Called with the name of a part of the work and the share of it that is done.
-        found: Called with the report of the tests, long before the rest is known.
+    The executor shares the rollouts; `progress` gets the name of a part of the work and the share
+    of it that is done, `found` the report of the tests, long before the rest is known.
     """
     analysis, tell = scenario.stability, progress or (lambda what, share: None)
     controller, uncertainty = loop.controller, uncertainty_of(loop)
@@ -144,7 +124,8 @@ def analyse(
 
 def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
     """Return what may be true: the ranges of errors, or the true robot where none are given."""
-    given = {name: getattr(analysis, name) for name in _RANGES}
+    ranges = [each.name for each in fields(Uncertainty) if hasattr(analysis, each.name)]
+    given = {name: getattr(analysis, name) for name in ranges}
     friction, believed = built.scenario.true.friction, built.scenario.believed
     sensor, task = built.plant.sensor, built.law.task
     C = task.C if isinstance(task, CombinedTask) else None  # errors are compared, so alike

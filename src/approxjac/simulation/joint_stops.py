@@ -25,26 +25,15 @@ class JointStops:
     k is that of 200 rad/s with the usual inertia of the joint, 1/mean (M⁻¹)_ii, or stiffer where
     its motor could press the joint further than 0.01 rad or m beyond the limit; d = 2k / 200 rad/s.
     So a joint that runs into its stop at v sinks in by about v/(e·200 rad/s), 2 mrad at 1 rad/s.
-
-    Args:
-        robot: The true robot.
     """
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-
-    @cached_property
-    def _limits(self) -> tuple[Array, Array]:
-        return self._robot.position_limits
-
-    @cached_property
-    def _ends(self) -> tuple[tuple[float, float], ...]:
-        """Limits of each coordinate of q, infinite of continuous joints."""
-        model = self._robot.model
-        ends = [(-math.inf, math.inf)] * self._robot.nq
-        for name, low, high in zip(self._robot.joint_names, *self._limits, strict=True):
-            ends[model.joints[model.getJointId(name)].idx_q] = float(low), float(high)
-        return tuple(ends)
+        self._robot, self._limits = robot, robot.position_limits
+        # of each coordinate of q, infinite of continuous joints
+        self._ends = [(-math.inf, math.inf)] * robot.nq
+        for name, low, high in zip(robot.joint_names, *self._limits, strict=True):
+            joint = robot.model.joints[robot.model.getJointId(name)]
+            self._ends[joint.idx_q] = float(low), float(high)
 
     @cached_property
     def stiffness(self) -> Array:
@@ -81,16 +70,11 @@ class JointStops:
         return np.where(depth > 0.0, -side * np.maximum(push, 0.0), 0.0)
 
     def held_torque(self, q: Array, v: Array, M_inv: Array, dt: float) -> Array:
-        """Return the torque that stops hold over a step of semi-implicit Euler, shape (n_v,).
+        """Return the torque (n_v,) that stops hold over a step dt [s] of semi-implicit Euler.
 
         Of p with δ and δ̇ at the end of the step (implicit Euler), so that what is said of the
-        energy holds for a step of any length, with any stiffness.
-
-        Args:
-            q: Configuration at the start of the step, shape (nq,).
-            v: Velocity at its end if there were no stops, shape (n_v,).
-            M_inv: M(q)⁻¹, shape (n_v, n_v).
-            dt: Its length [s].
+        energy holds for a step of any length, with any stiffness. v is that at the end of the step
+        if there were no stops.
         """
         depth, side = self.depth(q)
         v = side * v  # outwards
@@ -112,10 +96,7 @@ class JointStops:
 
 
 def _complementary(A: Array, b: Array) -> Array:
-    """Return p ≥ 0 with Ap ≥ b, entry by entry one of them an equality; A is positive definite.
-
-    By Murty's least-index pivoting, which ends for every such A.
-    """
+    """Return p ≥ 0 with Ap ≥ b, one of them an equality in each entry, by Murty's pivoting."""
     held = np.zeros(len(b), dtype=bool)
     rounding = 1e-12 * np.abs(b).max()
     while True:

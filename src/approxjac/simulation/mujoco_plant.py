@@ -84,10 +84,7 @@ class MujocoPlant(Plant):
         self._places = np.array([joint.dofadr[0] for joint in joints])
 
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """Return q̈ by MuJoCo, with the forces of limits and floor, shape (n_v,).
-
-        The same inputs give the same bits, whatever was asked before.
-        """
+        """Return q̈ by MuJoCo (n_v,), the same bits whatever was asked before."""
         data, places = self._mujoco_data, self._places
         data.qpos[places] = pin.difference(self.robot.model, self._neutral, q)
         data.qvel[places] = v

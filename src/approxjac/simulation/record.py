@@ -24,12 +24,7 @@ _RECORDED = (
 
 
 class Record:
-    """Collects instants of a run of a plant, and makes a `Trajectory` of them.
-
-    Args:
-        plant: The plant that runs.
-        capacity: Number of instants that there will be at most, ≥ 1.
-    """
+    """Collects instants of a run, `capacity` at most, and makes a `Trajectory` of them."""
 
     def __init__(self, plant: Plant, capacity: int) -> None:
         self._plant = plant

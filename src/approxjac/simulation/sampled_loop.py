@@ -210,10 +210,7 @@ def first_state(
     measurement: Measurement,
     dt: float,
 ) -> Array:
-    """Return the initial state of a controller, after one step whose answer is looked at.
-
-    Wrong arguments and a wrong controller show here, and not as a divergence.
-    """
+    """Return the initial state of a controller, after a step in which it is seen to be one."""
     state = controller.initial_state(measurement)
     state = as_array("the controller's initial_state", state, (np.size(state),))
     stepped = controller.step(state, measurement, wanted, dt)

@@ -30,20 +30,14 @@ _KINDS: Mapping[str, Any] = {
 class Scene:
     """The true and the believed robot of a run, and what each of them takes x for.
 
-    Attributes:
-        truth: The true robot.
-        belief: The robot that the controller believes; None for one that tells none.
-        sensor: The task that is measured on the true robot; None if it is of a kind that a file
-            cannot hold.
-        task: The controller's task of the believed robot; None as above.
-        torque_limits: What the motors deliver, shape (n_v,) [N m or N]; infinite where unknown.
+    None stands for what a controller does not tell, and for tasks that a file cannot hold.
     """
 
     truth: Robot
     belief: Robot | None
-    sensor: Task | None
-    task: Task | None
-    torque_limits: Array
+    sensor: Task | None  # the task that is measured on the true robot
+    task: Task | None  # the controller's, of the believed robot
+    torque_limits: Array  # of the motors, shape (n_v,) [N m or N]; infinite where unknown
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a file holds of it: texts, numbers, lists and dictionaries."""

@@ -85,10 +85,7 @@ class Sensing:
 
     @property
     def is_linear(self) -> bool:
-        """Return whether it only delays x and filters q̇: nothing random, rounded or repeated.
-
-        An `x_rate` repeats frames, even where it is that of control: this does not know dt.
-        """
+        """Return whether it only delays x and filters q̇: nothing random, rounded or repeated."""
         if self.x_rate is not None or self.x_lost or self.x_frozen:
             return False
         others = (self.x_noise, self.x_quantum, self.x_dropout, self.q_noise, self.q_quantum)
@@ -96,14 +93,7 @@ class Sensing:
 
 
 class SensorReadings:
-    """The readings of one run, sample by sample; the same seed gives the same ones.
-
-    Args:
-        sensing: The imperfections.
-        task: The task that is measured.
-        dt: Sampling time of control [s].
-        seed: Of the noise and the dropouts.
-    """
+    """The readings of one run, sample by sample; the same seed gives the same ones."""
 
     def __init__(self, sensing: Sensing, task: Task, dt: float, seed: int) -> None:
         m, nv = task.m, task.robot.nv

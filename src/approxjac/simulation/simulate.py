@@ -160,14 +160,11 @@ def _continuous(
     atol: float,
     progress: Progress | None,
 ) -> Trajectory:
-    """Integrate (q, v, controller state) together, and record on a grid.
-
-    Every joint has one degree of freedom, so the motion since the start, ξ with ξ̇ = q̇, is a
-    coordinate of the whole configuration space, continuous joints included.
-    """
+    """Integrate (q, v, controller state) together, and record on a grid."""
     from scipy.integrate import LSODA
 
     model, n = plant.robot.model, plant.robot.nv
+    # the motion since the start, ξ with ξ̇ = q̇, is a coordinate of continuous joints, too
 
     def flow(t: float, z: Array) -> Array:
         v = z[n : 2 * n]

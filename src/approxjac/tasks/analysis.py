@@ -71,10 +71,7 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
 
 
 def vanishing(task: Task) -> float:
-    """Return a tenth of the median σ_max of Ĵ over 20 seeded configurations [unit of the task/rad].
-
-    Below it, a Jacobian is vanishing.
-    """
+    """Return σ_max [unit of the task/rad] below which Ĵ vanishes: a tenth of what it usually is."""
     largest = [np.linalg.norm(task.jacobian(q), 2) for q in seen_configurations(task, 20)]
     return 0.1 * float(np.median(largest))
 

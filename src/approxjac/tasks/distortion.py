@@ -19,10 +19,7 @@ class RadialDistortion:
     """The radial distortion of a lens, which shows a ray p at p (1 + k₁ρ + k₂ρ² + k₃ρ³), ρ = ‖p‖².
 
     p = (X/Z, Y/Z) is the ray in the camera's axes. Of OpenCV's five coefficients
-    (k₁, k₂, p₁, p₂, k₃) these are the radial ones.
-
-    Args:
-        coefficients: (k₁, k₂, k₃), or fewer of them, or none.
+    (k₁, k₂, p₁, p₂, k₃) these are the radial ones; those that are not given are 0.
     """
 
     def __init__(self, coefficients: Sequence[float]) -> None:

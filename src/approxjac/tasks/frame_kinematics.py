@@ -112,15 +112,9 @@ class FrameKinematics:
 
 
 class PointKinematics:
-    """Points of one frame as seen from another one; None is the world.
+    """Points (k, 3) [m] of one frame as seen from another one, the mount; None is the world.
 
     Owns scratch memory: one instance a thread.
-
-    Args:
-        robot: The robot, true or believed.
-        points: Positions in the frame that they are fixed to, shape (k, 3) [m].
-        frame: That frame.
-        mount: The frame that they are seen from.
     """
 
     def __init__(self, robot: Robot, points: Array, frame: str | None, mount: str | None) -> None:
@@ -142,13 +136,7 @@ class PointKinematics:
         return p
 
     def jacobians(self, q: Array, at: Array | None = None) -> tuple[Array, Array]:
-        """Return r (k, 3) and ∂r/∂q (k, 3, n_v).
-
-        Args:
-            q: Configuration, shape (nq,).
-            at: Where to take the points as seen from the mount, shape (k, 3) [m]; rows that are
-                NaN, and all by default, where the frame has them.
-        """
+        """Return r (k, 3), or `at` where that is finite, and ∂r/∂q there (k, 3, n_v)."""
         p, moved = self._in_world(q)
         if self._mount is None:
             return _chosen(p, at), moved

@@ -179,10 +179,7 @@ class ImageTask(Task):
         return x.reshape(-1, self._stride)[:, :2]
 
     def _located(self, q: Array, x: Array | None) -> Array:
-        """Return the points (k, 3) by their measured images, or by those that this robot would see.
-
-        NaN where an image is lost that it would not see either.
-        """
+        """Return points (k, 3) on the rays of their images, or of expected ones; or NaN."""
         if x is None:
             x = self.value(q)
         elif not math.isfinite(math.hypot(*x.tolist())):

@@ -294,10 +294,7 @@ class PinholeCamera(Camera):
         return f"PinholeCamera({', '.join(shown)})"
 
     def _border(self) -> list[Array]:
-        """Return the corners of the image, and with a lens points along its edges [px].
-
-        Rays may reach farthest anywhere on an edge, mostly where it is nearest to the axis.
-        """
+        """Return points of the edges [px], among them those whose rays reach farthest."""
         count = _ON_AN_EDGE if any(self.distortion) else 2
         (left, right), (top, bottom) = ends = [(-0.5, n - 0.5) for n in self.size]
         along = [

@@ -19,21 +19,13 @@ _DIFFERENCE = 1e-5  # of q, either way, from which a rate is taken [rad or m]
 
 
 class Feature(NamedTuple):
-    """The origin of a frame that an elementary task follows, or points that a camera sees.
+    """The origin of a frame that an elementary task follows, or points that a camera sees."""
 
-    Attributes:
-        entries: Where its values are in x.
-        frame: Frame that is followed, or that the points are fixed to; None is the world.
-        axes: World axes of the position that x gives, such as "xyz"; none of an image.
-        camera: What sees it, if anything does.
-        points: Points of the frame, shape (k, 3) [m].
-    """
-
-    entries: slice
-    frame: str | None
-    axes: str = ""
-    camera: Camera | None = None
-    points: Array = np.zeros((1, 3))
+    entries: slice  # where its values are in x
+    frame: str | None  # that is followed, or that the points are fixed to; None is the world
+    axes: str = ""  # world axes of the position that x gives, such as "xyz"; none of an image
+    camera: Camera | None = None  # what sees it, if anything does
+    points: Array = np.zeros((1, 3))  # of the frame, shape (k, 3) [m]
 
 
 class Task(Immutable, Saved, ABC):
@@ -197,10 +189,7 @@ class Task(Immutable, Saved, ABC):
         return x
 
     def _sensor_jacobian(self, q: Array) -> Array:
-        """Return J by which what a sensor measures moves at q (nq,), shape (m, n_v).
-
-        For analysis of the true robot: `jacobian`, less whatever a controller is to assume in it.
-        """
+        """Return `jacobian` without what a controller is to assume in it; shape (m, n_v)."""
         return self.jacobian(q)
 
     def _error_jacobian(self, e: Array, J: Array) -> Array:
@@ -209,11 +198,7 @@ class Task(Immutable, Saved, ABC):
 
 
 class WrappedTask(Task):
-    """A task made from another one, whose values, errors, targets and sensor it keeps.
-
-    Attributes:
-        task: The task that this one is made from.
-    """
+    """A task made from another one, whose values, errors, targets and sensor it keeps."""
 
     def __init__(
         self, task: Task, labels: Sequence[str] | None = None, units: Sequence[str] | None = None
