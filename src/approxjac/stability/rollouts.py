@@ -26,6 +26,8 @@ from approxjac.validation import Array, as_integer, as_number, require
 
 _RECORDS = 500  # of a run: 50 in its last tenth
 _CHUNKS = 64  # that runs are handed to an executor in, at most
+_EXECUTOR: Any = (Executor, NoneType)
+_FUNCTION: Any = (Callable, NoneType)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -175,10 +177,8 @@ def rollouts(
     dt = as_number("dt", dt, unit="s", above=0.0)
     require_fit(uncertainty.plant(uncertainty.believed), controller, dt)
     require("region", region, Region, "a Region, such as JointBox(robot)")
-    optional: Any = (Executor, NoneType)
-    require("executor", executor, optional, "an executor of concurrent.futures or None")
-    optional = (Callable, NoneType)
-    require("progress", progress, optional, "a function of the number of runs done")
+    require("executor", executor, _EXECUTOR, "an executor of concurrent.futures or None")
+    require("progress", progress, _FUNCTION, "a function of the number of runs done")
     runs, seed = as_integer("runs", runs, 1), as_integer("seed", seed, 0)
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)

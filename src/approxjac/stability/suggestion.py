@@ -193,17 +193,10 @@ def damping_that_certifies(
     progress: Callable[[float], None] | None = None,
     **options: Any,
 ) -> float | None:
-    """Return the smallest factor of the added damping, of six tried, that a report certifies.
+    """Return the smallest factor of the added damping, of six from 1.5 to 20, that is certified.
 
-    Args:
-        controller: The controller.
-        uncertainty: The errors.
-        region: Where to look; see `stability_report`.
-        progress: Called with the share of the factors that were tried.
-        options: `target`, `configurations` and `seed` of each `stability_report`.
-
-    Returns:
-        The factor, 1.5 to 20; None if none of them does.
+    That is, by a whole `stability_report`, whose are the other arguments and `options` (`target`,
+    `configurations` and `seed`); None if none is. `progress` is called with the share that is done.
 
     Raises:
         InvalidInputError: What `stability_report` refuses.
@@ -227,14 +220,11 @@ def part_that_certifies(
     progress: Callable[[float], None] | None = None,
     **options: Any,
 ) -> Uncertainty | None:
-    """Return the largest part of the errors, of five tried, that a report certifies.
+    """Return the largest part of the errors, of five tried, that a report certifies; or None.
 
     A report asks for more than `tolerance` does: it draws more configurations, and checks on others
     what it chose. `largest` is the scale to begin with, such as what `tolerance` tells; half of it
     is the last tried. The other arguments are those of `damping_that_certifies`.
-
-    Returns:
-        The errors, scaled down; None if no part tried is certified, or `largest` is 0.
     """
     for k, share in enumerate(_SHARES if largest > 0.0 else ()):
         if progress is not None:

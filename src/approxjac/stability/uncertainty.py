@@ -228,10 +228,7 @@ class Uncertainty:
         return self._perturbation.robot(length, mass, *np.array(places).reshape(2, -1, 3))
 
     def plant(self, values: Sequence[float] | Array) -> Plant:
-        """Return the true robot at some values, with its sensor and friction.
-
-        Args:
-            values: Of the uncertain coordinates, shape (d,). They may be outside the box.
+        """Return the true robot at values (d,), with its sensor and friction, in the box or not.
 
         Raises:
             InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.

@@ -72,12 +72,8 @@ def plot_margins(
 ) -> Axes:
     """Draw the margin of each configuration at its tip, the smallest on top, crosses below zero.
 
-    Args:
-        positions: Where the tip is in each configuration, shape (N, 3) [m].
-        margins: Shape (N,).
-        plane: Two world axes, such as "xz".
-        ax: Axes to draw into; new ones by default.
-        title: Of the axes.
+    Tips are at `positions`, shape (N, 3) [m], and drawn in a plane of two world axes; margins are
+    of shape (N,).
     """
     rows = plane_rows(plane)
     top = np.argsort(-margins)

@@ -120,9 +120,7 @@ def styled(
 def legend_below(ax: Axes, columns: int | None = None) -> None:
     """Put the legend under the axes, where it covers no data.
 
-    Args:
-        ax: The axes.
-        columns: Entries side by side; as many as fit under a plot of usual width by default.
+    Entries are in `columns`, by default as many as fit under a plot of usual width.
     """
     labels = ax.get_legend_handles_labels()[1]
     longest = max((len(label) for label in labels), default=1)

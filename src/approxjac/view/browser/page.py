@@ -32,7 +32,7 @@ _MARK = '<meta name="generator" content="approxjac">'
 
 
 def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Path:
-    """Write a run as a page for a web browser: the arm in motion and its plots.
+    """Write a run as a page for a web browser, the arm in motion and its plots; return the path.
 
     The page is one file that needs nothing else, no network either. It shows at most 60 instants a
     second and 1000 in all, the first and the last among them; torques and shares of limits are the
@@ -42,9 +42,6 @@ def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Pa
         run: The run.
         path: File to write.
         title: Of the page; says whose arm it is by default.
-
-    Returns:
-        The path written.
 
     Raises:
         InvalidInputError: A run without `scene`, or a file that cannot be written.
@@ -77,7 +74,7 @@ def show(run: Trajectory, title: str | None = None) -> Path:
 def write_index(
     folder: str | Path, title: str = "Runs to look at", pictures: Mapping[str, str] | None = None
 ) -> Path:
-    """Write index.html with a link to every run page in a folder, in the order of their names.
+    """Write index.html, a link to every run page in a folder by their names; return its path.
 
     A picture of the same name beside a page (run.png beside run.html) is shown with its link.
 
@@ -86,9 +83,6 @@ def write_index(
         title: Of the index.
         pictures: Titles of pictures in the folder that have no page, by the names of their files;
             none by default. They are shown among the pages.
-
-    Returns:
-        The path of the index.
 
     Raises:
         InvalidInputError: A folder without such pages, or that cannot be written to, or a picture
