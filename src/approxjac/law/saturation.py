@@ -103,7 +103,11 @@ class _Bounded:
     _gamma: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        gamma = _checked_gamma(self.gamma)
+        gamma = as_array("gamma", self.gamma, shape_of(self.gamma), "unit of the task")
+        if not (gamma > 0.0).all():
+            raise InvalidInputError(
+                f"gamma must be > 0 [unit of the task], got {gamma.tolist()}", given=self.gamma
+            )
         object.__setattr__(self, "_gamma", gamma)
         object.__setattr__(self, "gamma", gamma if gamma.ndim else float(gamma))
 
@@ -192,13 +196,3 @@ def angle(u: Array) -> Array:
     """The angle u, kept between −π/2 and π/2."""
     clipped: Array = np.minimum(np.maximum(u, _BOTTOM), _TOP)
     return clipped  # np.clip costs five times as much
-
-
-def _checked_gamma(gamma: float | Sequence[float] | Array) -> Array:
-    """Return γ as a read-only array of its own, a scalar or one entry a coordinate."""
-    values = as_array("gamma", gamma, shape_of(gamma), "unit of the task")
-    if not (values > 0.0).all():
-        raise InvalidInputError(
-            f"gamma must be > 0 [unit of the task], got {values.tolist()}", given=gamma
-        )
-    return values
