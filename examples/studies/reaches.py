@@ -129,7 +129,7 @@ class Tally:
     """An observer of what the law asks of the motors, before limits, and of what limits did."""
 
     def __init__(self, built):
-        self.law, self.motors = law_of(built.controller), built.motor_limits
+        self.law, self.motors = law_of(built.controller), built.plant.motor_limits
         self.asked, self.counts, self.said = 0.0, Counter(), Counter()
 
     def __call__(self, loop):

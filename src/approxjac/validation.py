@@ -37,7 +37,10 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
         raise InvalidInputError(
             f"{name} must be numbers of shape {wanted}{suffix}, got {value!r}", given=value
         ) from error
-    if array.shape != shape and not _fits(array.shape, shape):
+    fits = array.ndim == len(shape) and all(
+        n == k or (n and isinstance(k, str)) for n, k in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
         raise InvalidInputError(
             f"{name} must have shape {wanted}{suffix}, got shape {array.shape}", given=value
         )
@@ -45,13 +48,6 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
         raise InvalidInputError(f"{name} must be finite{suffix}, got {array.tolist()}", given=value)
     array.flags.writeable = False
     return array
-
-
-def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
-    return len(shape) == len(wanted) and all(
-        n > 0 if isinstance(length, str) else n == length
-        for n, length in zip(shape, wanted, strict=True)
-    )
 
 
 def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:

@@ -309,7 +309,7 @@ def test_reasons_tell_what_limits_did(limited):
     q = limited.run.q[0].copy()
     q[1] = aj.load_robot("panda").position_limits[1][1]
     torque = np.zeros((n, 7))
-    torque[:, 3] = limited.built.motor_limits[3]
+    torque[:, 3] = limited.built.plant.motor_limits[3]
     reason = final(limited, status.PROOF_GIVEN_UP, q=np.tile(q, (n, 1)), tau=torque)
     at = "the position limits of panda_joint2 and the torque limits of panda_joint4"
     assert reason == f"held back at {at}: {status.PROOF_GIVEN_UP.message}"

@@ -61,33 +61,16 @@ _RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
 
 @dataclass(frozen=True, eq=False)
 class BuiltScenario:
-    """The truth, the controller with its belief, start and target, ready to run.
+    """The truth, the controller with its belief, start and target, ready to run."""
 
-    Attributes:
-        scenario: The scenario that it was built from.
-        plant: The truth; its torque limits are those of the motors.
-        controller: The law, within its limits and with a held measurement where there are any.
-        law: The law itself.
-        q0: Start, shape (nq,).
-        target: x_d, shape (n_x,), or its path.
-        limits: Those that the controller keeps, with an entry for each joint; None of unknown ones.
-        believe: Makes the believed robot from the length that is believed of the object [m].
-    """
-
-    scenario: Scenario
-    plant: Plant
-    controller: Controller
+    scenario: Scenario  # that it was built from
+    plant: Plant  # the truth; its torque limits are those of the motors
+    controller: Controller  # the law, within limits and with a held measurement where they are
     law: SetpointController
-    q0: Array
-    target: Array | TargetPath
-    limits: Limits | None
-    believe: Callable[[float], Robot]
-
-    @property
-    def motor_limits(self) -> Array:
-        """Torques that the true motors deliver, shape (n_v,) [N m or N]."""
-        limits = self.plant.torque_limits
-        return self.plant.robot.effort_limits if limits is None else limits
+    q0: Array  # start, shape (nq,)
+    target: Array | TargetPath  # x_d, shape (n_x,), or its path
+    limits: Limits | None  # that the controller keeps, an entry for each joint
+    believe: Callable[[float], Robot]  # from the believed length of the object [m]
 
     @functools.cached_property
     def warning(self) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.interface import TargetPath
-from approxjac.robots import Robot
 from approxjac.robots.joint_limits import beyond_positions, reach_bound
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.tasks import PoseTask, PositionTask, Task
@@ -43,12 +42,8 @@ def doubts(task: Task, target: Array | TargetPath, q0: Array, duration: float) -
     robot, rng, found = task.robot, np.random.default_rng(0), False
     for start in [q0, *(robot.random_configuration(rng) for _ in range(_STARTS))]:
         q = inverse_kinematics(task, target, start)
-        if q is not None and _within_limits(robot, q):
+        if q is not None and beyond_positions(robot, q[np.newaxis]).max() <= 0.0:
             return ""
         found |= q is not None
     limits = " within its joint limits" if found else ""
     return f"no configuration of the believed arm{limits} was found that reaches the target"
-
-
-def _within_limits(robot: Robot, q: Array) -> bool:
-    return bool(beyond_positions(robot, q[np.newaxis]).max() <= 0.0)

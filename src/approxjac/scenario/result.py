@@ -30,10 +30,6 @@ class Result:
     Of an image in px, noise hides what an error is at one instant: its errors are the distances of
     the points, settled is what stays within three tolerances, and the final error is an RMS. A path
     is followed if the error got and stayed within the tolerance, which is wider.
-
-    Attributes:
-        built: The scenario as it was run.
-        run: The record.
     """
 
     built: BuiltScenario
@@ -80,10 +76,7 @@ class Result:
 
     @property
     def final_error(self) -> dict[str, float]:
-        """Size of the error of each unit at the end.
-
-        Of an image the RMS over the last tenth of the run of the worst coordinate's true error.
-        """
+        """Size of the error of each unit at the end; of an image, RMS of the last tenth's worst."""
         if not self.in_pixels:
             return self.errors_at(-1)
         last = self.run.error[-max(1, len(self.run.t) // 10) :]
@@ -115,7 +108,7 @@ class Result:
     @property
     def peak_torque_ratio(self) -> float:
         """Largest torque asked for, as a share of what its motor delivers; NaN if not known."""
-        return _peak(self.run.tau, self.built.motor_limits)
+        return _peak(self.run.tau, self.built.plant.motor_limits)
 
     @property
     def peak_speed_ratio(self) -> float:
@@ -173,8 +166,8 @@ class Result:
         at_stop = (beyond_positions(self.built.plant.robot, run.q[last]) > 0.0).mean(axis=0) > 0.5
         if stands and at_stop.any():
             return f"stands at the joint stops of {', '.join(np.array(run.joint_names)[at_stop])}"
-        asked = np.abs(run.tau[last]) > self.built.motor_limits * (1.0 + 1e-9)  # solvers round
-        if mostly(asked.any(axis=1)):
+        most = self.built.plant.motor_limits * (1.0 + 1e-9)  # solvers round
+        if mostly((np.abs(run.tau[last]) > most).any(axis=1)):
             return "the law asks for more torque than the motors deliver"
         if mostly(run.limit_status[last] > LimitStatus.FREE):
             return self._held_back()
@@ -208,7 +201,7 @@ class Result:
         """Return what limits did at the end, and which."""
         run = self.run
         beyond = beyond_positions(self.built.plant.robot, run.q[-1:])[0]
-        weak = np.abs(run.tau[-1]) > 0.999 * self.built.motor_limits
+        weak = np.abs(run.tau[-1]) > 0.999 * self.built.plant.motor_limits
         limits = [
             f"the {kind} limits of {', '.join(np.array(run.joint_names)[there])}"
             for kind, there in (("position", beyond > -_AT_LIMIT), ("torque", weak))

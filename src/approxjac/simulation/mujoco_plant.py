@@ -39,8 +39,7 @@ class MujocoPlant(Plant):
 
     Args:
         robot: The true robot.
-        sensor: As for `Plant`.
-        friction: As for `Plant`.
+        sensor, friction: As for `Plant`.
         floor: Height z of a horizontal floor in the world frame [m]; None for no floor. What is
             fixed to the base may be below it.
         **options: The others of `Plant`.

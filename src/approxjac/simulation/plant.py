@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NoReturn, Self
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -82,9 +82,7 @@ class Plant(Immutable):
         self._remember(locals())
         require("robot", robot, Robot, "the true Robot")
         sensor = PositionTask(robot) if sensor is None else sensor
-        require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
-        if sensor.robot != robot:
-            _refuse_other(sensor)
+        _require_own(robot, sensor)
         if sensing is not None:
             require("sensing", sensing, Sensing, "Sensing(...) or None")
             SensorReadings(sensing, sensor, dt=1.0, seed=0)  # refuses wrong lengths
@@ -103,20 +101,21 @@ class Plant(Immutable):
         self.joint_limits = joint_limits
         self._has_coulomb = max(self.coulomb.tolist()) > 0.0
         self._has_friction = self._has_coulomb or max(self.friction.tolist()) > 0.0
-        self._has_mimic_joints = robot.mimic_joints.G is not None
-        self._model = robot.model
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
 
     def _of(self, robot: Robot, sensor: Task) -> Self:
         """Return this plant of another robot with the same joints, in a fifth of the time."""
-        if sensor.robot is not robot:
-            _refuse_other(sensor)
+        _require_own(robot, sensor)
         plant, arguments = object.__new__(type(self)), {"robot": robot, "sensor": sensor}
         vars(plant).update(vars(self), **arguments, _arguments=self._arguments | arguments)
-        plant._model = robot.model
         for name in ("dynamics", "_data", "_stops"):
             vars(plant).pop(name, None)
         return plant
+
+    @property
+    def motor_limits(self) -> Array:
+        """Torques that the motors deliver at most, shape (n_v,) [N m or N]."""
+        return self.robot.effort_limits if self.torque_limits is None else self.torque_limits
 
     @cached_property
     def _stops(self) -> JointStops | None:
@@ -129,7 +128,7 @@ class Plant(Immutable):
 
     @cached_property
     def _data(self) -> pin.Data:
-        return self._model.createData()
+        return self.robot.model.createData()
 
     def ready_configuration(self) -> Array:
         """Return a configuration to start from, the same each time, as `simulate` does by default.
@@ -146,8 +145,7 @@ class Plant(Immutable):
             InvalidInputError: There is none.
         """
         robot, sensor, rng = self.robot, self.sensor, np.random.default_rng(0)
-        motors = np.inf if self.torque_limits is None else self.torque_limits
-        effort = np.minimum(robot.effort_limits, motors)
+        effort = np.minimum(robot.effort_limits, self.motor_limits)
         low, high = robot.usual_range()
         middle, half = 0.5 * (low + high), 0.5 * _INNER * (high - low)
         motions = (middle + half * rng.uniform(-1.0, 1.0, robot.nv) for _ in range(_DRAWN))
@@ -274,7 +272,7 @@ class Plant(Immutable):
         """Return the configuration after a motion (n_v,) from q (nq,)."""
         if self._is_vector:
             return q + motion
-        return np.asarray(pin.integrate(self._model, q, motion))
+        return np.asarray(pin.integrate(self.robot.model, q, motion))
 
     def _delivered(self, tau: Array) -> Array:
         """Return the part of a torque that the motors deliver."""
@@ -292,9 +290,9 @@ class Plant(Immutable):
 
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
         """Return q̈ under a torque at the joints, for arguments that are checked."""
-        if self._has_mimic_joints:
+        if self.robot.mimic_joints.G is not None:
             return self.dynamics.forward(q, v, tau)
-        return np.asarray(pin.aba(self._model, self._data, q, v, tau, WORLD))
+        return np.asarray(pin.aba(self.robot.model, self._data, q, v, tau, WORLD))
 
     def measure(self, t: float, q: Array, v: Array) -> Measurement:
         """Return what ideal sensors measure at t [s]; NaN what the sensor cannot see."""
@@ -322,12 +320,14 @@ class Plant(Immutable):
         return shown
 
 
-def _refuse_other(sensor: Task) -> NoReturn:
-    raise InvalidInputError(
-        f"sensor must be a task of the plant's own robot, the true one, such as "
-        f"PositionTask(truth), got {sensor!r} of another (the believed one?)",
-        given=sensor,
-    )
+def _require_own(robot: Robot, sensor: Task) -> None:
+    require("sensor", sensor, Task, "a task of the true robot, such as PositionTask(robot)")
+    if sensor.robot != robot:
+        raise InvalidInputError(
+            f"sensor must be a task of the plant's own robot, the true one, such as "
+            f"PositionTask(truth), got {sensor!r} of another (the believed one?)",
+            given=sensor,
+        )
 
 
 def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:

@@ -135,6 +135,5 @@ def _true_parameters(regressor: GravityRegressor, robot: Robot) -> Array:
 
 def scene_of(plant: Plant, controller: Controller) -> Scene:
     """Return who takes part in a run."""
-    robot, task, limits = plant.robot, controller.task, plant.torque_limits
-    motors = robot.effort_limits if limits is None else np.asarray(limits)
-    return Scene(robot, task.robot, plant.sensor, task, motors)
+    task = controller.task
+    return Scene(plant.robot, task.robot, plant.sensor, task, plant.motor_limits)

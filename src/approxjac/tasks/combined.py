@@ -38,10 +38,6 @@ class CombinedTask(WrappedTask):
         task: The task of the believed robot.
         C: Regular matrix, shape (m, m). Its size does not matter, as gains go with it.
 
-    Attributes:
-        task: The task whose coordinates are combined.
-        C: The combination, shape (m, m).
-
     Raises:
         InvalidInputError: A matrix of another shape, not finite or singular.
     """

@@ -36,19 +36,13 @@ class ImageTask(Task):
         robot: The robot, true or believed.
         camera: The camera, true or believed.
         frame: Frame that the points are fixed to. By default the robot's `tip`, or the world where
-            the camera is carried by the robot.
+            the camera is carried by the robot, which is None as an attribute.
         points: Positions of the points in that frame, shape (k, 3) [m]; its origin by default. To
             be given for points of the world.
-        depth: "believed"; or Z > 0 that is taken for every point, or one for each point [m]; or
+        depth: "believed"; or Z > 0 that is taken for every point, or for each, shape (k,) [m]; or
             "measured" for a camera that measures it: then x is (u₁, v₁, Z₁, …) and has n_x = 3k
             entries. The depths are no part of the error, and those of a target are not used. Where
             none is measured (Z is not finite, or not > 0) it is the believed one.
-
-    Attributes:
-        camera: The camera.
-        frame: Name of the frame that the points are fixed to; None is the world.
-        points: Positions of the points in that frame, shape (k, 3) [m].
-        depth: The word, or the depth that is taken for each point, shape (k,) [m].
 
     Raises:
         UnknownNameError: No such frame.

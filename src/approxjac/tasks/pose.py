@@ -33,9 +33,6 @@ class PoseTask(Task):
         robot: The robot, true or believed.
         frame: Frame name; the robot's `tip` by default.
 
-    Attributes:
-        frame: Name of the frame.
-
     Raises:
         UnknownNameError: No such frame.
         InvalidInputError: Fewer than six joints.

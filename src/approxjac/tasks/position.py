@@ -24,10 +24,6 @@ class PositionTask(Task):
             commands: all three, or of a planar arm or one with fewer joints the best of them
             (`best_axes`).
 
-    Attributes:
-        frame: Name of the frame.
-        axes: The world axes.
-
     Raises:
         UnknownNameError: No such frame, or an axis that is not x, y or z.
         InvalidInputError: No or doubled axes, or more of them than joints.

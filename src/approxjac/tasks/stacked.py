@@ -21,9 +21,6 @@ class StackedTask(Task):
     Args:
         *tasks: At least one task, all of the same robot.
 
-    Attributes:
-        tasks: The tasks.
-
     Raises:
         InvalidInputError: No task, something else than tasks, tasks of different robots, or more
             coordinates than joints.

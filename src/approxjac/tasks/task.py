@@ -65,9 +65,6 @@ class Task(Immutable, Saved, ABC):
         n_x: Length of a value; m by default.
 
     Attributes:
-        robot: The robot.
-        labels: Names of the error's coordinates, length m.
-        units: Their units, length m.
         m: Number of task coordinates: of the error, and rows of the Jacobian.
         n_x: Length of a value X, and of a target.
 
