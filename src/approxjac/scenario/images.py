@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -164,9 +165,7 @@ def _believed(camera: PinholeCamera, scenario: Scenario, back: float) -> Pinhole
         ),
         focal_factor=wrong.focal_factor,
     )
-    return PinholeCamera(
-        off.focal_length, off.size, off.position, off.rotation, center=off.center, mount=off.mount
-    )
+    return replace(off, distortion=())
 
 
 def _points(scenario: Scenario) -> Array:

@@ -67,8 +67,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
-        for name, value in checked(Scenario, Scenario, given).items():
-            object.__setattr__(self, name, value)  # frozen once it is built
+        vars(self).update(checked(Scenario, Scenario, given))  # frozen once it is built
 
     @classmethod
     def load(cls, path: str | Path) -> Scenario:

@@ -80,8 +80,8 @@ class Sensing:
             as_number("velocity_filter", self.velocity_filter, unit="s", minimum=0.0)
         if self.x_rate is not None:
             as_number("x_rate", self.x_rate, unit="Hz", above=0.0)
-        object.__setattr__(self, "x_lost", _intervals("x_lost", self.x_lost, parts=True))
-        object.__setattr__(self, "x_frozen", _intervals("x_frozen", self.x_frozen, parts=False))
+        lost = _intervals("x_lost", self.x_lost, parts=True)
+        vars(self).update(x_lost=lost, x_frozen=_intervals("x_frozen", self.x_frozen, parts=False))
 
     @property
     def is_linear(self) -> bool:
