@@ -173,11 +173,7 @@ class Plant(Immutable):
         return self.sensing is not None or self.actuator_delay > 0.0
 
     def require_ideal(self, what: str) -> None:
-        """Refuse a plant with anything beyond eq. (1), for an analysis that knows eq. (1) only.
-
-        Raises:
-            InvalidInputError: Coulomb friction, sensing, an actuator delay or torque limits.
-        """
+        """Raise an InvalidInputError if there is sensing, a delay, Coulomb friction or a limit."""
         if self.coulomb.any() or self.needs_sampling or self.torque_limits is not None:
             raise InvalidInputError(
                 f"{what} is for a plant without Coulomb friction, sensing, actuator delay and "
@@ -186,12 +182,7 @@ class Plant(Immutable):
             )
 
     def require_linear(self, what: str) -> None:
-        """Refuse what no linearisation of the sampled loop has; delays and a filter of q̇ it has.
-
-        Raises:
-            InvalidInputError: Coulomb friction, torque limits, or sensing with frames, noise,
-                rounding or dropouts.
-        """
+        """Raise an InvalidInputError if no linearisation has it; delays, a filter of q̇ it has."""
         rough = self.sensing is not None and not self.sensing.is_linear
         if self.coulomb.any() or rough or self.torque_limits is not None:
             raise InvalidInputError(
@@ -202,12 +193,7 @@ class Plant(Immutable):
             )
 
     def require_task(self, task: Task) -> None:
-        """Refuse a controller's task whose errors are not in the coordinates of the sensor's.
-
-        Raises:
-            InvalidInputError: Other coordinates, another combination of them, or another number
-                of joints.
-        """
+        """Raise an InvalidInputError if a task's errors are not in the sensor's coordinates."""
         self._require_same(task, self.sensor, task)
         origin = self.sensor._origin
         for unit in np.eye(task.m):
@@ -221,11 +207,7 @@ class Plant(Immutable):
                 )
 
     def require_measured(self, task: Task) -> None:
-        """Refuse a controller's task that takes another x than the sensor measures.
-
-        Raises:
-            InvalidInputError: Other coordinates, or another number of joints.
-        """
+        """Raise an InvalidInputError if a task takes another x than the sensor measures."""
         self._require_same(task, self.sensor._measured, task._measured)
 
     def _require_same(self, task: Task, sensor: Task, wanted: Task) -> None:

@@ -28,8 +28,8 @@ class SampledLoop:
     """A closed loop whose torque is held over dt (zero-order hold).
 
     `simulate` runs it. An observer gets it after every step of the controller, may look at all of
-    it, and may move the target, exchange the controller or stop it; what it does not touch stays
-    as it was.
+    it, and may move the target, exchange the controller or stop it; what it does not touch is the
+    same to the last bit as without it.
 
     Attributes:
         plant: The true robot.
@@ -86,11 +86,7 @@ class SampledLoop:
         return self.stopped or self.step == self.steps
 
     def advance(self) -> None:
-        """Hold the torque for dt, measure, and step the controller.
-
-        Raises:
-            SimulationError: The closed loop diverged.
-        """
+        """Hold the torque for dt, measure, and control; a SimulationError if the loop diverged."""
         self._waiting.append(self.answer.torque)
         self.state = self._after
         torque, truth = self._waiting.popleft(), self.truth

@@ -73,10 +73,9 @@ def simulate(
         rtol: Relative tolerance of the continuous integration.
         atol: Absolute tolerance of the continuous integration.
         progress: Called now and then with the time reached [s].
-        observer: Called with the `SampledLoop` at every step of sampled control. It may look at
-            all of it, move its target, exchange its controller or stop it; what it does not touch
-            is the same to the last bit as without it. An observer that is a context manager is
-            entered before the run and left after it, however it ends.
+        observer: Called with the `SampledLoop`, which says what it may do, at every step of
+            sampled control. An observer that is a context manager is entered before the run and
+            left after it, however it ends.
 
     Returns:
         The record of the run; its first instant is the start, its last the end. Status is
