@@ -65,6 +65,25 @@ def test_defaults_are_filled_in_where_nothing_is_given(arms):
     assert aj.SetpointController(task).adaptation is None
 
 
+def test_by_default_pinv_divides_a_motion_among_the_joints_as_damping_does(arms, rng):
+    """Ĵ⁺Ĵ leaves D⁻¹Ĵᵀf, the slow motion under any force, as it is; the paper's does not."""
+    _, belief, regressor, _ = arms
+    task = aj.PositionTask(belief)
+    rule = aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor))
+    paper = aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor, L=0.1))
+    for _ in range(10):
+        J_hat, (_, kv, damping) = task.jacobian(belief.random_configuration(rng)), rule.diagonals
+        motion = np.linalg.solve(J_hat.T * kv @ J_hat + np.diag(damping), J_hat.T) @ rng.normal(
+            size=3
+        )
+        pinv = rule.jacobian_pinv(J_hat)
+        assert_allclose(J_hat @ pinv, np.eye(3), atol=1e-9)
+        assert_allclose(pinv @ (J_hat @ motion), motion, atol=1e-9 * np.abs(motion).max())
+        other = paper.jacobian_pinv(J_hat)
+        assert_allclose(other, np.linalg.pinv(J_hat), atol=1e-9)
+        assert np.abs(other @ (J_hat @ motion) - motion).max() > 0.1 * np.abs(motion).max()
+
+
 def test_explicit_ones_are_kept(arms):
     _, belief, regressor, _ = arms
     task = aj.PositionTask(belief)

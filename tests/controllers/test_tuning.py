@@ -174,7 +174,7 @@ def test_the_check_refuses_what_diverges_and_passes_what_the_rule_chose(name, la
     alpha = arm.motion(gains)[2]
     fast = Learning(
         alpha, 3.0 * np.diag(before(arm, gains, alpha)), 0.5 * gains.kp,
-        np.zeros(task.robot.nv), np.zeros(0),
+        np.zeros(task.robot.nv), np.zeros(0), None,
     )  # fmt: skip
     all_cases = np.ones(4 * len(arm.postures.q[:20]), dtype=bool)
     assert not arm.passes(gains, fast, latency, all_cases)

@@ -82,13 +82,21 @@ def test_units_do_not_matter(rng):
         assert_allclose(damping_b, 1e-3 * damping_a, rtol=1e-9)
 
 
-def test_rate_by_finite_differences(rng):
+@pytest.mark.parametrize("weighted", [False, True])
+def test_rate_by_finite_differences(rng, weighted):
     J, J_dot = rng.normal(size=(2, 3, 6))
+    weight = rng.uniform(0.1, 10.0, 6) if weighted else None
+    root = np.ones(6) if weight is None else np.sqrt(weight)
+
+    def pinv(J):
+        return np.linalg.pinv(J / root) / root[:, None]
+
     h = 1e-6
-    expected = (law.right_pinv(J + h * J_dot) - law.right_pinv(J - h * J_dot)) / (2 * h)
-    G, dG = law.cross_weight_pinv(J, J_dot[None])
-    assert_allclose(G, law.right_pinv(J), atol=1e-12)
-    assert_allclose(dG[0], expected, atol=1e-7)
+    expected = (pinv(J + h * J_dot) - pinv(J - h * J_dot)) / (2 * h)
+    G, dG = law.cross_weight_pinv(J, J_dot[None], weight)
+    assert_allclose(G, pinv(J), atol=1e-11)
+    assert_allclose(J @ G, np.eye(3), atol=1e-12)
+    assert_allclose(dG[0], expected, rtol=1e-6, atol=1e-6)
 
 
 # -- the damped solution against its formula ------------------------------------------------

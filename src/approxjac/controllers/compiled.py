@@ -129,11 +129,12 @@ class CompiledSetpointController(SetpointController):
             step = compiled(known_gravity, (2, 1, 1, 1, 1, 1), 2, parts)
             gravity = self.gravity.torque  # type: ignore[union-attr]  # the others have one
         else:
-            inputs = (2, 1, 1, 1, 1, 1, 2, 1, learning.L.ndim, 0, 1)
+            inputs = (2, 1, 1, 1, 1, 1, 2, 1, learning.L.ndim, 0, 1, 1)
             step = compiled(learnt_gravity, inputs, 3, parts)
             # copies, as Numba takes longer with arrays that are read-only
             L, limits = learning.L.copy(), learning.torque_limits.copy()
             alpha, nothing = learning.alpha, np.zeros(n)
+            root = np.ones(n) if self._root is None else self._root.copy()
             Y_of = learning.Y
         float64, huge, empty, ndarray, hypot = FLOAT64, HUGE, np.empty, np.ndarray, math.hypot
         made, ok, unlimited = tuple.__new__, Status.OK, LimitStatus.UNLIMITED
@@ -171,7 +172,7 @@ class CompiledSetpointController(SetpointController):
                         Y, rate = Y_of(q, J_hat), empty(p)
                         usual = step(
                             J_hat, v, x, target, bias, constants, Y, state,
-                            L, alpha, limits, torque, e, rate,
+                            L, alpha, limits, root, torque, e, rate,
                         )  # fmt: skip
                 except (TypeError, ValueError):  # not of float64, or beyond what has eigenvalues
                     usual = False
@@ -223,6 +224,7 @@ def learnt_gravity(
     L: Array,
     alpha: float,
     limits: Array,
+    root: Array,
     torque: Array,
     e: Array,
     rate: Array,
@@ -230,7 +232,8 @@ def learnt_gravity(
     """Write eq. (28) into `torque`, (29) into `rate`, x − x_d into `e`; return if it was usual.
 
     Here g is what is added to the learnt gravity, and `limits` are the torques beyond which θ̂
-    stands still; the others are those of `known_gravity` and of `law.theta_hat_rate`.
+    stands still, `root` that of the weight of Ĵ⁺; the others are those of `known_gravity` and of
+    `law.theta_hat_rate`.
     """
     if not fits(J_hat, v, x, x_d, g, torque, e):
         return False
@@ -240,8 +243,9 @@ def learnt_gravity(
     torque[:] = g + law.learnt_gravity_torque(J_hat, kp, kv, s, v, damping, Z, theta_hat)
     if not is_small(torque, e) or np.abs(torque / limits).max() > 1.0:
         return False
-    w, damped = law.damped_gram_solve(dot(J_hat, J_hat.T), s, scale=scale)
-    rate[:] = law.theta_hat_rate(L, Z, law.passive_output(v, dot(w, J_hat), alpha))
+    weighted = J_hat / root
+    w, damped = law.damped_gram_solve(dot(weighted, weighted.T), s, scale=scale)
+    rate[:] = law.theta_hat_rate(L, Z, law.passive_output(v, dot(w, weighted) / root, alpha))
     return damped == 0.0 and is_small(rate, e)
 
 

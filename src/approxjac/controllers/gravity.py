@@ -240,7 +240,10 @@ class AdaptiveGravity(Immutable):
             if self.bounds is not None:
                 for side, given in zip(bounds, self.bounds, strict=True):
                     side[:p] = given
-        return Adaptation(self.regressor, sizes, L, alpha, theta0, bounds, self.torque_limits)
+        weight = None if chosen is None else chosen.pinv_weight
+        return Adaptation(
+            self.regressor, sizes, L, alpha, theta0, bounds, self.torque_limits, weight
+        )
 
 
 class Adaptation(NamedTuple):
@@ -254,6 +257,8 @@ class Adaptation(NamedTuple):
         theta0: θ̂(0), shape (P,).
         bounds: Smallest and largest θ, each shape (P,), or None.
         torque_limits: Torques beyond which θ̂ stands still, shape (n_v,).
+        pinv_weight: Weight of Ĵ⁺ in y of (10), as of `law.cross_weight_pinv`, shape (n_v,): B_c
+            where the rule chose how to learn; None is I.
     """
 
     regressor: GravityRegressor
@@ -263,6 +268,7 @@ class Adaptation(NamedTuple):
     theta0: Array
     bounds: tuple[Array, Array] | None
     torque_limits: Array
+    pinv_weight: Array | None
 
     def __repr__(self) -> str:
         L = short(self.L) if self.L.ndim == 1 else "a matrix"

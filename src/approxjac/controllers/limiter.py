@@ -196,8 +196,8 @@ class Limiter(ControllerWrapper):
         if not locked.any() or (np.abs(answer.torque) > self._upper).any():
             return np.zeros(self._p)  # or θ̂ would ask for ever more than the motors have
         J_free, s = np.where(locked, 0.0, J_hat), controller.saturation.s(answer.e)
-        w, _ = law.damped_gram_solve(J_free @ J_free.T, s, scale=float(np.linalg.norm(J_hat, 2)))
-        y = law.passive_output(np.where(locked, 0.0, v), w @ J_free, learning.alpha)
+        pinv_s, _ = controller.pinv_times(J_free, s, scale=float(np.linalg.norm(J_hat, 2)))
+        y = law.passive_output(np.where(locked, 0.0, v), pinv_s, learning.alpha)
         rate = law.theta_hat_rate(learning.L, learning.Y(q, J_hat), y)
         if learning.bounds is None:
             return rate

@@ -28,8 +28,9 @@ class Posture:
     N leaves of τ₀ what Ĵᵀ cannot produce; near a singular Ĵ it is faded out, to 0 at the singular
     posture. At rest −Ĵᵀ K_p s(e) + N τ₀ = 0 splits into its two parts, which are orthogonal, so
     e = 0 stays the only equilibrium of the task however wrong Ĵ is, as long as it has full row
-    rank. The proof pays: V̇ = −W + q̇ᵀN τ₀ (the part along αĴ⁺s(e) vanishes), so V may rise while
-    the arm moves towards the posture. The self-motion is damped by B_c only.
+    rank. The proof pays: V̇ = −W + yᵀN τ₀ (of which the part along αĴ⁺s(e) vanishes with the
+    shortest Ĵ⁺s), so V may rise while the arm moves towards the posture. The self-motion is damped
+    by B_c only.
 
     Attributes:
         q: Posture, shape (nq,) [rad or m].

@@ -138,6 +138,8 @@ class SetpointController(Immutable):
         self.adaptation = learning if isinstance(learning, Adaptation) else None
         self._p = 0 if self.adaptation is None else len(self.adaptation.theta0)
         # as arrays, which NumPy takes in two thirds of the time of numbers
+        self.pinv_weight = None if self.adaptation is None else self.adaptation.pinv_weight
+        self._root = None if self.pinv_weight is None else np.sqrt(self.pinv_weight)
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
         self._pull = None
@@ -210,8 +212,7 @@ class SetpointController(Immutable):
         s, J_hat = self.saturation.s(answer.e), answer.J_hat
         if J_hat is None or not math.isfinite(s.dot(s)):
             return v
-        w, _ = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=self._scale)
-        return law.passive_output(v, w.dot(J_hat), alpha)
+        return law.passive_output(v, self.pinv_times(J_hat, s)[0], alpha)
 
     @functools.cached_property
     def alpha(self) -> float:
@@ -226,9 +227,23 @@ class SetpointController(Immutable):
 
     def jacobian_pinv(self, J_hat: Array) -> Array:
         """Return Ĵ⁺ of a Ĵ (m, n_v), damped near singular ones as in the law; shape (n_v, m)."""
-        G = J_hat @ J_hat.T
-        solved = [law.damped_gram_solve(G, unit, scale=self._scale)[0] for unit in np.eye(len(G))]
-        return np.asarray((np.array(solved) @ J_hat).T)
+        return np.array([self.pinv_times(J_hat, unit)[0] for unit in np.eye(len(J_hat))]).T
+
+    def pinv_times(self, J_hat: Array, s: Array, scale: float | None = None) -> tuple[Array, float]:
+        """Return Ĵ⁺s (n_v,), and its damping λ, 0 away from singular configurations.
+
+        `scale` is that of `law.damped_gram_solve`, by default the one at which Ĵ vanishes.
+        Where the rule chose how to learn, Ĵ⁺s is the one of all q̇ with Ĵq̇ = s that has the least
+        q̇ᵀB_cq̇, as the arm's own motion towards its target has. So y of (10) is small along it,
+        and what is learnt is not drawn along by the motion. Elsewhere it is the shortest, as in
+        the paper.
+        """
+        if self._root is not None:
+            J_hat = J_hat / self._root
+        scale = self._scale if scale is None else scale
+        w, damped = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=scale)
+        pinv_s = w.dot(J_hat)
+        return (pinv_s if self._root is None else pinv_s / self._root), damped
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
@@ -338,7 +353,7 @@ class SetpointController(Immutable):
             singular = law.is_near_singular(G, scale=self._scale)
             g = self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
         else:
-            w, damped = law.damped_gram_solve(G, s, scale=self._scale)
+            pinv_s, damped = self.pinv_times(J_hat, s)
             singular = damped > 0.0
             Y = learning.Y(q, J_hat)
             g = law.gravity(Y, state[: self._p])  # with it, (6) below is (28)
@@ -371,7 +386,7 @@ class SetpointController(Immutable):
         elif singular:
             status = _SINGULAR
         if learning is not None and (status is _OK or status is _SINGULAR):
-            y = law.passive_output(v, w.dot(J_hat), self._alpha)
+            y = law.passive_output(v, pinv_s, self._alpha)
             theta_rate = law.theta_hat_rate(learning.L, Y, y)
             if learning.bounds is not None:
                 theta_hat = state[: self._p]

@@ -54,6 +54,8 @@ class Learning(NamedTuple):
         task_force: L_d, diagonal, shape (m,).
         joint_torque: L_w, diagonal, shape (n_v,).
         largest: How far each parameter may be from where it began, shape (p + m + n_v,).
+        pinv_weight: Weight of Ĵ⁺ in y of (10): B_c over its geometric mean, shape (n_v,); None
+            where not all of it is positive.
     """
 
     alpha: float
@@ -61,6 +63,7 @@ class Learning(NamedTuple):
     task_force: Array
     joint_torque: Array
     largest: Array
+    pinv_weight: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +190,7 @@ class _Arm:
             task_force,
             joint_torque,
             self._largest(),
+            _pinv_weight(gains.damping),
         )
 
     def _largest(self) -> Array:
@@ -213,7 +217,9 @@ class _Arm:
             Z = self.Z[:_CHECKED]
             rate = rate + Z @ learning.gravity @ np.swapaxes(Z, 1, 2)
             rate = rate + J_hat_T * learning.task_force @ J_hat + np.diag(learning.joint_torque)
-            pull = pull + learning.alpha * np.linalg.pinv(J_hat)
+            root = 1.0 if learning.pinv_weight is None else np.sqrt(learning.pinv_weight)
+            pinv = np.swapaxes(np.linalg.pinv(J_hat / root), 1, 2) / root
+            pull = pull + learning.alpha * np.swapaxes(pinv, 1, 2)
         truths = [
             (M_inv / heavier, J)
             for J, heavy in ((J_hat, 1.0), (self.with_tool, _HEAVIER))
@@ -363,6 +369,13 @@ def _rates(
     step = math.floor(math.log(first / _RATES[-1]) / math.log(_SLOWER)) + 1
     slower = [_RATES[-1] * _SLOWER**k for k in range(step, step + _STEPS)]
     return [first, *slower], of_rate, why
+
+
+def _pinv_weight(damping: Array) -> Array | None:
+    """Return B_c over its geometric mean (n_v,), so that Ĵ keeps its size; None without damping."""
+    if not (damping > 0.0).all():
+        return None
+    return np.asarray(damping / np.exp(np.log(damping).mean()))
 
 
 def _timing(latency: Latency) -> tuple[float, int, int, int]:

@@ -36,14 +36,18 @@ def dissipation(J_hat: Array, kv: Array, B: Array) -> Array:
     return J_hat.mT @ (kv[:, None] * J_hat) + np.diag(B)
 
 
-def cross_weight_pinv(J_hat: Array, dJ_hat: Array) -> tuple[Array, Array]:
+def cross_weight_pinv(
+    J_hat: Array, dJ_hat: Array, weight: Array | None = None
+) -> tuple[Array, Array]:
     """G = Ĵ⁺ and ∂G, of Ĵ with full row rank: the cross weight of eq. (12) with α = 1.
 
-    Implements Eq. (12), its second term.
+    Ĵ⁺ = R⁻¹Ĵᵀ(ĴR⁻¹Ĵᵀ)⁻¹ with R of the diagonal `weight` (n_v,), I by default: of all q̇ with
+    Ĵq̇ = s, Ĵ⁺s has the least q̇ᵀRq̇. Implements Eq. (12), its second term; the paper's R is I.
     """
-    inverse = np.linalg.inv(J_hat @ J_hat.mT)
-    G: Array = J_hat.mT @ inverse
-    tail = dJ_hat.mT @ inverse[..., None, :, :]
+    weighted, dweighted = (J_hat, dJ_hat) if weight is None else (J_hat / weight, dJ_hat / weight)
+    inverse = np.linalg.inv(J_hat @ weighted.mT)
+    G: Array = weighted.mT @ inverse
+    tail = dweighted.mT @ inverse[..., None, :, :]
     many, J_many = G[..., None, :, :], J_hat[..., None, :, :]
     return G, tail - many @ (J_many @ tail) - many @ (dJ_hat @ many)
 

@@ -82,7 +82,10 @@ def lyapunov(
             f"exist, got {q.tolist()}",
             given=q,
         )
-    J_hat_pinv = law.right_pinv(J_hat)
+    J_hat_dot = task.jacobian_dot(q, v)
+    J_hat_pinv, (J_hat_pinv_dot,) = law.cross_weight_pinv(
+        J_hat, J_hat_dot[None], controller.pinv_weight
+    )
     M = dynamics.M(q)
     V = law.V(v, s, controller.saturation.S(e), J_hat_pinv, M, kp, kv, alpha)
     learning = controller.adaptation
@@ -98,7 +101,6 @@ def lyapunov(
         theta = as_array("theta", theta, learning.theta0.shape)
         V += law.parameter_potential(theta - controller.learnt(state), learning.L)
     s_dot = controller.saturation.ds(e) * (J_e @ v)
-    _, (J_hat_pinv_dot,) = law.cross_weight_pinv(J_hat, task.jacobian_dot(q, v)[None])
     M_dot, C, B = dynamics.M_dot(q, v), dynamics.coriolis(q, v), plant.friction + damping
     W = law.W(v, s, s_dot, J_e, J_hat, J_hat_pinv, J_hat_pinv_dot, M, M_dot, C, B, kp, kv, alpha)
     return LyapunovValue(V, W)

@@ -57,6 +57,7 @@ class Setting:
     B: Array  # diagonal of all viscous damping, shape (n_v,)
     c_bar: float  # c̄ of eq. (8)
     fixed_alpha: float | None = None  # α where gravity is learnt with it by (29) [1/s]
+    weight: Array | None = None  # of `law.cross_weight_pinv`, shape (n_v,)
     large_gains: bool = False  # leave out what inertia takes, as in the limit of large gains
 
     @property
@@ -79,7 +80,7 @@ class MatrixForm:
         self.samples, self.setting = samples, setting
         J_hat, dJ_hat, kv = samples.J_hat, samples.dJ_hat, setting.kv
         self._D = law.dissipation(J_hat, kv, setting.B)
-        self._pinv = law.cross_weight_pinv(J_hat, dJ_hat)
+        self._pinv = law.cross_weight_pinv(J_hat, dJ_hat, setting.weight)
         self._damped = law.cross_weight_damped(self._D, J_hat, dJ_hat, kv)
 
     def pencils(self, weights: Weights) -> tuple[Array, Array]:

@@ -108,7 +108,7 @@ def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
     """Return what each constant would be for each sample alone, shape (N,), by name."""
     J, J_hat, kv, B = samples.J, samples.J_hat, setting.kv, setting.B
     D = law.dissipation(J_hat, kv, B)
-    G, dG = law.cross_weight_pinv(J_hat, samples.dJ_hat)
+    G, dG = law.cross_weight_pinv(J_hat, samples.dJ_hat, setting.weight)
     N = law.inertial_block(samples.M, samples.dM, samples.J_e, G, dG, samples.s, samples.slope)
     metric = G.mT @ samples.M @ G
     # the damping's αs(e)ᵀĴ⁺ᵀBq̇ is shared out by (18)
