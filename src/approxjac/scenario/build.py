@@ -33,7 +33,11 @@ from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
-from approxjac.scenario.configurations import configuration_of, regular_configuration
+from approxjac.scenario.configurations import (
+    configuration_of,
+    regular_configuration,
+    straight_ahead,
+)
 from approxjac.scenario.images import image_scene
 from approxjac.scenario.reachability import doubts
 from approxjac.scenario.records import Numbers, Object, Sensor, Vectors
@@ -137,7 +141,8 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
             q0 = configuration_of(truth, "run.start", start)
         else:
             q0 = plant.ready_configuration() if start is None else draw()
-        target = _target(sensor, q0, scenario, draw)
+        goal = draw if start == "random" else functools.partial(straight_ahead, sensor, q0, draw)
+        target = _target(sensor, q0, scenario, goal)
     chosen = scenario.controller
     gravity = gravity_from(truth, belief, chosen.gravity, chosen.integral)
     law = _law(task, gravity, q0, scenario, within_limits=limits is not None)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
 from approxjac.simulation.plant import holdable
+from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_array
 
@@ -39,6 +42,18 @@ def regular_configuration(
         f"than those of {sensor!r}",
         given=sensor,
     )
+
+
+def straight_ahead(sensor: Task, q0: Array, draw: Callable[[], Array], tries: int = 100) -> Array:
+    """Return a random configuration whose task value the arm gets to straight from q0 (nq,).
+
+    No joint stop bars that way, along which a set-point law goes; of `tries`, else the last one.
+    """
+    for _ in range(tries):
+        q = draw()
+        if inverse_kinematics(sensor, sensor.value(q), q0, within_limits=True) is not None:
+            break
+    return q
 
 
 def is_regular(sensor: Task, task: Task, q: Array, ratio: float = REGULAR) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac.interface import TargetPath
-from approxjac.robots.joint_limits import beyond_positions, reach_bound
+from approxjac.robots.joint_limits import reach_bound
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.validation import Array
@@ -39,11 +39,10 @@ def doubts(task: Task, target: Array | TargetPath, q0: Array, duration: float) -
         return f"for the believed arm the target is {far}"
     if target.ndim == 2 or not isinstance(task, PositionTask | PoseTask):
         return ""
-    robot, rng, found = task.robot, np.random.default_rng(0), False
-    for start in [q0, *(robot.random_configuration(rng) for _ in range(_STARTS))]:
-        q = inverse_kinematics(task, target, start)
-        if q is not None and beyond_positions(robot, q[np.newaxis]).max() <= 0.0:
+    rng = np.random.default_rng(0)
+    for start in [q0, *(task.robot.random_configuration(rng) for _ in range(_STARTS))]:
+        if inverse_kinematics(task, target, start, within_limits=True) is not None:
             return ""
-        found |= q is not None
-    limits = " within its joint limits" if found else ""
-    return f"no configuration of the believed arm{limits} was found that reaches the target"
+    return (
+        "no configuration of the believed arm within its limits was found that reaches the target"
+    )

@@ -301,7 +301,8 @@ class Run:
 
     Attributes:
         start: Joint positions, rad or m, or "random" by the seed; far from singular by default.
-        target: Value or path of the task; random by the seed by default.
+        target: Value or path of the task; by default random by the seed, where no joint stop bars
+            the straight way from the start unless that is random, too.
         duration: Of the run, s.
         tolerance: Error below which it is done, m, rad or px; 1e-3, the noise of an image, or half
             of how far a path leads from its start.
