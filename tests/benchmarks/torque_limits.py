@@ -15,21 +15,23 @@ import qpsolvers
 
 import approxjac as aj
 from approxjac.controllers.qp_solvers import as_solver
+from approxjac.controllers.quadratic_program import Solver
 
 STATES, ROUNDS = 1500, 4
 PROBLEMS = 300
 CANDIDATES = ("daqp", "osqp", "clarabel", "piqp", "quadprog", "scs")
 
 
-class Watched:
-    """A solver that says whether it was called, and keeps the problems."""
+class Watched(Solver):
+    """DAQP that keeps the problems which it solves."""
 
-    def __init__(self, name):
-        self.solver, self.name, self.problems = as_solver(name), name, []
+    def __init__(self):
+        super().__init__("daqp")
+        self.problems = []
 
-    def solve(self, problem):
+    def _solved(self, problem):
         self.problems.append(problem)
-        return self.solver.solve(problem)
+        return super()._solved(problem)
 
 
 def states(robot, task, rng):
@@ -53,7 +55,7 @@ def step_table(law, limits, inputs):
         "effort, proof, R = M⁻¹": aj.TorqueLimited(law, effort, weight="inertia"),
     }
     for limiter in limiters.values():
-        limiter._solver = Watched("daqp")
+        limiter._solver = Watched()
     alone, times = [], defaultdict(list)
     clock = time.perf_counter
     for _ in range(ROUNDS):
@@ -89,7 +91,7 @@ def step_table(law, limits, inputs):
 def problems_of(law, limits, inputs):
     """QPs of a step each, with the limits of speeds and positions."""
     limiter = aj.TorqueLimited(law, limits)
-    limiter._solver = watched = Watched("daqp")
+    limiter._solver = watched = Watched()
     for measurement, target in inputs:
         limiter.step(limiter.initial_state(measurement), measurement, target, 1e-3)
     return watched.problems[:PROBLEMS]

@@ -33,7 +33,6 @@ def test_of_a_robot_that_compensates_itself_no_weight_is_predicted(panda):
     prediction = Prediction(law_of(panda, NoGravity(panda)), DT, RATE)
     rest = measured(Q, np.zeros(7))
     assert_allclose(prediction.forward(rest, np.zeros(7), np.zeros(7)), 0.0, atol=1e-9)
-    assert_allclose(prediction.hold(rest, np.zeros(7), np.zeros(7)), 0.0, atol=1e-9)
 
 
 def test_periods_show_what_the_believed_arm_lacks(panda):
@@ -47,9 +46,6 @@ def test_periods_show_what_the_believed_arm_lacks(panda):
         f = prediction.forward(measurement, np.zeros(7), np.zeros(7))
         memory = prediction.expecting(measurement, f, residual)
         v = v + DT * (f + lack)
-    held = prediction.hold(measurement, np.zeros(7), residual)
-    rest = aj.Plant(panda).acceleration(Q, np.zeros(7), held)
-    assert_allclose(rest, -residual, atol=1e-9)  # with what lacks it is zero
 
 
 @pytest.mark.parametrize("t", [-1.0, 0.0, 3.0 * DT, 1e9, np.inf, np.nan])

@@ -497,11 +497,11 @@ def test_brakes_are_no_faster_than_braking(panda):
         solver=lambda problem: None,
     )  # fmt: skip
     measurement, target = infeasible_state(panda)
-    measurement = measurement._replace(v=np.full(7, 0.1))
+    measurement = measurement._replace(v=np.full(7, 0.01))
     answer = answered(limited, np.zeros(0), measurement, target + 1.0)
     assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
-    brakes = (Dynamics(panda).g(measurement.q) - answer.torque) / measurement.v
-    assert 0.7 * 80.0 < fastest_mode(panda, brakes) < 1.3 * 80.0
+    q_dd = Dynamics(panda).forward(measurement.q, measurement.v, answer.torque)
+    assert_allclose(q_dd, -80.0 * measurement.v, rtol=1e-6)
 
 
 def test_the_task_force_keeps_its_direction_better_with_its_weight(panda, rng):
@@ -546,7 +546,35 @@ def test_where_nothing_keeps_all_limits_the_arm_is_held_and_braked(panda):
     answer = first_answer(limited, measurement, target)
     assert answer.limit_status is aj.LimitStatus.INFEASIBLE
     assert answer.torque[0] == pytest.approx(-2.0)
-    assert_allclose(answer.torque[1:], hold[1:], atol=1e-9)
+    dynamics, q, v = Dynamics(panda), measurement.q, measurement.v
+    alone = np.append(-2.0, hold[1:])  # the joint's own motor, while the others are held
+    q_dd = dynamics.forward(q, v, answer.torque)
+    assert q_dd[0] < dynamics.forward(q, v, alone)[0]  # they give way, within their own limits
+    assert (np.abs(v + DT * q_dd)[1:] < panda.velocity_limits[1:]).all()
+
+
+def test_what_cannot_be_kept_takes_no_other_joint_with_it(panda):
+    """The joint that brakes too late has all that the others can give within their own speeds."""
+    measurement, target = infeasible_state(panda)
+    limits = aj.Limits.of(panda, scale=0.5)
+    limited = aj.TorqueLimited(law_of(panda), limits, braking=0.3 / DT)
+    dynamics, q = Dynamics(panda), measurement.q
+    v = np.array([2.1, 2.0, 1.2, 0.6, -0.8, -1.1, -2.3])
+    alone = limits.effort[0] / dynamics.M(q)[0, 0]  # with the others held
+    state, statuses, fastest, hardest = limited.initial_state(measurement), set(), 0.0, 0.0
+    for k in range(100):
+        now = aj.Measurement(k * DT, q, v, limited.task.value(q))
+        state, answer = limited.step(state, now, target, DT)
+        q_dd = dynamics.forward(q, v, answer.torque)
+        v = v + DT * q_dd
+        q, fastest = q + DT * v, max(fastest, (np.abs(v) / panda.velocity_limits).max())
+        hardest = max(hardest, -q_dd[0])
+        statuses.add(answer.limit_status)
+        assert q[0] < panda.position_limits[1][0]
+    assert aj.LimitStatus.INFEASIBLE in statuses
+    assert fastest < 1.001
+    assert hardest > 3.0 * alone
+    assert abs(v[0]) < 0.1
 
 
 @pytest.mark.parametrize(("joint", "speed", "beyond"), [(0, 1.01, -1.0), (4, 0.0, 0.002)])
@@ -603,9 +631,9 @@ def test_a_solver_that_fails_leaves_a_torque_that_holds_and_brakes(panda, fault)
     assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
     assert np.isfinite(answer.torque).all()
     assert (np.abs(answer.torque) <= panda.effort_limits).all()
-    hold = Dynamics(panda).g(measurement.q)
-    assert_allclose(answer.torque[1:], hold[1:], atol=1e-9)
-    assert answer.torque[0] < -1.0  # it brakes
+    q_dd = Dynamics(panda).forward(measurement.q, measurement.v, answer.torque)
+    assert_allclose(q_dd[1:], 0.0, atol=1e-6)
+    assert q_dd[0] < -1.0  # it brakes
     assert math.isfinite(answer.slack)
 
 
@@ -617,8 +645,8 @@ def test_a_solver_that_fails_without_limits_of_speed_leaves_a_torque_that_stops(
     measurement = measurement._replace(v=rng.choice([-0.1, 0.1], 7))
     answer = answered(limited, np.zeros(0), measurement, target + 1.0)
     assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
-    brakes = answer.torque - Dynamics(panda).g(measurement.q)
-    assert (np.sign(brakes) == -np.sign(measurement.v)).all()
+    q_dd = Dynamics(panda).forward(measurement.q, measurement.v, answer.torque)
+    assert (np.sign(q_dd) == -np.sign(measurement.v)).all()
 
 
 @pytest.mark.parametrize("side", [0, 1])

@@ -52,7 +52,6 @@ class Prediction:
         self._dt, self._rate, self._share = dt, np.array(rate), 1.0 - rate * dt
         self._half = 0.5 * dt
         self._period = np.array(dt)
-        self._zero = np.zeros(robot.nv)
 
     def nothing(self) -> Array:
         """Return the memory before the first period."""
@@ -79,11 +78,6 @@ class Prediction:
         """
         _, q, v, _, _ = measurement
         return self.dynamics.forward(q, v, torque if self.is_learnt else torque - gravity)
-
-    def hold(self, measurement: Measurement, gravity: Array, residual: Array) -> Array:
-        """Return the torque that holds the arm where it is, shape (n_v,) [N m or N]."""
-        rest = self.dynamics.inverse(measurement.q, self._zero, -residual)
-        return rest if self.is_learnt else rest + gravity
 
     def expecting(self, measurement: Measurement, f: Array, residual: Array) -> Array:
         """Return the memory after a step that sends a torque with this f."""

@@ -15,6 +15,7 @@ _HUGE = 1e100  # below it nothing overflows in a check
 _TOLERANCE = 1e-6  # of bounds and rows, relative to their size and at least absolute
 _FIRST_TOLERANCE = 1e-9  # what DAQP is asked for first
 _EXACT = 1e-12  # violations that bring nothing out of tolerance when taken away
+_NO_LOWER = np.array([-np.inf])
 _DAQP_SETTINGS = {
     "iter_limit": 1000,
     "zero_tol": 1e-24,  # of |a|² of a row in the metric of H; 1e-11 loses rows if H is 1e6
@@ -47,6 +48,13 @@ class QuadraticProgram(NamedTuple):
     row_upper: Array
 
 
+def with_row(problem: QuadraticProgram, a: Array, most: float) -> QuadraticProgram:
+    """Return a problem with one more row, aᵀz ≤ most, a of shape (n,)."""
+    H, f, lower, upper, A, row_lower, row_upper = problem
+    A, row_lower = np.concatenate([A, a[np.newaxis]]), np.concatenate([row_lower, _NO_LOWER])
+    return QuadraticProgram(H, f, lower, upper, A, row_lower, np.append(row_upper, most))
+
+
 class Verdict(enum.Enum):
     """Outcome of a problem."""
 
@@ -77,45 +85,82 @@ class Solver:
         self._daqp = daqp.solve
         self._has_raised = False
 
-    def solve(self, problem: QuadraticProgram) -> tuple[Array | None, Verdict]:
+    def solve(
+        self, problem: QuadraticProgram, price: float | None = None, pays: bool = False
+    ) -> tuple[Array | None, Verdict]:
         """Return z, shape (n,), and SOLVED, or None and why not; never raise for its numbers.
 
         z holds the bounds exactly, and each row to 1e-6 of the size of its terms |A||z|, at
         least 1e-6.
+
+        Args:
+            problem: The problem.
+            price: What it costs to exceed the upper bound of the last row, per unit; by default
+                that is a bound like the others.
+            pays: Whether it is likely that this price is paid, which saves time only.
         """
+        if price is None:
+            return self._solved(problem)[:2]
+        # The minimum exceeds the bound only where it is that with the price in the cost instead of
+        # the bound; where that one does not, the bound has a multiplier of the price at most.
+        a, most = problem.A[-1], problem.row_upper[-1]
+        row_upper = problem.row_upper.copy()
+        row_upper[-1] = np.inf
+        dear = problem._replace(f=problem.f + price * a, row_upper=row_upper)
+        if pays or self._function is not None:
+            z, verdict, _ = self._solved(dear)
+            if z is None or float(a.dot(z)) >= most:
+                return z, verdict
+            kept, _, _ = self._solved(problem)
+            # without it, there is one that keeps the bound at a higher cost
+            return (z if kept is None else kept), Verdict.SOLVED
+        z, verdict, multiplier = self._solved(problem)
+        if z is not None and multiplier <= price:
+            return z, verdict
+        dearest, verdict, _ = self._solved(dear)
+        return (z, Verdict.SOLVED) if dearest is None and z is not None else (dearest, verdict)
+
+    def _solved(self, problem: QuadraticProgram) -> tuple[Array | None, Verdict, float]:
+        """Return z, or None, and why; and the multiplier of the last row, NaN of a function."""
         H, f, lower, upper, A, row_lower, row_upper = problem
         low, high = np.concatenate([lower, row_lower]), np.concatenate([upper, row_upper])
         # the quickest ways to see both
-        if not math.isfinite(np.vdot(H, H) + np.vdot(f, f) + np.vdot(A, A)):
-            return None, Verdict.FAILED
+        if not math.isfinite(np.vdot(H, H) + f.dot(f) + np.vdot(A, A)):
+            return None, Verdict.FAILED, math.nan
         if False in (low <= high).tolist():  # of NaN, too
             crossed = (low > high).any()
-            return None, Verdict.INFEASIBLE if crossed else Verdict.FAILED
+            return None, Verdict.INFEASIBLE if crossed else Verdict.FAILED, math.nan
+        multiplier = math.nan
         if self._function is None:
-            found = self._minimum(problem, low, high)
+            found, multiplier = self._minimum(problem, low, high)
         else:
             found = self._answer(problem, low, high)
         if not isinstance(found, Verdict):
             found = _admitted(found, problem, low, high)
-        return (None, found) if isinstance(found, Verdict) else (found, Verdict.SOLVED)
+        if isinstance(found, Verdict):
+            return None, found, math.nan
+        return found, Verdict.SOLVED, multiplier
 
-    def _minimum(self, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
-        """Return z of DAQP; low and high are the bounds of z, then of A z."""
+    def _minimum(
+        self, problem: QuadraticProgram, low: Array, high: Array
+    ) -> tuple[Array | Verdict, float]:
+        """Return z of DAQP, and the last multiplier; low and high are of z, then of A z."""
         H, f, A = problem.H, problem.f, problem.A
         # what the first tolerance refuses may be the round-off of large bounds
         for tolerance in (_FIRST_TOLERANCE, _TOLERANCE):
-            z, _, flag, _ = self._daqp(H, f, A, high, low, primal_tol=tolerance, **_DAQP_SETTINGS)
+            z, _, flag, told = self._daqp(
+                H, f, A, high, low, primal_tol=tolerance, **_DAQP_SETTINGS
+            )
             if flag == _OPTIMAL:
-                solution: Array = z
-                return solution
-        return Verdict.INFEASIBLE if flag in _CONTRADICTORY else Verdict.FAILED
+                return z, float(told["lam"][-1])
+        return (Verdict.INFEASIBLE if flag in _CONTRADICTORY else Verdict.FAILED), math.nan
 
     def _answer(self, problem: QuadraticProgram, low: Array, high: Array) -> Array | Verdict:
         """Return z of the function, if it is an array of numbers of that shape."""
         try:
             answer = self._function(QuadraticProgram(*map(np.copy, problem)))  # type: ignore[misc]
             if answer is None:
-                exact = self._minimum(problem, low, high)
+                exact, _ = self._minimum(problem, low, high)
                 return exact if isinstance(exact, Verdict) else Verdict.FAILED
             z: Array = np.asarray(answer)
         except Exception:  # a control loop gets a verdict instead

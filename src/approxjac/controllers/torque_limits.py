@@ -15,12 +15,13 @@ from approxjac.controllers.limiter import Asked, Limited, Limiter
 from approxjac.controllers.limits import (
     Limits,
     acceleration_bounds,
+    keep_bounds,
     position_bounds,
     sure_deceleration,
 )
 from approxjac.controllers.prediction import Prediction
 from approxjac.controllers.qp_solvers import as_solver
-from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
+from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict, with_row
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.usual_postures import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
@@ -34,29 +35,24 @@ _OK = Status.OK
 _FREE, _LIMITED, _INFEASIBLE = LimitStatus.FREE, LimitStatus.LIMITED, LimitStatus.INFEASIBLE
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
 _ROUND_OFF = 1e-10
-_MARGIN = 1e-6
+_MARGIN = 1e-6  # what a solver may be off
 _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
 _TOLD = 1e-3  # beyond a limit of speed (as a share) or position [rad or m] that has its status
-_HUGE = 1e30  # below it nothing overflows
-_NO_LOWER, _NO_UPPER = np.array([-np.inf]), np.array([np.inf])
+_DEAR = 10.0  # how much dearer it is that a joint brakes too little than that others do
 
 
 class Ahead(NamedTuple):
-    """Motion that a torque leads to in the next period, and its bounds.
+    """Motion that a torque leads to in the next period.
 
     Attributes:
-        speeds: Smallest and largest q̇, shape (2, n_v).
-        accelerations: Smallest and largest q̈, shape (2, n_v).
+        motion: Joint positions, shape (n_v,).
         f: q̈ by the believed dynamics, shape (n_v,).
         residual: r, by which periods have shown that to be wrong, shape (n_v,).
-        place: Joint positions and q̇, shape (2 n_v,).
     """
 
-    speeds: Array
-    accelerations: Array
+    motion: Array
     f: Array
     residual: Array
-    place: Array
 
 
 class TorqueLimited(Limiter):
@@ -134,10 +130,8 @@ class TorqueLimited(Limiter):
         if not self._is_inertia:  # R of the task force is I at least
             diagonal = np.ones(robot.nv) if self._diagonal is None else self._diagonal
             self._rho = self.braking / quickest(inertias, 1.0 / diagonal)
-        light = light_inertias(inertias)
-        self._brakes = self.braking / quickest(inertias, light) * light
+        self._brakes = as_solver("daqp")
         usual = np.median([np.diag(M) for M in inertias], axis=0)
-        self._ramp = self._rate * usual if self._has_rate else None
         self._jerk = self._rate / usual if self._has_rate else None
         self._prediction = Prediction(controller, self._dt, self.braking)
         self._dynamics = self._prediction.dynamics
@@ -145,10 +139,11 @@ class TorqueLimited(Limiter):
         self._model = robot.model
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         # arrays, which NumPy multiplies with in a third of the time of numbers
-        self._braking, self._approach = np.array(self.braking), np.array(self.approach)
-        self._alpha = np.array(self.alpha)
+        self._braking, self._alpha = np.array(self.braking), np.array(self.alpha)
         self._position = np.array(self.limits.position)
         self._fastest = np.asarray(self.limits.velocity)
+        joints = *self._position, self._fastest, self._deceleration
+        self._joints = list(zip(*(numbers.tolist() for numbers in joints), strict=True))
         self._slowest = -self._fastest
         outermost = self._position + np.array([[-_TOLD], [_TOLD]])
         too_fast = (1.0 + _TOLD) * np.array([self._slowest, self._fastest])
@@ -186,51 +181,52 @@ class TorqueLimited(Limiter):
     def _limit(self, asked: Asked) -> Limited:
         if self._only_clips:
             return Limited(asked.clipped, _LIMITED, math.nan, asked.memory)
-        q, v = asked.measurement.q, asked.measurement.v
-        answer = asked.answer
-        size = math.hypot(
-            *answer.torque.tolist(), *answer.e.tolist(), *q.tolist(), *v.tolist()
-        )  # NaN where x is lost
-        if size < _HUGE:
-            return self._nearest(asked)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
             return self._nearest(asked)
 
     def _nearest(self, asked: Asked) -> Limited:
         """Return what `_limit` does."""
-        answer, _, measurement, lower, upper, torque, free, _ = asked
-        wanted, q, v = answer.torque, measurement.q, measurement.v
-        y, rho, slack, ahead = None, 0.0, math.nan, None
+        answer, _, (_, q, v, *_), lower, upper, torque, free, _ = asked
+        wanted, y, rho, slack = answer.torque, None, 0.0, math.nan
         if not free and self.proof:
             y, rho = self._passive_output(answer, v)
             if self._diagonal is not None:
                 torque, slack = law.limited_torque(wanted, y, lower, upper, self._diagonal, rho)
-        keeps = True
-        if self._looks_ahead:
-            ahead = self._predicted(asked, torque)
-            keeps = _is_within(ahead.f + ahead.residual, ahead.accelerations)
+        ahead = self._predicted(asked, torque) if self._looks_ahead else None
+        bounds = None if ahead is None else self._bounds(ahead, v)
         # the minimum without rows that it keeps is the minimum with them
-        if keeps and (free or self._diagonal is not None):
+        if (free or self._diagonal is not None) and (
+            ahead is None or bounds is None or _is_within(ahead.f + ahead.residual, bounds)
+        ):
             status, slack = (_FREE, 0.0) if free else self._said(answer, slack)
+            if free and ahead is not None and bounds is not None:
+                place = np.concatenate([ahead.motion, v])
+                status = _FREE if _is_within(place, self._told) else LimitStatus.EXCEEDED
             return self._limited(asked, torque, status, slack, ahead)
 
-        if y is None:
-            y, rho = self._passive_output(answer, v)
-        M_inv, rows = self._dynamics.M_inv(q), self._no_rows
+        M_inv, rows, q_dd_0 = self._dynamics.M_inv(q), self._no_rows, None
         if ahead is not None:
             # q̈ = M̂⁻¹τ + q̈₀ is within its bounds, with q̈₀ the acceleration without a torque
+            bounds = self._accelerations(ahead.motion, v) if bounds is None else bounds
             q_dd_0 = ahead.f + ahead.residual - M_inv.dot(torque)
-            rows = M_inv, *(ahead.accelerations - q_dd_0)
+            rows = M_inv, *(bounds - q_dd_0)
         R = self._R
         if R is None:
             R = M_inv if self._is_inertia else task_force_weight(asked)
-        found, verdict = self._solve(R, wanted, y, rho, lower, upper, rows)
+        if y is None:
+            y, rho = self._passive_output(answer, v)
+        problem, price = QuadraticProgram(R, -R.dot(wanted), lower, upper, *rows), None
+        if self.proof:  # of length one, solvers do better
+            size = math.hypot(*y.tolist()) or 1.0
+            most = float(y.dot(wanted)) / size - _MARGIN
+            problem, price = with_row(problem, y / size, most), rho * size
+        found, verdict = self._solver.solve(problem, price, slack > 0.0)
         if found is not None:
             status, slack = self._said(answer, _slack(found, wanted, y))
         else:
-            found = self._fallback(asked, ahead)
-            _, slack = self._said(answer, _slack(found, wanted, y))
             status = _INFEASIBLE if verdict is Verdict.INFEASIBLE else LimitStatus.SOLVER_FAILED
+            found = self._fallback(asked, M_inv, bounds, q_dd_0)
+            _, slack = self._said(answer, _slack(found, wanted, y))
         if ahead is not None:
             ahead = ahead._replace(f=ahead.f + M_inv.dot(found - torque))
         return self._limited(asked, found, status, slack, ahead)
@@ -239,44 +235,10 @@ class TorqueLimited(Limiter):
         self, asked: Asked, torque: Array, status: LimitStatus, slack: float, ahead: Ahead | None
     ) -> Limited:
         """Return a torque with its status, and the memory for the next step."""
-        if ahead is None:
-            return Limited(torque, status, slack, asked.memory)
-        if status is _FREE and not _is_within(ahead.place, self._told):
-            status = LimitStatus.EXCEEDED
-        memory = self._prediction.expecting(asked.measurement, ahead.f, ahead.residual)
+        memory = asked.memory
+        if ahead is not None:
+            memory = self._prediction.expecting(asked.measurement, ahead.f, ahead.residual)
         return Limited(torque, status, slack, memory)
-
-    def _solve(
-        self,
-        R: Array,
-        wanted: Array,
-        y: Array,
-        rho: float,
-        lower: Array,
-        upper: Array,
-        rows: Rows,
-    ) -> tuple[Array | None, Verdict]:
-        """Return the minimum of the QP over τ, its slack eliminated.
-
-        The minimum has σ > 0 only where it is that with ρyᵀτ in the cost instead of the row. Where
-        that one has yᵀ(τ − τ*) < 0, the row with σ = 0 has a multiplier of ρ at most.
-        """
-        f = -R.dot(wanted)
-        if not self.proof:
-            return self._solver.solve(QuadraticProgram(R, f, lower, upper, *rows))
-        # yᵀτ ≤ yᵀτ* + σ, so that V̇ ≤ −W + σ; of length one, solvers do better
-        size = math.hypot(*y.tolist()) or 1.0
-        A = np.concatenate([rows[0], (y / size)[np.newaxis]])
-        row_lower = np.concatenate([rows[1], _NO_LOWER])
-        row_upper = np.concatenate([rows[2], _NO_UPPER])
-        problem = QuadraticProgram(R, f + rho * y, lower, upper, A, row_lower, row_upper)
-        dearest, verdict = self._solver.solve(problem)
-        if dearest is None or float(y.dot(dearest - wanted)) >= 0.0:
-            return dearest, verdict
-        row_upper[-1] = float(y.dot(wanted)) / size - _MARGIN  # what a solver may be off
-        found, _ = self._solver.solve(problem._replace(f=f))
-        # without it, there is one that keeps the proof at a higher cost
-        return (dearest if found is None else found), Verdict.SOLVED
 
     def _said(self, answer: Evaluation, slack: float) -> tuple[LimitStatus, float]:
         """Return status and slack of a torque that was limited and keeps the limits."""
@@ -284,30 +246,56 @@ class TorqueLimited(Limiter):
             return _LIMITED, math.nan  # without x, or without Ĵ⁺, there is no V
         return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
 
-    def _fallback(self, asked: Asked, ahead: Ahead | None) -> Array:
-        """Return gravity compensation, and brakes towards speeds that joints may have; (n_v,)."""
-        v, slowest, fastest, hold = asked.measurement.v, 0.0, 0.0, asked.gravity
-        if ahead is not None:
-            slowest, fastest = ahead.speeds
-            hold = self._prediction.hold(asked.measurement, asked.gravity, ahead.residual)
-        excess = v - np.minimum(np.maximum(0.0, slowest), fastest)
-        brakes = self._brakes * np.abs(excess)
-        if self._ramp is not None:
-            brakes = np.minimum(brakes, np.sqrt(self._ramp * np.abs(excess)))
-        torque: Array = hold - np.sign(excess) * brakes
-        return np.minimum(np.maximum(torque, asked.lower), asked.upper)
+    def _fallback(
+        self, asked: Asked, M_inv: Array, bounds: Array | None, q_dd_0: Array | None
+    ) -> Array:
+        """Return a torque that brakes as hard as motors can, shape (n_v,).
+
+        Joints that cannot be kept within their bounds come as near to them as can be, for which the
+        others give way within theirs: first the one that lacks most counts as one that cannot,
+        then the two that do, until there is a torque. Without bounds joints come to rest.
+        """
+        v, lower, upper, gravity = asked.measurement.v, asked.lower, asked.upper, asked.gravity
+        dear = np.zeros_like(v)
+        if bounds is None or q_dd_0 is None:
+            q_dd_0 = self._prediction.forward(asked.measurement, dear, gravity)
+            wanted, low, high = -self._braking * v, dear - np.inf, dear + np.inf
+        else:
+            wanted = np.minimum(np.maximum(0.0, bounds[0]), bounds[1])
+            low, high = bounds - q_dd_0
+        # the least square of q̈ − wanted, weighted by M̂ and by what is dear besides
+        change = wanted - q_dd_0
+        for joint in np.argsort(-np.abs(wanted) / np.abs(M_inv).dot(upper)):
+            low[joint], high[joint], dear[joint] = -np.inf, np.inf, _DEAR / M_inv[joint, joint]
+            H, f = M_inv + (M_inv * dear).dot(M_inv), -change - M_inv.dot(dear * change)
+            problem = QuadraticProgram(H, f, lower, upper, M_inv, low, high)
+            found, _ = self._brakes.solve(problem)
+            if found is not None:
+                return found
+        return np.minimum(np.maximum(gravity, lower), upper)
 
     def _predicted(self, asked: Asked, torque: Array) -> Ahead:
-        """Return what a torque leads to, and what it may lead to."""
-        q, v = asked.measurement.q, asked.measurement.v
+        """Return what a torque leads to."""
+        measurement = asked.measurement
+        q = measurement.q
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
-        speeds = position_bounds(motion, self._position, self._approach, self._deceleration)
+        f = self._prediction.forward(measurement, torque, asked.gravity)
+        return Ahead(motion, f, self._prediction.residual(asked.memory, measurement))
+
+    def _bounds(self, ahead: Ahead, v: Array) -> Array | None:
+        """Return bounds of q̈, shape (2, n_v); None where it is quickly told that it keeps them."""
+        if self._jerk is None:
+            led_to = v + (ahead.f + ahead.residual) / self._braking
+            if keep_bounds(ahead.motion, v, led_to, self._joints, self.approach):
+                return None
+        return self._accelerations(ahead.motion, v)
+
+    def _accelerations(self, motion: Array, v: Array) -> Array:
+        """Return bounds of q̈, shape (2, n_v)."""
+        speeds = position_bounds(motion, self._position, self.approach, self._deceleration)
         # a joint far beyond its limit comes back no faster than it may move
         speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
-        f = self._prediction.forward(asked.measurement, torque, asked.gravity)
-        residual = self._prediction.residual(asked.memory, asked.measurement)
-        accelerations = acceleration_bounds(v, speeds, self._braking, self._jerk)
-        return Ahead(speeds, accelerations, f, residual, np.concatenate([motion, v]))
+        return acceleration_bounds(v, speeds, self._braking, self._jerk)
 
     def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, float]:
         """Return y, shape (n_v,), and ρ.
