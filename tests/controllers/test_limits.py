@@ -82,20 +82,20 @@ def test_rate_bounds_never_leave_the_effort_limits():
     assert_allclose(upper, [1.0, 1.0])
 
 
-def test_position_bounds_let_a_joint_come_to_its_limit_exponentially():
-    motion, position = np.array([0.5]), np.array([[-1.0], [1.0]])
+def test_speed_bounds_let_a_joint_come_to_its_limit_exponentially():
+    motion = np.array([0.5])
     for _ in range(1000):
-        speed = rows.position_bounds(motion, position, 10.0, np.array([np.inf]))[1]
-        motion = motion + 1e-3 * speed
+        speed = rows.speed_bounds(motion, [(-1.0, 1.0, np.inf, np.inf)], 10.0)[1]
+        motion = motion + 1e-3 * np.array(speed)
     assert_allclose(1.0 - motion, 0.5 * (1.0 - 0.01) ** 1000)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_joint_that_comes_to_its_limit_brakes_with_no_more_than_its_deceleration(side):
-    position, a, dt = np.array([[-1.0], [1.0]]), np.array([3.0]), 1e-4
+    joint, dt = (-1.0, 1.0, np.inf, 3.0), 1e-4
     motion, before, hardest = np.array([-0.8 * side]), None, 0.0
     for _ in range(30_000):
-        speed = rows.position_bounds(motion, position, 10.0, a)[int(side > 0.0)]
+        speed = np.array(rows.speed_bounds(motion, [joint], 10.0)[int(side > 0.0)])
         if before is not None:
             hardest = max(hardest, float(np.abs(speed - before)[0]) / dt)
         before, motion = speed, motion + dt * speed

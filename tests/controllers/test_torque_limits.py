@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
-from approxjac.controllers.limits import acceleration_bounds, position_bounds, sure_deceleration
+from approxjac.controllers.limits import acceleration_bounds, speed_bounds, sure_deceleration
 from approxjac.controllers.qp_solvers import as_solver
 from approxjac.errors import MeasurementError
 from approxjac.robots import Dynamics, GravityRegressor
@@ -155,6 +155,23 @@ def test_V_decreases_as_promised_along_the_true_dynamics(panda, rng, weight):
     assert aj.LimitStatus.PROOF_KEPT in seen
 
 
+def test_on_a_path_the_proofs_row_has_the_motion_relative_to_it(panda, rng):
+    """There q̇ − Ĵ⁺ẋ_d takes the place of q̇ in y, as in the law and in what learns."""
+    law, kept = law_of(panda), 0
+    limited = aj.TorqueLimited(law, effort_only(panda, 0.4))
+    for _ in range(60):
+        measurement, x_d = some_measurement(panda, rng, speed=0.5, error=0.2)
+        target = aj.Target(x_d, rng.normal(size=3))
+        answer = first_answer(limited, measurement, target)
+        if answer.limit_status is aj.LimitStatus.PROOF_KEPT:
+            kept += 1
+            relative = measurement.v - np.linalg.pinv(answer.J_hat) @ target.v
+            y = law.passive_output(answer, relative, limited.alpha)
+            wanted = law.evaluate(np.zeros(0), measurement, target).torque
+            assert y @ (answer.torque - wanted) <= 1e-9
+    assert kept > 5
+
+
 def test_clipping_breaks_what_the_QP_keeps(panda, rng):
     """At the same states, with the same torque asked for."""
     law = law_of(panda)
@@ -173,9 +190,13 @@ def test_clipping_breaks_what_the_QP_keeps(panda, rng):
     assert broken > 5
 
 
+@pytest.mark.parametrize("v_d", [None, np.array([0.3, -0.2, 0.1])], ids=["at rest", "on a path"])
 @pytest.mark.parametrize(("scale", "speed"), [(0.4, 0.5), (4.0, 0.05)])
-def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale, speed, rng):
-    """There learning is that of an arm whose joints at a limit are locked: y = q̇ + α(ĴP)⁺s(e)."""
+def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale, speed, v_d, rng):
+    """There learning is that of an arm whose joints at a limit are locked: y = q̇ + α(ĴP)⁺s(e).
+
+    On a path s(e) − ẋ_d/α takes the place of s(e).
+    """
     law = learning(panda)
     free = aj.SetpointController(
         law.task,
@@ -184,7 +205,7 @@ def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale
             law.adaptation.regressor, L=0.1, alpha=1.0, torque_limits=np.inf
         ),
     )
-    limited = aj.TorqueLimited(law, aj.Limits.of(panda, scale=scale))
+    limited = aj.TorqueLimited(law, aj.Limits.of(panda, scale=scale), braking=0.1 / DT)
     assert limited.alpha == 1.0
     seen = {}
     for _ in range(150):
@@ -194,6 +215,7 @@ def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale
             q[[1, 3]] = panda.position_limits[1][[1, 3]] - 0.001
             measurement = measurement._replace(q=q, x=law.task.value(q))
             target = target - x + measurement.x
+        target = aj.Target(target, v_d)
         state = limited.initial_state(measurement)
         after, answer = limited.step(state, measurement, target, DT)
         before = law.learnt(state)
@@ -210,7 +232,8 @@ def test_where_the_proof_is_given_up_joints_at_a_limit_do_not_learn(panda, scale
             J_free = answer.J_hat * ~locked
             if locked.any() and np.linalg.cond(J_free) > 30.0:
                 continue  # Ĵ⁺ is damped there
-            y = v * ~locked + np.linalg.pinv(J_free) @ law.saturation.s(answer.e)
+            s = law.saturation.s(answer.e) - (0.0 if v_d is None else v_d)
+            y = v * ~locked + np.linalg.pinv(J_free) @ s
             goes_on = locked.any() and (np.abs(wanted.torque) <= scale * panda.effort_limits).all()
             rate = -0.1 * law.adaptation.regressor.Z(q).T @ y if goes_on else 0.0 * before
             assert_allclose(law.learnt(after), before + DT * rate, atol=1e-12)
@@ -433,13 +456,10 @@ def test_the_rows_bound_the_acceleration_that_the_believed_arm_predicts(panda, r
     limits = replace(aj.Limits.of(panda), rate=rate)
     problem, limited, _ = recorded(law_of(panda), limits, measurement, target, weight="inertia")
     without = pin.aba(panda.model, panda.model.createData(), q, v, np.zeros(7))
-    speeds = position_bounds(
-        q,
-        np.array(panda.position_limits),
-        limited.approach,
-        sure_deceleration(panda, panda.effort_limits),
-    )
-    speeds = np.clip(speeds, -panda.velocity_limits, panda.velocity_limits)
+    a = sure_deceleration(panda, panda.effort_limits)
+    joints = zip(*panda.position_limits, panda.velocity_limits, a, strict=True)
+    speeds = np.array(speed_bounds(q, joints, limited.approach))
+    assert (np.abs(speeds) <= panda.velocity_limits).all()
     wanted = acceleration_bounds(v, speeds, limited.braking)
     low, high = problem.row_lower[:7] + without, problem.row_upper[:7] + without
     if rate is None:
@@ -621,11 +641,11 @@ class Faulty:
 
 @pytest.mark.parametrize("fault", ["raises", "none", "nan", "beyond", "text", "short", "rows"])
 def test_a_solver_that_fails_leaves_a_torque_that_holds_and_brakes(panda, fault):
-    solver = Faulty(fault)
-    limited = aj.TorqueLimited(law_of(panda), solver=solver)
+    options = {"braking": 0.1 / DT}
+    limited = aj.TorqueLimited(law_of(panda), solver=Faulty(fault), **options)
     measurement, target = infeasible_state(panda)
     measurement = measurement._replace(v=0.5 * measurement.v)
-    good = first_answer(aj.TorqueLimited(law_of(panda)), measurement, target)
+    good = first_answer(aj.TorqueLimited(law_of(panda), **options), measurement, target)
     assert good.limit_status in (aj.LimitStatus.PROOF_KEPT, aj.LimitStatus.PROOF_GIVEN_UP)
     answer = first_answer(limited, measurement, target)
     assert answer.limit_status is aj.LimitStatus.SOLVER_FAILED
@@ -771,11 +791,21 @@ def test_rates_of_braking_may_be_what_sampling_allows(panda):
     limited = aj.TorqueLimited(law_of(panda), dt=DT, braking=1.0 / DT, approach=1.0 / DT)
     assert (limited.braking, limited.approach) == (1.0 / DT, 1.0 / DT)
     assert aj.TorqueLimited(law_of(panda), braking=0.5).braking == 0.5
-    assert aj.TorqueLimited(law_of(panda), dt=DT).braking == 0.1 / DT
     for options in ({"braking": 1001.0}, {"braking": 10.0, "approach": 10.1}):
         with pytest.raises(aj.InvalidInputError, match=r"must be at most 10") as error:
             aj.TorqueLimited(law_of(panda), dt=DT, **options)
         assert error.value.given == list(options.values())[-1]
+
+
+@pytest.mark.parametrize(("share", "braking"), [(1e-3, 0.1 / DT), (0.5, None), (100.0, 0.3 / DT)])
+def test_without_a_latency_braking_is_as_fast_as_the_laws_own_damping(panda, share, braking):
+    """A loop that stands the one stands the other; from 0.1 to 0.3 over dt."""
+    gains = aj.default_gains(aj.PositionTask(panda))
+    law = law_of(panda, gains=replace(gains, damping=share * np.asarray(gains.damping)))
+    if braking is None:
+        braking = fastest_mode(panda, law.diagonals.damping)
+        assert 0.12 / DT < braking < 0.25 / DT
+    assert aj.TorqueLimited(law, dt=DT).braking == pytest.approx(braking, rel=0.2)
 
 
 def test_braking_is_as_fast_as_the_latency_that_a_law_was_tuned_for_allows(panda):

@@ -37,6 +37,7 @@ class Asked(NamedTuple):
         clipped: The torque asked for, brought within them, shape (n_v,).
         free: Whether it was within them.
         memory: What the limiter kept from the step before, shape (k,).
+        target_rate: ẋ_d, shape (m,); None at rest.
     """
 
     answer: Evaluation
@@ -47,6 +48,7 @@ class Asked(NamedTuple):
     clipped: Array
     free: bool
     memory: Array
+    target_rate: Array | None = None
 
 
 class Limited(NamedTuple):
@@ -165,25 +167,27 @@ class Limiter(ControllerWrapper):
         free = torque.tolist() == wanted.tolist()
         if not free or self._looks_ahead:
             assert answer.gravity is not None  # no law of ours leaves it out
-            asked = Asked(answer, answer.gravity, measurement, lower, upper, torque, free, memory)
+            v_d = target.v if isinstance(target, Target) else None
+            if v_d is not None:
+                v_d = self._law._combination.dot(v_d)
+            g = answer.gravity
+            asked = Asked(answer, g, measurement, lower, upper, torque, free, memory, v_d)
             torque, status, slack, memory = self._limit(asked)
-        if self._p and status not in _GOES_ON:
-            after[: self._p] = state[: self._p]
-            if status in _GIVES_UP and answer.status in _TOLD:
-                after[: self._p] += dt * self._rate_of_others(state, measurement, answer, torque)
+            if self._p and status not in _GOES_ON:
+                after[: self._p] = state[: self._p]
+                if status in _GIVES_UP and answer.status in _TOLD:
+                    after[: self._p] += dt * self._rate_of_others(state, asked, torque)
         if self._memory:
             after = np.concatenate([after, memory, torque] if self._has_rate else [after, memory])
-        return after, answer._replace(torque=torque, limit_status=status, slack=slack)
+        return after, Evaluation(torque, *answer[1:6], status, slack)
 
-    def _rate_of_others(
-        self, state: Array, measurement: Measurement, answer: Evaluation, torque: Array
-    ) -> Array:
+    def _rate_of_others(self, state: Array, asked: Asked, torque: Array) -> Array:
         """Return the rate of θ̂ (p,) of the joints that are at no limit; 0 where all are free.
 
-        `answer` is that of the law, before the limits; 0 where it asks for more than the motors
-        have.
+        0 too where the law asks for more than the motors have.
         """
-        controller, (_, q, v, *_), J_hat = self._law, measurement, answer.J_hat
+        controller, answer, (_, q, v, *_) = self._law, asked.answer, asked.measurement
+        J_hat, v_d = answer.J_hat, asked.target_rate
         learning = controller.adaptation
         assert learning is not None
         assert J_hat is not None
@@ -196,8 +200,10 @@ class Limiter(ControllerWrapper):
         if not locked.any() or (np.abs(answer.torque) > self._upper).any():
             return np.zeros(self._p)  # or θ̂ would ask for ever more than the motors have
         J_free, s = np.where(locked, 0.0, J_hat), controller.saturation.s(answer.e)
-        pinv_s, _ = controller.pinv_times(J_free, s, scale=float(np.linalg.norm(J_hat, 2)))
-        y = law.passive_output(np.where(locked, 0.0, v), pinv_s, learning.alpha)
+        v, scale = np.where(locked, 0.0, v), float(np.linalg.norm(J_hat, 2))
+        if v_d is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
+            v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
+        y = law.passive_output(v, controller.pinv_times(J_free, s, scale)[0], learning.alpha)
         rate = law.theta_hat_rate(learning.L, learning.Y(q, J_hat), y)
         if learning.bounds is None:
             return rate

@@ -126,64 +126,37 @@ def sure_deceleration(robot: Robot, effort: Array) -> Array:
     return np.asarray(_SHARE * np.quantile(found, _RARE, axis=0, method="lower"))
 
 
-def position_bounds(motion: Array, position: Array, approach: float, deceleration: Array) -> Array:
-    """Return speeds with which a joint comes to its limit ever more slowly, shape (2, n_v).
+def speed_bounds(
+    motion: Array, joints: Iterable[Sequence[float]], approach: float
+) -> tuple[list[float], list[float]]:
+    """Return the smallest and the largest speed of each joint, in plain numbers.
 
     A joint at a distance d from its limit may move towards it at κd at most, so it gets there as
     exp(−κt) and needs no sudden stop; and, where that takes more than the deceleration a, at
     √(2ad − (a/κ)²), along which it brakes with a until the two meet. One beyond its limit has to
-    come back.
+    come back, no faster than it may move.
 
     Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
     manipulators with a high number of degrees of freedom", ICRA 1987, for κd.
 
     Args:
         motion: Joint positions, shape (n_v,) [rad or m].
-        position: Their smallest and largest, shape (2, n_v).
-        approach: κ [1/s].
-        deceleration: a > 0, shape (n_v,) [rad/s² or m/s²], infinite where it is never too little.
-    """
-    joints = [(motion.tolist(), side, deceleration.tolist()) for side in position.tolist()]
-    return np.array(
-        [
-            [
-                math.copysign(_approaching(abs(there - here), approach, a), there - here)
-                for here, there, a in zip(*side, strict=True)
-            ]
-            for side in joints
-        ]
-    )
-
-
-def keep_bounds(
-    motion: Array, v: Array, led_to: Array, joints: Iterable[Sequence[float]], approach: float
-) -> bool:
-    """Return whether all joints are within their limits, and stay within `position_bounds`.
-
-    In plain numbers, a third of the time of arrays. False where a joint is beyond a limit.
-
-    Args:
-        motion: Joint positions, shape (n_v,).
-        v: Joint velocity q̇, shape (n_v,).
-        led_to: Speeds that have to be within their bounds, shape (n_v,).
-        joints: The smallest and largest position, the largest speed and a of each joint.
+        joints: Smallest and largest position, largest speed, and a > 0 of each.
         approach: κ [1/s].
     """
-    for (low, high, fastest, a), q, now, speed in zip(
-        joints, motion.tolist(), v.tolist(), led_to.tolist(), strict=True
-    ):
-        if not (low <= q <= high and abs(now) <= fastest and abs(speed) <= fastest):
-            return False
-        if abs(speed) > _approaching(high - q if speed > 0.0 else q - low, approach, a):
-            return False
-    return True
+    slowest, fastest = [], []
+    for q, (low, high, most, a) in zip(motion.tolist(), joints, strict=True):
+        slowest.append(-_towards(q - low, most, approach, a))
+        fastest.append(_towards(high - q, most, approach, a))
+    return slowest, fastest
 
 
-def _approaching(left: float, approach: float, deceleration: float) -> float:
-    """Return how fast a joint may approach a limit that is `left` away."""
-    speed, knee = approach * left, deceleration / approach
-    # from the knee on it is a's turn
-    return speed if speed <= knee else math.sqrt(knee * (2.0 * speed - knee))
+def _towards(left: float, fastest: float, approach: float, a: float) -> float:
+    """Return the largest speed towards a limit that is `left` away, negative beyond it."""
+    speed, knee = approach * abs(left), a / approach
+    if speed > knee:  # from there on it is a's turn
+        speed = math.sqrt(knee * (2.0 * speed - knee))
+    return math.copysign(speed if speed < fastest else fastest, left)
 
 
 def acceleration_bounds(

@@ -15,7 +15,6 @@ _HUGE = 1e100  # below it nothing overflows in a check
 _TOLERANCE = 1e-6  # of bounds and rows, relative to their size and at least absolute
 _FIRST_TOLERANCE = 1e-9  # what DAQP is asked for first
 _EXACT = 1e-12  # violations that bring nothing out of tolerance when taken away
-_NO_LOWER = np.array([-np.inf])
 _DAQP_SETTINGS = {
     "iter_limit": 1000,
     "zero_tol": 1e-24,  # of |a|² of a row in the metric of H; 1e-11 loses rows if H is 1e6
@@ -46,13 +45,6 @@ class QuadraticProgram(NamedTuple):
     A: Array
     row_lower: Array
     row_upper: Array
-
-
-def with_row(problem: QuadraticProgram, a: Array, most: float) -> QuadraticProgram:
-    """Return a problem with one more row, aᵀz ≤ most, a of shape (n,)."""
-    H, f, lower, upper, A, row_lower, row_upper = problem
-    A, row_lower = np.concatenate([A, a[np.newaxis]]), np.concatenate([row_lower, _NO_LOWER])
-    return QuadraticProgram(H, f, lower, upper, A, row_lower, np.append(row_upper, most))
 
 
 class Verdict(enum.Enum):
@@ -103,22 +95,19 @@ class Solver:
             return self._solved(problem)[:2]
         # The minimum exceeds the bound only where it is that with the price in the cost instead of
         # the bound; where that one does not, the bound has a multiplier of the price at most.
-        a, most = problem.A[-1], problem.row_upper[-1]
-        row_upper = problem.row_upper.copy()
-        row_upper[-1] = np.inf
-        dear = problem._replace(f=problem.f + price * a, row_upper=row_upper)
-        if pays or self._function is not None:
-            z, verdict, _ = self._solved(dear)
-            if z is None or float(a.dot(z)) >= most:
-                return z, verdict
+        kept = None
+        if not pays and self._function is None:
+            kept, _, multiplier = self._solved(problem)
+            if multiplier <= price:
+                return kept, Verdict.SOLVED
+        H, f, lower, upper, A, row_lower, row_upper = problem
+        unbounded = np.append(row_upper[:-1], np.inf)
+        dear = QuadraticProgram(H, f + price * A[-1], lower, upper, A, row_lower, unbounded)
+        z, verdict, _ = self._solved(dear)
+        if kept is None and z is not None and float(A[-1].dot(z)) < row_upper[-1]:
             kept, _, _ = self._solved(problem)
-            # without it, there is one that keeps the bound at a higher cost
-            return (z if kept is None else kept), Verdict.SOLVED
-        z, verdict, multiplier = self._solved(problem)
-        if z is not None and multiplier <= price:
-            return z, verdict
-        dearest, verdict, _ = self._solved(dear)
-        return (z, Verdict.SOLVED) if dearest is None and z is not None else (dearest, verdict)
+            return (z if kept is None else kept), verdict  # z keeps the bound, too
+        return (z, verdict) if kept is None or z is not None else (kept, Verdict.SOLVED)
 
     def _solved(self, problem: QuadraticProgram) -> tuple[Array | None, Verdict, float]:
         """Return z, or None, and why; and the multiplier of the last row, NaN of a function."""

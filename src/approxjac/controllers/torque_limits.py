@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -15,13 +16,12 @@ from approxjac.controllers.limiter import Asked, Limited, Limiter
 from approxjac.controllers.limits import (
     Limits,
     acceleration_bounds,
-    keep_bounds,
-    position_bounds,
+    speed_bounds,
     sure_deceleration,
 )
 from approxjac.controllers.prediction import Prediction
 from approxjac.controllers.qp_solvers import as_solver
-from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict, with_row
+from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.usual_postures import usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
@@ -29,13 +29,13 @@ from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Ta
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 Weight = Literal["joint inertia", "inertia", "identity", "task force"]
-Rows = tuple[Array, Array, Array]
 _WEIGHTS = ("joint inertia", "inertia", "identity", "task force")
 _OK = Status.OK
 _FREE, _LIMITED, _INFEASIBLE = LimitStatus.FREE, LimitStatus.LIMITED, LimitStatus.INFEASIBLE
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
 _ROUND_OFF = 1e-10
 _MARGIN = 1e-6  # what a solver may be off
+_NO_LOWER = np.array([-np.inf])
 _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
 _TOLD = 1e-3  # beyond a limit of speed (as a share) or position [rad or m] that has its status
 _DEAR = 10.0  # how much dearer it is that a joint brakes too little than that others do
@@ -45,14 +45,18 @@ class Ahead(NamedTuple):
     """Motion that a torque leads to in the next period.
 
     Attributes:
-        motion: Joint positions, shape (n_v,).
         f: q̈ by the believed dynamics, shape (n_v,).
         residual: r, by which periods have shown that to be wrong, shape (n_v,).
+        q_dd: Both together.
+        speeds: Smallest and largest q̇, n_v numbers each.
+        place: Joint positions, then q̇.
     """
 
-    motion: Array
     f: Array
     residual: Array
+    q_dd: Array
+    speeds: tuple[list[float], list[float]]
+    place: list[float]
 
 
 class TorqueLimited(Limiter):
@@ -86,8 +90,10 @@ class TorqueLimited(Limiter):
             kept more often.
         dt: Sampling time [s].
         braking: How fast damping may be, and the residual of `Prediction` [1/s], at most 1/dt. By
-            default 0.3 over the lag of q̇ where the law knows its latency, else 0.1/dt.
-        approach: κ of `position_bounds` [1/s], at most `braking`; a tenth of it by default.
+            default 0.3 over the lag of q̇ where the law knows its latency. Else as fast as the law's
+            own joint damping, which the loop stands, but from 0.1/dt to 0.3/dt; with a limit of the
+            rate 0.1/dt.
+        approach: κ of `speed_bounds` [1/s], at most `braking`; a tenth of it by default.
         solver: "daqp", "osqp", another one of qpsolvers' by name, or a function that takes a
             `QuadraticProgram` and returns its minimum.
 
@@ -118,10 +124,11 @@ class TorqueLimited(Limiter):
         robot = controller.task.robot
         self.proof = proof
         self.alpha = self._resolved_alpha(alpha)
-        self.braking = self._rate_of("braking", braking, 1.0 / self._dt, self._usual_braking())
-        self.approach = self._rate_of("approach", approach, self.braking, 0.1 * self.braking)
-        self._solver = as_solver(solver)
         inertias = usual_inertias(robot)
+        usual = self._usual_braking(inertias)
+        self.braking = self._rate_of("braking", braking, 1.0 / self._dt, usual)
+        self.approach = self._rate_of("approach", approach, self.braking, 0.1 * self.braking)
+        self._solver, self._brakes = as_solver(solver), as_solver("daqp")
         self._diagonal = self._resolved_weight(weight, inertias)
         self.weight = weight if isinstance(weight, str) else self._diagonal
         self._R = None if self._diagonal is None else np.diag(self._diagonal)
@@ -130,28 +137,21 @@ class TorqueLimited(Limiter):
         if not self._is_inertia:  # R of the task force is I at least
             diagonal = np.ones(robot.nv) if self._diagonal is None else self._diagonal
             self._rho = self.braking / quickest(inertias, 1.0 / diagonal)
-        self._brakes = as_solver("daqp")
-        usual = np.median([np.diag(M) for M in inertias], axis=0)
-        self._jerk = self._rate / usual if self._has_rate else None
+        own = np.median([np.diag(M) for M in inertias], axis=0)
+        self._jerk = self._rate / own if self._has_rate else None
         self._prediction = Prediction(controller, self._dt, self.braking)
         self._dynamics = self._prediction.dynamics
-        self._deceleration = sure_deceleration(robot, self._upper)
         self._model = robot.model
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
         # arrays, which NumPy multiplies with in a third of the time of numbers
         self._braking, self._alpha = np.array(self.braking), np.array(self.alpha)
-        self._position = np.array(self.limits.position)
-        self._fastest = np.asarray(self.limits.velocity)
-        joints = *self._position, self._fastest, self._deceleration
-        self._joints = list(zip(*(numbers.tolist() for numbers in joints), strict=True))
-        self._slowest = -self._fastest
-        outermost = self._position + np.array([[-_TOLD], [_TOLD]])
-        too_fast = (1.0 + _TOLD) * np.array([self._slowest, self._fastest])
-        self._told = np.concatenate([outermost, too_fast], axis=1)
-        moving = np.isfinite(self._fastest).any()
-        self._per_speed = 1.0 / self._fastest if moving else None
-        bounds = (*self._position, self._slowest, self._fastest)
-        self._looks_ahead = bool(np.isfinite(bounds).any())
+        (low, high), fastest = np.array(self.limits.position), np.asarray(self.limits.velocity)
+        joints = np.array([low, high, fastest, sure_deceleration(robot, self._upper)])
+        self._joints = joints.T.tolist()
+        too_fast = (1.0 + _TOLD) * fastest
+        self._told = [*(low - _TOLD), *-too_fast], [*(high + _TOLD), *too_fast]
+        self._per_speed = 1.0 / fastest if np.isfinite(fastest).any() else None
+        self._looks_ahead = bool(np.isfinite(joints[:3]).any())
         if self._looks_ahead:
             self._keep(self._prediction.nothing())
         self._no_rows = np.zeros((0, robot.nv)), np.zeros(0), np.zeros(0)
@@ -186,40 +186,37 @@ class TorqueLimited(Limiter):
 
     def _nearest(self, asked: Asked) -> Limited:
         """Return what `_limit` does."""
-        answer, _, (_, q, v, *_), lower, upper, torque, free, _ = asked
+        answer, _, (_, q, v, *_), lower, upper, torque, free, *_ = asked
         wanted, y, rho, slack = answer.torque, None, 0.0, math.nan
         if not free and self.proof:
-            y, rho = self._passive_output(answer, v)
+            y, rho = self._passive_output(asked)
             if self._diagonal is not None:
                 torque, slack = law.limited_torque(wanted, y, lower, upper, self._diagonal, rho)
         ahead = self._predicted(asked, torque) if self._looks_ahead else None
-        bounds = None if ahead is None else self._bounds(ahead, v)
         # the minimum without rows that it keeps is the minimum with them
-        if (free or self._diagonal is not None) and (
-            ahead is None or bounds is None or _is_within(ahead.f + ahead.residual, bounds)
-        ):
+        if (free or self._diagonal is not None) and (ahead is None or self._keeps(ahead, v)):
             status, slack = (_FREE, 0.0) if free else self._said(answer, slack)
-            if free and ahead is not None and bounds is not None:
-                place = np.concatenate([ahead.motion, v])
-                status = _FREE if _is_within(place, self._told) else LimitStatus.EXCEEDED
+            if free and ahead is not None and not _is_within(ahead.place, *self._told):
+                status = LimitStatus.EXCEEDED
             return self._limited(asked, torque, status, slack, ahead)
 
-        M_inv, rows, q_dd_0 = self._dynamics.M_inv(q), self._no_rows, None
-        if ahead is not None:
-            # q̈ = M̂⁻¹τ + q̈₀ is within its bounds, with q̈₀ the acceleration without a torque
-            bounds = self._accelerations(ahead.motion, v) if bounds is None else bounds
-            q_dd_0 = ahead.f + ahead.residual - M_inv.dot(torque)
-            rows = M_inv, *(bounds - q_dd_0)
-        R = self._R
+        if y is None:
+            y, rho = self._passive_output(asked)
+        M_inv, R, bounds, q_dd_0 = self._dynamics.M_inv(q), self._R, None, None
         if R is None:
             R = M_inv if self._is_inertia else task_force_weight(asked)
-        if y is None:
-            y, rho = self._passive_output(answer, v)
-        problem, price = QuadraticProgram(R, -R.dot(wanted), lower, upper, *rows), None
-        if self.proof:  # of length one, solvers do better
+        A, low, high = self._no_rows
+        if ahead is not None:
+            # q̈ = M̂⁻¹τ + q̈₀ is within its bounds, with q̈₀ the acceleration without a torque
+            bounds, q_dd_0 = self._accelerations(ahead, v), ahead.q_dd - M_inv.dot(torque)
+            A, (low, high) = M_inv, bounds - q_dd_0
+        price = None
+        if self.proof:  # yᵀ(τ − τ*) ≤ 0; of length one, solvers do better
             size = math.hypot(*y.tolist()) or 1.0
-            most = float(y.dot(wanted)) / size - _MARGIN
-            problem, price = with_row(problem, y / size, most), rho * size
+            price, most = rho * size, np.array([y.dot(wanted) / size - _MARGIN])
+            A = np.concatenate([A, (y / size)[np.newaxis]])
+            low, high = np.concatenate([low, _NO_LOWER]), np.concatenate([high, most])
+        problem = QuadraticProgram(R, -R.dot(wanted), lower, upper, A, low, high)
         found, verdict = self._solver.solve(problem, price, slack > 0.0)
         if found is not None:
             status, slack = self._said(answer, _slack(found, wanted, y))
@@ -228,7 +225,7 @@ class TorqueLimited(Limiter):
             found = self._fallback(asked, M_inv, bounds, q_dd_0)
             _, slack = self._said(answer, _slack(found, wanted, y))
         if ahead is not None:
-            ahead = ahead._replace(f=ahead.f + M_inv.dot(found - torque))
+            ahead = Ahead(ahead.f + M_inv.dot(found - torque), *ahead[1:])
         return self._limited(asked, found, status, slack, ahead)
 
     def _limited(
@@ -280,30 +277,30 @@ class TorqueLimited(Limiter):
         q = measurement.q
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
         f = self._prediction.forward(measurement, torque, asked.gravity)
-        return Ahead(motion, f, self._prediction.residual(asked.memory, measurement))
+        r = self._prediction.residual(asked.memory, measurement)
+        place = motion.tolist() + measurement.v.tolist()
+        return Ahead(f, r, f + r, speed_bounds(motion, self._joints, self.approach), place)
 
-    def _bounds(self, ahead: Ahead, v: Array) -> Array | None:
-        """Return bounds of q̈, shape (2, n_v); None where it is quickly told that it keeps them."""
-        if self._jerk is None:
-            led_to = v + (ahead.f + ahead.residual) / self._braking
-            if keep_bounds(ahead.motion, v, led_to, self._joints, self.approach):
-                return None
-        return self._accelerations(ahead.motion, v)
+    def _keeps(self, ahead: Ahead, v: Array) -> bool:
+        """Return whether q̈ leads q̇ into its bounds."""
+        if self._jerk is None:  # the same, in less time
+            return _is_within((v + ahead.q_dd / self._braking).tolist(), *ahead.speeds)
+        return _is_within(ahead.q_dd.tolist(), *self._accelerations(ahead, v).tolist())
 
-    def _accelerations(self, motion: Array, v: Array) -> Array:
+    def _accelerations(self, ahead: Ahead, v: Array) -> Array:
         """Return bounds of q̈, shape (2, n_v)."""
-        speeds = position_bounds(motion, self._position, self.approach, self._deceleration)
-        # a joint far beyond its limit comes back no faster than it may move
-        speeds = np.minimum(np.maximum(speeds, self._slowest), self._fastest)
-        return acceleration_bounds(v, speeds, self._braking, self._jerk)
+        return acceleration_bounds(v, np.array(ahead.speeds), self._braking, self._jerk)
 
-    def _passive_output(self, answer: Evaluation, v: Array) -> tuple[Array, float]:
+    def _passive_output(self, asked: Asked) -> tuple[Array, float]:
         """Return y, shape (n_v,), and ρ.
 
-        λ pulls q̇ towards −αĴ⁺s(e). Where that is faster than joints may move, ρ is reduced, or the
-        pull would drive them into their limits of speed for as long as the error lasts.
+        λ pulls q̇ towards Ĵ⁺ẋ_d − αĴ⁺s(e). Where that is faster than joints may move, ρ is reduced,
+        or the pull would drive them into their limits of speed for as long as the error lasts.
         """
+        answer, v, v_d = asked.answer, asked.measurement.v, asked.target_rate
         y = self.controller.passive_output(answer, v, self._alpha)
+        if v_d is not None and y is not v:  # that is y without x
+            y = y - self.controller.jacobian_pinv(answer.J_hat).dot(v_d)  # type: ignore[arg-type]
         if self._per_speed is None:
             return y, self._rho
         pull = ((y - v) * self._per_speed).tolist()
@@ -325,12 +322,13 @@ class TorqueLimited(Limiter):
             )
         return alpha
 
-    def _usual_braking(self) -> float:
+    def _usual_braking(self, inertias: Array) -> float:
         latency = self.controller.latency
-        if latency is None:
-            return _UNKNOWN / self._dt
-        lag = latency.of_velocity - latency.period + self._dt
-        return _KNOWN / lag
+        if latency is not None:
+            return _KNOWN / (latency.of_velocity - latency.period + self._dt)
+        # the loop stands the law's own damping, too; a limit of the rate makes it act late
+        own = 0.0 if self._has_rate else quickest(inertias, self.controller.diagonals.damping)
+        return min(max(_UNKNOWN / self._dt, own), _KNOWN / self._dt)
 
     def _rate_of(self, name: str, value: float | None, most: float, usual: float) -> float:
         """Return a rate that was given, at most `most`, or the usual one."""
@@ -373,6 +371,5 @@ def _slack(torque: Array, wanted: Array, y: Array) -> float:
     return power if power > round_off else 0.0
 
 
-def _is_within(values: Array, bounds: Array) -> bool:
-    clipped: Array = np.minimum(np.maximum(values, bounds[0]), bounds[1])
-    return bool(clipped.tolist() == values.tolist())
+def _is_within(values: list[float], low: list[float], high: list[float]) -> bool:
+    return all(map(operator.le, low, values)) and all(map(operator.le, values, high))
