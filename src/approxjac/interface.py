@@ -79,12 +79,12 @@ class LimitStatus(_Outcome):
         "without the joints that are at a limit"
     )
     INFEASIBLE = (
-        "no torque keeps all limits at once: gravity compensation and brakes, within the limits of "
-        "torques and their rates"
+        "no torque keeps all limits at once: joints are braked as hard as their motors can, within "
+        "the limits of torques and their rates"
     )
     SOLVER_FAILED = (
-        "the solver gave no usable torque in time: gravity compensation and brakes, within the "
-        "limits of torques and their rates"
+        "the solver gave no usable torque in time: joints are braked, within the limits of torques "
+        "and their rates"
     )
     EXCEEDED = (
         "a joint is faster or further than it may be; the torque of the law leads it back, within "

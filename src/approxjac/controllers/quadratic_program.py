@@ -101,7 +101,8 @@ class Solver:
             if multiplier <= price:
                 return kept, Verdict.SOLVED
         H, f, lower, upper, A, row_lower, row_upper = problem
-        unbounded = np.append(row_upper[:-1], np.inf)
+        unbounded = row_upper.copy()
+        unbounded[-1] = np.inf
         dear = QuadraticProgram(H, f + price * A[-1], lower, upper, A, row_lower, unbounded)
         z, verdict, _ = self._solved(dear)
         if kept is None and z is not None and float(A[-1].dot(z)) < row_upper[-1]:

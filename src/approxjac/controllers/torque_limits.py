@@ -73,8 +73,9 @@ class TorqueLimited(Limiter):
     than `braking` at usual configurations.
 
     Where R is diagonal and no limit of speed or position is near, the minimum is known in closed
-    form and no solver is called. Where no torque keeps all limits, and where the solver fails, the
-    torque is gravity compensation and brakes, within the limits of torque and its rate.
+    form and no solver is called. Where no torque keeps all limits, and where the solver fails,
+    joints are braked as hard as motors can, those first that need it most. On a path q̇ − Ĵ⁺ẋ_d
+    takes the place of q̇ in y.
 
     Immutable, but it owns scratch memory: one instance a thread.
 
@@ -273,8 +274,7 @@ class TorqueLimited(Limiter):
 
     def _predicted(self, asked: Asked, torque: Array) -> Ahead:
         """Return what a torque leads to."""
-        measurement = asked.measurement
-        q = measurement.q
+        measurement, q = asked.measurement, asked.measurement.q
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
         f = self._prediction.forward(measurement, torque, asked.gravity)
         r = self._prediction.residual(asked.memory, measurement)
@@ -311,10 +311,8 @@ class TorqueLimited(Limiter):
     def _resolved_alpha(self, alpha: float | None) -> float:
         if alpha is None:
             return self.controller.alpha
-        learning, alpha = (
-            self.controller.adaptation,
-            as_number("alpha", alpha, unit="1/s", above=0.0),
-        )
+        learning = self.controller.adaptation
+        alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
         if learning is not None and alpha != learning.alpha:
             raise InvalidInputError(
                 f"alpha must be that of the adaptation, {learning.alpha:g} [1/s], got {alpha:g}",
