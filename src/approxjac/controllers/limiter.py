@@ -37,7 +37,7 @@ class Asked(NamedTuple):
         clipped: The torque asked for, brought within them, shape (n_v,).
         free: Whether it was within them.
         memory: What the limiter kept from the step before, shape (k,).
-        target_rate: ẋ_d, shape (m,); None at rest.
+        target_rate: ẋ_d, shape (m,); None at rest, and without x.
     """
 
     answer: Evaluation
@@ -169,7 +169,8 @@ class Limiter(ControllerWrapper):
             assert answer.gravity is not None  # no law of ours leaves it out
             v_d = target.v if isinstance(target, Target) else None
             if v_d is not None:
-                v_d = self._law._combination.dot(v_d)
+                is_lost = answer.status is Status.MEASUREMENT_LOST
+                v_d = None if is_lost else self._law._combination.dot(v_d)
             g = answer.gravity
             asked = Asked(answer, g, measurement, lower, upper, torque, free, memory, v_d)
             torque, status, slack, memory = self._limit(asked)

@@ -298,9 +298,10 @@ class TorqueLimited(Limiter):
         or the pull would drive them into their limits of speed for as long as the error lasts.
         """
         answer, v, v_d = asked.answer, asked.measurement.v, asked.target_rate
-        y = self.controller.passive_output(answer, v, self._alpha)
-        if v_d is not None and y is not v:  # that is y without x
-            y = y - self.controller.jacobian_pinv(answer.J_hat).dot(v_d)  # type: ignore[arg-type]
+        y, J_hat = self.controller.passive_output(answer, v, self._alpha), answer.J_hat
+        if v_d is not None and J_hat is not None:
+            scale = self.controller._scale
+            y = y - law.damped_gram_solve(J_hat.dot(J_hat.T), v_d, scale=scale)[0].dot(J_hat)
         if self._per_speed is None:
             return y, self._rho
         pull = ((y - v) * self._per_speed).tolist()
