@@ -27,7 +27,7 @@ _RATES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # [1/s]
 _LAG = 0.3  # rate times lag of x at most: a quarter of what makes a delayed integrator ring
 _SHARES = (1.0, 0.7, 0.49, 0.34, 0.24, 0.17, 0.12)  # of the learning that inertia alone allows
 _FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}  # errors that count as none
-_TORQUE, _HOLDABLE, _SPEED = 0.755, 0.7, 0.9  # shares of the limits
+_TORQUE, _HOLDABLE, _SPEED = 0.755, 0.7, 0.8  # shares of the limits
 _RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt slowly
 _MARGIN = 1.5  # gains and learning may be larger by it
 _DAMPED = 0.15  # least damping ratio, in nine of ten cases
@@ -297,7 +297,7 @@ def tuned(
        a usual distance takes least time. Gains are `default_gains` of the settling time 4/r, with
        the bandwidth that the lag of q̇ leaves; α is the rate of the slow pole.
     2. γ, so that the position force asks for at most 75 % of the motors beside gravity, less where
-       x is late, and for 90 % of the joints' speeds; an eighth of a usual distance at most.
+       x is late, and for 80 % of the joints' speeds; an eighth of a usual distance at most.
     3. L_d = ½K_p, reduced where λ_max(W ĴᵀL_dĴ) > 0.6 max(π, 0.35); L = k S(SCS + 0.03 I)⁻¹S with
        C the mean of ZᵀWZ, S = diag(C)^−½ and k such that λ_max(W Z L Zᵀ) = π/2;
        L_w = ¼B_c²/Mⱼⱼ, reduced where λ_max(W L_w) > π/2.
