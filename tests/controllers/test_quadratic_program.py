@@ -326,6 +326,35 @@ def test_answers_hold_their_bounds(data, n, k):
     assert ((row_lower - slack <= A @ z) & (A @ z <= row_upper + slack)).all()
 
 
+def test_the_last_row_may_have_a_price():
+    """The answer is that of the problem with a slack, whichever way it is found."""
+    rng, paid = np.random.default_rng(5), []
+    for problem in problems("ordinary", count=60):
+        if len(problem.A) == 0:
+            continue
+        price, n = 10.0 ** rng.uniform(-1.0, 2.0), len(problem.f)
+        H = np.zeros((n + 1, n + 1))
+        H[:n, :n], H[n, n] = problem.H, 1e-9  # definite, and too little to count
+        A = np.column_stack([problem.A, np.zeros(len(problem.A))])
+        A[-1, n] = -1.0
+        low = problem.row_lower.copy()
+        low[-1] = -INF
+        priced = QuadraticProgram(
+            H, np.append(problem.f, price), np.append(problem.lower, 0.0),
+            np.append(problem.upper, INF), A, low, problem.row_upper,
+        )  # fmt: skip
+        problem = problem._replace(row_lower=low)
+        exact, _ = DAQP.solve(priced)
+        ways = [DAQP.solve(problem, price, pays) for pays in (False, True)]
+        ways.append(as_solver(daqp_function).solve(problem, price))
+        for z, verdict in ways:
+            assert verdict is Verdict.SOLVED
+            np.testing.assert_allclose(z, exact[:n], atol=1e-5)
+        paid.append(exact[n] > 1e-6)
+    assert any(paid)
+    assert not all(paid)
+
+
 # ---------------------------------------------------------------- functions of the user's own
 
 
