@@ -38,6 +38,7 @@ _MARGIN = 1e-6  # what a solver may be off
 _NO_LOWER = np.array([-np.inf])
 _UNKNOWN, _KNOWN = 0.1, 0.3  # times the rate of samples, or of the lag: how fast damping may be
 _TOLD = 1e-3  # beyond a limit of speed (as a share) or position [rad or m] that has its status
+_HUGE = 1e30  # below it nothing overflows
 _DEAR = 10.0  # how much dearer it is that a joint brakes too little than that others do
 
 
@@ -182,6 +183,10 @@ class TorqueLimited(Limiter):
     def _limit(self, asked: Asked) -> Limited:
         if self._only_clips:
             return Limited(asked.clipped, _LIMITED, math.nan, asked.memory)
+        answer, (_, q, v, *_) = asked.answer, asked.measurement
+        numbers = answer.torque.tolist() + answer.e.tolist() + q.tolist() + v.tolist()
+        if math.hypot(*numbers) < _HUGE:  # NaN where x is lost
+            return self._nearest(asked)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
             return self._nearest(asked)
 
