@@ -31,6 +31,7 @@ _TORQUE, _HOLDABLE, _SPEED = 0.755, 0.7, 0.8  # shares of the limits
 _RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt slowly
 _MARGIN = 1.5  # gains and learning may be larger by it
 _DAMPED = 0.15  # least damping ratio, in nine of ten cases
+_QUICK = 0.15  # r times the lag of x below which y is small along the way: it is slow enough
 _LATE = 0.36  # more of it, times r and the lag of x: frames are never as regular as thought
 _CHECKED = 20  # postures
 _SLOWER, _STEPS = 0.8, 12  # rates that are tried, as a share of the one before, and how many
@@ -55,7 +56,7 @@ class Learning(NamedTuple):
         joint_torque: L_w, diagonal, shape (n_v,).
         largest: How far each parameter may be from where it began, shape (p + m + n_v,).
         pinv_weight: Weight of Ĵ⁺ in y of (10): B_c over its geometric mean, shape (n_v,); None
-            where not all of it is positive.
+            where not all of it is positive, and where x is late.
     """
 
     alpha: float
@@ -158,7 +159,9 @@ class _Arm:
             times.append(far + 2.0 * math.log(max(g / fine, 1.0)) / rate)
         return max(times)
 
-    def learning(self, gains: Diagonals, share: float, alpha: float | None) -> Learning:
+    def learning(
+        self, gains: Diagonals, share: float, latency: Latency, alpha: float | None
+    ) -> Learning:
         """Return learning that is a share π of the fastest."""
         assert self.Z is not None
         D, _, slow = self.motion(gains)
@@ -190,7 +193,7 @@ class _Arm:
             task_force,
             joint_torque,
             self._largest(),
-            _pinv_weight(gains.damping),
+            _pinv_weight(gains.damping) if slow * latency.of_position < _QUICK else None,
         )
 
     def _largest(self) -> Array:
@@ -234,7 +237,7 @@ class _Arm:
         """Return the largest π that passes the check, its learning, and whether any passes."""
         choices: list[tuple[float, Learning | None]] = [(0.0, None)]
         if self.Z is not None:
-            choices = [(share, self.learning(gains, share, alpha)) for share in _SHARES]
+            choices = [(share, self.learning(gains, share, latency, alpha)) for share in _SHARES]
         slowest = choices[-1][1]
         counted = self.curable(gains, slowest)
         if not self.passes(gains, slowest, latency, counted):
