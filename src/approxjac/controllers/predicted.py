@@ -1,0 +1,71 @@
+"""`Prediction`: the error that a law controls, predicted by kinematics that are known or learnt."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+from approxjac.interface import Measurement, Target
+from approxjac.tasks import Task
+from approxjac.validation import Array, Immutable
+
+
+class Prediction(NamedTuple):
+    """The error as the estimates have it at one instant, and all that its derivatives need.
+
+    In the frame where the law works: the base frame, into which the target is pulled back. With
+    Ĉ = R̂ᵀ/ŝ and ĉ = −Ĉb̂ of a camera or tracker x = sRp + b (Ĉ = I where it is known),
+    z = p̂(q) − (Ĉx_d + ĉ) and, exactly, ż = Ĵq̇ − feed + drift. Unit of the task where the sensor
+    measures in metres.
+
+    Attributes:
+        z: Predicted error, shape (m,).
+        J: Ĵ, the exact Jacobian of the prediction, shape (m, n_v).
+        J_dot: dĴ/dt along q̇ and the motion of the estimates, shape (m, n_v).
+        feed: Ĉẋ_d, shape (m,).
+        feed_dot: Its rate Ĉẍ_d + Ĉ'ẋ_d, shape (m,).
+        drift: What the estimates move z by, ż − Ĵq̇ + feed, shape (m,).
+    """
+
+    z: Array
+    J: Array
+    J_dot: Array
+    feed: Array
+    feed_dot: Array
+    drift: Array
+
+
+class Kinematics(Immutable, ABC):
+    """What a law controls, as kinematics that are known or learnt predict it.
+
+    It learns from the measured x in `step`, and from nothing else; `predict` is a function of its
+    state, q and q̇. Its state is flat: it goes in and comes out.
+
+    Immutable, but it owns scratch memory: one instance a thread.
+
+    Attributes:
+        task: The task of the believed robot.
+        n_state: Length of a state.
+    """
+
+    task: Task
+    n_state: int
+
+    @abstractmethod
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step, shape (n_state,)."""
+
+    @abstractmethod
+    def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
+        """Return the state after learning from a measurement, and dt [s] later.
+
+        A measurement whose x is lost, or has been seen before, teaches nothing.
+        """
+
+    @abstractmethod
+    def predict(self, state: Array, q: Array, v: Array, target: Target) -> Prediction:
+        """Return the predicted error at q (nq,) and q̇ (n_v,) [rad/s or m/s]."""
+
+    @abstractmethod
+    def learnt(self, state: Array) -> Array:
+        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
