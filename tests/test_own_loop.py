@@ -401,7 +401,7 @@ def test_the_example_arrives_although_it_was_blind_and_stands_still(
     assert ran["why"] == "asked to"
     at_start, _, seen_again, arrived = ran["error"][list(ran["at"].values())]
     assert at_start > 200.0
-    assert seen_again > 30.0
+    assert seen_again > 5.0  # what it had learnt to hold went on pushing it there
     assert arrived < 1.0
     assert ran["speed"][-1] <= 0.02
     assert 1.0 < ran["jump"] < 4.0

@@ -318,3 +318,26 @@ def test_freezing_keeps_theta_from_winding_up_on_weak_motors(arms):
         root = np.linalg.cholesky(controller.adaptation.L)
         peaks.append(np.linalg.norm(np.linalg.solve(root, off.T), axis=0).max())
     assert peaks[0] < 0.75 * peaks[1]
+
+
+def test_it_learns_no_weight_that_the_motors_cannot_hold(panda, rng):
+    """Where |Yθ̂| is beyond the motors, it becomes no larger, as long as the arm stays there."""
+    task = aj.PositionTask(panda)
+    controller = aj.SetpointController(
+        task, gravity=aj.AdaptiveGravity(panda, torque_limits=np.inf)
+    )
+    learning, effort = controller.adaptation, panda.effort_limits
+    measurement = aj.Plant(panda).measure(0.0, panda.random_configuration(rng), np.zeros(7))
+    theta0 = controller.initial_state(measurement)
+    Y = learning.Y(measurement.q, task.jacobian(measurement.q))
+    beyond = 0
+    for _ in range(50):
+        heavy = rng.choice([-1.2, 0.0, 1.2], 7) * effort  # N m, by joint torques alone
+        theta_hat = theta0 + np.concatenate([np.zeros(15), heavy])
+        target = measurement.x + rng.uniform(-0.2, 0.2, 3)
+        answer = controller.evaluate(theta_hat, measurement, target)
+        g, g_dot = answer.gravity, Y @ answer.state_rate
+        too_much = np.abs(g) > effort
+        beyond += too_much.sum()
+        assert (g_dot * np.sign(g))[too_much].max(initial=0.0) <= 1e-9 * np.abs(g_dot).max()
+    assert beyond > 50

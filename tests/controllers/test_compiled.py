@@ -472,20 +472,18 @@ def test_its_functions_are_what_they_are_compiled_from(panda, rng):
         assert_same(expected._replace(torque=torque, e=e), expected)
         more = (Z, state, plain.adaptation.L, 1.0)
         zero = np.zeros(7)
-        assert compiled.learnt_gravity(*begin, zero, constants, *more, limits, torque, e, rate)
+        made = limits, np.ones(7), torque, e, rate
+        assert compiled.learnt_gravity(*begin, zero, constants, *more, *made)
         assert_same(expected._replace(torque=torque, e=e, state_rate=rate), expected)
         # and what is not usual
         for wrong in ((J_hat, v[1:], x, target), (J_hat, v, x + np.nan, target)):
             assert not compiled.known_gravity(*wrong, g, constants, torque, e)
-            assert not compiled.learnt_gravity(
-                *wrong, zero, constants, *more, limits, torque, e, rate
-            )
+            assert not compiled.learnt_gravity(*wrong, zero, constants, *more, *made)
         flat = (0.0 * J_hat, v, x, target)
         assert not compiled.known_gravity(*flat, g, constants, torque, e)
         for jacobian, most in ((flat[0], limits), (J_hat, 0.9 * np.abs(expected.torque))):
-            assert not compiled.learnt_gravity(
-                jacobian, *begin[1:], zero, constants, *more, most, torque, e, rate
-            )
+            made = most, *made[1:]
+            assert not compiled.learnt_gravity(jacobian, *begin[1:], zero, constants, *more, *made)
 
 
 def test_its_products_are_products(rng):

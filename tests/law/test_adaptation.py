@@ -92,3 +92,16 @@ def test_many_bounds_at_once_are_kept_with_what_is_learnt_with_by_default(panda,
         rate, at = size * rng.normal(size=len(L)), rng.integers(-1, 2, len(L))
         projected = law.within_bounds(rate, at.astype(float), -one, one, L)
         assert (at * projected / size).max() <= 1e-10
+
+
+@given(boxed, rates, boxed, gains(), arrays(np.float64, (2, P), elements=st.floats(-1.0, 1.0)))
+def test_further_bounds_are_kept_and_the_potential_falls(theta_hat, rate, theta, L, normals):
+    """Of half-spaces that θ lies in and θ̂ is at or beyond, beside the box."""
+    beyond = normals @ (theta_hat - theta) >= 0.0  # a half-space through θ̂ has θ on its inside
+    outward = normals[beyond & (np.abs(normals).max(axis=1) > 0.1)]
+    projected = law.within_bounds(rate, theta_hat, LOWER, UPPER, L, outward)
+    error, L = theta - theta_hat, np.diag(L) if L.ndim == 1 else L
+    assert error @ np.linalg.solve(L, projected - rate) >= -1e-7
+    assert (outward @ projected <= 1e-7).all()
+    assert (projected[theta_hat <= LOWER] >= -1e-7).all()
+    assert (projected[theta_hat >= UPPER] <= 1e-7).all()

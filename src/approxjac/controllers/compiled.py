@@ -124,7 +124,6 @@ class CompiledSetpointController(SetpointController):
         is_far = self._reach.is_exceeded
         scale, no_rate = self._scale, self._no_rate
         parts = (fits, is_small, saturated, taken_apart)
-        bounds = None if learning is None else learning.bounds
         if learning is None:
             step = compiled(known_gravity, (2, 1, 1, 1, 1, 1), 2, parts)
             gravity = self.gravity.torque  # type: ignore[union-attr]  # the others have one
@@ -179,8 +178,7 @@ class CompiledSetpointController(SetpointController):
                 if usual and not (learning is not None and is_far(q, e)):
                     if learning is not None:
                         g = Y.dot(state)
-                        if bounds is not None:
-                            rate = law.within_bounds(rate, state, *bounds, learning.L)
+                        rate = learning.bounded(rate, state, Y, g)
                     # made as Evaluation(...) makes it, in a third of the time
                     return made(Evaluation, (torque, rate, ok, e, J_hat, g, unlimited, 0.0))
             return ordinary(state, measurement, target)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 import pinocchio as pin
 
+from approxjac import law
 from approxjac.controllers.default_gains import slow_rate
 from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.tuning import Learning
@@ -313,6 +314,19 @@ class Adaptation(NamedTuple):
             unit = "N" if self.robot.joint_units[i] == "m" else "N m"
             told.append(f"torques up to {torques[i]:+.3g} {unit} ({self.robot.joint_names[i]})")
         return "; ".join(told)
+
+    def bounded(self, rate: Array, theta_hat: Array, Y: Array, g: Array) -> Array:
+        """Return dθ̂/dt (P,) with what would lead out of bounds taken back, for g = Yθ̂ (n_v,).
+
+        Beside the bounds of each parameter, θ̂ may not ask for more than the motors have: no gravity
+        that the arm can bear does.
+        """
+        if self.bounds is None:
+            return rate
+        effort = self.robot.effort_limits
+        beyond = np.abs(g) > effort
+        outward = np.sign(g[beyond])[:, np.newaxis] * Y[beyond] if beyond.any() else None
+        return law.within_bounds(rate, theta_hat, *self.bounds, self.L, outward)
 
     def rests(self, torque: Array) -> bool:
         """Return whether any torque (n_v,) is beyond its limit, where θ̂ stands still."""

@@ -205,10 +205,9 @@ class Limiter(ControllerWrapper):
         if v_d is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
             v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
         y = law.passive_output(v, controller.pinv_times(J_free, s, scale)[0], learning.alpha)
-        rate = law.theta_hat_rate(learning.L, learning.Y(q, J_hat), y)
-        if learning.bounds is None:
-            return rate
-        return law.within_bounds(rate, state[: self._p], *learning.bounds, learning.L)
+        Y = learning.Y(q, J_hat)
+        rate = law.theta_hat_rate(learning.L, Y, y)
+        return learning.bounded(rate, state[: self._p], Y, asked.gravity)
 
     @abc.abstractmethod
     def _limit(self, asked: Asked) -> Limited:

@@ -388,9 +388,7 @@ class SetpointController(Immutable):
         if learning is not None and (status is _OK or status is _SINGULAR):
             y = law.passive_output(v, pinv_s, self._alpha)
             theta_rate = law.theta_hat_rate(learning.L, Y, y)
-            if learning.bounds is not None:
-                theta_hat = state[: self._p]
-                theta_rate = law.within_bounds(theta_rate, theta_hat, *learning.bounds, learning.L)
+            theta_rate = learning.bounded(theta_rate, state[: self._p], Y, g)
             rate = theta_rate if x_dot is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g)
 

@@ -27,32 +27,45 @@ def theta_hat_rate(L: Array, Z: Array, y: Array) -> Array:
     return -L * dot(y, Z) if L.ndim == 1 else -dot(L, dot(y, Z))
 
 
-def within_bounds(rate: Array, theta_hat: Array, lower: Array, upper: Array, L: Array) -> Array:
+def within_bounds(
+    rate: Array,
+    theta_hat: Array,
+    lower: Array,
+    upper: Array,
+    L: Array,
+    outward: Array | None = None,
+) -> Array:
     """Rate of θ̂ with what would lead out of bounds taken back.
 
-    The projection of Eq. (29) onto a box, in the metric L⁻¹ of V: r = dθ̂/dt − L S λ, where S has
-    the sign of each bound that θ̂ is at and λ ≥ 0. Where θ lies in the box, ΔθᵀSλ ≤ 0 for any such
-    λ, so V̇ ≤ −W stays. With a diagonal L, entries that would lead out become zero. The rate is
-    that of `theta_hat_rate`, with its L; θ̂ and its smallest and largest values are (p,).
+    The projection of Eq. (29) onto a convex set, in the metric L⁻¹ of V: r = dθ̂/dt − L Nᵀλ, where
+    N has the outward normals of the bounds that θ̂ is at, and λ ≥ 0. Where θ lies in the set,
+    ΔθᵀNᵀλ ≤ 0 for any such λ, so V̇ ≤ −W stays. The rate is that of `theta_hat_rate`, with its L; θ̂
+    and its smallest and largest values are (p,). `outward` are normals of further bounds that it
+    is at, shape (k, p).
     """
     low, high = theta_hat <= lower, theta_hat >= upper
-    if not (low | high).any():
-        return rate
-    if L.ndim == 1:
-        return np.where((low & (rate < 0.0)) | (high & (rate > 0.0)), 0.0, rate)
+    if outward is None:
+        if not (low | high).any():
+            return rate
+        if L.ndim == 1:
+            return np.where((low & (rate < 0.0)) | (high & (rate > 0.0)), 0.0, rate)
     at = np.flatnonzero(low | high)
-    sign = np.where(high[at], 1.0, -1.0)
-    outward = sign * rate[at]
-    held = outward > 0.0
+    N = np.zeros((len(at), len(rate)))
+    N[np.arange(len(at)), at] = np.where(high[at], 1.0, -1.0)
+    if outward is not None:
+        N = np.concatenate([N, outward])
+    leads_out = N @ rate
+    held = leads_out > 0.0
     if not held.any():
         return rate
-    A = sign[:, None] * L[np.ix_(at, at)] * sign
-    round_off = 1e-12 * np.abs(outward).max()
+    NL = N * L if L.ndim == 1 else N @ L
+    A = NL @ N.T
+    round_off = 1e-12 * np.abs(leads_out).max()
     for _ in range(_PIVOTS):  # Murty's: the first bound that is wrong changes sides
-        multipliers = np.zeros(len(at))
-        multipliers[held] = np.linalg.solve(A[np.ix_(held, held)], outward[held])
-        wrong = np.where(held, multipliers < 0.0, outward - A @ multipliers > round_off)
+        multipliers = np.zeros(len(N))
+        multipliers[held] = np.linalg.lstsq(A[np.ix_(held, held)], leads_out[held])[0]
+        wrong = np.where(held, multipliers < 0.0, leads_out - A @ multipliers > round_off)
         if not wrong.any():
             break
         held[np.argmax(wrong)] ^= True
-    return np.asarray(rate - L[:, at] @ (sign * np.maximum(multipliers, 0.0)))
+    return np.asarray(rate - np.maximum(multipliers, 0.0) @ NL)
