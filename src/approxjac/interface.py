@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -142,7 +142,8 @@ class Evaluation(NamedTuple):
     """Answer of a controller to one measurement.
 
     Attributes:
-        torque: Joint torque τ, shape (nv,) [N m or N].
+        torque: Joint torque τ, shape (nv,) [N m or N]; from a controller with command="velocity"
+            the joint velocity that it commands, q̇_cmd [rad/s or m/s].
         state_rate: Time derivative of the state of the law, shape (n_state,). A controller that
             only steps has that of the law inside it, or None.
         status: What happened.
@@ -182,12 +183,18 @@ class Evaluation(NamedTuple):
 
 @runtime_checkable
 class Controller(Protocol):
-    """Anything that turns measurements into torques, step by step.
+    """Anything that turns measurements into torques, or velocities, step by step.
 
     A controller holds no memory of its own: what evolves is a flat state array that goes in and
     comes out, so that a loop can be stopped, saved and gone on with. Derive from it to get its
-    defaults: no state, any sampling time, nothing learnt.
+    defaults: torques, no state, any sampling time, nothing learnt.
+
+    Attributes:
+        command: What it commands, which `Evaluation.torque` then is: torques, or velocities of
+            the joints for a robot that takes those.
     """
+
+    command: Literal["torque", "velocity"] = "torque"
 
     @property
     def task(self) -> Task:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -53,6 +53,7 @@ class SetpointController(Immutable):
     Immutable, but it owns scratch memory: one instance a thread.
 
     Attributes:
+        command: "torque".
         dt: None: any sampling time will do.
         tuning: What `tuned` chose, and why; None if gains and learning are given.
         adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
@@ -79,6 +80,7 @@ class SetpointController(Immutable):
             without self-motion, or gravity of a robot with other joints.
     """
 
+    command: Literal["torque", "velocity"] = "torque"
     dt: None = None
     step = ContinuousController.step
 

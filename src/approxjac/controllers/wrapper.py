@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -29,6 +29,11 @@ class ControllerWrapper(Immutable, Controller):
 
     controller: Controller
     _memory: int  # length of what it keeps itself
+
+    @property
+    def command(self) -> Literal["torque", "velocity"]:  # type: ignore[override]  # read-only
+        """What the controller inside commands."""
+        return self.controller.command
 
     @property
     def task(self) -> Task:

@@ -394,7 +394,7 @@ def test_a_controller_that_cannot_believe_anything_else_is_refused(panda):
     plant, own, target = parts(panda)
 
     class Nothing:
-        task, dt = own.task, None
+        task, dt, command = own.task, None, "torque"
 
         def initial_state(self, measurement):
             return np.zeros(0)
