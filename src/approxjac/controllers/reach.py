@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from approxjac.controllers.tuning import UNKNOWN_TOOL
+from approxjac.controllers.unknown_tool import UNKNOWN_TOOL
 from approxjac.robots.joint_limits import reach_bound
 from approxjac.tasks import PoseTask, PositionTask, Task
 from approxjac.validation import Array

@@ -14,13 +14,11 @@ from approxjac import law
 from approxjac.controllers.default_gains import SETTLED, default_gains
 from approxjac.controllers.gains import Diagonals, Gains
 from approxjac.controllers.latency import Latency
+from approxjac.controllers.unknown_tool import with_unknown_tool
 from approxjac.controllers.usual_postures import usual_postures
 from approxjac.formatting import short
-from approxjac.robots import Dynamics, GravityRegressor, Robot
-from approxjac.robots.joint_limits import reach_bound
-from approxjac.robots.urdf_edit import direction
+from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.tasks import Task
-from approxjac.tasks.frame_kinematics import FrameKinematics
 from approxjac.validation import Array, as_number
 
 _RATES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # [1/s]
@@ -35,9 +33,6 @@ _QUICK = 0.15  # r times the lag of x below which y is small along the way: it i
 _LATE = 0.36  # more of it, times r and the lag of x: frames are never as regular as thought
 _CHECKED = 20  # postures
 _SLOWER, _STEPS = 0.8, 12  # rates that are tried, as a share of the one before, and how many
-UNKNOWN_TOOL = 0.18
-"""Length of a tool that nobody told of, as a share of the arm's reach."""
-
 _LIGHTER, _HEAVIER = 0.7, 1.3  # true inertia as a multiple of the believed one
 _IDEAL = 1e-4  # period of a loop without latency [s]
 _ROUND_OFF = 1e-7  # of multipliers
@@ -115,7 +110,7 @@ class _Arm:
     @functools.cached_property
     def with_tool(self) -> Array:
         """Jacobians of the arm with a tool that nobody told of at its tip, shape (k, m, n_v)."""
-        task = self.task.on(_with_tool(self.robot))
+        task = self.task.on(with_unknown_tool(self.robot))
         return np.array([task.jacobian(q) for q in self.postures.q[:_CHECKED]])
 
     def motion(self, gains: Diagonals) -> tuple[Array, Array, Array]:
@@ -390,18 +385,3 @@ def _timing(latency: Latency) -> tuple[float, int, int, int]:
     frame = latency.image_period or max(dt, 0.25 * latency.image_age)
     samples = max(1, round(frame / dt))
     return dt, samples, round(latency.image_age / dt), round(latency.torque_delay / dt)
-
-
-def _with_tool(robot: Robot) -> Robot:
-    """Return a robot whose tip is farther out, by the length of a tool that nobody told of."""
-    if robot.tip is None:
-        return robot
-    joint = next(each for each in robot.tree.joints.values() if each.child == robot.tip)
-    neutral = robot.neutral()
-    of_parent, of_tip = (
-        FrameKinematics(robot, frame).placement(neutral)[0] for frame in (joint.parent, robot.tip)
-    )
-    _, reach = reach_bound(robot, robot.tip)
-    length = UNKNOWN_TOOL * reach if math.isfinite(reach) else 0.0
-    shift = length * of_parent.T @ of_tip @ np.asarray(direction(robot.outward_axis()))
-    return robot.with_kinematic_error({joint.name: shift.tolist()})
