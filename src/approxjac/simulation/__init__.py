@@ -6,5 +6,8 @@ from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.simulation.sensing import Sensing
 from approxjac.simulation.simulate import simulate
 from approxjac.simulation.trajectory import Trajectory
+from approxjac.simulation.velocity_servo import VelocityServo
 
-__all__ = ["MujocoPlant", "Plant", "SampledLoop", "Sensing", "Trajectory", "simulate"]
+__all__ = [
+    "MujocoPlant", "Plant", "SampledLoop", "Sensing", "Trajectory", "VelocityServo", "simulate",
+]  # fmt: skip

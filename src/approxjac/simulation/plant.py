@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 import pinocchio as pin
@@ -14,9 +14,10 @@ from approxjac.formatting import short
 from approxjac.interface import Measurement
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.model import WORLD
-from approxjac.simulation.integrators import Integrator
+from approxjac.simulation.integrators import Acceleration, Integrator
 from approxjac.simulation.joint_stops import JointStops
 from approxjac.simulation.sensing import Sensing, SensorReadings
+from approxjac.simulation.velocity_servo import VelocityServo
 from approxjac.tasks import PositionTask, Task
 from approxjac.tasks.analysis import sees
 from approxjac.validation import (
@@ -37,7 +38,8 @@ _HOLDABLE = 0.7  # of the effort limits
 class Plant(Immutable):
     """M(q) q̈ + C(q, q̇)q̇ + B q̇ + τ_c tanh(q̇/v_c) + g(q) = τ of the true robot, eq. (1).
 
-    It yields measurements and takes torques; nothing else of it reaches a controller. The
+    It yields measurements and takes torques, or velocities if it has a servo; nothing else of it
+    reaches a controller. The
     direction of gravity is the robot's: see `Robot.with_gravity`. The term with τ_c is Coulomb
     friction, which eq. (1) does not have. Nor has it joint stops: what is claimed of eq. (1) is
     claimed of arms strictly within their joint limits, where stops do nothing.
@@ -60,10 +62,12 @@ class Plant(Immutable):
             is clipped, infinite is no limit. Nothing is clipped by default.
         joint_limits: Whether the joints stop at `Robot.position_limits`, as `JointStops` says. A
             sampled step that ends beyond a limit is one of semi-implicit Euler.
+        servo: The robot's own loop, for a controller that commands velocities of the joints:
+            `simulation.VelocityServo`. None takes torques. Needs dt.
 
     Raises:
-        InvalidInputError: A sensor on another robot, or numbers that are negative or of the
-            wrong shape.
+        InvalidInputError: A sensor on another robot, numbers that are negative or of the wrong
+            shape, or an actuator delay beside a servo, which has its own.
     """
 
     def __init__(
@@ -78,11 +82,14 @@ class Plant(Immutable):
         actuator_delay: float = 0.0,
         torque_limits: float | Sequence[float] | Array | None = None,
         joint_limits: bool = True,
+        servo: VelocityServo | None = None,
     ) -> None:
         self._remember(locals())
         require("robot", robot, Robot, "the true Robot")
         sensor = PositionTask(robot) if sensor is None else sensor
         _require_own(robot, sensor)
+        if servo is not None:
+            require("servo", servo, VelocityServo, "simulation.VelocityServo(...) or None")
         if sensing is not None:
             require("sensing", sensing, Sensing, "Sensing(...) or None")
             SensorReadings(sensing, sensor, dt=1.0, seed=0)  # refuses wrong lengths
@@ -92,8 +99,15 @@ class Plant(Immutable):
         self.friction = as_diagonal("friction", friction, nv, unit="N m s/rad", positive=False)
         self.coulomb = as_diagonal("coulomb", coulomb, nv, unit="N m", positive=False)
         self.coulomb_velocity = as_number("coulomb_velocity", coulomb_velocity, above=0.0)
-        self.sensing = sensing
+        self.servo = servo
+        self.sensing = sensing if servo is None else servo.sensed(sensing)
         self.actuator_delay = as_number("actuator_delay", actuator_delay, unit="s", minimum=0.0)
+        if servo is not None and self.actuator_delay > 0.0:
+            raise InvalidInputError(
+                f"actuator_delay must be 0 where there is a servo, whose delay is its own, got "
+                f"{self.actuator_delay:g} beside {servo!r}",
+                given=actuator_delay,
+            )
         if torque_limits is not None:
             torque_limits = as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         self.torque_limits = torque_limits
@@ -111,6 +125,11 @@ class Plant(Immutable):
         for name in ("dynamics", "_data", "_stops"):
             vars(plant).pop(name, None)
         return plant
+
+    @property
+    def command(self) -> Literal["torque", "velocity"]:
+        """What it takes."""
+        return "torque" if self.servo is None else "velocity"
 
     @property
     def motor_limits(self) -> Array:
@@ -169,26 +188,28 @@ class Plant(Immutable):
 
     @property
     def needs_sampling(self) -> bool:
-        """Return whether it needs sampled control, as measurements or torques are late."""
-        return self.sensing is not None or self.actuator_delay > 0.0
+        """Return whether it needs sampled control, as measurements or commands are late."""
+        late = self.sensing is not None or self.actuator_delay > 0.0
+        return late or self.servo is not None
 
     def require_ideal(self, what: str) -> None:
-        """Raise an InvalidInputError if there is sensing, a delay, Coulomb friction or a limit."""
+        """Raise an InvalidInputError if there is more than eq. (1) and joint stops."""
         if self.coulomb.any() or self.needs_sampling or self.torque_limits is not None:
             raise InvalidInputError(
-                f"{what} is for a plant without Coulomb friction, sensing, actuator delay and "
-                f"torque limits, got {self!r}",
+                f"{what} is for a plant without Coulomb friction, sensing, actuator delay, "
+                f"torque limits and servo, got {self!r}",
                 given=self,
             )
 
     def require_linear(self, what: str) -> None:
         """Raise an InvalidInputError if no linearisation has it; delays, a filter of q̇ it has."""
         rough = self.sensing is not None and not self.sensing.is_linear
+        rough = rough or self.servo is not None
         if self.coulomb.any() or rough or self.torque_limits is not None:
             raise InvalidInputError(
-                f"{what} is for a plant without Coulomb friction, torque limits, x_rate, x_lost, "
-                f"x_frozen, noise, rounding and dropouts (delays and velocity_filter may be "
-                f"there), got {self!r}",
+                f"{what} is for a plant without Coulomb friction, torque limits, servo, x_rate, "
+                f"x_lost, x_frozen, noise, rounding and dropouts (delays and velocity_filter may "
+                f"be there), got {self!r}",
                 given=self,
             )
 
@@ -237,15 +258,17 @@ class Plant(Immutable):
     def advance(
         self, q: Array, v: Array, tau: Array, dt: float, integrate: Integrator
     ) -> tuple[Array, Array]:
-        """Return (q, v) after dt [s] under a torque that is held.
+        """Return (q, v) after dt [s] under a torque, or a command of the servo, that is held.
 
         Its arguments are not checked: a loop that calls it checks what comes out, once a step.
         """
-        tau = self._delivered(tau)
-        q_end, v_end = integrate(self._acceleration, self._moved, q, v, tau, dt)
+        accelerate: Acceleration = self._driven
+        if self.servo is None:
+            accelerate, tau = self._acceleration, self._delivered(tau)
+        q_end, v_end = integrate(accelerate, self._moved, q, v, tau, dt)
         if self._stops is None or not self._stops.touched(q_end):
             return q_end, v_end
-        free = v + dt * self._acceleration(q, v, tau)
+        free = v + dt * accelerate(q, v, tau)
         M_inv = self.dynamics.M_inv(q)
         v_end = free + dt * M_inv @ self._stops.held_torque(q, free, M_inv, dt)
         return self._moved(q, dt * v_end), v_end
@@ -269,6 +292,21 @@ class Plant(Immutable):
         if self._has_coulomb:
             tau = tau - self.coulomb * np.tanh(v / self.coulomb_velocity)
         return self._forward(q, v, tau)
+
+    def applied(self, q: Array, v: Array, command: Array) -> Array:
+        """Return the torque for a command: itself, or that of the servo for a velocity, (n_v,)."""
+        if self.servo is None:
+            return command
+        a = (command - v) / self.servo.lag
+        tau: Array = np.array(pin.rnea(self.robot.model, self._data, q, v, a))
+        if self._has_friction:
+            tau += self.friction * v + self.coulomb * np.tanh(v / self.coulomb_velocity)
+        limits = self.motor_limits
+        return np.asarray(np.minimum(np.maximum(tau, -limits), limits))
+
+    def _driven(self, q: Array, v: Array, command: Array) -> Array:
+        """Return q̈ under a command of the servo, for arguments that are checked."""
+        return self._acceleration(q, v, self.applied(q, v, command))
 
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
         """Return q̈ under a torque at the joints, for arguments that are checked."""
@@ -299,6 +337,8 @@ class Plant(Immutable):
             shown.append(f"torque_limits={short(self.torque_limits)}")
         if not self.joint_limits:
             shown.append("joint_limits=False")
+        if self.servo is not None:
+            shown.append(repr(self.servo))
         return shown
 
 

@@ -40,12 +40,13 @@ class Record:
         x_measured: Array,
         state: Array,
         answer: Evaluation,
+        tau: Array,
         target: Array,
         controller: Controller,
     ) -> None:
-        """Keep one instant: the truth, the x that the controller got, its state and answer."""
+        """Keep one instant: the truth, the controller's x, state and answer, the torque."""
         t, q, v, x, _ = truth
-        torque, rate, status, e, J_hat, _, limit_status, slack = answer
+        _, rate, status, e, J_hat, _, limit_status, slack = answer
         if J_hat is None:
             J_hat = np.full((len(e), len(v)), np.nan)
         if not self._controllers or self._controllers[-1][1] is not controller:
@@ -53,7 +54,7 @@ class Record:
             law = law_of(controller)
             self._differentiates = isinstance(law, SetpointController) and law.velocity is not None
         row: tuple[Any, ...] = (
-            t, q, v, x, x_measured, target, torque, state, status, limit_status, slack, e, J_hat,
+            t, q, v, x, x_measured, target, tau, state, status, limit_status, slack, e, J_hat,
             rate if self._differentiates else _NO_RATE,
         )  # fmt: skip
         if not self._columns:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from approxjac.interface import (
     Target,
     TargetPath,
 )
+from approxjac.simulation.held_commands import HeldCommands
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.sensing import SensorReadings
@@ -25,7 +25,7 @@ from approxjac.validation import Array, as_array, require
 
 
 class SampledLoop:
-    """A closed loop whose torque is held over dt (zero-order hold).
+    """A closed loop whose command is held over dt (zero-order hold).
 
     `simulate` runs it. An observer gets it after every step of the controller, may look at all of
     it, and may move the target, exchange the controller or stop it; what it does not touch is the
@@ -42,6 +42,7 @@ class SampledLoop:
         measurement: Measurement that the controller gets.
         state: State of the controller before this step, shape (n_state,).
         answer: Answer of the controller.
+        tau: Torque at this instant, the controller's or that of the plant's servo, shape (n_v,).
         stopped: Whether an observer stopped it.
     """
 
@@ -71,8 +72,7 @@ class SampledLoop:
         self._aim()
         self._sense(q, v)
         self.state = first_state(plant, controller, self._wanted, self.measurement, dt)
-        late = round(min(plant.actuator_delay / dt, float(steps)))
-        self._waiting = deque([plant.dynamics.g(q)] * late)
+        self._commands = HeldCommands(plant, q, dt, steps)
         self._control()
 
     @property
@@ -86,11 +86,11 @@ class SampledLoop:
         return self.stopped or self.step == self.steps
 
     def advance(self) -> None:
-        """Hold the torque for dt, measure, and control; a SimulationError if the loop diverged."""
-        self._waiting.append(self.answer.torque)
+        """Hold the command for dt, measure, and control; a SimulationError if the loop diverged."""
         self.state = self._after
-        torque, truth = self._waiting.popleft(), self.truth
-        q, v = self.plant.advance(truth.q, truth.v, torque, self.dt, self._integrate)
+        q, v, h = self.truth.q, self.truth.v, self._commands.h
+        for command in self._acting:
+            q, v = self.plant.advance(q, v, command, h, self._integrate)
         self.step += 1
         self._aim()
         try:
@@ -157,6 +157,10 @@ class SampledLoop:
             as_array("state", self._after, self._after.shape)
         # a controller may use one buffer for all its torques, and `aim_at` asks it once more
         self.answer: Evaluation = answer._replace(torque=answer.torque.copy())
+        self._acting = self._commands.acting(self.answer.torque)
+        self.tau = self.answer.torque
+        if self.plant.servo is not None:
+            self.tau = self.plant.applied(self.truth.q, self.truth.v, self._acting[0])
 
 
 Wanted = Target | TargetPath | Array
@@ -216,7 +220,8 @@ def first_state(
         )
     after, answer = stepped
     require("the controller's answer", answer, Evaluation, "an Evaluation")
-    as_array("the controller's torque", answer.torque, (plant.robot.nv,), "N m or N")
+    unit = "N m or N" if plant.servo is None else "rad/s or m/s"
+    as_array(f"the controller's {plant.command}", answer.torque, (plant.robot.nv,), unit)
     require("the controller's state", after, np.ndarray, "an array")
     as_array("the controller's state", after, state.shape)
     if isinstance(controller, ContinuousController):
@@ -227,11 +232,18 @@ def first_state(
 
 
 def require_fit(plant: Plant, controller: Controller, dt: float | None) -> None:
-    """Refuse a controller that is none, of another task, or for another sampling time."""
+    """Refuse a controller that is none, of another task, command or sampling time."""
     like = "a controller, such as SetpointController(...)"
     require("controller", controller, Controller, like)
     require("task of the controller", controller.task, Task, "the task of the believed robot")
     plant.require_measured(controller.task)
+    if controller.command != plant.command:
+        without = "Plant(..., servo=VelocityServo()) takes velocities, one without servo torques"
+        raise InvalidInputError(
+            f"command of the controller must be {plant.command!r}, which the plant takes, got "
+            f"{controller.command!r} of {controller!r}; {without}",
+            given=controller,
+        )
     wanted = controller.dt
     if wanted is not None and (dt is None or not np.isclose(dt, wanted, rtol=1e-9, atol=0.0)):
         raise InvalidInputError(

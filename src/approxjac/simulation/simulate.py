@@ -124,7 +124,7 @@ def _continuous_law(
     if observer is not None:
         why = "an observer: it looks at every step of sampled control"
     elif plant.needs_sampling:
-        why = "a plant with sensing or an actuator delay: they are those of sampled control"
+        why = "a plant with sensing, actuator delay or servo: they are those of sampled control"
     elif not isinstance(controller, ContinuousController):
         why = f"a controller that runs in samples, got None for {controller!r}"
     else:
@@ -209,7 +209,7 @@ def _continuous(
         state, target = z[2 * n :].copy(), target_at(wanted, t)
         answer = controller.evaluate(state, truth, target)
         x_d = target.x if isinstance(target, Target) else target
-        kept.add(truth, truth.x, state, answer, x_d, controller)
+        kept.add(truth, truth.x, state, answer, answer.torque, x_d, controller)
     return kept.trajectory()
 
 
@@ -222,7 +222,7 @@ def _sampled(
         while True:
             # as they are before an observer changes them
             instant = (
-                loop.truth, loop.measurement.x, loop.state, loop.answer, loop.target,
+                loop.truth, loop.measurement.x, loop.state, loop.answer, loop.tau, loop.target,
                 loop.controller,
             )  # fmt: skip
             wanted = loop.step % stride == 0 or loop.ended

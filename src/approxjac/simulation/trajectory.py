@@ -34,7 +34,7 @@ class Trajectory:
         x_measured: Measured task value, NaN where it was lost, shape (N, n_x).
         x_d: Target, shape (N, n_x).
         error: True error of x to the target, shape (N, m).
-        tau: Torque, shape (N, n_v).
+        tau: Torque that the controller asked for, or that the plant's servo applied, (N, n_v).
         state: Controller state (θ̂ where gravity is learnt), shape (N, n_state).
         status: `Status` at these instants, shape (N,).
         limit_status: `LimitStatus` at these instants, shape (N,).

@@ -188,7 +188,8 @@ class LiveView:
     def _row(self, loop: SampledLoop) -> dict[str, Any]:
         """Return what the page shows of this step, as JSON can have it."""
         record, x = Record(loop.plant, 1), loop.measurement.x
-        record.add(loop.truth, x, loop.state, loop.answer, loop.target, loop.controller)
+        answer, controller = loop.answer, loop.controller
+        record.add(loop.truth, x, loop.state, answer, loop.tau, loop.target, controller)
         self._run = record.trajectory()
         self._columns = self._frames.columns(self._run)
         return {name: _plain(values[-1]) for name, values in self._columns.items()}
