@@ -21,6 +21,7 @@ from approxjac.controllers import (
 )
 from approxjac.law import Sine, Tanh
 from approxjac.robots import Dynamics, GravityRegressor
+from approxjac.simulation import VelocityServo
 from approxjac.tasks import NonsingularTask
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -520,6 +521,26 @@ def _run_with(**changes):
     return aj.simulate(plant, controller, (0.4, 0.1, 0.5), START, 3e-3, dt=1e-3)
 
 
+class Still(aj.Controller):
+    """A controller that commands no velocity."""
+
+    command = "velocity"
+    task = None
+
+    def __init__(self, task):
+        self.task = task
+
+    def step(self, state, measurement, target, dt):
+        e = measurement.x - target
+        return state, aj.Evaluation(np.zeros(7), None, aj.Status.OK, e)
+
+
+def _servoed(**changes):
+    """A short run of the panda by velocities, with some option of its servo."""
+    plant = _plant(servo=VelocityServo(**changes))
+    return aj.simulate(plant, Still(parts()["task"]), (0.4, 0.1, 0.5), START, 3e-3, dt=1e-3)
+
+
 def _controller(**changes):
     arguments = {"task": parts()["task"], "gains": parts()["gains"], **changes}
     return aj.SetpointController(**arguments)
@@ -536,8 +557,9 @@ ENTRANCES = {
     ),
     _run_with: (
         "robot", "sensor", "friction", "coulomb", "coulomb_velocity", "sensing", "actuator_delay",
-        "torque_limits",
+        "torque_limits", "servo",
     ),
+    _servoed: ("lag", "delay", "period", "quantum"),
     _sensed: (
         "x_noise", "x_quantum", "x_delay", "x_dropout", "q_noise", "q_quantum", "velocity_filter",
     ),

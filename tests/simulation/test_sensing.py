@@ -578,7 +578,7 @@ def test_a_bad_plant_is_refused(changes):
 
 @pytest.mark.parametrize("changes", [{"sensing": aj.Sensing()}, {"actuator_delay": 1e-3}])
 def test_late_and_lost_measurements_need_sampled_control(changes):
-    with pytest.raises(aj.InvalidInputError, match="dt must be given for a plant with sensing, act"):
+    with pytest.raises(aj.InvalidInputError, match="dt must be given for a plant with sensing"):
         probed(wavy, dt=None, **changes)
 
 

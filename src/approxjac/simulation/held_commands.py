@@ -34,7 +34,7 @@ class HeldCommands:
         else:
             first, delay = np.zeros(plant.robot.nv), plant.servo.delay
             self._per_sample = max(1, math.ceil(dt / _STEP - _TINY))
-            self._taken_per_step = dt / self._per_sample / plant.servo.period
+            self._taken_per_step = min(dt / self._per_sample / plant.servo.period, 1.0)
         self.h = dt / self._per_sample
         late = round(min(delay / self.h, float(samples * self._per_sample)))
         self._waiting = deque([first] * late)

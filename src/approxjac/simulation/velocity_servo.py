@@ -23,14 +23,14 @@ class VelocityServo:
 
         τ = M(q)(q̇_cmd − q̇)/lag + C(q, q̇)q̇ + g(q) + friction
 
-    of the true arm, clipped at the limits of its motors. So a good servo has no errors but these;
-    what it does not know is whatever the arm runs into. Until the first command takes effect it
-    holds the arm at rest.
+    of the true arm, clipped at the limits of its motors (`Plant.motor_limits`). It is a good servo:
+    it has no errors but these. What it does not know is whatever the arm runs into; a joint that
+    is held up, or whose motor is at its limit, disturbs the others. Until the first command takes
+    effect it holds the arm at rest. Limits of speed are the controller's to keep.
 
-    A robot that takes positions, told ∫q̇_cmd dt, answers a command in the same way as far as this
-    lag is that of its positions: q = ∫q̇_cmd dt/(1 + lag s). Another is what holds it up: a motor at
-    its limit or a stop leaves the integral ahead, and it catches up later, which this servo does
-    not.
+    It stands for a robot that takes positions, too, if that is sent ∫q̇_cmd dt and follows it with
+    this lag: from the same start both then move alike. Not where it is held up: there the integral
+    goes on ahead, and is caught up with later.
 
     Attributes:
         lag: Time constant, ≥ 1 ms [s].
