@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.errors import UnknownNameError
-from approxjac.tasks import PlanarCamera
+from approxjac.tasks import PlanarCamera, TrackerTask
 
 CAMERA = PlanarCamera(0.05, 3.0, roll=0.7, offset=(0.01, -0.02), plane="xy")
 
@@ -18,6 +18,8 @@ def tasks(robot):
         aj.ImageTask(robot, CAMERA),
         aj.StackedTask(aj.PositionTask(robot, axes="z"), aj.PositionTask(robot, axes="x")),
     ]
+    if robot.nv >= 3:
+        found.append(TrackerTask(robot, (0.3, -0.7, 1.1), (0.1, -0.05, 0.05)))
     if robot.nv >= 5:
         found.append(aj.StackedTask(aj.PositionTask(robot), aj.ImageTask(robot, CAMERA)))
     if robot.nv >= 6:

@@ -40,7 +40,7 @@ from approxjac.scenario.configurations import (
 )
 from approxjac.scenario.images import image_scene
 from approxjac.scenario.reachability import doubts
-from approxjac.scenario.records import Numbers, Object, Sensor, Vectors
+from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing, simulate
@@ -52,6 +52,7 @@ from approxjac.tasks import (
     PositionTask,
     StackedTask,
     Task,
+    TrackerTask,
 )
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_array
@@ -79,6 +80,8 @@ class BuiltScenario:
     @functools.cached_property
     def warning(self) -> str:
         """Why the believed arm cannot reach the target, as far as it tells; or ""."""
+        if self.scenario.true.tracker != Tracker():
+            return ""  # in whose axes nobody knows where the arm is
         return doubts(self.law.task, self.target, self.q0, self.scenario.run.duration)
 
     def run(
@@ -178,6 +181,9 @@ def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]
         task = StackedTask(*(PositionTask(belief, each, chosen.axes) for each in chosen.frames))
     else:
         task = PositionTask(belief, axes=chosen.axes)
+    tracker = scenario.true.tracker
+    if tracker != Tracker():
+        return TrackerTask(truth, tracker.rotation, tracker.offset), task
     return task.on(truth), task
 
 

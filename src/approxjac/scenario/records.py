@@ -88,6 +88,19 @@ class CameraError:
 
 
 @dataclass(frozen=True)
+class Tracker:
+    """The tracker that measures positions: x = R p + b of a p in the world.
+
+    Attributes:
+        rotation: R as a rotation vector, from the axes of the world to its own, rad.
+        offset: b, the origin of the world in its axes, m.
+    """
+
+    rotation: Vector = (0.0, 0.0, 0.0)
+    offset: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Truth:
     """The truth, which only the plant gets to see.
 
@@ -98,6 +111,7 @@ class Truth:
         friction: Viscous friction of every joint, N m s/rad.
         coulomb: Coulomb friction of every joint, N m.
         camera: Of an image task.
+        tracker: Measures x in axes of its own, which targets are in, too; the world's by default.
         engine: Simulates the robot.
         floor: Height of a floor, m, for the engine mujoco.
     """
@@ -108,6 +122,7 @@ class Truth:
     friction: float = _at_least(0.0)
     coulomb: float = _at_least(0.0)
     camera: Camera = Camera()
+    tracker: Tracker = Tracker()
     engine: Literal["pinocchio", "mujoco"] = "pinocchio"
     floor: float | None = None
 

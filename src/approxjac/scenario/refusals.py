@@ -38,6 +38,7 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("task.depth", not pinhole, "is that of a pinhole camera's image", task.kind),
         ("task.spread", task.points == 1, "is for several points", "one point"),
         ("true.camera", not image, "is for task.kind image", task.kind),
+        ("true.tracker", task.kind != "position", "is for task.kind position", task.kind),
         ("believed.camera", not image, "is for task.kind image", task.kind),
         ("true.camera.looking_at", in_hand, "is for a camera in the world", "one in hand"),
         ("controller.settling_time", gains, "is for default gains", "given ones"),
@@ -85,6 +86,9 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
     given = {name for name, value in vars(goal).items() if value != getattr(type(goal)(), name)}
     if len(given) > 1:
         yield given, f"run.target must not both be given as {' and as '.join(sorted(given))}"
+    tracker = scenario.true.tracker
+    if tracker != type(tracker)() and task.axes not in (None, "xyz"):
+        yield task.axes, f"task.axes must be xyz with true.tracker, got {task.axes}"
     if scenario.controller.differentiator is not None and task.depth == "measured":
         yield (
             task.depth,

@@ -18,11 +18,13 @@ from approxjac.tasks import (
     PositionTask,
     StackedTask,
     Task,
+    TrackerTask,
 )
 from approxjac.validation import Array
 
 _KINDS: Mapping[str, Any] = {
-    made._kind: made for made in (PositionTask, PoseTask, ImageTask, PinholeCamera, PlanarCamera)
+    made._kind: made
+    for made in (PositionTask, TrackerTask, PoseTask, ImageTask, PinholeCamera, PlanarCamera)
 }
 
 

@@ -10,6 +10,7 @@ from approxjac.tasks.pose import PoseTask
 from approxjac.tasks.position import PositionTask, best_axes
 from approxjac.tasks.stacked import StackedTask
 from approxjac.tasks.task import Task
+from approxjac.tasks.tracker import TrackerTask
 
 __all__ = [
     "Camera",
@@ -23,5 +24,6 @@ __all__ = [
     "PositionTask",
     "StackedTask",
     "Task",
+    "TrackerTask",
     "best_axes",
 ]

@@ -26,6 +26,7 @@ class Feature(NamedTuple):
     axes: str = ""  # world axes of the position that x gives, such as "xyz"; none of an image
     camera: Camera | None = None  # what sees it, if anything does
     points: Array = np.zeros((1, 3))  # of the frame, shape (k, 3) [m]
+    placed: tuple[Array, Array] | None = None  # R, b of a position x = R p + b in other axes
 
 
 class Task(Immutable, Saved, ABC):

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.simulation.scene import Scene
+from approxjac.tasks import TrackerTask
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.stage import Stage
 
@@ -209,3 +210,15 @@ def test_no_link_has_the_name_of_a_shape(two_link):
     joints = {tuple(joint["path"]) for joint in data["joints"]["true"]}
     assert len(links) == len(data["links"])
     assert not links & joints
+
+
+def test_what_a_tracker_tells_is_drawn_in_the_world(panda):
+    """Measured positions, and targets, of a tracker with axes of its own."""
+    sensor = TrackerTask(panda, (0.2, -0.4, 1.0), (0.1, -0.05, 0.05))
+    x_d = sensor.value(START + 0.1)
+    controller = aj.SetpointController(aj.PositionTask(panda))
+    run = aj.simulate(aj.Plant(panda, sensor), controller, x_d, START, 0.02, dt=1e-3)
+    shown = Frames(run.scene).columns(run)
+    assert_allclose(shown["measured"], shown["tip"], atol=1e-12)
+    there = aj.PositionTask(panda).value(START + 0.1)
+    assert_allclose(shown["target"], np.tile(there, (len(run.t), 1)), atol=1e-12)

@@ -101,6 +101,9 @@ class Frames:
         if feature is None or not feature.axes:
             return np.full(tip.shape, np.nan)
         given = x[:, feature.entries][:, : len(feature.axes)]
+        if feature.placed is not None:
+            R, b = feature.placed
+            given = (given - b) @ R
         found = tip.copy()
         found[:, ["xyz".index(axis) for axis in feature.axes]] = given
         found[~np.isfinite(given).all(axis=1)] = np.nan

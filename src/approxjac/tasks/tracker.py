@@ -1,0 +1,67 @@
+"""The position of a frame as a tracker gives it that nobody has lined up with the robot's base."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.robots import Robot
+from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.task import Feature, Task
+from approxjac.validation import Array, as_array, require
+
+
+class TrackerTask(Task):
+    """X = R p + b: position p of a frame's origin in the axes of a tracker [m].
+
+    Targets are in the tracker's axes, too. A controller that knows nothing of the tracker takes a
+    `PositionTask` for it.
+
+    Args:
+        robot: The robot, true or believed.
+        rotation: R, from the axes of the world to those of the tracker, as a rotation vector,
+            shape (3,) [rad].
+        offset: b, the origin of the world in the axes of the tracker, shape (3,) [m].
+        frame: Frame name; the robot's `tip` by default.
+
+    Raises:
+        UnknownNameError: No such frame.
+        InvalidInputError: Vectors of another length or not finite.
+    """
+
+    _kind = "tracker"
+
+    def __init__(
+        self,
+        robot: Robot,
+        rotation: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        offset: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        frame: str | None = None,
+    ) -> None:
+        require("robot", robot, Robot, "a Robot")
+        super().__init__(robot, ("x", "y", "z"), ("m", "m", "m"))
+        self.rotation = as_array("rotation", rotation, (3,), "rad")
+        self.offset = as_array("offset", offset, (3,), "m")
+        self.frame = robot.tip_or(frame)
+        self._R: Array = pin.exp3(self.rotation)
+        self._frame = FrameKinematics(robot, self.frame)
+        placed = self._R, self.offset
+        self._features = (Feature(slice(0, 3), self.frame, "xyz", placed=placed),)
+
+    def value(self, q: Array) -> Array:
+        return self._R @ self._frame.position(q) + self.offset
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return np.asarray(self._R @ self._frame.jacobian(q)[:3])
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return np.asarray(self._R @ self._frame.jacobian_dot(q, v)[:3])
+
+    def on(self, robot: Robot) -> TrackerTask:
+        return TrackerTask(robot, self.rotation, self.offset, self.frame)
+
+    def __repr__(self) -> str:
+        rotation, offset = self.rotation.tolist(), self.offset.tolist()
+        return f"TrackerTask({self.robot.name!r}, {self.frame!r}, {rotation}, {offset})"
