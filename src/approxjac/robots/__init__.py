@@ -3,6 +3,7 @@
 from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.excitation import Excitation, excitation
 from approxjac.robots.gravity_regressor import GravityRegressor
+from approxjac.robots.kinematic_regressor import KinematicRegressor
 from approxjac.robots.load import load_robot, robot_names
 from approxjac.robots.perturbation import Perturbation
 from approxjac.robots.robot import Robot
@@ -11,6 +12,7 @@ __all__ = [
     "Dynamics",
     "Excitation",
     "GravityRegressor",
+    "KinematicRegressor",
     "Perturbation",
     "Robot",
     "excitation",

@@ -1,0 +1,376 @@
+"""The kinematic regressor: positions that are linear in the translations of joint origins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
+
+from approxjac.errors import InvalidInputError
+from approxjac.robots.robot import Robot
+from approxjac.robots.urdf import UrdfJoint
+from approxjac.robots.urdf_edit import direction
+from approxjac.validation import Array, as_array, as_vector, require
+
+_RANK_TOLERANCE = 1e-4  # axes in URDFs are rounded, such as 1.5708 for a right angle
+_COEFFICIENT = 1e-3  # below which a parameter has no part in a combination
+_SAMPLES = 60
+# a @ _CROSS is [a]ₓ, row by row
+_CROSS = np.array([
+    [0, 0, 0, 0, 0, -1, 0, 1, 0],
+    [0, 0, 1, 0, 0, 0, -1, 0, 0],
+    [0, -1, 0, 1, 0, 0, 0, 0, 0],
+], dtype=float)  # fmt: skip
+
+
+class PointMotion(NamedTuple):
+    """Positions and their derivatives with translations that are learnt.
+
+    Attributes:
+        p: Positions Y(q)θ + offset, shape (3k,) [m].
+        J: ∂p/∂q, shape (3k, n_v).
+        J_dot: Its rate along q̇ and θ', shape (3k, n_v).
+        drift: Y(q)θ', shape (3k,) [m/s].
+    """
+
+    p: Array
+    J: Array
+    J_dot: Array
+    drift: Array
+
+
+class KinematicRegressor:
+    """p(q) = Y(q) θ + offset(q), with θ the translations of joint origins and of the tool.
+
+    A chain of joints 1…n with right axes, R_i the rotation of link i and t_i the origin of joint i
+    on link i − 1, has p = Σ R_{i−1} t_i + R_n t_tool: Y is nothing but the link rotations, and p, J
+    and J̇ are linear in θ (affine where a joint is prismatic). Fixed joints between two that move
+    are part of the second one's origin, those after the last that moves are the tool.
+
+    Owns scratch memory: one instance a thread. What it returns is yours to keep.
+
+    Args:
+        robot: The robot, true or believed.
+        frame: Frame name, or several; the robot's `tip` by default.
+        points: Points of the one frame in its own axes, shape (k, 3) [m]; by default its origin.
+            With several frames, the origin of each.
+
+    Attributes:
+        k: Number of points.
+        names: Names of the parameters, such as "panda_joint4.x" [m] or "tool.x"; with several
+            frames the name of the frame in place of "tool".
+        theta: Their values for `robot` itself, shape (p,) [m].
+
+    Raises:
+        UnknownNameError: No such frame.
+        InvalidInputError: Points of several frames, or a frame that nothing moves.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str | Sequence[str] | None = None,
+        points: Sequence[Sequence[float]] | Array | None = None,
+    ) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self._given = robot, frame, points
+        self.robot = robot
+        frames = [robot.tip_or(frame)] if frame is None or isinstance(frame, str) else list(frame)
+        self.frames = tuple(robot.tip_or(name) for name in frames)
+        if points is not None and len(frames) > 1:
+            raise InvalidInputError(
+                f"points must be those of one frame, got frames {self.frames}", given=points
+            )
+        known = np.zeros((len(frames), 3))
+        if points is not None:
+            known = as_array("points", points, ("k", 3), "m")
+        self.k = len(known)
+        of_frame = np.arange(len(frames)) if points is None else np.zeros(self.k, dtype=int)
+
+        # with all joints on their own: Pinocchio's indices of mimic joints are their leaders'
+        self._model = model = robot.mimic_joints.model
+        placed = [model.frames[self._frame_id(name)] for name in self.frames]
+        for name, each in zip(self.frames, placed, strict=True):
+            if each.parentJoint == 0:
+                raise InvalidInputError(
+                    f"frame must be one that a joint moves, got {name!r} of {robot.name}",
+                    given=frame,
+                )
+        paths = [list(model.supports[each.parentJoint])[1:] for each in placed]
+        joints = sorted({joint for path in paths for joint in path})
+        n, k = len(joints), self.k
+        self._n, self._terms = n, n + k
+        self._movers: tuple[str, ...] = tuple(model.names[joint] for joint in joints)
+        slides = np.array(
+            [model.joints[joint].shortname().startswith("JointModelP") for joint in joints]
+        )
+        axes = np.array([direction(list(robot.tree.joints[name].axis)) for name in self._movers])
+        self._vectors = np.zeros((n + k + n, 3, 2))  # scratch memory, but for the axes
+        self._vectors[n + k :, :, 0] = axes
+        rotations = [placed[f].placement.rotation for f in of_frame]
+        own = [R @ point for R, point in zip(rotations, known, strict=True)]
+        self._known = np.concatenate([np.zeros((n, 3)), own]) if known.any() else None
+        origins = [model.jointPlacements[joint].translation for joint in joints]
+        self.theta = np.concatenate([*origins, *(each.placement.translation for each in placed)])
+        self.theta.flags.writeable = False
+        ends = ("tool",) if len(placed) == 1 else self.frames
+        self.names = tuple(f"{part}.{axis}" for part in (*self._movers, *ends) for axis in "xyz")
+
+        # terms of p: the origin of each joint, then the tool of each point
+        of_term = np.concatenate([np.arange(n), n + of_frame])
+        self._of_term = None if np.array_equal(of_term, np.arange(n + k)) else of_term
+        parents = [model.parents[joint] for joint in joints]
+        ends_on = [each.parentJoint for each in placed]
+        carriers = parents + [ends_on[f] for f in of_frame]
+        self._links = np.array(carriers + joints)  # that turn the terms, and the joints' axes
+        self._y_links = np.array(parents + ends_on)
+        on = np.array([[joint in paths[f] for joint in joints] for f in of_frame], dtype=float)
+        mask = np.hstack([on, np.eye(len(placed))[of_frame]])
+        self._mask = None if mask.all() else mask[:, np.newaxis, :, np.newaxis]
+        self._sum = np.hstack([on, np.eye(k)])  # p of the terms
+
+        def moves(joint: int, link: int) -> bool:
+            return joint in model.supports[link]
+
+        # the lever of a joint to a point: its terms on links that the joint moves
+        moved = np.array([[moves(joint, link) for link in carriers] for joint in joints], float)
+        moved[slides] = 0.0
+        self._levers = (self._sum[:, np.newaxis] * moved).reshape(k * n, n + k)
+        self._along = (on * slides)[:, :, np.newaxis] if slides.any() else None
+        turned = [[moves(joint, link) for joint in joints] for link in carriers + parents]
+        self._spins = np.array(turned, float) * ~slides  # ω of the links of the speeds of joints
+        self._sliding = [(i, model.joints[joints[i]].idx_q) for i in np.flatnonzero(slides)]
+        columns = [model.joints[joint].idx_v for joint in joints]
+        self._columns = robot.mimic_joints.columns(np.eye(model.nv))[columns]
+        self._plain = np.array_equal(self._columns, np.eye(n))
+        self._nq, self._is_vector = robot.nq, robot.nq == robot.nv
+        self._map = None if robot.mimic_joints.A is None else robot.mimic_joints
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._given  # a copy has scratch memory of its own
+
+    def __repr__(self) -> str:
+        where = self.frames[0] if len(self.frames) == 1 else list(self.frames)
+        return f"KinematicRegressor({self.robot.name!r}, {where!r}: {self.p} parameters)"
+
+    @property
+    def p(self) -> int:
+        """Number of parameters."""
+        return len(self.theta)
+
+    # -- positions ----------------------------------------------------------------------
+
+    def Y(self, q: Array) -> Array:
+        """Return Y(q), shape (3k, p)."""
+        self._place(q)
+        R = self._rotations.take(self._y_links, 0).transpose(1, 0, 2)
+        if self._mask is None and self.k == 1:
+            return R.reshape(3, -1)
+        mask = 1.0 if self._mask is None else self._mask
+        each = np.broadcast_to(R, (self.k, *R.shape)) * mask
+        return np.asarray(each.reshape(3 * self.k, -1))
+
+    def offset(self, q: Array) -> Array:
+        """Return p − Y(q)θ, shape (3k,) [m]: what slides, and points beside the frame's origin."""
+        if not self._sliding and self._known is None:
+            return np.zeros(3 * self.k)
+        return self.position(q, np.zeros(self.p))
+
+    def position(self, q: Array, theta: Array) -> Array:
+        """Return p = Y(q)θ + offset(q), shape (3k,) [m], of parameters θ (p,)."""
+        c = self._placed(q, theta)[: self._terms, :, 0]
+        return np.asarray(self._sum.dot(c).ravel())
+
+    def jacobian(self, q: Array, theta: Array) -> Array:
+        """Return ∂p/∂q with parameters θ (p,), shape (3k, n_v)."""
+        placed = self._placed(q, theta)[:, :, 0]
+        c, z = placed[: self._terms], placed[self._terms :]
+        J = (_skews(z) @ self._levers.dot(c).reshape(self.k, -1, 3, 1))[..., 0]
+        if self._along is not None:
+            J = J + self._along * z
+        return self._columns_of(J)
+
+    def jacobian_dot(self, q: Array, v: Array, theta: Array) -> Array:
+        """Return the rate of `jacobian` along q̇ (n_v,), at fixed θ (p,); shape (3k, n_v)."""
+        return self.motion(q, v, theta, np.zeros(self.p)).J_dot
+
+    def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
+        """Return positions and derivatives at q (nq,) and q̇ (n_v,), with θ and θ' (p,) [m, m/s]."""
+        speeds = as_vector("v", v, self.robot.nv)
+        if not self._plain:
+            speeds = self._columns.dot(speeds)
+        placed = self._placed(q, theta, theta_dot)
+        terms = self._terms
+        c, z = placed[:terms], placed[terms:, :, 0]  # the terms of p, beside Y's of θ'
+        p, drift = self._sum.dot(c.reshape(terms, 6)).reshape(-1, 2).T
+        # all that turns with its link: the terms of p, and the joints' axes
+        turning = _skews(self._spins.dot(z * speeds[:, np.newaxis]))
+        rates = turning @ placed[:, :, :1]
+        z_dot = rates[terms:, :, 0]
+        c[:, :, 1:] += rates[:terms]
+        for i, _ in self._sliding:
+            c[i, :, 1] += z[i] * speeds[i]
+        levers = self._levers.dot(c.reshape(terms, 6)).reshape(self.k, -1, 3, 2)
+        columns = _skews(z) @ levers
+        J, J_dot = columns[..., 0], columns[..., 1] + (_skews(z_dot) @ levers[..., :1])[..., 0]
+        if self._along is not None:
+            J, J_dot = J + self._along * z, J_dot + self._along * z_dot
+        return PointMotion(p, self._columns_of(J), self._columns_of(J_dot), drift)
+
+    # -- what can be told apart, and the robot with it -----------------------------------
+
+    @cached_property
+    def rank(self) -> int:
+        """Number of combinations of parameters that positions anywhere tell apart."""
+        return len(self._independent[0])
+
+    def combinations(self) -> tuple[str, ...]:
+        """Return what positions tell only together, such as "panda_joint4.y + panda_joint5.y"."""
+        told = []
+        for row in self._independent[1]:
+            together = np.flatnonzero(np.abs(row) > _COEFFICIENT).tolist()
+            if len(together) > 1:
+                parts = [(row[j], self.names[j]) for j in together]
+                told.append(_in_words(parts))
+        return tuple(told)
+
+    def robot_with(self, theta: Array) -> Robot:
+        """Return the robot with other translations θ (p,) [m].
+
+        A tool that is a joint of its own in the URDF, fixed, is moved. Where a moving link is the
+        frame itself, it gets an object without mass, whose end is the new `tip`.
+
+        Raises:
+            InvalidInputError: A θ of the wrong length or not finite.
+        """
+        theta = as_array("theta", theta, (self.p,), "m")
+        change = (theta - self.theta).reshape(-1, 3)
+        above = {joint.child: joint for joint in self.robot.tree.joints.values()}
+        wanted: dict[str, Array] = dict(zip(self._movers, change[: self._n], strict=True))
+        held: dict[str, Array] = {}
+        for link, tool in zip(map(self._link, self.frames), change[self._n :], strict=True):
+            if above[link].type == "fixed":
+                wanted[above[link].name] = tool
+            elif tool.any():
+                held[link] = tool
+        moved: dict[str, Array] = {}  # in the axes of the link that moves
+        shifts: dict[str, list[float]] = {}
+        for joint in sorted(wanted, key=lambda joint: self._depth(joint, above)):
+            parent = link = self.robot.tree.joints[joint].parent
+            moved[joint] = wanted[joint]
+            while link in above and above[link].type == "fixed":  # what carries it was moved, too
+                moved[joint] = moved[joint] - moved.get(above[link].name, 0.0)
+                link = above[link].parent
+            if moved[joint].any():
+                shifts[joint] = list(self._placement(parent).rotation.T @ moved[joint])
+        robot = self.robot.with_kinematic_error(shifts) if shifts else self.robot
+        for link, tool in held.items():
+            name = "tool" if len(held) == 1 else f"{link}_tool"
+            length = float(np.linalg.norm(tool))
+            robot = robot.with_object(length, parent=link, axis=list(tool), name=name)
+        return robot
+
+    def _link(self, frame: str) -> str:
+        joints = self.robot.tree.joints
+        return frame if frame in self.robot.tree.links else joints[frame].child
+
+    def _placement(self, frame: str) -> pin.SE3:
+        """Return where a frame is on the link that moves it."""
+        return self._model.frames[self._frame_id(frame)].placement
+
+    def _frame_id(self, frame: str) -> int:
+        kind = self.robot.model.frames[self.robot.frame_id(frame)].type
+        return int(self._model.getFrameId(frame, kind))
+
+    @staticmethod
+    def _depth(joint: str, above: Mapping[str, UrdfJoint]) -> int:
+        """Return how many joints carry a joint."""
+        joints = {each.name: each for each in above.values()}
+        depth, link = 0, joints[joint].parent
+        while link in above:
+            depth, link = depth + 1, above[link].parent
+        return depth
+
+    # -- forward kinematics --------------------------------------------------------------
+
+    @cached_property
+    def _forward(self) -> partial[None]:
+        return partial(pin.forwardKinematics, self._model, self._data)
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self._model.createData()
+
+    @cached_property
+    def _rotations(self) -> Array:
+        """Rotations of all links, shape (n + 1, 3, 3): a live view of what Pinocchio computes."""
+        views = [placement.rotation for placement in self._data.oMi]
+        starts = [view.__array_interface__["data"][0] for view in views]
+        (apart,) = set(np.diff(starts))
+        return as_strided(views[0], (len(views), 3, 3), (apart, *views[0].strides))
+
+    def _place(self, q: Array) -> None:
+        q = as_vector("q", q, self._nq) if self._is_vector else self.robot.configuration(q)
+        self._q = q if self._map is None else self._map.q(q)
+        self._forward(self._q)
+
+    def _placed(self, q: Array, theta: Array, theta_dot: Array | None = None) -> Array:
+        """Return terms of p and Yθ', then the joints' axes, in the world; (k + 2 n, 3, 2).
+
+        Without θ' the last axis has length 1.
+        """
+        self._place(q)
+        vectors = self._vectors
+        vectors[: self._terms, :, 0] = self._shared(theta)
+        if self._known is not None:
+            vectors[: self._terms, :, 0] += self._known
+        if theta_dot is None:
+            vectors = vectors[:, :, :1]
+        else:
+            vectors[: self._terms, :, 1] = self._shared(theta_dot)
+        placed: Array = self._rotations.take(self._links, 0) @ vectors
+        for i, at in self._sliding:
+            placed[i, :, 0] += placed[self._terms + i, :, 0] * self._q[at]
+        return placed
+
+    def _shared(self, theta: Array) -> Array:
+        """Return parameters as vectors, that of the tool once for each of its points."""
+        each = theta.reshape(-1, 3)
+        return each if self._of_term is None else each.take(self._of_term, 0)
+
+    def _columns_of(self, columns: Array) -> Array:
+        """Return what is (k, n, 3) of the chain's joints as a Jacobian (3k, n_v)."""
+        J = columns.transpose(0, 2, 1).reshape(3 * self.k, -1)
+        return J if self._plain else J.dot(self._columns)
+
+    @cached_property
+    def _independent(self) -> tuple[list[int], Array]:
+        """Return the columns of Y that do not depend on those before; G with Y = Y[:, kept] G."""
+        robot, rng = self.robot, np.random.default_rng(0)
+        reach = np.where(np.array(robot.joint_units) == "m", 1.0, np.pi)
+        motions = rng.uniform(-reach, reach, (_SAMPLES, robot.nv))
+        drawn = [np.array(pin.integrate(robot.model, robot.neutral(), each)) for each in motions]
+        A = np.vstack([self.Y(q) for q in drawn]) / np.sqrt(_SAMPLES)
+        alone = np.abs(np.diag(np.linalg.qr(A, mode="r")))
+        kept: list[int] = np.flatnonzero(alone > _RANK_TOLERANCE).tolist()
+        return kept, np.linalg.lstsq(A[:, kept], A, rcond=None)[0]
+
+
+def _skews(vectors: Array) -> Array:
+    """Return the matrices [a]ₓ with [a]ₓ b = a × b for each row a, shape (k, 3, 3)."""
+    return np.asarray(vectors.dot(_CROSS)).reshape(-1, 3, 3)
+
+
+def _in_words(parts: Sequence[tuple[float, str]]) -> str:
+    """Return a sum of parameters with coefficients, such as "a.x + 0.5 b.x - c.y"."""
+    text = ""
+    for coefficient, name in parts:
+        size = f"{abs(coefficient):.3g}"
+        sign = "-" if coefficient < 0.0 else "+"
+        sign = f" {sign} " if text else sign.removeprefix("+")
+        text += sign + (name if size == "1" else f"{size} {name}")
+    return text

@@ -1,0 +1,188 @@
+"""p(q) = Y(q) θ against forward kinematics of robots whose joint origins are elsewhere."""
+
+import copy
+import pickle
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.robots import KinematicRegressor
+from approxjac.tasks.frame_kinematics import FrameKinematics, PointKinematics
+
+INERTIA = '<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
+LINK = f'<link name="{{0}}"><inertial><mass value="1"/>{INERTIA}</inertial></link>'
+LIMIT = '<limit lower="-1" upper="1" effort="9" velocity="9"/>'
+JOINT = (
+    '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>'
+    f'<origin xyz="{{4}}" rpy="{{5}}"/><axis xyz="{{6}}"/>{LIMIT}{{7}}</joint>'
+)
+
+
+def every_kind():
+    """An arm with a branch, oblique axes, joints that slide, turn without end, follow and rest."""
+    follows = '<mimic joint="turn" multiplier="-0.5" offset="0.2"/>'
+    joints = [
+        ("foot", "fixed", "world", "base", "0.1 0 0.2", "0.3 0 0", "0 0 1", ""),
+        ("turn", "revolute", "base", "a", "0 0.1 0.3", "0.1 0.2 0.3", "0 1 0", ""),
+        ("slide", "prismatic", "a", "b", "0.2 0 0.1", "0 0.4 0", "1 0 1", ""),
+        ("spacer", "fixed", "b", "c", "0 0 0.1", "0 0 0.7", "0 0 1", ""),
+        ("wheel", "continuous", "c", "d", "0.2 0.1 0", "0.5 0 0", "0 0 1", ""),
+        ("follower", "revolute", "d", "e", "0.3 0 0", "0 0 1", "1 2 0", follows),
+        ("wrist", "revolute", "e", "f", "0.1 0 0.2", "0 1 0", "0 0 -1", ""),
+        ("flange", "fixed", "f", "hand", "0 0.1 0.1", "0.2 0 0", "0 0 1", ""),
+        ("held", "fixed", "hand", "tip", "0.1 0 0.1", "0 0 0.3", "0 0 1", ""),
+        ("other", "prismatic", "b", "arm2", "0 0.2 0", "0 0 0", "0 1 0", ""),
+        ("end2", "fixed", "arm2", "tip2", "0 0.1 0.2", "0.4 0 0", "0 0 1", ""),
+    ]
+    links = ["world", *(joint[3] for joint in joints)]
+    text = "".join(LINK.format(name) for name in links) + "".join(JOINT.format(*j) for j in joints)
+    return aj.Robot(f'<robot name="every_kind">{text}</robot>', tip="tip")
+
+
+@pytest.fixture(scope="module")
+def kinds():
+    return every_kind()
+
+
+def drawn(regressor, rng):
+    """A configuration, a velocity, parameters a few centimetres off, and their rates."""
+    robot, p = regressor.robot, regressor.p
+    theta = regressor.theta + 0.03 * rng.standard_normal(p)
+    q = robot.random_configuration(rng)
+    return q, rng.standard_normal(robot.nv), theta, rng.standard_normal(p)
+
+
+def moved(robot, q, v, h):
+    return np.array(pin.integrate(robot.model, q, h * v))
+
+
+def test_positions_and_jacobians_are_those_of_the_robot_with_the_translations(arm, rng):
+    regressor = KinematicRegressor(arm)
+    q, v, theta, _ = drawn(regressor, rng)
+    other = FrameKinematics(regressor.robot_with(theta), arm.tip)
+    own = regressor.Y(q) @ regressor.theta + regressor.offset(q)
+    assert_allclose(own, FrameKinematics(arm, arm.tip).position(q), atol=1e-12)
+    assert_allclose(regressor.position(q, theta), other.position(q), atol=1e-12)
+    assert_allclose(regressor.jacobian(q, theta), other.jacobian(q)[:3], atol=1e-12)
+    assert_allclose(regressor.jacobian_dot(q, v, theta), other.jacobian_dot(q, v)[:3], atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", ["tip", "tip2", "hand", "f", "wheel", ["tip", "tip2", "hand"]])
+def test_every_kind_of_joint(kinds, frame, rng):
+    regressor = KinematicRegressor(kinds, frame)
+    q, v, theta, theta_dot = drawn(regressor, rng)
+    if frame in ("f", "wheel"):  # links that a joint moves have no tool
+        theta[-3:] = 0.0
+    robot = regressor.robot_with(theta)
+    frames = [frame] if isinstance(frame, str) else frame
+    kinematics = [FrameKinematics(robot, name) for name in frames]
+    assert_allclose(
+        regressor.position(q, theta), np.ravel([k.position(q) for k in kinematics]), atol=1e-12
+    )
+    J = np.concatenate([k.jacobian(q)[:3] for k in kinematics])
+    assert_allclose(regressor.jacobian(q, theta), J, atol=1e-12)
+    assert_allclose(
+        regressor.Y(q) @ theta + regressor.offset(q), regressor.position(q, theta), atol=1e-12
+    )
+    h = 1e-6
+    motion = regressor.motion(q, v, theta, theta_dot)
+    after, before = (
+        regressor.jacobian(moved(kinds, q, v, s), theta + s * theta_dot) for s in (h, -h)
+    )
+    assert_allclose(motion.J_dot, (after - before) / (2 * h), atol=1e-8)
+    assert_allclose(motion.J, J, atol=1e-12)
+    assert_allclose(motion.drift, regressor.Y(q) @ theta_dot, atol=1e-12)
+    assert_allclose(motion.p, regressor.position(q, theta), atol=1e-12)
+
+
+def test_the_jacobian_is_the_derivative_of_the_position(arm, rng):
+    regressor = KinematicRegressor(arm)
+    q, v, theta, _ = drawn(regressor, rng)
+    h = 1e-6
+    after, before = (regressor.position(moved(arm, q, v, s), theta) for s in (h, -h))
+    assert_allclose(regressor.jacobian(q, theta) @ v, (after - before) / (2 * h), atol=1e-8)
+
+
+def test_points_of_a_frame(kinds, rng):
+    points = np.array([[0.1, 0.0, 0.0], [0.0, 0.2, -0.1]])
+    regressor = KinematicRegressor(kinds, "tip", points)
+    q, _, theta, _ = drawn(regressor, rng)
+    robot = regressor.robot_with(theta)
+    expected = PointKinematics(robot, points, "tip", None)
+    assert_allclose(regressor.position(q, theta), expected.positions(q).ravel(), atol=1e-12)
+    J = expected.jacobians(q)[1].reshape(6, -1)
+    assert_allclose(regressor.jacobian(q, theta), J, atol=1e-12)
+    assert_allclose(
+        regressor.Y(q) @ theta + regressor.offset(q), regressor.position(q, theta), atol=1e-12
+    )
+    assert regressor.k == 2
+    assert regressor.p == KinematicRegressor(kinds, "tip").p
+
+
+@pytest.mark.parametrize(
+    ("name", "rank", "p"),
+    [("panda", 17, 24), ("xarm7", 17, 24), ("ur5", 15, 21), ("kinova", 15, 21)],
+)
+def test_the_rank_is_two_for_each_joint_and_three(name, rank, p):
+    regressor = KinematicRegressor(aj.load_robot(name))
+    assert (regressor.rank, regressor.p) == (rank, p)
+    assert len(regressor.names) == p
+    assert regressor.names[-1] == "tool.z"
+
+
+def test_what_cannot_be_told_apart_is_said(panda, rng):
+    regressor = KinematicRegressor(panda)
+    told = regressor.combinations()
+    assert "panda_joint1.z + panda_joint2.z" in told
+    assert "panda_joint3.y - panda_joint4.z" in told
+    assert len(told) == 7
+    at = {name: i for i, name in enumerate(regressor.names)}
+    theta = regressor.theta.copy()
+    theta[at["panda_joint3.y"]] += 0.1  # with a sum that stays as it was, p stays
+    theta[at["panda_joint4.z"]] += 0.1
+    q = panda.random_configuration(rng)
+    assert_allclose(regressor.position(q, theta), regressor.position(q, regressor.theta))
+    sliding = KinematicRegressor(every_kind())
+    assert any("slide" in text for text in sliding.combinations())
+
+
+def test_a_learnt_tool_is_saved(panda, tmp_path, rng):
+    regressor = KinematicRegressor(panda, "panda_link7")  # a link that a joint moves
+    theta = regressor.theta.copy()
+    theta[-3:] = 0.1, -0.2, 0.05
+    robot = regressor.robot_with(theta)
+    assert robot.tip == "tool_tip"
+    again = aj.load_robot(robot.save_urdf(tmp_path / "learnt.urdf"), tip="tool_tip")
+    q = panda.random_configuration(rng)
+    assert_allclose(
+        FrameKinematics(again, "tool_tip").position(q), regressor.position(q, theta), atol=1e-9
+    )
+
+
+def test_copies_have_scratch_memory_of_their_own(panda, rng):
+    regressor = KinematicRegressor(panda)
+    q, v, theta, theta_dot = drawn(regressor, rng)
+    motion = regressor.motion(q, v, theta, theta_dot)
+    kept = copy.deepcopy(motion)
+    for other in (copy.copy(regressor), pickle.loads(pickle.dumps(regressor)), regressor):
+        other.motion(*drawn(regressor, rng))
+        for a, b in zip(motion, kept, strict=True):
+            assert np.array_equal(a, b)
+    assert regressor.Y(q) is not regressor.Y(q)
+
+
+def test_what_makes_no_sense_is_refused(panda):
+    with pytest.raises(aj.errors.UnknownNameError, match="'panda_hnd' not in panda"):
+        KinematicRegressor(panda, "panda_hnd")
+    with pytest.raises(aj.errors.InvalidInputError, match="frame must be one that a joint moves"):
+        KinematicRegressor(panda, "panda_link0")
+    with pytest.raises(aj.errors.InvalidInputError, match="points must be those of one frame"):
+        KinematicRegressor(panda, ["panda_hand", "panda_link7"], [[0, 0, 0.1]])
+    regressor = KinematicRegressor(panda)
+    with pytest.raises(aj.errors.InvalidInputError, match=r"q must have shape \(7,\)"):
+        regressor.Y(np.zeros(6))
+    with pytest.raises(aj.errors.InvalidInputError, match=r"theta must have shape \(24,\)"):
+        regressor.robot_with(np.zeros(3))
