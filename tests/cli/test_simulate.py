@@ -103,6 +103,8 @@ def test_a_bad_file_is_one_clear_line(tmp_path, capsys, monkeypatch, text, messa
         (["panda", "--true.floor", "0"], "true.floor needs true.engine mujoco"),
         (["missing.toml"], "missing.toml does not exist"),
         (["panda", "--no-limits", "--controller.torque-rate", "9"], "needs controller.limits"),
+        (["panda", "--path", "oval"], "'oval' not in the shapes of a path; valid are circle, line"),
+        (["panda", "--path", "circle", "0.1", "--target", "0", "0", "1"], "both be given as at and"),
         (["panda", "--limits", "-1"], "controller.limits must be a finite number > 0"),
         (["panda", "--task.kind", "image", "--task.points", "4"], "task.points must be 1, 2 or 3"),
         (["panda", "--task.kind", "image", "--true.camera.focal-length", "0"],
@@ -114,3 +116,15 @@ def test_bad_options_are_one_clear_line(tmp_path, capsys, words, message):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "target"),
+    [(["circle", "0.1"], {"circle": {"radius": 0.1}}),
+     (["line", "0", "0.1", "0"], {"line": {"offset": [0.0, 0.1, 0.0]}})],
+)  # fmt: skip
+def test_a_path_has_a_short_option(tmp_path, words, target):
+    saved, run = tmp_path / "s.toml", ["--duration", "0.01", "--out", str(tmp_path)]
+    assert main(["simulate", "panda", "--path", *words, *run, "--save", str(saved)]) in (0, 1)
+    expected = Scenario("panda", run={"target": target, "duration": 0.01})
+    assert Scenario.load(saved) == expected

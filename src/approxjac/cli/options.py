@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 
 import tyro
 
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.scenario import Scenario
 from approxjac.scenario.records import Analysis, Goal
 from approxjac.scenario.tables import hints
@@ -50,6 +50,11 @@ _COMMON = {
     "--seed": "run.seed",
 }
 _FLAGS = {"--no-limits": ["--limits", "none"]}
+_PATHS = {
+    "circle": "run.target.circle.radius",
+    "line": "run.target.line.offset",
+    "waypoints": "run.target.waypoints.points",
+}
 _STABILITY = {
     f"--{each.name.replace('_', '-')}": f"stability.{each.name}" for each in fields(Analysis)
 }
@@ -60,9 +65,10 @@ SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COM
 def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:
     """Return the scenario of the file among a command's words, and the words with its robot.
 
-    In these --no-limits is what it stands for.
+    In these --no-limits and --path are what they stand for.
     """
     words = [part for word in words for part in _FLAGS.get(word, [word])]
+    words = _with_path(words)
     for i, word in enumerate(words):
         if word.endswith(".toml") and word[0] != "-" and words[i - 1] != "--save":
             scenario = Scenario.load(word)
@@ -70,6 +76,17 @@ def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:
                 scenario = scenario.with_values({"run": {"target": Goal()}})
             return scenario, [*words[:i], scenario.robot, *words[i + 1 :]]
     return None, words
+
+
+def _with_path(words: list[str]) -> list[str]:
+    """Return words with the key of a path's shape in place of `--path SHAPE`."""
+    if "--path" not in words:
+        return words
+    i = words.index("--path")
+    shape = "".join(words[i + 1 : i + 2])
+    if shape not in _PATHS:
+        raise UnknownNameError("--path", shape, "the shapes of a path", _PATHS)
+    return [*words[:i], f"--{_PATHS[shape]}", *words[i + 2 :]]
 
 
 def with_options(

@@ -297,9 +297,9 @@ class Goal:
         at: Position (m), pose (x y z qx qy qz qw), images (u v of each point); random by default.
         offset: Relative to where the task starts, m (and rad of a pose).
         configuration: Joint positions at which the true sensor measures the target, rad or m.
-        circle: To follow.
-        line: To follow.
-        waypoints: To follow.
+        circle: To follow; --path circle RADIUS.
+        line: To follow; --path line OFFSET.
+        waypoints: To follow; --path waypoints POINTS.
     """
 
     at: Numbers | None = None
