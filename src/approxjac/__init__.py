@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from approxjac import law
 from approxjac.controllers import (
     AdaptiveGravity,
+    AdaptiveKinematics,
     Gains,
     HeldMeasurement,
     Latency,
@@ -66,6 +67,7 @@ _MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of furt
 
 __all__ = [
     "AdaptiveGravity",
+    "AdaptiveKinematics",
     "ApproxJacError",
     "Circle",
     "Controller",

@@ -12,11 +12,14 @@ from approxjac.controllers.gravity import (
     NoGravity,
     RegressorGravity,
 )
+from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber
+from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.measurement_hold import HeldMeasurement
 from approxjac.controllers.posture import AwayFromStops, Posture
+from approxjac.controllers.predicted import Kinematics, Prediction
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.controllers.tuning import Learning, Tuning, tuned
@@ -26,6 +29,7 @@ from approxjac.interface import ContinuousController
 __all__ = [
     "Adaptation",
     "AdaptiveGravity",
+    "AdaptiveKinematics",
     "AwayFromStops",
     "CompiledSetpointController",
     "ContinuousController",
@@ -34,13 +38,17 @@ __all__ = [
     "Gains",
     "Gravity",
     "HeldMeasurement",
+    "KinematicReport",
+    "Kinematics",
     "Latency",
     "Learning",
+    "LearntNumber",
     "Limiter",
     "Limits",
     "ModelGravity",
     "NoGravity",
     "Posture",
+    "Prediction",
     "RegressorGravity",
     "SetpointController",
     "TorqueLimited",

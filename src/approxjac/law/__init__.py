@@ -15,6 +15,13 @@ from approxjac.law.conditions import (
     largest_allowed_p,
     largest_alpha,
 )
+from approxjac.law.estimation import (
+    V1,
+    V1_fall,
+    correction,
+    forgotten_information,
+    information,
+)
 from approxjac.law.linearization import (
     adaptive_closed_loop_matrix,
     closed_loop_matrix,
@@ -36,6 +43,17 @@ from approxjac.law.pseudoinverse import (
     is_near_singular,
     right_pinv,
 )
+from approxjac.law.rotation import (
+    best_rotation,
+    explained,
+    generators,
+    nearest_rotation,
+    rotation_exp,
+    rotation_information,
+    rotation_log,
+    rotations_everywhere,
+    tangents,
+)
 from approxjac.law.sampled_loop import LinearLaw, frame_map
 from approxjac.law.saturation import Linear, Saturation, Sine, Tanh
 from approxjac.law.torque import (
@@ -50,12 +68,14 @@ from approxjac.law.torque_limits import limited_torque
 
 __all__ = [
     "SINGULAR_RATIO",
+    "V1",
     "Linear",
     "LinearLaw",
     "Saturation",
     "Sine",
     "Tanh",
     "V",
+    "V1_fall",
     "W",
     "adaptive_closed_loop_matrix",
     "allowed_p",
@@ -63,18 +83,24 @@ __all__ = [
     "allowed_p_position",
     "allowed_p_velocity",
     "best_alpha",
+    "best_rotation",
     "bounded_torque",
     "bounded_torque_bound",
     "closed_loop_matrix",
+    "correction",
     "cross_weight_damped",
     "cross_weight_pinv",
     "damped_gram_solve",
     "decrease_matrix",
     "dissipation",
     "estimated_velocity_torque",
+    "explained",
+    "forgotten_information",
     "frame_map",
+    "generators",
     "gravity",
     "inertial_block",
+    "information",
     "is_near_singular",
     "jacobian_error",
     "lambda_2",
@@ -84,11 +110,17 @@ __all__ = [
     "learnt_gravity_torque",
     "limited_torque",
     "measured_velocity_torque",
+    "nearest_rotation",
     "parameter_potential",
     "passive_output",
     "potential_matrix",
     "right_pinv",
+    "rotation_exp",
+    "rotation_information",
+    "rotation_log",
+    "rotations_everywhere",
     "stiffness_block",
+    "tangents",
     "theta_hat_rate",
     "within_bounds",
 ]

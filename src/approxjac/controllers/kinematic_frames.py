@@ -1,0 +1,172 @@
+"""Frames of a sensor as they come: late, seldom, lost, or wrong for a moment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.interface import Measurement
+from approxjac.robots import Robot
+from approxjac.validation import Array
+
+_SPACING = 5e-3  # between remembered configurations, from which others are interpolated [s]
+_HORIZON = 0.25  # age up to which a frame finds its configuration [s]
+_LONG_AGO = -1e6  # [s]
+
+
+class Frame(NamedTuple):
+    """A frame that is new: x (n_x,), when it was taken [s], and the configuration at that time."""
+
+    x: Array
+    t: float
+    q: Array
+
+
+class Frames:
+    """Which x is new, and at which configuration it was taken.
+
+    Its numbers: the last x, when it was taken, where the ring was written last, and the ring of
+    (t, q). A frame is new by `Measurement.t_x`, or where that is None by a change of x, and was
+    taken then, or `delay` ago. One taken before all that the ring remembers is passed over.
+
+    Args:
+        robot: The believed robot.
+        n_x: Length of x.
+        delay: Age of x where `Measurement.t_x` is None [s].
+        dt: Sampling time of control [s].
+    """
+
+    def __init__(self, robot: Robot, n_x: int, delay: float, dt: float) -> None:
+        self._model, self._is_vector = robot.model, robot.nq == robot.nv
+        self._delay, self._n_x = delay, n_x
+        self._spacing = max(_SPACING, dt)
+        self._count = math.ceil(max(_HORIZON, 2.0 * delay) / self._spacing) + 2
+        self._width = 1 + robot.nq
+        self._head = n_x + 2
+        self.size = self._head + self._count * self._width
+
+    def initial(self, measurement: Measurement) -> Array:
+        """Return the numbers before the first frame: the arm was at rest; shape (size,)."""
+        ring = np.empty((self._count, self._width))
+        ring[:, 0] = measurement.t + self._spacing * np.arange(1 - self._count, 1)
+        ring[:, 1:] = measurement.q
+        head = np.zeros(self._head)
+        head[-2:] = _LONG_AGO, self._count - 1
+        return np.concatenate([head, ring.ravel()])
+
+    def remember(self, numbers: Array, measurement: Measurement) -> None:
+        """Write the configuration at hand into the ring, if it is time."""
+        n, head = self._n_x, self._head
+        last = int(numbers[n + 1])
+        since = measurement.t - numbers[head + last * self._width]
+        if since >= self._spacing - 1e-9:
+            last = (last + 1) % self._count
+            at = head + last * self._width
+            numbers[at] = measurement.t
+            numbers[at + 1 : at + self._width] = measurement.q
+            numbers[n + 1] = last
+        elif since < -1e-9:  # time starts anew
+            x, numbers[:] = numbers[:n].copy(), self.initial(measurement)
+            numbers[:n] = x
+
+    def new(self, numbers: Array, measurement: Measurement) -> Frame | None:
+        """Return the frame if it is new, and note it; `remember` comes first."""
+        n = self._n_x
+        t, _, _, x, t_x = measurement
+        if t_x is None:
+            taken, is_old = t - self._delay, x.tolist() == numbers[:n].tolist()
+        else:
+            taken, is_old = t_x, not t_x > numbers[n]
+        if is_old and numbers[n] > _LONG_AGO:
+            return None
+        seen = np.isfinite(x)
+        known = np.where(seen, x, 0.0)
+        if not seen.any() or (
+            t_x is None and np.array_equal(known, numbers[:n]) and not seen.all()
+        ):
+            return None
+        numbers[:n], numbers[n] = known, taken
+        q = self._at(numbers, taken, measurement)
+        return None if q is None else Frame(x, taken, q)
+
+    def _at(self, numbers: Array, t: float, measurement: Measurement) -> Array | None:
+        """Return the configuration at a time [s], None if that is longer ago than the ring is."""
+        ring = numbers[self._head :].reshape(self._count, self._width)
+        order = (int(numbers[self._n_x + 1]) + 1 + np.arange(self._count)) % self._count
+        times = ring[order, 0]
+        after = int(np.searchsorted(times, t))
+        if after == 0:
+            return None
+        t_0, q_0 = times[after - 1], ring[order[after - 1], 1:]
+        if after < self._count:
+            t_1, q_1 = times[after], ring[order[after], 1:]
+        else:
+            t_1, q_1 = measurement.t, measurement.q
+        share = 1.0 if t_1 - t_0 < 1e-9 else min((t - t_0) / (t_1 - t_0), 1.0)
+        if self._is_vector:
+            return np.asarray(q_0 + share * (q_1 - q_0))
+        return np.array(pin.interpolate(self._model, np.array(q_0), np.array(q_1), share))
+
+
+class Gate:
+    """Tells a sensor that jumps from an arm that moves.
+
+    From one frame to the next that is believed, x moves by no more than the arm does. One that
+    moves farther is passed over, and so are all until x is back; but if it stays, and frames agree
+    with each other, the sensor is believed: it was moved.
+
+    Its numbers: frames passed over in a row, then of the last frame that was believed and of the
+    last one that was not: configuration, x, and 1 for each entry of x that was ever seen.
+    """
+
+    PASSED_OVER = 8
+    """Frames in a row that agree after which the sensor is believed."""
+
+    def __init__(self, robot: Robot, n_x: int) -> None:
+        self._nq, self._n_x = robot.nq, n_x
+        self._width = robot.nq + 2 * n_x
+        self.size = 1 + 2 * self._width
+
+    def initial(self) -> Array:
+        """Return the numbers before the first frame, shape (size,)."""
+        return np.zeros(self.size)
+
+    def judge(
+        self, numbers: Array, frame: Frame, moved: Callable[[Array, Array], Array]
+    ) -> tuple[bool, bool]:
+        """Return whether to believe a frame, and whether it is the first after the sensor moved.
+
+        Args:
+            numbers: As before; what is judged is noted.
+            frame: The frame.
+            moved: moved(q_0, q) → how far each entry of x may move between configurations, (n_x,).
+        """
+        believed, other = numbers[1:].reshape(2, -1)
+        fits = self._fits(believed, frame, moved)
+        if not fits:
+            agrees = numbers[0] > 0.0 and self._fits(other, frame, moved)
+            numbers[0] = numbers[0] + 1.0 if agrees else 1.0
+            self._note(other, frame)
+            if numbers[0] < self.PASSED_OVER:
+                return False, False
+        numbers[0] = 0.0
+        self._note(believed, frame)
+        return True, not fits
+
+    def _fits(self, last: Array, frame: Frame, moved: Callable[[Array, Array], Array]) -> bool:
+        """Return whether x is where it may be after the last frame; where none was, it may be."""
+        q, x, known = np.split(last, [self._nq, self._nq + self._n_x])
+        to_compare = (known > 0.0) & np.isfinite(frame.x)
+        if not to_compare.any():
+            return True
+        return bool((np.abs(frame.x - x) <= moved(q, frame.q))[to_compare].all())
+
+    def _note(self, where: Array, frame: Frame) -> None:
+        n, seen = self._nq, np.isfinite(frame.x)
+        where[:n] = frame.q
+        where[n : n + self._n_x][seen] = frame.x[seen]
+        where[n + self._n_x :][seen] = 1.0

@@ -1,0 +1,74 @@
+"""What was learnt of kinematics, in words and numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from approxjac.validation import Array
+
+_NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
+_UNEXPLAINED = 2.0  # χ² a degree of freedom
+
+
+class LearntNumber(NamedTuple):
+    """What was learnt of one number.
+
+    Attributes:
+        name: Such as "tool.x" or "camera.rz".
+        unit: "m", "rad" or "".
+        believed: Value before the first frame.
+        value: Value by now.
+        sd: Its standard deviation.
+        share: Of the prior variance that was resolved, 1 − P_ii/P0_ii.
+    """
+
+    name: str
+    unit: str
+    believed: float
+    value: float
+    sd: float
+    share: float
+
+    @property
+    def is_seen(self) -> bool:
+        """Return whether more than half of the prior variance was resolved."""
+        return self.share >= _NOT_SEEN
+
+
+class KinematicReport(NamedTuple):
+    """What was learnt of kinematics.
+
+    Attributes:
+        rows: A row each number that was learnt.
+        covariance: Of them, in the same order, wider where χ² is above 1.
+        angle: Of the camera's rotation [rad]; 0 where it is known.
+        chi_squared: Of residuals averaged over a third of a second, per degree of freedom: 1 if
+            the parameters that may be wrong explain x up to white noise of the sd that was told.
+        seconds: Of frames that were learnt from [s].
+    """
+
+    rows: tuple[LearntNumber, ...]
+    covariance: Array
+    angle: float
+    chi_squared: float
+    seconds: float
+
+    @property
+    def is_explained(self) -> bool:
+        """Return whether the parameters that may be wrong explain x."""
+        return self.chi_squared <= _UNEXPLAINED
+
+    def __str__(self) -> str:
+        width = max(len(row.name) for row in self.rows)
+        head = f"{'':{width}}  {'believed':>10} {'learnt':>10} {'sd':>9} {'seen':>6}"
+        lines = [f"learnt from {self.seconds:.1f} s of frames", head]
+        for row in self.rows:
+            said = f"{100.0 * row.share:5.0f} %" if row.is_seen else "not seen"
+            numbers = f"{row.believed:10.4f} {row.value:10.4f} {row.sd:9.4f} {said:>8}"
+            lines.append(f"{row.name:{width}}  {numbers} {row.unit}".rstrip())
+        if self.angle:
+            lines.append(f"camera turned by {self.angle:.4f} rad")
+        lines.append(f"chi squared a degree of freedom: {self.chi_squared:.2f}")
+        if not self.is_explained:
+            lines.append("the parameters that may be wrong do not explain x")
+        return "\n".join(lines)

@@ -1,0 +1,143 @@
+"""Rotations in space and in the plane: rotation vectors, and the rotation that explains data."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from approxjac.validation import Array
+
+# generators of SO(3) and SO(2): rotations are exp(Σ φᵢ Gᵢ)
+_SPACE = np.array([
+    [[0, 0, 0], [0, 0, -1], [0, 1, 0]],
+    [[0, 0, 1], [0, 0, 0], [-1, 0, 0]],
+    [[0, -1, 0], [1, 0, 0], [0, 0, 0]],
+], dtype=float)  # fmt: skip
+_PLANE = np.array([[[0, -1], [1, 0]]], dtype=float)
+_NEWTON_STEPS = 5  # it goes on with the next frame
+_LARGEST_STEP = 0.7  # of Newton's method [rad]
+_CONVERGED = 1e-10  # [rad]
+
+
+def generators(d: int) -> Array:
+    """Return G with rotations exp(Σ φᵢ Gᵢ) of d = 2 or 3 dimensions, shape (1 or 3, d, d)."""
+    return _SPACE if d == 3 else _PLANE
+
+
+def rotation_exp(phi: Array) -> Array:
+    """Return exp([φ]ₓ) of a rotation vector (3,), or of the angle (1,) in the plane [rad]."""
+    angle = math.hypot(*phi.tolist())
+    K = np.tensordot(phi, _SPACE if len(phi) == 3 else _PLANE, 1)
+    if angle < 1e-4:
+        return np.asarray(np.eye(len(K)) + K + 0.5 * K.dot(K))
+    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
+    return np.asarray(np.eye(len(K)) + s * K + c * K.dot(K))
+
+
+def rotation_log(R: Array) -> Array:
+    """Return the rotation vector (3,) of a rotation matrix, or the angle (1,) of one in the plane.
+
+    Its length is at most π; at π either of the two vectors.
+    """
+    if len(R) == 2:
+        return np.array([math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])])
+    twice = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = 0.5 * math.hypot(*twice.tolist()), 0.5 * (float(R.trace()) - 1.0)
+    angle = math.atan2(sine, cosine)
+    if cosine > -0.99:
+        return np.asarray((0.5 if angle < 1e-6 else 0.5 * angle / sine) * twice)
+    symmetric = 0.5 * (R + R.T) - cosine * np.eye(3)  # (1 − cos) a aᵀ
+    axis = symmetric[:, int(np.argmax(symmetric.diagonal()))]
+    axis = axis / np.linalg.norm(axis)
+    return np.asarray((angle if axis.dot(twice) >= 0.0 else -angle) * axis)
+
+
+def nearest_rotation(A: Array) -> Array:
+    """Return the rotation R with the largest tr(RᵀA), by SVD (Kabsch); shape of A, (d, d)."""
+    U, _, Vt = np.linalg.svd(A)
+    U[:, -1] *= np.linalg.det(U) * np.linalg.det(Vt)
+    return np.asarray(U.dot(Vt))
+
+
+def rotations_everywhere(d: int) -> Array:
+    """Return rotations such that any other one is within 45° of one of them, shape (k, d, d)."""
+    if d == 2:
+        return np.array([rotation_exp(np.array([a])) for a in np.arange(12) * math.pi / 6.0])
+    # the icosahedral group's 60 rotations: products of two of its turns
+    golden = 0.5 * (1.0 + math.sqrt(5.0))
+    fifth = rotation_exp(0.4 * math.pi * np.array([0.0, 1.0, golden]) / math.hypot(1.0, golden))
+    third = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    found = [np.eye(3)]
+    for R in found:  # grows while it is gone through
+        for turn in (fifth, third):
+            new = turn @ R
+            if not any(np.abs(new - other).max() < 1e-6 for other in found):
+                found.append(new)
+    return np.array(found)
+
+
+def explained(M: Array, h: Array, A: Array) -> float:
+    """Return ½wᵀMw + hᵀw of w = vec A, which `best_rotation` makes large."""
+    w = A.ravel()
+    return float(w.dot(0.5 * M.dot(w) + h))
+
+
+def best_rotation(M: Array, h: Array, A: Array) -> Array:
+    """Return the rotation (d, d) that makes ½wᵀMw + hᵀw largest, w = vec A, near A.
+
+    Newton's method on the rotations A ← exp([δ]ₓ)A. Where the function is not concave along δ, or
+    does not rise, A ← the rotation nearest to Mw + h, which never lowers it as M ≥ 0.
+
+    Args:
+        M: Symmetric, positive semidefinite, (d², d²).
+        h: Shape (d²,).
+        A: Where to start, (d, d).
+    """
+    d = len(A)
+    G = generators(d)
+    value = explained(M, h, A)
+    for _ in range(_NEWTON_STEPS):
+        slope, curvature = _derivatives(M, h, A, G)
+        step = _newton_step(slope, curvature)
+        if step is not None:
+            if math.hypot(*step.tolist()) < _CONVERGED:
+                break
+            new = rotation_exp(step).dot(A)
+            if (higher := explained(M, h, new)) >= value:
+                A, value = new, higher
+                continue
+        new = nearest_rotation((M.dot(A.ravel()) + h).reshape(d, d))
+        A, value = new, explained(M, h, new)
+    return nearest_rotation(A)
+
+
+def rotation_information(M: Array, h: Array, A: Array) -> Array:
+    """Return the negative second derivative of `explained` along δ of A ← exp([δ]ₓ)A."""
+    return _derivatives(M, h, A, generators(len(A)))[1]
+
+
+def tangents(A: Array) -> Array:
+    """Return ∂vec(exp([δ]ₓ)A)/∂δ at δ = 0, shape (d², 1 or 3)."""
+    return np.asarray((generators(len(A)) @ A).reshape(-1, A.size).T)
+
+
+def _derivatives(M: Array, h: Array, A: Array, G: Array) -> tuple[Array, Array]:
+    """Return the gradient and the negative Hessian of `explained` along δ."""
+    d = len(A)
+    moved = (G @ A).reshape(len(G), -1)  # (g, d²)
+    rise = M.dot(A.ravel()) + h
+    # the second derivative of exp([δ]ₓ)A is ½(GᵢGⱼ + GⱼGᵢ)A
+    bent = np.tensordot(G @ G[:, np.newaxis], rise.reshape(d, d).dot(A.T), ([2, 3], [0, 1]))
+    return moved.dot(rise), -(moved.dot(M).dot(moved.T) + 0.5 * (bent + bent.T))
+
+
+def _newton_step(slope: Array, curvature: Array) -> Array | None:
+    """Return δ, at most `_LARGEST_STEP` long; None where the function is not concave."""
+    try:
+        np.linalg.cholesky(curvature)
+    except np.linalg.LinAlgError:
+        return None
+    step = np.asarray(np.linalg.solve(curvature, slope), dtype=np.float64)
+    size = math.hypot(*step.tolist())
+    return step if size <= _LARGEST_STEP else step * (_LARGEST_STEP / size)

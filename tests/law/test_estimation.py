@@ -1,0 +1,95 @@
+"""Theorem A in samples, and rotations."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from approxjac import law
+
+
+def test_v1_falls_by_what_is_said_with_each_frame_and_never_rises(rng):
+    """Whatever the regressors: no excitation, no noise; forgetting lets it fall, too."""
+    P, noise = 6, 2e-3
+    weight = noise**-2.0
+    prior = np.diag(rng.uniform(5.0, 50.0, P) ** 2)
+    truth, Theta, Lambda = rng.standard_normal(P), np.zeros(P), prior
+    H = rng.standard_normal((3, P))
+    for _ in range(300):
+        H = H + 0.02 * rng.standard_normal(H.shape)
+        before = law.V1(Lambda, truth - Theta)
+        Lambda = law.forgotten_information(Lambda, prior, 5e-4)
+        forgotten = law.V1(Lambda, truth - Theta)
+        assert forgotten <= before * (1 + 1e-12)
+        innovation = H @ truth - H @ Theta
+        fall = law.V1_fall(Lambda, H, weight, innovation)
+        Lambda = law.information(Lambda, H, weight)
+        Theta = Theta + law.correction(Lambda, H, weight, innovation)
+        assert law.V1(Lambda, truth - Theta) == pytest.approx(forgotten - fall, rel=1e-6, abs=1e-9)
+        assert np.linalg.eigvalsh(Lambda - prior)[0] > -1e-6
+        assert (truth - Theta) @ prior @ (truth - Theta) <= truth @ prior @ truth
+
+
+vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).filter(
+    lambda a: np.linalg.norm(a) > 1e-3
+)
+
+
+@given(vectors, st.floats(0.0, np.pi))
+def test_a_rotation_vector_comes_back(direction, angle):
+    phi = angle * np.array(direction) / np.linalg.norm(direction)
+    R = law.rotation_exp(phi)
+    assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    again = law.rotation_log(R)
+    assert_allclose(law.rotation_exp(again), R, atol=1e-7)
+    assert np.linalg.norm(again) <= np.pi + 1e-12
+    if angle < np.pi - 1e-6:
+        assert_allclose(again, phi, atol=1e-6)
+
+
+@given(st.floats(-3.1, 3.1))
+def test_an_angle_in_the_plane_comes_back(angle):
+    R = law.rotation_exp(np.array([angle]))
+    assert_allclose(R @ [1.0, 0.0], [np.cos(angle), np.sin(angle)], atol=1e-12)
+    assert law.rotation_log(R)[0] == pytest.approx(angle, abs=1e-12)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_nearest_rotation_is_kabschs(d, rng):
+    R = law.nearest_rotation(rng.standard_normal((d, d)))
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    points = rng.standard_normal((5, d))
+    assert_allclose(law.nearest_rotation((points @ R.T).T @ points), R, atol=1e-12)
+
+
+def test_no_rotation_is_far_from_all_of_those_everywhere(rng):
+    everywhere = law.rotations_everywhere(3)
+    assert everywhere.shape == (60, 3, 3)
+    for _ in range(100):
+        R = law.nearest_rotation(rng.standard_normal((3, 3)))
+        nearest = max(np.trace(R.T @ other) for other in everywhere)
+        assert np.degrees(np.arccos((nearest - 1.0) / 2.0)) < 45.0
+    assert law.rotations_everywhere(2).shape == (12, 2, 2)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_best_rotation_is_a_maximum(d, rng):
+    G = law.generators(d)
+    for _ in range(5):
+        root, h = rng.standard_normal((d * d, 5)), rng.standard_normal(d * d)
+        M, A = root @ root.T, law.nearest_rotation(rng.standard_normal((d, d)))
+        best = A
+        for _ in range(10):
+            best = law.best_rotation(M, h, best)
+        value = law.explained(M, h, best)
+        assert value >= law.explained(M, h, A)
+        turn, e = rng.standard_normal(len(G)), 1e-4
+        after, before = (law.explained(M, h, law.rotation_exp(s * turn) @ best) for s in (e, -e))
+        assert after - before == pytest.approx(0.0, abs=1e-7 * abs(value))
+        curvature = (after - 2.0 * value + before) / e**2
+        assert curvature == pytest.approx(
+            -turn @ law.rotation_information(M, h, best) @ turn, rel=1e-3
+        )
+        moved = (law.rotation_exp(e * turn) @ best - law.rotation_exp(-e * turn) @ best) / (2 * e)
+        assert_allclose(law.tangents(best) @ turn, moved.ravel(), atol=1e-6)
