@@ -40,6 +40,7 @@ from approxjac.law.matrix_form import (
 from approxjac.law.pseudoinverse import (
     SINGULAR_RATIO,
     damped_gram_solve,
+    damping_rate,
     is_near_singular,
     right_pinv,
 )
@@ -65,6 +66,15 @@ from approxjac.law.torque import (
     measured_velocity_torque,
 )
 from approxjac.law.torque_limits import limited_torque
+from approxjac.law.tracking import (
+    dynamics_rate,
+    reference,
+    saturated,
+    saturated_rate,
+    tracking_potential,
+    tracking_torque,
+    within_speeds,
+)
 
 __all__ = [
     "SINGULAR_RATIO",
@@ -91,8 +101,10 @@ __all__ = [
     "cross_weight_damped",
     "cross_weight_pinv",
     "damped_gram_solve",
+    "damping_rate",
     "decrease_matrix",
     "dissipation",
+    "dynamics_rate",
     "estimated_velocity_torque",
     "explained",
     "forgotten_information",
@@ -114,13 +126,19 @@ __all__ = [
     "parameter_potential",
     "passive_output",
     "potential_matrix",
+    "reference",
     "right_pinv",
     "rotation_exp",
     "rotation_information",
     "rotation_log",
     "rotations_everywhere",
+    "saturated",
+    "saturated_rate",
     "stiffness_block",
     "tangents",
     "theta_hat_rate",
+    "tracking_potential",
+    "tracking_torque",
     "within_bounds",
+    "within_speeds",
 ]

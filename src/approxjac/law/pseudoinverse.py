@@ -1,4 +1,4 @@
-"""The right pseudo-inverse Ĵ⁺, damped near singular poses, and its time derivative."""
+"""The right pseudo-inverse Ĵ⁺, damped near singular poses, and the rate of that damping."""
 
 from __future__ import annotations
 
@@ -70,6 +70,23 @@ def damped_gram_solve(
         return np.zeros(len(b)), 0.0
     # squares below zero by round-off are lifted by the damping that is then at work
     return dot(U, dot(b, U) / (np.maximum(squares, 0.0) + damping)), math.sqrt(damping)
+
+
+def damping_rate(
+    J: Array, J_dot: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0
+) -> float:
+    """d(λ²)/dt of `damped_gram_solve` where λ > 0, along a motion of J (m, n_v) with rate J'.
+
+    (λ²)' = ε²' − (σ_min²)', with (σᵢ²)' = 2 (Jᵀuᵢ)ᵀJ'ᵀuᵢ of its left singular vector uᵢ. Where
+    singular values cross, one of the derivatives to either side.
+    """
+    squares, U = np.linalg.eigh(dot(J, J.T))
+
+    def square_rate(i: int) -> float:
+        return 2.0 * float(dot(dot(U[:, i], J), dot(U[:, i], J_dot)))
+
+    of_threshold = singular_ratio**2 * square_rate(-1) if squares[-1] > scale**2 else 0.0
+    return of_threshold - square_rate(0)
 
 
 def is_near_singular(G: Array, singular_ratio: float = SINGULAR_RATIO, scale: float = 0.0) -> bool:

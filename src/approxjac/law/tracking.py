@@ -1,0 +1,104 @@
+"""Law T: motion that follows a target, its exact derivative, the torque for it, and its V.
+
+Not of the paper: J.-J. E. Slotine and W. Li, "On the adaptive control of robot manipulators", Int.
+J. Robotics Research 6(3), 1987, on an error that kinematics predict. Shapes: z, u, ẋ_d are (m,), Ĵ
+is (m, n_v), q̇, q̇_r, q̈_r, σ, n₀ are (n_v,).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from approxjac.law.products import dot
+from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solve, damping_rate
+from approxjac.validation import Array
+
+
+def saturated(z: Array, alpha: float, speed: float | Array) -> Array:
+    """s(z) = z / √(1 + Σ(α zᵢ/vᵢ)²): along z, and α s(z) is never faster than v.
+
+    With one v for all entries ‖α s(z)‖ < v, otherwise each entry of α s(z) is below its own.
+    """
+    u = z * (alpha / speed)
+    return np.asarray(z / math.sqrt(1.0 + float(dot(u, u))))
+
+
+def saturated_rate(z: Array, z_dot: Array, alpha: float, speed: float | Array) -> Array:
+    """ds/dt of `saturated`: (ż − z (Σ(α/vᵢ)² zᵢ żᵢ) / r) / √r with r = 1 + Σ(α zᵢ/vᵢ)²."""
+    k = alpha / speed
+    u = z * k
+    r = 1.0 + float(dot(u, u))
+    return np.asarray((z_dot - z * (float(dot(u, z_dot * k)) / r)) / math.sqrt(r))
+
+
+def reference(
+    J_hat: Array,
+    J_hat_dot: Array,
+    u: Array,
+    u_dot: Array,
+    null: Array,
+    null_dot: Array,
+    singular_ratio: float = SINGULAR_RATIO,
+    scale: float = 0.0,
+) -> tuple[Array, Array, float]:
+    """q̇_r = Ĵ⁺(u − Ĵn₀) + n₀ and its derivative, with Ĵ⁺ of `damped_gram_solve`.
+
+    With w = (ĴĴᵀ + λ²I)⁻¹(u − Ĵn₀) and h = Ĵ'ᵀw + n₀', differentiating the definition gives
+
+        q̈_r = h + Ĵ⁺(u' − Ĵ'q̇_r − Ĵh − (λ²)'w).
+
+    Args:
+        J_hat: Ĵ.
+        J_hat_dot: Ĵ', its derivative along the motion.
+        u: Wanted task velocity.
+        u_dot: Its derivative.
+        null: n₀, of which q̇_r has what does not move the task.
+        null_dot: Its derivative.
+        singular_ratio: As for `damped_gram_solve`.
+        scale: As for `damped_gram_solve`.
+
+    Returns:
+        q̇_r, q̈_r and λ.
+    """
+    G = dot(J_hat, J_hat.T)
+    w, damped = damped_gram_solve(G, u - dot(J_hat, null), singular_ratio, scale)
+    velocity = dot(w, J_hat) + null
+    h = dot(w, J_hat_dot) + null_dot
+    rest = u_dot - dot(J_hat_dot, velocity) - dot(J_hat, h)
+    if damped > 0.0:
+        rest = rest - w * damping_rate(J_hat, J_hat_dot, singular_ratio, scale)
+    w_dot, _ = damped_gram_solve(G, rest, singular_ratio, scale)
+    return velocity, h + dot(w_dot, J_hat), damped
+
+
+def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple[Array, Array]:
+    """c q̇_r and its derivative, with the largest c ≤ 1 that keeps every abs(c q̇_r,i) ≤ fastestᵢ.
+
+    Where c = fastestᵢ/abs(q̇_r,i) of one joint, c' = −c q̈_r,i/q̇_r,i.
+    """
+    share = np.abs(velocity) / fastest
+    i = int(share.argmax())
+    if share[i] <= 1.0:
+        return velocity, acceleration
+    c = 1.0 / float(share[i])
+    return c * velocity, c * (acceleration - velocity * (acceleration[i] / velocity[i]))
+
+
+def tracking_torque(feedforward: Array, kappa: float, M_hat: Array, sigma: Array) -> Array:
+    """τ = Y_d(q, q̇, q̇_r, q̈_r) â − κ M̂σ, with σ = q̇ − q̇_r and the first term given."""
+    return feedforward - kappa * dot(M_hat, sigma)
+
+
+def dynamics_rate(gamma: Array, Y_d: Array, sigma: Array) -> Array:
+    """dâ/dt = −Γ Y_dᵀσ, shape (p,), with the diagonal of Γ (p,) and Y_d (n_v, p)."""
+    return -gamma * dot(sigma, Y_d)
+
+
+def tracking_potential(sigma: Array, M: Array, a_error: Array, gamma: Array) -> float:
+    """V₂ = ½σᵀMσ + ½ãᵀΓ⁻¹ã [J], with the true M and ã = a − â.
+
+    With `tracking_torque` and `dynamics_rate`, V̇₂ = −κσᵀM̂σ.
+    """
+    return 0.5 * float(dot(sigma, dot(M, sigma)) + dot(a_error, a_error / gamma))
