@@ -57,6 +57,7 @@ def controllers(robot):
         "full L": aj.SetpointController(
             task, gains, gravity=aj.AdaptiveGravity(regressor, np.eye(regressor.p), 0.5)
         ),
+        "tracking": aj.TrackingController(task),
         "law (5)": aj.SetpointController(task, gains, velocity=DifferentiatedVelocity()),
         "posture": aj.SetpointController(task, gains, posture=Posture(robot.neutral() + 0.1, 5.0)),
         "pose": aj.SetpointController(aj.PoseTask(robot)),

@@ -16,8 +16,10 @@ import approxjac as aj
 from approxjac.controllers import (
     CompiledSetpointController,
     DifferentiatedVelocity,
+    ModelDynamics,
     Posture,
     RegressorGravity,
+    law_of,
 )
 from approxjac.law import Sine, Tanh
 from approxjac.robots import Dynamics, GravityRegressor
@@ -103,6 +105,13 @@ def controllers():
         "prismatic, nonsingular": aj.SetpointController(
             NonsingularTask(tool, {"slide": 0.3}), aj.Gains(100.0, 20.0, 1.0)
         ),
+        "tracking": aj.TrackingController(task),
+        "tracking, pose": aj.TrackingController(
+            aj.PoseTask(kinova), dynamics=ModelDynamics(kinova)
+        ),
+        "tracking, prismatic": aj.TrackingController(tool),
+        "tracking, velocity": aj.TrackingController(kinova_task, command="velocity"),
+        "tracking, limited": aj.TorqueLimited(aj.TrackingController(task)),
     }
 
 
@@ -150,7 +159,8 @@ NAMES = (
     "(6)", "(6), default gains", "(6), sine", "(6), tanh", "(6), no gravity", "(6), theta", "(28)",
     "(28), bounds", "(28), unlimited", "(5)", "(5), learnt", "posture", "nonsingular", "pose",
     "pose, learnt", "stacked", "continuous joints", "continuous joints, pose", "prismatic",
-    "prismatic, learnt", "prismatic, nonsingular",
+    "prismatic, learnt", "prismatic, nonsingular", "tracking", "tracking, pose",
+    "tracking, prismatic", "tracking, velocity", "tracking, limited",
 )  # fmt: skip
 COMPILED = (
     "compiled", "compiled, tanh", "compiled, learnt", "compiled, posture", "compiled, stacked",
@@ -293,6 +303,10 @@ def test_any_numbers_give_a_bounded_torque_or_a_named_error(controller, data):
     if answer is None:
         return
     assert np.isfinite(np.concatenate([measurement.q, measurement.v, target, state])).all()
+    if isinstance(law_of(controller), aj.TrackingController):  # it goes on without x
+        seen = np.isfinite(measurement.x).all()
+        assert seen or answer.status is not aj.Status.OK
+        return
     if not np.isfinite(measurement.x).all():
         assert answer.status is aj.Status.MEASUREMENT_LOST
         assert np.array_equal(controller.learnt(answer.state_rate), 0.0 * controller.learnt(state))
@@ -448,6 +462,7 @@ class Corrupted(aj.Controller):
         # these remember nonsense, in the differentiator and in θ̂ that nothing stops: only finite
         ("(5)", np.inf),
         ("(28), unlimited", np.inf),
+        ("tracking", np.inf),
     ],
 )
 def test_a_run_with_corrupted_input_ends_finite(name, bound):

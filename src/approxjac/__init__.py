@@ -23,6 +23,7 @@ from approxjac.controllers import (
     NoGravity,
     SetpointController,
     TorqueLimited,
+    TrackingController,
     default_gains,
 )
 from approxjac.errors import ApproxJacError, InvalidInputError
@@ -98,6 +99,7 @@ __all__ = [
     "Target",
     "Task",
     "TorqueLimited",
+    "TrackingController",
     "Trajectory",
     "Uncertainty",
     "Waypoints",

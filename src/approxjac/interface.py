@@ -55,6 +55,14 @@ class Status(_Outcome):
         "the target is farther away than the believed arm reaches, with a tool that nobody told "
         "of: what it learns stands still"
     )
+    PREDICTED = (
+        "the task measurement is not finite: the law goes on with the predicted value, of which "
+        "nothing is learnt meanwhile"
+    )
+    NOT_PREDICTED = (
+        "there is no prediction to go by, such as of a point that the believed camera does not "
+        "see: the joints are brought to rest, nothing is learnt of the dynamics"
+    )
 
 
 class LimitStatus(_Outcome):
@@ -153,6 +161,8 @@ class Evaluation(NamedTuple):
             N]; None from controllers that have none.
         limit_status: What limits did to the torque.
         slack: σ ≥ 0, what limits add to V̇ [W]; NaN where it is not known.
+        reference: Joint velocity that the law leads the joints to, shape (n_v,) [rad/s or m/s]: q̇_r
+            of law T, Ĵ⁺ẋ_d of the set-point laws on a path; None is none.
     """
 
     torque: Array
@@ -163,6 +173,7 @@ class Evaluation(NamedTuple):
     gravity: Array | None = None
     limit_status: LimitStatus = LimitStatus.UNLIMITED
     slack: float = 0.0
+    reference: Array | None = None
 
     def __repr__(self) -> str:
         said = str(self.status)

@@ -1,5 +1,10 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
+from approxjac.controllers.adaptive_dynamics import (
+    AdaptiveDynamics,
+    ModelDynamics,
+    MotionDynamics,
+)
 from approxjac.controllers.compiled import CompiledSetpointController
 from approxjac.controllers.default_gains import default_gains
 from approxjac.controllers.differentiator import DifferentiatedVelocity
@@ -14,20 +19,24 @@ from approxjac.controllers.gravity import (
 )
 from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber
 from approxjac.controllers.kinematics import AdaptiveKinematics
+from approxjac.controllers.known_kinematics import KnownKinematics
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.limiter import Limiter
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.measurement_hold import HeldMeasurement
 from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.predicted import Kinematics, Prediction
+from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
+from approxjac.controllers.tracking import TrackingController
 from approxjac.controllers.tuning import Learning, Tuning, tuned
 from approxjac.controllers.wrapper import ControllerWrapper, law_of
 from approxjac.interface import ContinuousController
 
 __all__ = [
     "Adaptation",
+    "AdaptiveDynamics",
     "AdaptiveGravity",
     "AdaptiveKinematics",
     "AwayFromStops",
@@ -40,18 +49,23 @@ __all__ = [
     "HeldMeasurement",
     "KinematicReport",
     "Kinematics",
+    "KnownKinematics",
     "Latency",
     "Learning",
     "LearntNumber",
     "Limiter",
     "Limits",
+    "ModelDynamics",
     "ModelGravity",
+    "MotionDynamics",
     "NoGravity",
     "Posture",
     "Prediction",
+    "ProvenLaw",
     "RegressorGravity",
     "SetpointController",
     "TorqueLimited",
+    "TrackingController",
     "Tuning",
     "default_gains",
     "law_of",

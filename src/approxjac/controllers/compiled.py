@@ -180,7 +180,7 @@ class CompiledSetpointController(SetpointController):
                         g = Y.dot(state)
                         rate = learning.bounded(rate, state, Y, g)
                     # made as Evaluation(...) makes it, in a third of the time
-                    return made(Evaluation, (torque, rate, ok, e, J_hat, g, unlimited, 0.0))
+                    return made(Evaluation, (torque, rate, ok, e, J_hat, g, unlimited, 0.0, None))
             return ordinary(state, measurement, target)
 
         return evaluate

@@ -1,4 +1,4 @@
-"""Weights of a torque limiter, and the speed at which damping acts."""
+"""The weight of a torque limiter that keeps the direction of the force on the task."""
 
 from __future__ import annotations
 
@@ -11,23 +11,6 @@ from approxjac.controllers.limiter import Asked
 from approxjac.validation import Array
 
 _KEPT = 100.0  # how much dearer it is to turn the task force than to reduce it
-
-
-def light_inertias(inertias: Array) -> Array:
-    """Return the least inertia of each joint, 1 / max (M⁻¹)ᵢᵢ, as the others give way; (n_v,).
-
-    Damping of D times it acts no faster than n_v D: tr(M⁻¹D) bounds its largest eigenvalue.
-    """
-    mobilities = np.linalg.inv(inertias)
-    light: Array = 1.0 / np.diagonal(mobilities, axis1=1, axis2=2).max(axis=0)
-    return light
-
-
-def quickest(inertias: Array, damping: Array) -> float:
-    """Return the largest eigenvalue of M⁻¹D over configurations, D diagonal of shape (n_v,)."""
-    root = np.sqrt(damping)
-    scaled = root[:, np.newaxis] * np.linalg.inv(inertias) * root
-    return float(np.linalg.eigvalsh(scaled)[:, -1].max())
 
 
 def task_force_weight(asked: Asked) -> Array:

@@ -10,9 +10,10 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.limits import Limits, rate_bounds
+from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.wrapper import ControllerWrapper
-from approxjac.errors import MeasurementError
+from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array, require
 
@@ -37,7 +38,6 @@ class Asked(NamedTuple):
         clipped: The torque asked for, brought within them, shape (n_v,).
         free: Whether it was within them.
         memory: What the limiter kept from the step before, shape (k,).
-        target_rate: ẋ_d, shape (m,); None at rest, and without x.
     """
 
     answer: Evaluation
@@ -48,7 +48,6 @@ class Asked(NamedTuple):
     clipped: Array
     free: bool
     memory: Array
-    target_rate: Array | None = None
 
 
 class Limited(NamedTuple):
@@ -79,7 +78,8 @@ class Limiter(ControllerWrapper):
     that are at a limit count as locked: the others go on learning as the arm of these joints does,
     y = q̇ + α(ĴP)⁺s(e) with P leaving out what is locked. So an arm that weight has pushed to a
     stop learns what it needs to leave it, and nothing winds up where the others cannot lessen the
-    error. Otherwise θ̂ rests. This takes the place of `AdaptiveGravity.torque_limits`.
+    error. Otherwise θ̂ rests. This takes the place of `AdaptiveGravity.torque_limits`. Dynamics that
+    a `TrackingController` learns rest wherever the proof is given up; its kinematics go on.
 
     Args:
         controller: The controller whose torque to limit.
@@ -90,27 +90,28 @@ class Limiter(ControllerWrapper):
         limits: The limits with an entry for each joint.
     """
 
-    controller: SetpointController
+    controller: ProvenLaw
 
-    def __init__(self, controller: SetpointController, limits: Limits | None = None) -> None:
+    def __init__(self, controller: ProvenLaw, limits: Limits | None = None) -> None:
         self._remember(locals())
         wanted = (
             "a law such as SetpointController (what holds measurements goes around it: "
             "HeldMeasurement(TorqueLimited(law), ...))"
         )
-        require("controller", controller, SetpointController, wanted)
+        require("controller", controller, ProvenLaw, wanted)
+        if controller.command != "torque":
+            raise InvalidInputError(
+                f'controller must command torques to be limited, got command="velocity" of '
+                f"{controller!r}, which keeps limits of its own",
+                given=controller,
+            )
         if limits is not None:
             require("limits", limits, Limits, "Limits(effort=...), Limits.of(robot) or None")
         self.controller = controller
         robot = controller.task.robot
         given = Limits.of(robot) if limits is None else limits
         self.limits = given.for_joints(robot.nv)
-        self._law, self._p = controller, 0
-        if controller.adaptation is not None:
-            # the limiter decides when learning rests
-            always = controller.adaptation._replace(torque_limits=np.full(robot.nv, np.inf))
-            self._law = controller.with_gravity(always)
-            self._p = len(always.theta0)
+        self._law, self._p = controller.with_limiter(), controller.resting
         self._upper = np.asarray(self.limits.effort)
         self._lower = -self._upper
         self._rate = np.asarray(self.limits.rate)
@@ -167,12 +168,8 @@ class Limiter(ControllerWrapper):
         free = torque.tolist() == wanted.tolist()
         if not free or self._looks_ahead:
             assert answer.gravity is not None  # no law of ours leaves it out
-            v_d = target.v if isinstance(target, Target) else None
-            if v_d is not None:
-                is_lost = answer.status is Status.MEASUREMENT_LOST
-                v_d = None if is_lost else self._law._combination.dot(v_d)
             g = answer.gravity
-            asked = Asked(answer, g, measurement, lower, upper, torque, free, memory, v_d)
+            asked = Asked(answer, g, measurement, lower, upper, torque, free, memory)
             torque, status, slack, memory = self._limit(asked)
             if self._p and status not in _GOES_ON:
                 after[: self._p] = state[: self._p]
@@ -180,16 +177,17 @@ class Limiter(ControllerWrapper):
                     after[: self._p] += dt * self._rate_of_others(state, asked, torque)
         if self._memory:
             after = np.concatenate([after, memory, torque] if self._has_rate else [after, memory])
-        return after, Evaluation(torque, *answer[1:6], status, slack)
+        return after, Evaluation(torque, *answer[1:6], status, slack, answer.reference)
 
     def _rate_of_others(self, state: Array, asked: Asked, torque: Array) -> Array:
         """Return the rate of θ̂ (p,) of the joints that are at no limit; 0 where all are free.
 
-        0 too where the law asks for more than the motors have.
+        0 too where the law asks for more than the motors have, and of dynamics that are learnt.
         """
         controller, answer, (_, q, v, *_) = self._law, asked.answer, asked.measurement
-        J_hat, v_d = answer.J_hat, asked.target_rate
-        learning = controller.adaptation
+        if not isinstance(controller, SetpointController):
+            return np.zeros(self._p)
+        J_hat, learning = answer.J_hat, controller.adaptation
         assert learning is not None
         assert J_hat is not None
         robot = self.task.robot
@@ -202,7 +200,8 @@ class Limiter(ControllerWrapper):
             return np.zeros(self._p)  # or θ̂ would ask for ever more than the motors have
         J_free, s = np.where(locked, 0.0, J_hat), controller.saturation.s(answer.e)
         v, scale = np.where(locked, 0.0, v), float(np.linalg.norm(J_hat, 2))
-        if v_d is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
+        if answer.reference is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
+            v_d = J_hat.dot(answer.reference)
             v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
         y = law.passive_output(v, controller.pinv_times(J_free, s, scale)[0], learning.alpha)
         Y = learning.Y(q, J_hat)

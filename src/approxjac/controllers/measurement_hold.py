@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from approxjac.controllers.arguments import require_array
-from approxjac.controllers.wrapper import ControllerWrapper
+from approxjac.controllers.tracking import TrackingController
+from approxjac.controllers.wrapper import ControllerWrapper, law_of
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import joined
 from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
@@ -67,6 +68,12 @@ class HeldMeasurement(ControllerWrapper):
             )
         wanted = "a controller with a task, such as SetpointController(task)"
         require("controller", controller, Controller, wanted)
+        if isinstance(law_of(controller), TrackingController):
+            raise InvalidInputError(
+                f"controller must be one that controls the measured x, got {controller!r}, which "
+                "goes on with a predicted x by itself",
+                given=controller,
+            )
         task = controller.task
         self.controller = controller
         self.unseen = as_limits("unseen", unseen, task.m, unit=joined(task._measured.units))

@@ -11,9 +11,8 @@ import math
 
 import numpy as np
 
-from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.interface import Measurement
-from approxjac.robots import Dynamics
 from approxjac.validation import Array
 
 _NEVER = 1e100  # [s], a time that is never measured
@@ -41,12 +40,9 @@ class Prediction:
         rate: Of r [1/s], at most 1/dt.
     """
 
-    def __init__(self, law: SetpointController, dt: float, rate: float) -> None:
+    def __init__(self, law: ProvenLaw, dt: float, rate: float) -> None:
         robot = law.task.robot
-        self.dynamics = Dynamics(
-            robot if law.adaptation is not None else robot.with_gravity((0.0, 0.0, 0.0))
-        )
-        self.is_learnt = law.adaptation is not None
+        self.dynamics, self.has_weight = law.believed_dynamics()
         self.size = 1 + 2 * robot.nv
         self._n = robot.nv
         self._dt, self._rate, self._share = dt, np.array(rate), 1.0 - rate * dt
@@ -77,7 +73,7 @@ class Prediction:
             gravity: What the controller compensates, shape (n_v,).
         """
         _, q, v, _, _ = measurement
-        return self.dynamics.forward(q, v, torque if self.is_learnt else torque - gravity)
+        return self.dynamics.forward(q, v, torque if self.has_weight else torque - gravity)
 
     def expecting(self, measurement: Measurement, f: Array, residual: Array) -> Array:
         """Return the memory after a step that sends a torque with this f."""

@@ -23,23 +23,33 @@ from approxjac.controllers.gravity import (
 )
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
+from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.reach import Reach
 from approxjac.controllers.saturation import require_saturation
 from approxjac.controllers.tuning import Tuning, tuned
+from approxjac.controllers.usual_postures import quickest
 from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.interface import ContinuousController, Evaluation, Measurement, Status, Target
+from approxjac.interface import (
+    ContinuousController,
+    Evaluation,
+    LimitStatus,
+    Measurement,
+    Status,
+    Target,
+)
 from approxjac.law import Linear, Saturation, Tanh
+from approxjac.robots import Dynamics
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import uncombined, vanishing
-from approxjac.validation import Array, Immutable, as_vector, require
+from approxjac.validation import Array, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
 _ALPHA_SHARE = 0.3  # of the rate of the task's slow pole
 _SATURATED, _SINGULAR = Status.TORQUE_SATURATED, Status.NEAR_SINGULAR
-_FAR = Status.OUT_OF_REACH
+_FAR, _UNLIMITED = Status.OUT_OF_REACH, LimitStatus.UNLIMITED
 
 
-class SetpointController(Immutable):
+class SetpointController(ProvenLaw):
     """Bring a measured task value to a target with an approximate Jacobian.
 
     τ = −Ĵᵀ(K_p s(e) + K_v Ĵq̇) − B_c q̇ + gravity, with e = x − x_d, x measured. It knows the
@@ -216,8 +226,42 @@ class SetpointController(Immutable):
             return v
         return law.passive_output(v, self.pinv_times(J_hat, s)[0], alpha)
 
+    @property
+    def resting(self) -> int:
+        """How many numbers of the state, its first, rest where limits give the proof up."""
+        return self._p
+
+    def with_limiter(self) -> SetpointController:
+        """Return this law with learning that leaves it to the limiter when it rests."""
+        if self.adaptation is None:
+            return self
+        always = np.full(self.task.robot.nv, np.inf)
+        return self.with_gravity(self.adaptation._replace(torque_limits=always))
+
+    def resolved_alpha(self, alpha: float | None) -> float:
+        """Return α of y [1/s]; where gravity is learnt, it is that of the adaptation."""
+        if alpha is None:
+            return self.alpha
+        alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
+        if self.adaptation is not None and alpha != self.adaptation.alpha:
+            raise InvalidInputError(
+                f"alpha must be that of the adaptation, {self.adaptation.alpha:g} [1/s], got "
+                f"{alpha:g}",
+                given=alpha,
+            )
+        return alpha
+
+    def damping_rate(self, inertias: Array) -> float:
+        """Return how fast B_c damps joints [1/s]."""
+        return quickest(inertias, self.diagonals.damping)
+
+    def believed_dynamics(self) -> tuple[Dynamics, bool]:
+        """Return the believed dynamics, with their gravity where it is learnt."""
+        robot, learns = self.task.robot, self.adaptation is not None
+        return Dynamics(robot if learns else robot.with_gravity((0.0, 0.0, 0.0))), learns
+
     @functools.cached_property
-    def alpha(self) -> float:
+    def alpha(self) -> float:  # type: ignore[override]
         """α of the Lyapunov function where none is given [1/s].
 
         That of the adaptation where gravity is learnt, else 0.3 of the rate of the task's slow
@@ -368,11 +412,11 @@ class SetpointController(Immutable):
             # Without x it goes on with Ĵq̇, so that there is no jump when x is back.
             x_dot = J_hat.dot(v) if lost else (x - state[self._p :]) / self._lag
             rate = x_dot if learning is None else np.append(self._no_rate[: self._p], x_dot)
-        relative = x_dot
+        relative, reference = x_dot, None
         if v_d is not None:  # the law of the motion relative to ẋ_d, and to Ĵ⁺ẋ_d of the joints
             relative = (J_hat.dot(v) if x_dot is None else x_dot) - v_d
-            reference, _ = law.damped_gram_solve(G, v_d, scale=self._scale)
-            v = v - reference.dot(J_hat)
+            reference = law.damped_gram_solve(G, v_d, scale=self._scale)[0].dot(J_hat)
+            v = v - reference
         if relative is None:
             torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
         else:
@@ -392,7 +436,7 @@ class SetpointController(Immutable):
             theta_rate = law.theta_hat_rate(learning.L, Y, y)
             theta_rate = learning.bounded(theta_rate, state[: self._p], Y, g)
             rate = theta_rate if x_dot is None else np.append(theta_rate, x_dot)
-        return Evaluation(torque, rate, status, e, J_hat, g)
+        return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
 
     def __str__(self) -> str:
         """Return this, and what the rule chose and why, a line each."""

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
-from approxjac.controllers.limit_weights import light_inertias, quickest, task_force_weight
+from approxjac.controllers.limit_weights import task_force_weight
 from approxjac.controllers.limiter import Asked, Limited, Limiter
 from approxjac.controllers.limits import (
     Limits,
@@ -20,17 +20,16 @@ from approxjac.controllers.limits import (
     sure_deceleration,
 )
 from approxjac.controllers.prediction import Prediction
+from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.qp_solvers import as_solver
 from approxjac.controllers.quadratic_program import QuadraticProgram, Verdict
-from approxjac.controllers.setpoint import SetpointController
-from approxjac.controllers.usual_postures import usual_inertias
+from approxjac.controllers.usual_postures import light_inertias, quickest, usual_inertias
 from approxjac.errors import InvalidInputError, UnknownNameError
-from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
+from approxjac.interface import Evaluation, LimitStatus, Measurement, Target
 from approxjac.validation import Array, as_diagonal, as_number, require
 
 Weight = Literal["joint inertia", "inertia", "identity", "task force"]
 _WEIGHTS = ("joint inertia", "inertia", "identity", "task force")
-_OK = Status.OK
 _FREE, _LIMITED, _INFEASIBLE = LimitStatus.FREE, LimitStatus.LIMITED, LimitStatus.INFEASIBLE
 _KEPT, _GIVEN_UP = LimitStatus.PROOF_KEPT, LimitStatus.PROOF_GIVEN_UP
 _ROUND_OFF = 1e-10
@@ -108,7 +107,7 @@ class TorqueLimited(Limiter):
 
     def __init__(
         self,
-        controller: SetpointController,
+        controller: ProvenLaw,
         limits: Limits | None = None,
         *,
         weight: Weight | Sequence[float] | Array = "joint inertia",
@@ -122,10 +121,14 @@ class TorqueLimited(Limiter):
         super().__init__(controller, limits)
         self._remember(locals())
         self._dt = as_number("dt", dt, unit="s", above=0.0)
+        inside = controller.dt
+        if inside is not None and not math.isclose(inside, self._dt):
+            wanted = f"that of the controller inside, {inside:g} [s]"
+            raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)
         require("proof", proof, bool, "True or False")
         robot = controller.task.robot
         self.proof = proof
-        self.alpha = self._resolved_alpha(alpha)
+        self.alpha = controller.resolved_alpha(alpha)
         inertias = usual_inertias(robot)
         usual = self._usual_braking(inertias)
         self.braking = self._rate_of("braking", braking, 1.0 / self._dt, usual)
@@ -163,7 +166,7 @@ class TorqueLimited(Limiter):
     @property
     def dt(self) -> float | None:
         """Sampling time that control has to have [s], or None where any will do."""
-        return self._dt if self._looks_ahead else None
+        return self._dt if self._looks_ahead else self.controller.dt
 
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
@@ -245,7 +248,7 @@ class TorqueLimited(Limiter):
 
     def _said(self, answer: Evaluation, slack: float) -> tuple[LimitStatus, float]:
         """Return status and slack of a torque that was limited and keeps the limits."""
-        if not self.proof or answer.status is not _OK:
+        if not self.proof or not self.controller.is_proven(answer):
             return _LIMITED, math.nan  # without x, or without Ĵ⁺, there is no V
         return (_KEPT, 0.0) if slack == 0.0 else (_GIVEN_UP, slack)
 
@@ -299,14 +302,14 @@ class TorqueLimited(Limiter):
     def _passive_output(self, asked: Asked) -> tuple[Array, float]:
         """Return y, shape (n_v,), and ρ.
 
-        λ pulls q̇ towards Ĵ⁺ẋ_d − αĴ⁺s(e). Where that is faster than joints may move, ρ is reduced,
-        or the pull would drive them into their limits of speed for as long as the error lasts.
+        λ pulls q̇ to where y is 0, such as Ĵ⁺ẋ_d − αĴ⁺s(e). Where that is faster than joints may
+        move, ρ is reduced, or the pull would drive them into their limits of speed for as long as
+        the error lasts.
         """
-        answer, v, v_d = asked.answer, asked.measurement.v, asked.target_rate
-        y, J_hat = self.controller.passive_output(answer, v, self._alpha), answer.J_hat
-        if v_d is not None and J_hat is not None:
-            scale = self.controller._scale
-            y = y - law.damped_gram_solve(J_hat.dot(J_hat.T), v_d, scale=scale)[0].dot(J_hat)
+        answer, v = asked.answer, asked.measurement.v
+        y = self.controller.passive_output(answer, v, self._alpha)
+        if answer.reference is not None:
+            y = y - answer.reference
         if self._per_speed is None:
             return y, self._rho
         pull = ((y - v) * self._per_speed).tolist()
@@ -314,24 +317,12 @@ class TorqueLimited(Limiter):
             return y, self._rho
         return y, self._rho / max(1.0, *map(abs, pull))
 
-    def _resolved_alpha(self, alpha: float | None) -> float:
-        if alpha is None:
-            return self.controller.alpha
-        learning = self.controller.adaptation
-        alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
-        if learning is not None and alpha != learning.alpha:
-            raise InvalidInputError(
-                f"alpha must be that of the adaptation, {learning.alpha:g} [1/s], got {alpha:g}",
-                given=alpha,
-            )
-        return alpha
-
     def _usual_braking(self, inertias: Array) -> float:
         latency = self.controller.latency
         if latency is not None:
             return _KNOWN / (latency.of_velocity - latency.period + self._dt)
         # the loop stands the law's own damping, too; a limit of the rate makes it act late
-        own = 0.0 if self._has_rate else quickest(inertias, self.controller.diagonals.damping)
+        own = 0.0 if self._has_rate else self.controller.damping_rate(inertias)
         return min(max(_UNKNOWN / self._dt, own), _KNOWN / self._dt)
 
     def _rate_of(self, name: str, value: float | None, most: float, usual: float) -> float:

@@ -8,7 +8,7 @@ from typing import Literal, Self
 import numpy as np
 
 from approxjac.controllers.arguments import FLOAT64
-from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.tasks import Task
@@ -98,7 +98,7 @@ def with_task(controller: Controller, task: Task) -> Controller:
     Raises:
         InvalidInputError: A controller of your own.
     """
-    if not isinstance(controller, SetpointController | ControllerWrapper):
+    if not isinstance(controller, ProvenLaw | ControllerWrapper):
         raise InvalidInputError(
             f"controller must be able to take another task for its belief to be changed, got "
             f"{controller!r}",

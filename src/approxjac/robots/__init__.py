@@ -1,6 +1,7 @@
 """Robots: arms from URDF files, objects attached to them, errors applied to them."""
 
 from approxjac.robots.dynamics import Dynamics
+from approxjac.robots.dynamics_regressor import DynamicsRegressor
 from approxjac.robots.excitation import Excitation, excitation
 from approxjac.robots.gravity_regressor import GravityRegressor
 from approxjac.robots.kinematic_regressor import KinematicRegressor
@@ -10,6 +11,7 @@ from approxjac.robots.robot import Robot
 
 __all__ = [
     "Dynamics",
+    "DynamicsRegressor",
     "Excitation",
     "GravityRegressor",
     "KinematicRegressor",

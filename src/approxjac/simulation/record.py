@@ -46,7 +46,7 @@ class Record:
     ) -> None:
         """Keep one instant: the truth, the controller's x, state and answer, the torque."""
         t, q, v, x, _ = truth
-        _, rate, status, e, J_hat, _, limit_status, slack = answer
+        _, rate, status, e, J_hat, _, limit_status, slack, _ = answer
         if J_hat is None:
             J_hat = np.full((len(e), len(v)), np.nan)
         if not self._controllers or self._controllers[-1][1] is not controller:

@@ -1,0 +1,245 @@
+"""Where law T has the torque of a motion from: the believed model, or what it learns."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac import law
+from approxjac.controllers.usual_postures import usual_inertias
+from approxjac.robots import Robot
+from approxjac.robots.dynamics_regressor import DynamicsRegressor
+from approxjac.robots.joint_limits import reach_bound
+from approxjac.robots.model import mass_matrix
+from approxjac.validation import Array, Immutable, as_diagonal, as_number, require
+
+_MASS = 0.03  # share of the arm's mass that a link's may be wrong by
+_LENGTH = 0.2  # share of the reach: how far from its place
+_SHORTEST = 0.01  # [m]
+_LAST = np.array([2.0, 2.0, 2.0, 2.0, 2.5, 2.5, 2.5, 2.5, 2.5, 2.5])  # of an object that is held
+_ROTOR = 5.0  # times a link's error of inertia
+_FARTHEST = 20.0  # standard deviations that a parameter may go from what is believed
+_FRICTION = 0.02  # of the effort
+_DRIVE = 2e-3  # rotor inertia over effort [s²] that any joint's drive may have
+_STANDARD_GRAVITY = 9.81
+
+
+class MotionDynamics(Immutable, ABC):
+    """The torque of a reference motion, M̂q̈_r + Ĉq̇_r + ĝ, and what is learnt of it.
+
+    Immutable, but it owns scratch memory: one instance a thread.
+
+    Attributes:
+        robot: The believed robot.
+        n_state: Length of the state, p where p parameters are learnt.
+    """
+
+    robot: Robot
+    rotor_inertia: Array
+    n_state = 0
+
+    def _build(self, robot: Robot, rotor_inertia: float | Sequence[float] | Array) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self.robot = robot
+        self.rotor_inertia = as_diagonal(
+            "rotor_inertia", rotor_inertia, robot.nv, unit="kg m^2 or kg", positive=False
+        )
+        self._model = robot.model
+        self._data = self._model.createData()
+        self._weightless = pin.Model(self._model)
+        self._weightless.gravity.linear = np.zeros(3)
+
+    @abstractmethod
+    def initial_state(self) -> Array:
+        """Return â and d̂ before the first step, shape (n_state,)."""
+
+    @abstractmethod
+    def step(
+        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, dt: float
+    ) -> tuple[Array, Array]:
+        """Return the state dt [s] later, and the torque of the motion by it, shape (n_v,).
+
+        The torque is that of the *new* state: a step of a rate that is evaluated before it is
+        taken adds nothing to V₂, however short the period is against what learns.
+
+        Args:
+            state: â and d̂, shape (n_state,).
+            q: Configuration, shape (nq,).
+            v: q̇, shape (n_v,).
+            v_r: q̇_r, shape (n_v,).
+            a_r: q̈_r, shape (n_v,).
+            dt: Time to learn for [s]; 0 learns nothing.
+        """
+
+    @abstractmethod
+    def gravity(self, state: Array, q: Array) -> Array:
+        """Return the part of the torque that holds the arm, shape (n_v,) [N m or N]."""
+
+    def M(self, q: Array) -> Array:
+        """Return the believed M̂(q) with rotor inertias, shape (n_v, n_v); not what is learnt."""
+        M = mass_matrix(self._model, self._data, q)
+        M.flat[:: len(M) + 1] += self.rotor_inertia
+        return M
+
+    def gain_inertia(self, room: float) -> Array:
+        """Return inertias F (n_v,) to add to M̂ in the gain κM̂, with λ_max(M̂⁻¹(M̂ + F)) <= room.
+
+        A URDF has no rotors and so has light wrists: a gain of its M̂ alone leaves them soft. What
+        is added is what any drive of such an effort has, as far as the period allows on an arm
+        that has none. Nothing where rotor inertias are told.
+        """
+        F = _DRIVE * known_efforts(self.robot)
+        if self.rotor_inertia.any() or not F.any():
+            return np.zeros(self.robot.nv)
+        M_inv = np.linalg.inv(usual_inertias(self.robot))
+        # each joint alone may fill half of the room, and all together all of it
+        alone = M_inv.diagonal(axis1=1, axis2=2).max(axis=0)
+        F = np.minimum(F, 0.5 * (room - 1.0) / alone)
+        root = np.sqrt(F)
+        most = float(np.linalg.eigvalsh(root[:, None] * M_inv * root).max())
+        return np.asarray(F * min(1.0, (room - 1.0) / most))
+
+
+class ModelDynamics(MotionDynamics):
+    """The believed model as it is; nothing is learnt.
+
+    For a robot that compensates its own weight it is that of `robot.with_gravity((0, 0, 0))`.
+
+    Args:
+        robot: The believed robot.
+        rotor_inertia: Rotor inertias as the joints feel them, a number or shape (n_v,) [kg m² or
+            kg].
+    """
+
+    def __init__(
+        self, robot: Robot, *, rotor_inertia: float | Sequence[float] | Array = 0.0
+    ) -> None:
+        self._remember(locals())
+        self._build(robot, rotor_inertia)
+        self._none = np.zeros(robot.nv)
+
+    def initial_state(self) -> Array:
+        """Return no state, shape (0,)."""
+        return np.zeros(0)
+
+    def step(
+        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, dt: float
+    ) -> tuple[Array, Array]:
+        """Return the state as it is, and the torque by two passes of RNEA; see `MotionDynamics`."""
+        middle = pin.rnea(self._model, self._data, q, 0.5 * (v + v_r), a_r) + (
+            self.rotor_inertia * a_r
+        )
+        apart = pin.rnea(self._weightless, self._data, q, 0.5 * (v - v_r), self._none)
+        return state, middle - apart
+
+    def gravity(self, state: Array, q: Array) -> Array:
+        """Return ĝ(q), shape (n_v,) [N m or N]."""
+        return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
+
+    def __repr__(self) -> str:
+        return f"ModelDynamics({self.robot.name!r})"
+
+
+class AdaptiveDynamics(MotionDynamics):
+    """All of the dynamics, learnt: â' = −Γ Y_dᵀσ with Γ = gain · diag(sd²).
+
+    Ten inertial parameters of every link, and of every joint rotor inertia, viscous and Coulomb
+    friction and a constant torque. Weight that hangs on wrong origins is outside of the span of
+    the last link: so all links learn.
+
+    How far each parameter may plausibly be wrong says how fast it learns. By default a link's mass
+    may be wrong by 3 % of the arm's (the last one's, which holds objects, by twice that), at up to
+    a fifth of the reach from its place; friction by the torque of that weight, or by 2 % of the
+    effort where that is more; rotors by what drives of such an effort have. A parameter goes
+    no farther than 20 of these from what is believed, and rotor inertia and friction not below 0.
+    (Γ is diagonal, so V₂ does not rise by these bounds if the truth lies within them.)
+
+    Args:
+        robot: The believed robot.
+        rotor_inertia: Believed rotor inertias as the joints feel them, a number or shape (n_v,)
+            [kg m² or kg]. Where they are told, the gain matrix of the law has them.
+        sd: Plausible errors of all parameters in the order of `regressor.names`, shape (p,).
+        gain: How fast all of them learn > 0 [1/J].
+
+    Attributes:
+        regressor: The `DynamicsRegressor`.
+        sd: Plausible errors, shape (p,).
+        gamma: Diagonal of Γ, shape (p,).
+
+    Raises:
+        InvalidInputError: Numbers out of range or of the wrong shape.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        rotor_inertia: float | Sequence[float] | Array = 0.0,
+        sd: Sequence[float] | Array | None = None,
+        gain: float = 20.0,
+    ) -> None:
+        self._remember(locals())
+        self._build(robot, rotor_inertia)
+        self.regressor = DynamicsRegressor(robot)
+        self.n_state = self.regressor.p
+        self.gain = as_number("gain", gain, unit="1/J", above=0.0)
+        usual = plausible_errors(self.regressor) if sd is None else sd
+        self.sd = as_diagonal("sd", usual, self.n_state)
+        self.gamma = self.gain * self.sd**2
+        links, n = self.regressor.links, robot.nv
+        prior = self.regressor.a.copy()
+        prior[links : links + n] = self.rotor_inertia
+        low, high = prior - _FARTHEST * self.sd, prior + _FARTHEST * self.sd
+        low[links : links + 3 * n] = 0.0
+        self._prior, self._low, self._high = prior, low, high
+
+    def initial_state(self) -> Array:
+        """Return what is believed: the model's links, rotors, no friction; shape (p,)."""
+        return self._prior.copy()
+
+    def step(
+        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, dt: float
+    ) -> tuple[Array, Array]:
+        """Return what is learnt dt [s] later, and Y_d â with it; see `MotionDynamics`."""
+        Y_d = self.regressor.Y_d(q, v, v_r, a_r)
+        if dt > 0.0:
+            moved = state + dt * law.dynamics_rate(self.gamma, Y_d, v - v_r)
+            state = np.minimum(np.maximum(moved, self._low), self._high)
+        return state, Y_d.dot(state)
+
+    def gravity(self, state: Array, q: Array) -> Array:
+        """Return Z(q) â of the links, shape (n_v,) [N m or N]."""
+        return np.asarray(self.regressor.Z(q).dot(state[: self.regressor.links]))
+
+    def __repr__(self) -> str:
+        return f"AdaptiveDynamics({self.robot.name!r}: {self.n_state} parameters)"
+
+
+def plausible_errors(regressor: DynamicsRegressor) -> Array:
+    """Return how far each parameter of a robot may plausibly be wrong, shape (p,).
+
+    For a Panda 0.5 kg, 0.1 kg m and 0.02 kg m² of a link, 1, 0.2 and 0.06 of the last one;
+    0.1 to 0.2 kg m² of a rotor, and 1 to 2 N m, or as much at 1 rad/s, of joint torques.
+    """
+    robot = regressor.robot
+    mass = _MASS * robot.mass
+    reach = math.inf if robot.tip is None else reach_bound(robot, robot.tip)[1]
+    length = max(_LENGTH * reach, _SHORTEST) if math.isfinite(reach) else _LENGTH
+    link = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
+    links = np.tile(link, regressor.links // 10)
+    links[regressor.last_link] *= _LAST
+    arm = np.where(np.array(robot.joint_units) == "m", 1.0, length)
+    effort = known_efforts(robot)
+    torque = np.maximum(mass * _STANDARD_GRAVITY * arm, _FRICTION * effort)
+    rotor = np.maximum(_ROTOR * mass * arm**2, _DRIVE * effort)
+    return np.concatenate([links, rotor, torque, torque, torque])
+
+
+def known_efforts(robot: Robot) -> Array:
+    """Return effort limits, 0 where none is known, shape (n_v,) [N m or N]."""
+    effort = robot.effort_limits
+    return np.where(np.isfinite(effort), effort, 0.0)

@@ -1,0 +1,68 @@
+"""`RestConfiguration`: the self-motion n₀ that draws a redundant arm to a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac import law
+from approxjac.errors import InvalidInputError
+from approxjac.robots.joint_limits import require_radians
+from approxjac.tasks import Task
+from approxjac.validation import Array, as_array
+
+_FASTEST = 0.5  # [rad/s or m/s]
+
+
+class RestConfiguration:
+    """n₀ = −k_n s(q ⊖ q_rest), no faster than 0.5 rad/s, and its derivative.
+
+    Of continuous joints the sine of the angle takes the place of the angle, so that n₀ has no jump
+    half a turn away.
+
+    Args:
+        task: The task of the believed robot.
+        q: q_rest, shape (nq,); the middle of the joints' ranges by default.
+        rate: k_n [1/s].
+
+    Raises:
+        InvalidInputError: A q_rest for an arm without self-motion, of the wrong shape or in
+            degrees.
+    """
+
+    def __init__(self, task: Task, q: Sequence[float] | Array | None, rate: float) -> None:
+        robot = task.robot
+        if q is not None and robot.nv <= task.m:
+            raise InvalidInputError(
+                f"posture is for arms with more joints than task coordinates, got one for "
+                f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
+                given=q,
+            )
+        self._rate, self._model = rate, robot.model
+        self._is_vector = robot.nq == robot.nv
+        self._continuous = np.array([joint.nq > joint.nv for joint in robot._joints.values()])
+        self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
+        if q is None:
+            middle = 0.5 * np.sum(robot.usual_range(), axis=0)
+            self.q = np.array(pin.integrate(robot.model, robot.neutral(), middle))
+            return
+        self.q = robot.configuration(as_array("posture", q, (robot.nq,), "rad or m"), "posture")
+        require_radians("posture", robot, self.q)
+
+    def velocity(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return n₀ and its derivative at q (nq,) and q̇ (n_v,)."""
+        if self._none is not None:
+            return self._none, self._none
+        if self._is_vector:
+            away, rate = q - self.q, v
+        else:
+            angle = pin.difference(self._model, self.q, q)
+            away = np.where(self._continuous, np.sin(angle), angle)
+            rate = np.where(self._continuous, np.cos(angle), 1.0) * v
+        k = self._rate
+        return (
+            -k * law.saturated(away, k, _FASTEST),
+            -k * law.saturated_rate(away, rate, k, _FASTEST),
+        )

@@ -1,0 +1,375 @@
+"""`TrackingController`: law T, which follows what kinematics predict, with dynamics that learn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal, Self
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
+from approxjac.controllers.arguments import FLOAT64, HUGE, require_arrays
+from approxjac.controllers.known_kinematics import KnownKinematics
+from approxjac.controllers.limits import Limits
+from approxjac.controllers.predicted import Kinematics
+from approxjac.controllers.proven_law import ProvenLaw
+from approxjac.controllers.rest_configuration import RestConfiguration
+from approxjac.controllers.velocity_command import VelocityCommand
+from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.interface import Evaluation, Measurement, Status, Target
+from approxjac.robots import Dynamics
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import seen_configurations, vanishing
+from approxjac.validation import Array, as_limits, as_number, as_vector, require
+
+_OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
+_PREDICTED, _UNPREDICTED = Status.PREDICTED, Status.NOT_PREDICTED
+_KAPPA = 60.0  # [1/s]
+_STEADY = 0.25  # κ dt at most
+_ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
+_SINGULAR_RATIO = 0.05  # of σ_max, below which Ĵ⁺ is damped
+_SPEEDS = {"m": 0.5, "rad": 1.0}
+_TURN = 0.5  # [rad/s], at which other tasks go by their Jacobian
+_SHARE = 0.9  # of the speed limits of joints
+
+
+class TrackingController(ProvenLaw):
+    """Follow a target with a predicted error, learnt kinematics and learnt dynamics; law T.
+
+    τ = Y_d(q, q̇, q̇_r, q̈_r) â − κM̂σ with σ = q̇ − q̇_r, where the reference velocity
+
+        q̇_r = Ĵ⁺(u − Ĵn₀) + n₀,   u = ẋ_d − αs(z),   n₀ = −k_n (q ⊖ q_rest)
+
+    leads the predicted error z to zero and q̈_r is its exact derivative. The measured x only
+    teaches the kinematics; where it is lost, control goes on with what is predicted.
+
+    Its state is that of the dynamics, followed by that of the kinematics and, of velocity commands,
+    the command before.
+
+    Immutable, but it owns scratch memory: one instance a thread.
+
+    Args:
+        task: The task of the believed robot.
+        kinematics: What predicts z; the believed arm's own kinematics by default.
+        dynamics: What the torque of a motion comes from; `AdaptiveDynamics` of the believed robot
+            by default, or `ModelDynamics`.
+        posture: Configuration that the self-motion of a redundant arm is drawn to, shape (nq,); the
+            middle of its joints' ranges by default.
+        speed: How fast an error is reduced at most, a number or one for each coordinate, shape (m,)
+            [unit of the task/s]. By default 0.5 m/s and 1 rad/s, and of other units what half a
+            rad/s of the joints makes.
+        dt: Sampling time [s].
+        alpha: α, how fast small errors are reduced > 0 [1/s].
+        kappa: κ, how fast the joints follow their reference > 0 [1/s]. By default 60, or 0.25/dt
+            where that is less.
+        self_motion: k_n [1/s].
+        command: "torque", or "velocity" for a robot that takes joint velocities: then q̇_r is the
+            command, within the URDF's limits of speed and position, and nothing is learnt of the
+            dynamics.
+        acceleration: Largest change of a velocity command, a number or shape (n_v,) [rad/s² or
+            m/s²]; by default what the motors of the believed arm surely have.
+
+    Raises:
+        InvalidInputError: Numbers out of range or of the wrong shape, kinematics or dynamics of
+            another robot, or a posture for an arm without self-motion.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        *,
+        kinematics: Kinematics | None = None,
+        dynamics: MotionDynamics | None = None,
+        posture: Sequence[float] | Array | None = None,
+        speed: float | Sequence[float] | Array | None = None,
+        dt: float = 1e-3,
+        alpha: float = 4.0,
+        kappa: float | None = None,
+        self_motion: float = 1.0,
+        command: Literal["torque", "velocity"] = "torque",
+        acceleration: float | Sequence[float] | Array | None = None,
+    ) -> None:
+        self._remember(locals())
+        require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+        robot = task.robot
+        self.task = task
+        self.kinematics = KnownKinematics(task) if kinematics is None else kinematics
+        self.dynamics = AdaptiveDynamics(robot) if dynamics is None else dynamics
+        self._require_parts()
+        self.sampling_time = as_number("dt", dt, unit="s", above=0.0)
+        self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
+        usual = min(_KAPPA, _STEADY / self.sampling_time)
+        self.kappa = usual if kappa is None else as_number("kappa", kappa, unit="1/s", above=0.0)
+        self.speed = as_limits(
+            "speed",
+            usual_speeds(task) if speed is None else speed,
+            task.m,
+            unit="unit of the task/s",
+        )
+        self.self_motion = as_number("self_motion", self_motion, unit="1/s", minimum=0.0)
+        self._rest = RestConfiguration(task, posture, self.self_motion)
+        require("command", command, str, '"torque" or "velocity"')
+        if command not in ("torque", "velocity"):
+            raise InvalidInputError(
+                f'command must be "torque" or "velocity", got {command!r}', given=command
+            )
+        self.command = command
+        limits = Limits.of(robot).for_joints(robot.nv)
+        self._fastest = _SHARE * np.asarray(limits.velocity)
+        self._has_speeds = bool(np.isfinite(self._fastest).any())
+        self._commands = None
+        if command == "velocity":
+            self._commands = VelocityCommand(robot, limits, acceleration, self.sampling_time)
+        elif acceleration is not None:
+            raise InvalidInputError(
+                f'acceleration is of command="velocity", got {acceleration!r}', given=acceleration
+            )
+        room = max(1.0, _ROOM / (self.kappa * self.sampling_time))
+        self._added = np.zeros(robot.nv)
+        self._n_dynamics = 0
+        if self._commands is None:
+            self._added = self.dynamics.gain_inertia(room)
+            self._n_dynamics = self.dynamics.n_state
+        self._end = self._n_dynamics + self.kinematics.n_state
+        n_state = self._end + (0 if self._commands is None else robot.nv)
+        self._n_state = n_state
+        self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (n_state,)
+        self._scale = vanishing(task)
+        self._continuous = robot.nq != robot.nv
+
+    @property
+    def dt(self) -> float:
+        """Sampling time that control has to have [s]."""
+        return self.sampling_time
+
+    def _require_parts(self) -> None:
+        """Refuse kinematics or dynamics that are none, or of another robot."""
+        task = self.task
+        require("kinematics", self.kinematics, Kinematics, "KnownKinematics(task) or None")
+        wanted = "AdaptiveDynamics(robot), ModelDynamics(robot) or None"
+        require("dynamics", self.dynamics, MotionDynamics, wanted)
+        told = self.kinematics.task
+        if told.robot.joint_names != task.robot.joint_names or told.labels != task.labels:
+            raise InvalidInputError(
+                f"kinematics must be of the task {task!r}, got {self.kinematics!r} of {told!r}",
+                given=self.kinematics,
+            )
+        if self.dynamics.robot.joint_names != task.robot.joint_names:
+            raise InvalidInputError(
+                f"dynamics must be of a robot with the joints of {task.robot.name}, got "
+                f"{self.dynamics!r}",
+                given=self.dynamics,
+            )
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step.
+
+        Raises:
+            InvalidInputError: A measurement of the wrong shapes.
+        """
+        state, x_d = np.zeros(self._n_state), np.zeros(self.task.n_x)
+        _, v, _ = require_arrays(state, measurement, x_d, self.task, self._n_state)
+        if self._commands is None:
+            state[: self._n_dynamics] = self.dynamics.initial_state()
+        else:
+            state[self._end :] = np.where(np.isfinite(v), v, 0.0)
+        state[self._n_dynamics : self._end] = self.kinematics.initial_state(measurement)
+        return state
+
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after a step, and a torque (or a velocity) for it.
+
+        The answer's e is that of the measured x, NaN where that is lost; its Ĵ is that of the
+        prediction, and its reference q̇_r.
+
+        Raises:
+            MeasurementError: q or v not finite, or numbers that overflow.
+            InvalidInputError: Wrong shapes or types, a target or state that is not finite, (cos,
+                sin) pairs of continuous joints off the unit circle, or another dt than the one that
+                this controller is for.
+        """
+        if dt != self.sampling_time:
+            self._require_dt(dt)
+        target, measurement = self._checked(state, measurement, target)
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
+            try:
+                after, answer = self._step(state, measurement, target)
+                if math.isfinite(math.hypot(*after.tolist(), *answer.torque.tolist())):
+                    return after, answer
+            except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
+                pass
+        _, q, v, *_ = measurement
+        raise MeasurementError(
+            f"the torque overflows or is no number at q = {q.tolist()}, v = {v.tolist()}, "
+            f"x = {measurement.x.tolist()}: they are beyond what the law, or kinematics or a task "
+            "of your own, is for",
+            given=measurement,
+        )
+
+    def _step(
+        self, state: Array, measurement: Measurement, target: Target
+    ) -> tuple[Array, Evaluation]:
+        """Return what `step` does, for arguments that are checked."""
+        _, q, v, x, _ = measurement
+        known, dt = state[self._n_dynamics : self._end], self.sampling_time
+        J_hat, v_r, a_r, status = self._reference(known, q, v, target)
+        after, learns = state.copy(), status is not _UNPREDICTED
+        after[self._n_dynamics : self._end] = self.kinematics.step(known, measurement, dt)
+        e = self.task.error(x, target.x)
+        if status is _OK and not math.isfinite(math.hypot(*e.tolist())):
+            status = _PREDICTED
+        if self._commands is not None:
+            sent = self._commands.within(q, v_r, state[self._end :])
+            after[self._end :] = sent
+            return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
+        a_hat = state[: self._n_dynamics]
+        a_hat, motion = self.dynamics.step(a_hat, q, v, v_r, a_r, dt if learns else 0.0)
+        after[: self._n_dynamics] = a_hat
+        M = self.dynamics.M(q)
+        M.flat[:: len(M) + 1] += self._added
+        torque = law.tracking_torque(motion, self.kappa, M, v - v_r)
+        g = self.dynamics.gravity(a_hat, q)
+        return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
+
+    def _reference(
+        self, known: Array, q: Array, v: Array, target: Target
+    ) -> tuple[Array, Array, Array, Status]:
+        """Return Ĵ, q̇_r, q̈_r and the status that they have."""
+        z, J, J_dot, feed, feed_dot, drift = self.kinematics.predict(known, q, v, target)
+        z_dot = J.dot(v) - feed + drift
+        u = feed - self.alpha * law.saturated(z, self.alpha, self.speed)
+        u_dot = feed_dot - self.alpha * law.saturated_rate(z, z_dot, self.alpha, self.speed)
+        null, null_dot = self._rest.velocity(q, v)
+        if not math.isfinite(math.hypot(*u.tolist(), *u_dot.tolist(), *J.ravel().tolist())):
+            return J, np.zeros_like(v), np.zeros_like(v), _UNPREDICTED
+        v_r, a_r, damped = law.reference(
+            J, J_dot, u, u_dot, null, null_dot, _SINGULAR_RATIO, self._scale
+        )
+        if self._has_speeds:
+            v_r, a_r = law.within_speeds(v_r, a_r, self._fastest)
+        return J, v_r, a_r, _SINGULAR if damped > 0.0 else _OK
+
+    def _checked(
+        self, state: Array, measurement: Measurement, target: Target | Array
+    ) -> tuple[Target, Measurement]:
+        """Return a target and a measurement that the law can be evaluated with, or refuse."""
+        task = self.task
+        if not isinstance(target, Target):
+            target = Target(target)
+        x_d, v_d, a_d = target
+        if v_d is not None:
+            v_d = as_vector("v of the target", v_d, task.m)
+            target = Target(x_d, v_d, None if a_d is None else as_vector("a of it", a_d, task.m))
+        try:
+            _, q, v, x, _ = measurement
+            n, joints, n_x, size = self._shapes
+            usual = (q.shape, v.shape, x.shape, x_d.shape, state.shape) == (
+                n, joints, n_x, n_x, size,
+            ) and q.dtype is v.dtype is x.dtype is x_d.dtype is state.dtype is FLOAT64  # fmt: skip
+        except (TypeError, ValueError, AttributeError):
+            usual = False
+        if not usual:
+            q, v, x = require_arrays(state, measurement, x_d, task, self._n_state)
+        if not math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist(), *state.tolist()) < HUGE:
+            self._require_finite(q, v, x_d, state)
+        if not math.hypot(*x.tolist()) < HUGE:  # lost, or beyond what can be learnt from
+            measurement = measurement._replace(x=np.where(np.abs(x) < HUGE, x, math.nan))
+        if self._continuous:
+            task.robot.configuration(q)
+        if not task._subtracts:
+            task.target(x_d)
+        return target, measurement
+
+    def _require_finite(self, q: Array, v: Array, x_d: Array, state: Array) -> None:
+        for name, value in (("q", q), ("v", v)):
+            if not np.isfinite(value).all():
+                raise MeasurementError(
+                    f"{name} must be finite, got {value.tolist()}: no safe torque exists without "
+                    "the joint state; stop the robot",
+                    given=value,
+                )
+        if not np.isfinite(state).all():
+            raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
+        self.task.target(x_d)
+
+    def _require_dt(self, dt: float) -> None:
+        dt = as_number("dt", dt, unit="s", above=0.0)
+        if not math.isclose(dt, self.sampling_time):
+            wanted = f"that of the controller, {self.sampling_time:g} [s]"
+            raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)
+
+    def learnt(self, state: Array) -> Array:
+        """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p).
+
+        First the parameters of the dynamics, then what the kinematics have learnt.
+        """
+        known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
+        return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
+
+    def with_task(self, task: Task) -> Self:
+        """Return this controller with another task, such as that of another believed robot.
+
+        Raises:
+            InvalidInputError: Its kinematics or dynamics were given, which are of the task before.
+        """
+        for name in ("kinematics", "dynamics"):
+            if self._arguments[name] is not None:
+                raise InvalidInputError(
+                    f"{name} must be left to the controller for its belief to be changed, got "
+                    f"{self._arguments[name]!r}",
+                    given=self,
+                )
+        return self._rebuilt(task=task)
+
+    # -- what limits of torques need to know ----------------------------------------------------
+
+    @property
+    def resting(self) -> int:
+        """Numbers of the state that rest while limits give the proof up: those of the dynamics."""
+        return self._n_dynamics
+
+    def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:
+        """Return σ: the joint velocity less the answer's reference q̇_r, as it is given here."""
+        return v
+
+    def is_proven(self, answer: Evaluation) -> bool:
+        """Return whether V̇₂ is known: always, as the kinematics do not enter."""
+        return True
+
+    def resolved_alpha(self, alpha: float | None) -> float:
+        """Return α of y, which is in σ."""
+        if alpha is not None:
+            raise InvalidInputError(
+                f"alpha must be None for a TrackingController, whose y is q̇ − q̇_r, got {alpha!r}",
+                given=alpha,
+            )
+        return self.alpha
+
+    def damping_rate(self, inertias: Array) -> float:
+        """Return κ [1/s]."""
+        return self.kappa
+
+    def believed_dynamics(self) -> tuple[Dynamics, bool]:
+        """Return those of the believed robot, with its own gravity."""
+        return Dynamics(self.dynamics.robot), True
+
+    def gravity_torque(self, state: Array, q: Array) -> Array:
+        """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
+        return self.dynamics.gravity(state[: self._n_dynamics], q)
+
+    def __repr__(self) -> str:
+        parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"
+        return f"TrackingController({parts}, alpha={self.alpha:g}, kappa={self.kappa:g})"
+
+
+def usual_speeds(task: Task) -> list[float]:
+    """Return the largest speeds of a task's coordinates [unit of the task/s], length m."""
+    if set(task.units) <= set(_SPEEDS):
+        return [_SPEEDS[unit] for unit in task.units]
+    rows = [np.linalg.norm(task.jacobian(q), axis=1) for q in seen_configurations(task, 20)]
+    usual = _TURN * np.median(rows, axis=0)
+    return [_SPEEDS.get(unit, value) for unit, value in zip(task.units, usual, strict=True)]

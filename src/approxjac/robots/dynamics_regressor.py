@@ -1,0 +1,117 @@
+"""The dynamics regressor Y_d(q, q̇, q̇_r, q̈_r): a torque linear in what moves, and in its joints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.robots.robot import Robot
+from approxjac.validation import Array, require
+
+COULOMB_SPEED = 0.05
+"""Speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]."""
+
+_OF_A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+_OF_A_JOINT = ("rotor", "viscous", "coulomb", "constant")
+
+
+class DynamicsRegressor:
+    """M(q)q̈_r + C(q, q̇)q̇_r + g(q) + joint torques = Y_d(q, q̇, q̇_r, q̈_r) a.
+
+    Of each moving link a has ten inertial parameters about the joint's frame, as
+    `pin.Inertia.toDynamicParameters` has them: m, the first moments and the inertia. Of each joint
+    it has rotor inertia, viscous friction, Coulomb friction and a constant torque, with columns
+    q̈_r, q̇_r, tanh(q̇_r/v_c) and 1. It is the friction of the *reference* velocity: friction never
+    falls with speed, so what the true one has more opposes σ = q̇ − q̇_r.
+
+    C is the Christoffel form, by polarisation: C(q, q̇)q̇_r = c(q, ½(q̇ + q̇_r)) − c(q, ½(q̇ − q̇_r))
+    with c(q, v) = C(q, v)v. So Ṁ − 2C is skew-symmetric.
+
+    All parameters are kept, although they depend on each other: a law that learns them from a prior
+    leaves what makes no torque as it was.
+
+    Owns scratch memory: one instance a thread.
+
+    Args:
+        robot: The (believed) robot.
+
+    Attributes:
+        names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.rotor" [kg m²].
+        a: Their values for `robot` itself, whose joints have none, shape (p,).
+        links: Number of the parameters of links, which come first.
+        last_link: Those of the link that holds the tip.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        require("robot", robot, Robot, "a Robot")
+        self.robot = robot
+        self._mimic_joints = robot.mimic_joints
+        self._model = robot.mimic_joints.model  # Pinocchio has no regressor with mimic joints
+        self._weightless = pin.Model(self._model)
+        self._weightless.gravity.linear = np.zeros(3)
+        self._data = self._model.createData()
+        self._many = self._model.nv > 1  # of one joint Pinocchio's regressor has lost an axis
+        self._zero, self._one = np.zeros(self._model.nv), np.ones(robot.nv)
+        movers = list(self._model.names)[1:]
+        self.links = 10 * len(movers)
+        last = len(movers)
+        if robot.tip is not None:
+            frame = self._model.getFrameId(robot.tip, pin.FrameType.BODY)
+            last = int(self._model.frames[frame].parentJoint) or last
+        self.last_link = slice(10 * (last - 1), 10 * last)
+        names = [f"{mover}.{label}" for mover in movers for label in _OF_A_LINK]
+        # all of one kind at once, so that its columns are a diagonal
+        names += [f"{joint}.{label}" for label in _OF_A_JOINT for joint in robot.joint_names]
+        self.names = tuple(names)
+        inertias = list(self._model.inertias)[1:]
+        of_joints = np.zeros(len(_OF_A_JOINT) * robot.nv)
+        self.a = np.concatenate([*(each.toDynamicParameters() for each in inertias), of_joints])
+        self.a.flags.writeable = False
+        self._diagonals = tuple(
+            (np.arange(robot.nv), self.links + k * robot.nv + np.arange(robot.nv)) for k in range(4)
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.robot,)  # a copy has scratch memory of its own
+
+    @property
+    def p(self) -> int:
+        """Number of parameters."""
+        return len(self.names)
+
+    def Y_d(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
+        """Y_d(q, q̇, q̇_r, q̈_r), shape (n_v, p).
+
+        Its arguments are not checked.
+
+        Args:
+            q: Configuration, shape (nq,).
+            v: q̇, shape (n_v,) [rad/s or m/s].
+            v_r: q̇_r, shape (n_v,) [rad/s or m/s].
+            a_r: q̈_r, shape (n_v,) [rad/s² or m/s²].
+        """
+        mimic, model = self._mimic_joints, self._weightless
+        q_all = mimic.q(q)
+        middle, apart = mimic.v(0.5 * (v + v_r)), mimic.v(0.5 * (v - v_r))
+        Y = np.zeros((len(v), self.p))
+        links = Y[:, : self.links]
+        links += self._torques(self._model, q_all, middle, mimic.v(a_r))
+        links -= self._torques(model, q_all, apart, self._zero)
+        rotor, viscous, coulomb, constant = self._diagonals
+        Y[rotor], Y[viscous], Y[constant] = a_r, v_r, self._one
+        Y[coulomb] = np.tanh(v_r / COULOMB_SPEED)
+        return Y
+
+    def Z(self, q: Array) -> Array:
+        """Gravity's part of the links' columns, Y_d(q, 0, 0, 0), shape (n_v, 10 links)."""
+        return self._torques(self._model, self._mimic_joints.q(q), self._zero, self._zero)
+
+    def _torques(self, model: pin.Model, q_all: Array, v: Array, a: Array) -> Array:
+        """Return Pinocchio's regressor of a torque, ten columns for each moving link."""
+        Y: Array = pin.computeJointTorqueRegressor(model, self._data, q_all, v, a)
+        return self._mimic_joints.rows(Y if self._many else Y[np.newaxis])
+
+    def __repr__(self) -> str:
+        return f"DynamicsRegressor({self.robot.name!r}: {self.p} parameters)"

@@ -1,0 +1,467 @@
+"""`TrackingController`: law T on the believed arm's own kinematics."""
+
+import copy
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac import law
+from approxjac.controllers import (
+    AdaptiveDynamics,
+    KnownKinematics,
+    ModelDynamics,
+    TrackingController,
+)
+from approxjac.robots import Dynamics, Robot
+from approxjac.robots.dynamics_regressor import DynamicsRegressor
+from approxjac.tasks import CombinedTask, NonsingularTask
+
+STARTS = {
+    "panda": np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]),
+    "ur5": np.array([0.0, -1.2, 1.5, -1.0, -1.5, 0.0]),
+}
+
+
+def circle(task, q):
+    """A circle of 10 cm in 4 s that starts 19 cm away from the tip."""
+    return aj.Circle(task.value(q) + [0.05, -0.1, 0.05], 0.1, 4.0, normal=(0.0, 1.0, -0.6))
+
+
+def measured(task, q, v=None, x=None):
+    v = np.zeros(task.robot.nv) if v is None else v
+    return aj.Measurement(0.0, q, v, task.value(q) if x is None else x)
+
+
+@pytest.fixture(scope="module")
+def panda_law(panda):
+    return TrackingController(aj.PositionTask(panda))
+
+
+# -- runs -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+@pytest.mark.parametrize("moves", [True, False])
+def test_with_the_exact_model_a_target_is_reached_and_followed(name, moves):
+    robot, q0 = aj.load_robot(name), STARTS[name]
+    task = aj.PositionTask(robot)
+    path = circle(task, q0)
+    controller = TrackingController(task, dynamics=ModelDynamics(robot))
+    target = path if moves else path.at(0.0).x
+    run = aj.simulate(aj.Plant(robot), controller, target, q0, 4.0)
+    assert run.error_norm[3500:].max() < 2e-5  # 0.007 mm measured
+    assert run.error_norm.max() <= run.error_norm[0] + 1e-3
+    assert set(run.status) == {aj.Status.OK}
+
+
+class Watched:
+    """V₂ of the true arm at every step, and κσᵀM̂σ."""
+
+    def __init__(self, truth, controller):
+        self.law, self.dynamics = controller, Dynamics(truth)
+        self.a = np.concatenate([DynamicsRegressor(truth).a])
+        self.V, self.W, self.statuses = [], [], []
+
+    def __call__(self, loop):
+        q, v = loop.truth.q, loop.truth.v
+        sigma, inside = v - loop.answer.reference, self.law.dynamics
+        a_error = self.a - loop.state[: self.law.resting]
+        M = self.dynamics.M(q)
+        self.V.append(law.tracking_potential(sigma, M, a_error, inside.gamma))
+        M_gain = inside.M(q) + np.diag(self.law._added)
+        self.W.append(self.law.kappa * sigma @ M_gain @ sigma)
+        self.statuses.append(loop.answer.limit_status)
+
+
+def watched_run(dt, limits=None, duration=1.0):
+    """A circle with an object of 1 kg that nobody told of."""
+    belief, q0 = aj.load_robot("panda"), STARTS["panda"]
+    truth = belief.with_object(0.2, 1.0, axis="x")
+    task = aj.PositionTask(belief, "panda_hand_tcp")
+    controller = TrackingController(task, dt=dt)
+    plant = aj.Plant(truth, aj.PositionTask(truth, "panda_hand_tcp"))
+    watched = Watched(truth, controller)
+    limited = controller if limits is None else aj.TorqueLimited(controller, limits, dt=dt)
+    options = {"dt": dt, "observer": watched, "record_every": 0.01}
+    run = aj.simulate(plant, limited, circle(task, q0), q0, duration, **options)
+    return watched, run
+
+
+def test_v2_never_rises_and_falls_by_what_the_gain_dissipates():
+    """The rest, of samples, goes with dt: 2.9 % at 1 ms, 0.73 % at 0.25 ms over 3 s."""
+    off = []
+    for dt in (1e-3, 2.5e-4):
+        watched, _ = watched_run(dt)
+        V, W = np.array(watched.V), np.array(watched.W)
+        assert (np.diff(V) < 0.0).all()
+        predicted = -0.5 * dt * (W[1:] + W[:-1])
+        off.append(np.abs(np.diff(V) - predicted).sum() / np.abs(predicted).sum())
+    assert off[0] < 0.05
+    assert 3.0 < off[0] / off[1] < 5.0
+
+
+def test_limits_of_torques_with_y_sigma_keep_what_v2_does():
+    effort = 0.5 * aj.load_robot("panda").effort_limits
+    watched, run = watched_run(1e-3, aj.Limits(effort=effort))
+    assert (np.abs(run.tau) <= effort + 1e-9).all()
+    statuses, V, W = np.array(watched.statuses), np.array(watched.V), np.array(watched.W)
+    kept = np.flatnonzero(statuses[:-1] == aj.LimitStatus.PROOF_KEPT)
+    assert len(kept) > 10
+    change = np.diff(V)
+    assert (change[kept] <= -0.5 * 1e-3 * W[kept]).all()  # V̇₂ ≤ −κσᵀM̂σ, half for samples
+    free = np.flatnonzero(statuses[:-1] == aj.LimitStatus.FREE)
+    assert (change[free] < 0.0).all()
+
+
+def test_while_the_proof_is_given_up_the_dynamics_rest(panda):
+    task, q = aj.PositionTask(panda), STARTS["panda"]
+    law_ = TrackingController(task)
+    limited = aj.TorqueLimited(law_, aj.Limits(effort=1.0))
+    far = task.value(q) + [0.2, 0.2, 0.2]
+    state = limited.initial_state(measured(task, q))
+    after, answer = limited.step(state, measured(task, q), far, 1e-3)
+    assert answer.limit_status is aj.LimitStatus.PROOF_GIVEN_UP
+    assert answer.slack > 0.0
+    assert (np.abs(answer.torque) <= 1.0 + 1e-9).all()
+    assert_array_equal(after[: law_.resting], state[: law_.resting])
+    unlimited, _ = law_.step(state, measured(task, q), far, 1e-3)
+    assert (unlimited != state).any()
+
+
+def test_payload_rotors_and_friction_are_learnt():
+    """As good as the exact model's circle after a few seconds; the model as it is stays behind."""
+    belief, q0 = aj.load_robot("panda"), STARTS["panda"]
+    truth = Robot.like(belief.with_object(0.2, 1.0, axis="x"))
+    truth.model.armature[:] = 0.1
+    task = aj.PositionTask(belief, "panda_hand_tcp")
+    sensor = aj.PositionTask(truth, "panda_hand_tcp")
+    plant = aj.Plant(truth, sensor, friction=1.0, coulomb=0.2)
+    rms = {}
+    for kind in (AdaptiveDynamics, ModelDynamics):
+        controller = TrackingController(task, dynamics=kind(belief))
+        run = aj.simulate(plant, controller, circle(task, q0), q0, 3.0)
+        rms[kind] = np.sqrt(np.mean(run.error_norm[2000:] ** 2))
+        if kind is AdaptiveDynamics:
+            a, regressor = run.state[-1], controller.dynamics.regressor
+            torque = regressor.Z(q0) @ a[: regressor.links]
+    assert rms[AdaptiveDynamics] < 1e-3  # 0.48 mm
+    assert rms[ModelDynamics] > 5.0 * rms[AdaptiveDynamics]
+    true = Dynamics(truth).g(q0)
+    before = np.abs(Dynamics(belief).g(q0) - true).max()
+    assert np.abs(torque - true).max() < 0.2 * before
+
+
+@pytest.mark.parametrize("kind", ["pose", "continuous", "stacked", "combined", "planar", "coupled"])
+def test_other_tasks_and_arms_are_followed(kind):
+    panda, kinova, q0 = aj.load_robot("panda"), aj.load_robot("kinova"), STARTS["panda"]
+    position = aj.PositionTask(panda)
+    task = {
+        "pose": lambda: aj.PoseTask(panda),
+        "continuous": lambda: aj.PoseTask(kinova),
+        "stacked": lambda: aj.StackedTask(position, aj.PositionTask(panda, "panda_link4", "z")),
+        "combined": lambda: CombinedTask(position, [[2, 1, 0], [0, 1, 0], [0, 0.3, 1]]),
+        "planar": lambda: aj.PositionTask(aj.load_robot("two_link")),
+        "coupled": lambda: aj.PositionTask(aj.load_robot("tiago_arm")),
+    }[kind]()
+    plant = aj.Plant(task.robot, task)
+    q0 = q0 if task.robot is panda else plant.ready_configuration()
+    e = np.full(task.m, 0.05)
+    e[3:] = 0.2 if len(e) == 6 else -0.02
+    if kind == "planar":
+        e[:] = -0.1
+    target = task.target(task.displaced(task.value(q0), e))
+    controller = TrackingController(task, dynamics=ModelDynamics(task.robot))
+    run = aj.simulate(plant, controller, target, q0, 2.5, record_every=0.01)
+    errors = [task.error(x, target) for x in run.x]
+    assert np.linalg.norm(errors[-1]) < 1e-2 * np.linalg.norm(errors[0])  # one is damped
+
+
+# -- the reference --------------------------------------------------------------------------------
+
+
+def along(task, q, v, a):
+    """q(t) and q̇(t) of a motion with constant q̈."""
+    model = task.robot.model
+    return (
+        lambda t: np.array(pin.integrate(model, q, t * v + 0.5 * t * t * a)),
+        lambda t: v + t * a,
+    )
+
+
+@pytest.mark.parametrize(
+    "kind", ["position", "pose", "continuous", "nonsingular", "combined", "image", "singular"]
+)
+def test_the_reference_acceleration_is_exact(kind, rng):
+    """Whatever the task: also where its error is no difference, and where Ĵ⁺ is damped."""
+    panda = aj.load_robot("panda")
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
+    position = aj.PositionTask(panda)
+    task = {
+        "position": lambda: position,
+        "singular": lambda: aj.PositionTask(aj.load_robot("ur5")),
+        "pose": lambda: aj.PoseTask(panda),
+        "continuous": lambda: aj.PoseTask(aj.load_robot("kinova")),
+        "nonsingular": lambda: NonsingularTask(position, {"panda_joint4": 0.3}, ratio=0.9),
+        "combined": lambda: CombinedTask(aj.PoseTask(panda), np.diag(np.arange(1.0, 7.0))),
+        "image": lambda: aj.ImageTask(panda, camera),
+    }[kind]()
+    robot = task.robot
+    controller = TrackingController(task, dynamics=ModelDynamics(robot))
+    known, q = np.zeros(0), STARTS["panda"].copy()
+    if robot is not panda:
+        q = robot.random_configuration(rng)
+    if kind == "singular":  # stretched out upwards, nearly
+        q = np.array([0.1, -1.55, 0.03, -1.57, 0.0, 0.0])
+    v, a = 0.3 * rng.normal(size=robot.nv), rng.normal(size=robot.nv)
+    q_of, v_of = along(task, q, v, a)
+    x, rates = task.value(q), 0.1 * rng.normal(size=(2, task.m))
+    ahead = task.displaced(x, 0.1 * rng.normal(size=task.m))
+    if kind == "image":
+        ahead, rates = x + [5.0, -8.0], 50.0 * rates
+
+    def target(t):
+        back = rates if kind != "combined" else np.linalg.solve(task.C, rates.T).T
+        moved = task.displaced(ahead, t * rates[0] + 0.5 * t * t * rates[1])
+        return aj.Target(moved, back[0] + t * back[1], back[1])
+
+    def reference(t):
+        return controller._reference(known, q_of(t), v_of(t), target(t))
+
+    J, _, a_r, status = reference(0.0)
+    damped = np.linalg.svd(J, compute_uv=False)
+    assert (status is aj.Status.NEAR_SINGULAR) == (damped[-1] < 0.05 * damped[0])
+    assert (kind == "singular") <= (status is aj.Status.NEAR_SINGULAR)
+    h = 1e-5
+    expected = (reference(h)[1] - reference(-h)[1]) / (2.0 * h)
+    if kind in ("pose", "continuous", "combined"):  # ω_d is constant in neither frame: 1e-4
+        assert_allclose(a_r, expected, atol=2e-3 * np.abs(expected).max())
+    else:
+        assert_allclose(a_r, expected, atol=2e-6 * max(1.0, np.abs(expected).max()))
+
+
+def test_the_self_motion_goes_to_the_posture(panda):
+    task, q0 = aj.PositionTask(panda), STARTS["panda"]
+    wanted = q0 + [0.3, 0.0, -0.3, 0.0, 0.2, 0.0, 0.5]
+    controller = TrackingController(task, dynamics=ModelDynamics(panda), posture=wanted)
+    options = {"dt": 1e-3, "record_every": 0.1}
+    run = aj.simulate(aj.Plant(panda), controller, task.value(wanted), q0, 10.0, **options)
+    assert_allclose(run.q[-1], wanted, atol=2e-3)
+    assert run.error_norm[-1] < 1e-5
+
+
+def test_joints_are_led_no_faster_than_they_may_move(panda, panda_law):
+    task = aj.PositionTask(panda)
+    law_ = TrackingController(task, speed=100.0)
+    q = STARTS["panda"]
+    state = law_.initial_state(measured(task, q))
+    _, answer = law_.step(state, measured(task, q), task.value(q) + 0.5, 1e-3)
+    share = np.abs(answer.reference) / panda.velocity_limits
+    assert share.max() == pytest.approx(0.9)
+
+
+# -- the measurement ------------------------------------------------------------------------------
+
+
+def test_the_torque_does_not_depend_on_the_true_robot(panda_law, panda):
+    """With the measurement held it has nothing to know it by; nor does x enter control."""
+    task, q, rng = panda_law.task, STARTS["panda"], np.random.default_rng(1)
+    target = aj.Target(task.value(q) + 0.1, np.full(3, 0.1), np.zeros(3))
+    measurement = measured(task, q, rng.normal(size=7))
+    state = panda_law.initial_state(measurement)
+    after, answer = panda_law.step(state, measurement, target, 1e-3)
+    truth = panda.with_object(0.2, 1.0, axis="x")
+    other = TrackingController(aj.PositionTask(truth))
+    aj.simulate(aj.Plant(truth), other, [0.4, 0.0, 0.5], q, 5e-3)
+    again, same = panda_law.step(state, measurement, target, 1e-3)
+    assert_array_equal(answer.torque, same.torque)
+    assert_array_equal(after, again)
+    moved = measurement._replace(x=measurement.x + 1.0)
+    other, elsewhere = panda_law.step(state, moved, target, 1e-3)
+    assert_array_equal(elsewhere.torque, answer.torque)
+    assert_array_equal(other, after)
+    assert_allclose(elsewhere.e, answer.e + 1.0)
+
+
+def test_control_goes_on_where_x_is_lost(panda_law):
+    task, q = panda_law.task, STARTS["panda"]
+    seen, lost = (measured(task, q, x=x) for x in (task.value(q), np.full(3, np.nan)))
+    state, target = panda_law.initial_state(lost), task.value(q) + 0.1
+    _, answer = panda_law.step(state, seen, target, 1e-3)
+    _, unseen = panda_law.step(state, lost, target, 1e-3)
+    assert_array_equal(answer.torque, unseen.torque)
+    assert unseen.status is aj.Status.PREDICTED
+    assert np.isnan(unseen.e).all()
+
+
+def test_a_point_that_the_believed_camera_does_not_see_brings_the_arm_to_rest(panda):
+    camera = aj.PinholeCamera.looking_at((3.0, 0.0, 0.4), (2.0, 0.0, 0.4), 600.0, (640, 480))
+    seeing = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, 0.0, 0.4), 600.0, (640, 480))
+    robot = panda
+    task = aj.ImageTask(robot, seeing)
+    law_ = TrackingController(task, dynamics=ModelDynamics(robot))
+    vars(law_)["kinematics"] = Unseeing(task)
+    assert camera is not seeing
+    q, v = STARTS["panda"], np.full(7, 0.1)
+    _, answer = law_.step(np.zeros(0), measured(task, q, v), task.value(q), 1e-3)
+    assert answer.status is aj.Status.NOT_PREDICTED
+    assert_array_equal(answer.reference, 0.0)
+    assert np.isfinite(answer.torque).all()
+
+
+class Unseeing(KnownKinematics):
+    """Kinematics that predict nothing."""
+
+    def predict(self, state, q, v, target):
+        return super().predict(state, q, v, target)._replace(z=np.full(self.task.m, np.nan))
+
+
+# -- velocities -----------------------------------------------------------------------------------
+
+
+def test_velocity_commands_stay_within_limits(panda):
+    task, q0 = aj.PositionTask(panda), STARTS["panda"]
+    controller = TrackingController(task, command="velocity", dt=4e-3, acceleration=5.0)
+    assert controller.command == "velocity"
+    state = controller.initial_state(measured(task, q0))
+    assert len(state) == 7
+    path, q, before = circle(task, q0), q0, np.zeros(7)
+    errors = []
+    for k in range(1500):
+        target = path.at(k * 4e-3)
+        state, answer = controller.step(state, measured(task, q, before), target, 4e-3)
+        assert (np.abs(answer.torque - before) <= 5.0 * 4e-3 + 1e-12).all()
+        assert (np.abs(answer.torque) <= panda.velocity_limits).all()
+        before = answer.torque
+        q = q + 4e-3 * before
+        errors.append(np.linalg.norm(answer.e))
+    assert max(errors[1000:]) < 1e-3  # an ideal servo, held for 4 ms at 0.16 m/s
+    low, _ = panda.position_limits
+    near = q0.copy()
+    near[3] = low[3] + 1e-3
+    slow = measured(task, near)
+    _, answer = controller.step(np.zeros(7), slow, task.value(near) - [0.5, 0.0, 0.0], 4e-3)
+    assert answer.torque[3] >= -5e-3 - 1e-12  # towards a stop that is 1 mrad away
+
+
+# -- what is taken and what is refused ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kinematics": "known"}, r"kinematics must be KnownKinematics\(task\) or None, got 'kn"),
+        ({"dynamics": 3.0}, r"dynamics must be AdaptiveDynamics\(robot\), ModelDynamics\(robot\)"),
+        ({"posture": np.zeros(6)}, r"posture must have shape \(7,\) \[rad or m\], got"),
+        ({"posture": np.full(7, 90.0)}, "posture must be in radians"),
+        ({"speed": 0.0}, r"speed must be numbers > 0 \[unit of the task/s\], one or 3, infinite"),
+        ({"alpha": 0.0}, r"alpha must be a finite number > 0 \[1/s\], got 0.0"),
+        ({"kappa": -1.0}, r"kappa must be a finite number > 0 \[1/s\], got -1.0"),
+        ({"dt": 0.0}, r"dt must be a finite number > 0 \[s\], got 0.0"),
+        ({"command": "position"}, 'command must be "torque" or "velocity", got \'position\''),
+        ({"acceleration": 3.0}, 'acceleration is of command="velocity", got 3.0'),
+    ],
+)
+def test_what_does_not_fit_is_refused(panda, changes, message):
+    with pytest.raises(aj.InvalidInputError, match=message):
+        TrackingController(aj.PositionTask(panda), **changes)
+
+
+def test_parts_of_another_robot_are_refused(panda):
+    ur5 = aj.load_robot("ur5")
+    task = aj.PositionTask(panda)
+    with pytest.raises(aj.InvalidInputError, match="kinematics must be of the task PositionTask"):
+        TrackingController(task, kinematics=KnownKinematics(aj.PositionTask(ur5)))
+    with pytest.raises(aj.InvalidInputError, match="dynamics must be of a robot with the joints"):
+        TrackingController(task, dynamics=ModelDynamics(ur5))
+    with pytest.raises(aj.InvalidInputError, match="posture is for arms with more joints than"):
+        TrackingController(aj.PoseTask(ur5), posture=np.zeros(6))
+
+
+def test_wrappers_take_it_or_say_why_not(panda_law):
+    with pytest.raises(aj.InvalidInputError, match=r"controls the measured x, got Tracking.* pred"):
+        aj.HeldMeasurement(panda_law, 0.05)
+    with pytest.raises(aj.InvalidInputError, match=r"controls the measured x, got TorqueL.* pred"):
+        aj.HeldMeasurement(aj.TorqueLimited(panda_law), 0.05)
+    with pytest.raises(aj.InvalidInputError, match="dt must be that of the controller inside"):
+        aj.TorqueLimited(panda_law, dt=2e-3)
+    with pytest.raises(aj.InvalidInputError, match="alpha must be None for a TrackingController"):
+        aj.TorqueLimited(panda_law, alpha=1.0)
+    velocity = TrackingController(panda_law.task, command="velocity")
+    with pytest.raises(aj.InvalidInputError, match=r'must command torques .*"velocity"'):
+        aj.TorqueLimited(velocity)
+
+
+def test_another_dt_is_refused(panda_law):
+    q = STARTS["panda"]
+    measurement = measured(panda_law.task, q)
+    state = panda_law.initial_state(measurement)
+    with pytest.raises(aj.InvalidInputError, match=r"dt must be that of the controller, 0.001 \[s"):
+        panda_law.step(state, measurement, measurement.x, 2e-3)
+
+
+def test_the_belief_can_be_changed_where_it_is_not_given(panda_law, panda):
+    other = aj.PositionTask(panda.with_object(0.1, 0.2))
+    changed = panda_law.with_task(other)
+    assert changed.dynamics.robot is other.robot
+    assert changed.kinematics.task is other
+    given = TrackingController(panda_law.task, dynamics=ModelDynamics(panda))
+    with pytest.raises(aj.InvalidInputError, match="dynamics must be left to the controller"):
+        given.with_task(other)
+
+
+def test_it_is_copied_with_memory_of_its_own(panda_law):
+    other = copy.deepcopy(panda_law)
+    assert other.dynamics is not panda_law.dynamics
+    measurement = measured(panda_law.task, STARTS["panda"])
+    state = panda_law.initial_state(measurement)
+    _, one = panda_law.step(state, measurement, measurement.x + 0.1, 1e-3)
+    _, two = other.step(state, measurement, measurement.x + 0.1, 1e-3)
+    assert_array_equal(one.torque, two.torque)
+    assert_array_equal(panda_law.learnt(state), panda_law.dynamics.initial_state())
+
+
+# -- the gain ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "xarm7", "so101", "two_link"])
+@pytest.mark.parametrize("dt", [1e-3, 8e-3])
+def test_the_gain_is_stable_in_samples_for_an_arm_without_rotors(name, dt):
+    """κ dt λ_max(M⁻¹M̂) ≤ 0.5, although drives are assumed that the URDF does not have."""
+    robot = aj.load_robot(name)
+    controller = TrackingController(aj.PositionTask(robot), dt=dt)
+    rng, most = np.random.default_rng(1), 0.0
+    for _ in range(20):
+        M = Dynamics(robot).M(robot.random_configuration(rng))
+        ratio = np.linalg.eigvals(np.linalg.solve(M, M + np.diag(controller._added))).real.max()
+        most = max(most, controller.kappa * dt * ratio)
+    assert most <= 0.55
+    if name == "panda" and dt == 1e-3:
+        assert controller.kappa == 60.0
+        assert (controller._added > 0.01).all()
+
+
+def test_told_rotors_are_in_the_gain_and_in_what_is_learnt(panda):
+    controller = TrackingController(
+        aj.PositionTask(panda), dynamics=AdaptiveDynamics(panda, rotor_inertia=0.1)
+    )
+    assert_array_equal(controller._added, 0.0)
+    q = STARTS["panda"]
+    assert_allclose(np.diag(controller.dynamics.M(q) - Dynamics(panda).M(q)), 0.1)
+    regressor = controller.dynamics.regressor
+    rotors = controller.dynamics.initial_state()[regressor.links : regressor.links + 7]
+    assert_array_equal(rotors, 0.1)
+
+
+def test_what_is_learnt_stays_within_bounds(panda, rng):
+    dynamics = AdaptiveDynamics(panda, gain=1e6)
+    a, q = dynamics.initial_state(), STARTS["panda"]
+    for _ in range(50):
+        a, torque = dynamics.step(a, q, *rng.normal(size=(3, 7)), 1e-3)
+        assert np.isfinite(torque).all()
+    links = dynamics.regressor.links
+    assert (np.abs(a - dynamics.initial_state()) <= 20.0 * dynamics.sd + 1e-12).all()
+    assert (a[links : links + 21] >= 0.0).all()
+    assert_allclose(dynamics.sd[:10], [0.505, *[0.111] * 3, *[0.0244] * 6], rtol=0.02)

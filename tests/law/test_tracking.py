@@ -1,0 +1,119 @@
+"""Law T's equations: each against the derivative of what it is the derivative of."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from approxjac import law
+
+
+def rate_of(function, h=1e-6):
+    """Central difference of a function of time at 0."""
+    return (np.asarray(function(h)) - np.asarray(function(-h))) / (2.0 * h)
+
+
+@pytest.mark.parametrize("speed", [0.5, np.array([0.1, 1.0, np.inf])])
+@pytest.mark.parametrize("size", [1e-9, 0.01, 1.0, 100.0])
+def test_the_saturated_error_is_bounded_and_has_its_rate(rng, speed, size):
+    z, z_dot = size * rng.normal(size=3), rng.normal(size=3)
+    s = law.saturated(z, 4.0, speed)
+    assert (np.abs(4.0 * s) <= speed).all()
+    if size < 1e-6:
+        assert_allclose(s, z, rtol=1e-9)
+    assert s @ z == pytest.approx(np.linalg.norm(s) * np.linalg.norm(z))  # along z
+    expected = rate_of(lambda t: law.saturated(z + t * z_dot, 4.0, speed))
+    assert_allclose(law.saturated_rate(z, z_dot, 4.0, speed), expected, atol=1e-8)
+
+
+def motion(rng, m, n, singular=None):
+    """Ĵ(t), u(t), n₀(t) that are smooth, and near-singular at t = 0 if asked for."""
+    J0, J1, J2 = rng.normal(size=(3, m, n))
+    if singular is not None:
+        U, values, V = np.linalg.svd(J0, full_matrices=False)
+        values[-1] = singular * values[0]
+        J0 = (U * values) @ V
+    u0, u1, n0, n1 = (rng.normal(size=k) for k in (m, m, n, n))
+    return (
+        lambda t: J0 + t * J1 + t * t * J2,
+        lambda t: u0 + t * u1,
+        lambda t: n0 + t * n1,
+        J1, u1, n1,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (2, 2), (2, 5), (3, 6), (3, 7), (6, 7)])
+@pytest.mark.parametrize("singular", [None, 0.03, 0.01, 1e-4])
+def test_the_reference_acceleration_is_the_derivative_of_the_reference_velocity(
+    rng, shape, singular
+):
+    """Damped as well; the singular ratio is 0.05."""
+    J, u, null, J_dot, u_dot, null_dot = motion(rng, *shape, singular)
+    arguments = {"singular_ratio": 0.05, "scale": 0.01}
+
+    def velocity(t):
+        zeros = np.zeros_like(u_dot), null(t), np.zeros_like(null_dot)
+        return law.reference(J(t), np.zeros(shape), u(t), *zeros, **arguments)[0]
+
+    v, a, damped = law.reference(J(0), J_dot, u(0), u_dot, null(0), null_dot, **arguments)
+    if shape[0] > 1:  # of one row the scale decides
+        assert (damped > 0.0) == (singular is not None)
+    expected = rate_of(velocity)
+    assert_allclose(a, expected, atol=2e-6 * max(1.0, np.abs(expected).max()))
+    if damped == 0.0:
+        assert_allclose(J(0) @ v, u(0), atol=1e-10)
+        assert_allclose(J_dot @ v + J(0) @ a, u_dot, atol=1e-9)
+
+
+def test_damping_by_the_scale_has_its_rate_too(rng):
+    """Where all singular values are small at once, the threshold is a constant."""
+    J, u, null, J_dot, u_dot, null_dot = motion(rng, 3, 7)
+    few = {"singular_ratio": 0.05, "scale": 300.0}
+
+    def velocity(t):
+        return law.reference(J(t), J_dot, u(t), u_dot, null(t), null_dot, **few)[0]
+
+    _, a, damped = law.reference(J(0), J_dot, u(0), u_dot, null(0), null_dot, **few)
+    assert damped > 0.0
+    assert_allclose(a, rate_of(velocity), rtol=1e-5, atol=1e-6)
+
+
+def test_a_jacobian_of_zeros_leaves_the_self_motion():
+    null = np.arange(4.0)
+    zeros = np.zeros((2, 4)), np.zeros((2, 4)), np.ones(2), np.zeros(2), null, np.zeros(4)
+    v, a, _ = law.reference(*zeros)
+    assert_allclose(v, null)
+    assert_allclose(a, 0.0)
+
+
+def test_speeds_are_brought_within_their_limits_as_a_whole(rng):
+    v0, v1 = rng.normal(size=(2, 5))
+    fastest = np.array([0.5, np.inf, 2.0, 0.3, 1.0])
+    v, a = law.within_speeds(v0, v1, fastest)
+    assert (np.abs(v) <= fastest * (1.0 + 1e-12)).all()
+    assert_allclose(np.cross(v[:3], v0[:3]), 0.0, atol=1e-15)
+    expected = rate_of(lambda t: law.within_speeds(v0 + t * v1, v1, fastest)[0])
+    assert_allclose(a, expected, atol=1e-8)
+    slow, slowly = law.within_speeds(0.1 * fastest[[0, 2]], v1[:2], fastest[[0, 2]])
+    assert_allclose(slow, 0.1 * fastest[[0, 2]])
+    assert_allclose(slowly, v1[:2])
+
+
+def test_v2_falls_by_what_the_gain_dissipates(rng):
+    """V̇₂ = −κσᵀM̂σ for Mσ̇ = −Cσ − κM̂σ + Y_d(â − a), Ṁ − 2C skew, â' = −ΓY_dᵀσ."""
+    n, p, kappa = 4, 6, 3.0
+    sigma, a_error, Y = rng.normal(size=n), rng.normal(size=p), rng.normal(size=(n, p))
+    gamma, skew = rng.uniform(0.1, 2.0, p), rng.normal(size=(n, n))
+    M, M_hat = (root @ root.T + np.eye(n) for root in rng.normal(size=(2, n, n)))
+    M_dot = rng.normal(size=(n, n))
+    M_dot = M_dot + M_dot.T
+    C = 0.5 * (M_dot + skew - skew.T)
+    torque = law.tracking_torque(-Y @ a_error, kappa, M_hat, sigma)  # Y_d(â − a), less the motion's
+    sigma_dot = np.linalg.solve(M, torque - C @ sigma)
+    a_rate = law.dynamics_rate(gamma, Y, sigma)
+
+    def V(t):
+        return law.tracking_potential(
+            sigma + t * sigma_dot, M + t * M_dot, a_error - t * a_rate, gamma
+        )
+
+    assert_allclose(rate_of(V), -kappa * sigma @ M_hat @ sigma, rtol=1e-7)
