@@ -48,7 +48,7 @@ def told(call, namespace):
     """Return the name and the text of the error that a call raises, as they stand in the file."""
     try:
         answer = eval(call, dict(namespace))
-    except aj.ApproxJacError as error:
+    except aj.errors.ApproxJacError as error:
         return f"{type(error).__name__}: {error}"
     raise AssertionError(f"{call} raised nothing, and returned {answer!r}")
 

@@ -234,7 +234,7 @@ def checked(controller, state, measurement, target):
     """Return the answer of a step, looked at; None where it is refused with a named error."""
     try:
         after, answer = controller.step(state, measurement, target, 1e-3)
-    except aj.ApproxJacError as error:
+    except aj.errors.ApproxJacError as error:
         assert len(str(error)) > 20  # noqa: PT017
         return None
     assert answer.torque.shape == (controller.task.robot.nv,)
@@ -388,7 +388,7 @@ def test_wrong_types_and_shapes_are_named_errors(controller, data):
     for name in data.draw(st.lists(names, min_size=1, max_size=2)):
         good[name] = data.draw(junk(sizes[name]))
     measurement = aj.Measurement(0.0, good["q"], good["v"], good["x"])
-    with pytest.raises(aj.ApproxJacError, match="must be"):
+    with pytest.raises(aj.errors.ApproxJacError, match="must be"):
         controller.step(good["state"], measurement, good["target"], 1e-3)
 
 
@@ -398,9 +398,9 @@ def test_what_is_no_measurement_is_a_named_error(controller, data):
     size = data.draw(st.integers(0, 5))
     measurement = data.draw(st.one_of(junk(4), st.tuples(*[junk(7)] * size)))
     target = controller.task.value(controller.task.robot.neutral())
-    with pytest.raises(aj.ApproxJacError, match="must be"):
+    with pytest.raises(aj.errors.ApproxJacError, match="must be"):
         controller.step(np.zeros(n_state(controller)), measurement, target, 1e-3)
-    with pytest.raises(aj.ApproxJacError, match="must be"):
+    with pytest.raises(aj.errors.ApproxJacError, match="must be"):
         controller.initial_state(measurement)
 
 
@@ -440,7 +440,7 @@ class Corrupted(aj.Controller):
         target = told.pop("target")
         try:
             state, answer = self.controller.step(state, aj.Measurement(**told), target, dt)
-        except aj.ApproxJacError:
+        except aj.errors.ApproxJacError:
             assert absurd
             self.refused += 1
             lost = np.full(self.controller.task.m, np.nan)
@@ -604,7 +604,7 @@ def test_odd_arguments_are_taken_or_named_errors(build, name):
             continue  # what a user's function raises is the user's
         try:
             build(**{name: odd})
-        except aj.ApproxJacError as error:
+        except aj.errors.ApproxJacError as error:
             assert len(str(error)) > 20  # noqa: PT017
             refused += 1
     assert refused > len(ODD) // 2

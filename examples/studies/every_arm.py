@@ -56,7 +56,7 @@ def run_case(case):
             .build()
             .run()
         )
-    except aj.ApproxJacError as error:
+    except aj.errors.ApproxJacError as error:
         return Outcome(case, reason=f"{error}")
     norm = result.run.error_norm
     return Outcome(

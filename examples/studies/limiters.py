@@ -143,7 +143,7 @@ def run_limiter(case, name, built, controller):
     tally = Tally(np.asarray(built.limits.effort))
     try:
         result = replace(built, controller=controller).run(observer=tally)
-    except aj.ApproxJacError as error:
+    except aj.errors.ApproxJacError as error:
         return Outcome(case, name, reason=f"{error}")
     run = result.run
     plant = aj.Plant(built.plant.robot, built.plant.sensor)

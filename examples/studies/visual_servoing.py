@@ -147,7 +147,7 @@ def run_case(case):
     """Run one case at 1 kHz, with motors that saturate; what cannot run is an outcome too."""
     try:
         result = built(case).run()
-    except aj.ApproxJacError as error:
+    except aj.errors.ApproxJacError as error:
         return Outcome(case, reason=f"{error}")
     run, sensor = result.run, result.built.plant.sensor
     unseen = np.array([not sees(sensor, q) for q in run.q])

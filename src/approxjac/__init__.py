@@ -26,7 +26,7 @@ from approxjac.controllers import (
     TrackingController,
     default_gains,
 )
-from approxjac.errors import ApproxJacError, InvalidInputError
+from approxjac.errors import InvalidInputError
 from approxjac.interface import (
     Controller,
     Evaluation,
@@ -69,7 +69,6 @@ _MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of furt
 __all__ = [
     "AdaptiveGravity",
     "AdaptiveKinematics",
-    "ApproxJacError",
     "Circle",
     "Controller",
     "Evaluation",

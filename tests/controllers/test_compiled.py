@@ -279,7 +279,7 @@ def test_what_is_wrong_is_refused_with_the_same_words(panda, rng):
             (state, None, target),
             (state, (good.q, good.v, good.x), target),
         ):
-            with pytest.raises(aj.ApproxJacError) as expected:
+            with pytest.raises(aj.errors.ApproxJacError) as expected:
                 plain.evaluate(*arguments)
             with pytest.raises(type(expected.value)) as refused:
                 ours.evaluate(*arguments)

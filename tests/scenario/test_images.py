@@ -193,6 +193,6 @@ AWAY = {"position": (-1.0, 0.0, 1.5), "looking_at": (-2.0, 0.0, 1.5)}
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(robot, parts, text):
-    with pytest.raises(aj.ApproxJacError, match=text) as caught:
+    with pytest.raises(aj.errors.ApproxJacError, match=text) as caught:
         camera(robot, **parts).build()
     assert "\n" not in str(caught.value)

@@ -242,7 +242,7 @@ def test_joints_that_touched_their_stops_are_reported():
     ],
 )
 def test_what_does_not_fit_is_refused(parts, text):
-    with pytest.raises(aj.ApproxJacError, match=text) as caught:
+    with pytest.raises(aj.errors.ApproxJacError, match=text) as caught:
         reach(**parts).build()
     assert "\n" not in str(caught.value)
 

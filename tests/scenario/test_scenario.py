@@ -102,6 +102,6 @@ def test_the_examples_are_built(path):
     ],
 )
 def test_what_is_wrong_is_told_by_its_key(given, text):
-    with pytest.raises(aj.ApproxJacError, match=text) as caught:
+    with pytest.raises(aj.errors.ApproxJacError, match=text) as caught:
         Scenario("panda", **given) if "tru" not in given else Scenario("panda").with_values(given)
     assert "\n" not in str(caught.value)

@@ -118,5 +118,5 @@ def test_it_repeats_bit_by_bit_and_progress_grows_to_one(controller, tools, box)
     ],
 )
 def test_refused(controller, tools, box, names, x, text):
-    with pytest.raises(aj.ApproxJacError, match=text):
+    with pytest.raises(aj.errors.ApproxJacError, match=text):
         stability_map(controller, tools, box, names=names, x=x, y=(1.0, 2.0))

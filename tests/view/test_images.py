@@ -126,5 +126,5 @@ def test_bad_views_are_refused(sensor):
         view.plot_camera_view(sensor.camera, HOME)
     with pytest.raises(aj.InvalidInputError, match="believed must be an ImageTask of the believed"):
         view.plot_camera_view(sensor, HOME, believed=sensor.camera)
-    with pytest.raises(aj.ApproxJacError, match="q must have shape"):
+    with pytest.raises(aj.errors.ApproxJacError, match="q must have shape"):
         view.plot_camera_view(sensor, HOME[:3])

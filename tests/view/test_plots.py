@@ -85,7 +85,9 @@ def test_pictures_are_written_and_repeat_to_the_byte(run, tmp_path):
 def test_bad_paths_are_refused(run):
     robot = aj.load_robot("two_link")
     for plane in ("ab", "x", "xyz"):
-        with pytest.raises(aj.ApproxJacError, match=r"plane must name two world axes|not in plane"):
+        with pytest.raises(
+            aj.errors.ApproxJacError, match=r"plane must name two world axes|not in plane"
+        ):
             view.plot_path(run, robot, plane=plane)
     with pytest.raises(aj.InvalidInputError, match=r"q_target must have shape \(2,\)"):
         view.plot_path(run, robot, q_target=(1.0, 2.0, 3.0))

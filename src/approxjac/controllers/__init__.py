@@ -26,6 +26,7 @@ from approxjac.controllers.limits import Limits
 from approxjac.controllers.measurement_hold import HeldMeasurement
 from approxjac.controllers.posture import AwayFromStops, Posture
 from approxjac.controllers.predicted import Kinematics, Prediction
+from approxjac.controllers.predicted_measurement import PredictedMeasurement
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
@@ -60,6 +61,7 @@ __all__ = [
     "MotionDynamics",
     "NoGravity",
     "Posture",
+    "PredictedMeasurement",
     "Prediction",
     "ProvenLaw",
     "RegressorGravity",

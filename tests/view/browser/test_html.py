@@ -150,7 +150,7 @@ def test_without_meshcat_it_says_what_to_install(run, monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == "meshcat"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "meshcat", None)
-    with pytest.raises(aj.ApproxJacError, match=r"pip install 'approxjac\[view\]'"):
+    with pytest.raises(aj.errors.ApproxJacError, match=r"pip install 'approxjac\[view\]'"):
         page(run)
 
 

@@ -1,0 +1,154 @@
+"""`PredictedMeasurement`: a set-point law on the x̂ that kinematics predict, and learn from x."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+import numpy as np
+
+from approxjac.controllers.predicted import Kinematics
+from approxjac.controllers.wrapper import ControllerWrapper, with_task
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
+from approxjac.robots import Robot
+from approxjac.tasks import Task
+from approxjac.validation import Array, require
+
+_OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
+
+
+class PredictedMeasurement(ControllerWrapper):
+    """A set-point law that controls what is predicted, while the kinematics learn from x.
+
+    The law gets the predicted error z and its exact Jacobian Ĵ in place of the measured x and the
+    believed Jacobian: for it J = Ĵ, so p = 0 of the paper's Theorem 1, whatever the true arm is.
+    With kinematics whose estimates move by θ̂' ∈ L², as those of Theorem A do, s(z) and q̇ go to
+    zero, and e with z: docs/theory.md. Noise, delay and frames of the sensor are outside the loop.
+
+    Its state is that of the controller, followed by that of the kinematics.
+
+    Args:
+        controller: A `SetpointController`, or `TorqueLimited` and the like around one. Its gains,
+            and what gravity it learns, stay.
+        kinematics: What predicts, such as `AdaptiveKinematics`, of the controller's task.
+
+    Attributes:
+        controller: The controller, whose task has Ĵ as a part of its value.
+        kinematics: What predicts.
+
+    Raises:
+        InvalidInputError: Another controller, or kinematics of another task.
+    """
+
+    def __init__(self, controller: Controller, kinematics: Kinematics) -> None:
+        self._remember(locals())
+        require("kinematics", kinematics, Kinematics, "AdaptiveKinematics(task)")
+        require("controller", controller, Controller, "a controller such as SetpointController")
+        task = kinematics.task
+        if controller.task.labels != task.labels or controller.task.robot is not task.robot:
+            raise InvalidInputError(
+                f"kinematics must be of the controller's task {controller.task!r}, got "
+                f"{kinematics!r}",
+                given=kinematics,
+            )
+        self.controller = with_task(controller, _WithJacobian(task))
+        self.kinematics = kinematics
+        self._task = task
+        self._memory = kinematics.n_state
+
+    @property
+    def task(self) -> Task:
+        """The task of the believed robot."""
+        return self._task
+
+    def with_task(self, task: Task) -> Self:
+        """Refuse another task: kinematics that have learnt are of the one that they were built for.
+
+        Raises:
+            InvalidInputError: Always.
+        """
+        raise InvalidInputError(
+            f"task must be {self._task!r}, which the kinematics are of; build a new controller for "
+            f"{task!r}",
+            given=task,
+        )
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step.
+
+        Raises:
+            InvalidInputError: A measurement of the wrong shapes.
+        """
+        known = self.kinematics.initial_state(measurement)
+        target = Target(np.zeros(self._task.n_x))
+        seen, _ = self._predicted(known, measurement, target)
+        return np.concatenate([self.controller.initial_state(seen), known])
+
+    def step(
+        self, state: Array, measurement: Measurement, target: Target | Array, dt: float
+    ) -> tuple[Array, Evaluation]:
+        """Return the state after a step, and the answer to what is predicted.
+
+        The answer's e is that of the measured x, NaN where that is lost.
+
+        Raises:
+            MeasurementError: As the controller.
+            InvalidInputError: As the controller.
+        """
+        inner, known = self._split(state)
+        target = target if isinstance(target, Target) else Target(target)
+        e = self._task.error(measurement.x, self._task.target(target.x))
+        seen, origin = self._predicted(known, measurement, target)
+        after, answer = self.controller.step(inner, seen, origin, dt)
+        known = self.kinematics.step(known, measurement, dt)
+        status = answer.status
+        if status is _OK and not math.isfinite(math.hypot(*e.tolist())):
+            status = _PREDICTED
+        return np.concatenate([after, known]), answer._replace(e=e, status=status)
+
+    def _predicted(
+        self, known: Array, measurement: Measurement, target: Target
+    ) -> tuple[Measurement, Target]:
+        """Return z and Ĵ as a measurement, and the target that it is to reach: none is left."""
+        t, q, v, *_ = measurement
+        ahead = self.kinematics.predict(known, q, v, target)
+        x = np.concatenate([ahead.z, ahead.J.ravel()])
+        moves = target.v is not None
+        return Measurement(t, q, v, x, t), Target(0.0 * x, ahead.feed if moves else None)
+
+    def __repr__(self) -> str:
+        return f"PredictedMeasurement({self.controller!r}, {self.kinematics!r})"
+
+
+class _WithJacobian(Task):
+    """A task with X = (its error, Ĵ row by row), so that a law takes the Ĵ that comes with x."""
+
+    _uses_x = True
+
+    def __init__(self, task: Task) -> None:
+        super().__init__(task.robot, task.labels, task.units, task.m * (1 + task.robot.nv))
+        self._plain = task
+
+    def value(self, q: Array) -> Array:
+        J = self._plain.jacobian(q)
+        return np.concatenate(
+            [self._plain.error(self._plain.value(q), self._plain._origin), J.ravel()]
+        )
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        if x is None:
+            return self._plain.jacobian(q)
+        return x[self.m :].reshape(self.m, -1)
+
+    def error(self, x: Array, x_d: Array) -> Array:
+        return np.asarray(x[: self.m] - x_d[: self.m])
+
+    def displaced(self, x: Array, e: Array) -> Array:
+        return np.concatenate([x[: self.m] + e, x[self.m :]])
+
+    def on(self, robot: Robot) -> Task:
+        return _WithJacobian(self._plain.on(robot))
+
+    def __repr__(self) -> str:
+        return repr(self._plain)

@@ -1,0 +1,101 @@
+"""A set-point law on the x̂ that kinematics predict and learn."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.controllers import KnownKinematics, PredictedMeasurement
+from approxjac.errors import InvalidInputError
+from approxjac.simulation import Sensing
+from approxjac.tasks import TrackerTask
+
+HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+
+
+def tracker_far_off(panda, **sensing):
+    """A Panda with a 20 cm tool that a tracker looks at, turned by 100° and moved."""
+    truth = panda.with_object(0.2, 1.0, axis="x").with_kinematic_error(
+        {"panda_joint4": [0.02, 0.01, -0.02], "panda_joint2": [0.0, 0.02, 0.02]}
+    )
+    sensor = TrackerTask(truth, (0.0, 0.1, np.radians(100.0)), (0.3, -0.2, 0.1))
+    noisy = {"x_noise": 1e-3, "x_rate": 60.0, "x_delay": 0.03} | sensing
+    return aj.Plant(truth, sensor, sensing=Sensing(**noisy), torque_limits=truth.effort_limits)
+
+
+def controller_of(panda, wrapped=lambda law: law):
+    task = aj.PositionTask(panda)
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(panda))
+    return PredictedMeasurement(wrapped(law), aj.AdaptiveKinematics(task, noise=1e-3, delay=0.03))
+
+
+def run(plant, controller, duration, **options):
+    x_d = plant.sensor.value(HOME) + [0.1, -0.1, 0.1]
+    return aj.simulate(
+        plant, controller, x_d, HOME, duration, dt=1e-3, record_every=0.01,
+        integrator="semi_implicit_euler", **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("axes", ["xyz", "xz"])
+def test_with_known_kinematics_it_is_the_law_itself(panda, rng, axes):
+    """With x as the believed arm would measure it, at rest and on a path."""
+    task = aj.PositionTask(panda, axes=axes)
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(panda))
+    predicted = PredictedMeasurement(law, KnownKinematics(task))
+    for moves in (False, True):
+        q, v = panda.random_configuration(rng), rng.uniform(-0.5, 0.5, 7)
+        measurement = aj.Measurement(0.0, q, v, task.value(q))
+        target = aj.Target(task.value(q) + 0.1, rng.normal(size=task.m) if moves else None)
+        state = law.initial_state(measurement)
+        after, wanted = law.step(state, measurement, target, 1e-3)
+        found_state, found = predicted.step(state, measurement, target, 1e-3)
+        assert_allclose(
+            found.torque, wanted.torque, rtol=0, atol=1e-12 * np.abs(wanted.torque).max()
+        )
+        assert_allclose(found_state, after, atol=1e-12)
+        assert_allclose(found.e, wanted.e, atol=1e-15)
+
+
+def test_a_set_point_is_reached_although_the_believed_jacobian_points_elsewhere(panda):
+    """By 100° of the tracker, with a tool and origins that are wrong, too."""
+    plant = tracker_far_off(panda)
+    reached = run(plant, controller_of(panda), 3.0)
+    last = reached.error_norm[reached.t > 2.0]
+    assert np.sqrt(np.mean(last**2)) < 2e-3
+    assert reached.error_norm.max() < 2.0 * reached.error_norm[0]
+
+
+def test_within_limits_and_without_x(panda):
+    """The torque stays within limits; where x is lost, x̂ goes on."""
+    plant = tracker_far_off(panda, x_lost=((1.5, 2.5),))
+    limited = controller_of(panda, lambda law: aj.TorqueLimited(law))
+    reached = run(plant, limited, 3.0)
+    assert (np.abs(reached.tau) <= plant.robot.effort_limits * (1.0 + 1e-9)).all()
+    blind = (reached.t > 1.6) & (reached.t < 2.4)
+    assert reached.error_norm[blind].max() < 5e-3
+    assert set(reached.status[blind]) == {aj.Status.PREDICTED}
+    assert (np.abs(reached.v) <= 1.05 * panda.velocity_limits).all()
+
+
+def test_the_measured_x_moves_nothing_at_once(panda):
+    """It teaches the kinematics, for the steps to come: noise is outside the loop."""
+    controller = controller_of(panda)
+    measurement = aj.Measurement(0.0, HOME, np.zeros(7), np.array([0.3, 0.2, 0.5]), 0.0)
+    state = controller.initial_state(measurement)
+    target = np.array([0.4, 0.2, 0.5])
+    first, a = controller.step(state, measurement, target, 1e-3)
+    other, b = controller.step(state, measurement._replace(x=measurement.x + 0.01), target, 1e-3)
+    assert np.array_equal(a.torque, b.torque)
+    assert not np.array_equal(first, other)
+
+
+def test_what_does_not_fit_is_refused(panda, two_link):
+    task = aj.PositionTask(panda)
+    law = aj.SetpointController(task)
+    with pytest.raises(InvalidInputError, match="kinematics must be of the controller's task"):
+        PredictedMeasurement(law, KnownKinematics(aj.PositionTask(two_link)))
+    with pytest.raises(InvalidInputError, match="must be AdaptiveKinematics"):
+        PredictedMeasurement(law, None)
+    with pytest.raises(InvalidInputError, match="build a new controller"):
+        PredictedMeasurement(law, KnownKinematics(task)).with_task(task)
