@@ -160,7 +160,7 @@ def test_prediction_has_exact_derivatives(turned_run):
     rng = np.random.default_rng(3)
     state = run.state + 0.0
     at = kinematics._at
-    state[at["u_dot"]] = 0.1 * rng.standard_normal(kinematics._n_u)
+    state[at["u_dot"]] = 0.1 * rng.standard_normal(len(kinematics._unknowns.Theta) - 3)
     state[at["b_dot"]], state[at["spin"]] = 0.1 * rng.standard_normal((2, 3))
     q, v = run.q, rng.standard_normal(7)
     x, x_dot, x_ddot = rng.standard_normal((3, 3))
@@ -216,7 +216,7 @@ def test_a_tracker_that_was_moved_is_learnt_anew(belief, truth):
     def look(t, q, v, state, target):
         if t > 4.0:
             at = kinematics._at
-            p = kinematics.regressor.Y(q) @ (kinematics._S @ state[at["u"]])
+            p = kinematics.regressor.Y(q) @ (kinematics._unknowns.S @ state[at["u"]])
             predicted = state[at["R"]].reshape(3, 3) @ p + state[at["b"]]
             true = R @ aj.PositionTask(truth, axes="xyz").value(q) + [0.4, -0.25, 0.15]
             seen.append(np.linalg.norm(predicted - true))

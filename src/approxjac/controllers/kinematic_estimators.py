@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers.kinematic_unknowns import Unknowns
 from approxjac.validation import Array
 
 _ODDS = 8.0  # of another rotation against the one at hand, as a logarithm, before it is taken
@@ -14,39 +15,34 @@ _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to
 
 
 class Estimate(NamedTuple):
-    """What is estimated of x = R p(u) + b.
+    """What is estimated of x = R(o + HΘ).
 
     Attributes:
-        u: Translations, and the scale if that is unknown, shape (n_u,) [m].
+        Theta: Translations, scale and offset in the base's axes, shape (P,).
         R: Rotation of the base's axes in the sensor's, (d, d).
-        b: Offset, shape (d,) [m].
     """
 
-    u: Array
+    Theta: Array
     R: Array
-    b: Array
 
 
 class KnownCamera:
-    """x = o + HΘ, Θ = (u, b): recursive least squares with forgetting towards the prior.
+    """Rᵀx = o + HΘ with R known: recursive least squares with forgetting towards the prior.
 
     Theorem A. Its numbers: Λ, Θ̂.
 
     Args:
-        u_0: Believed u, shape (n_u,).
-        sd_u: Their standard deviations, shape (n_u,).
-        d: Number of offsets b, 0 where that is known.
-        sd_b: Of each offset [m].
+        unknowns: What may be wrong.
         noise: Of x [m].
     """
 
-    def __init__(self, u_0: Array, sd_u: Array, d: int, sd_b: float, noise: float) -> None:
-        self.n_u, self.P = len(u_0), len(u_0) + d
-        self.prior = np.diag(np.concatenate([sd_u, np.full(d, sd_b)]) ** -2.0)
-        self._first = np.concatenate([u_0, np.zeros(d)])
+    def __init__(self, unknowns: Unknowns, noise: float) -> None:
+        self._first, self._R = unknowns.Theta, unknowns.R
+        self._n_u, self._P = unknowns.n_u, len(unknowns.Theta)
+        self._is_turned = not np.array_equal(self._R, np.eye(len(self._R)))
+        self.prior = np.diag(unknowns.sd_Theta**-2.0)
         self._weight = noise**-2.0
-        self.size = self.P * self.P + self.P
-        self._d = d
+        self.size = self._P * (self._P + 1)
 
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
@@ -54,7 +50,7 @@ class KnownCamera:
 
     def renewed(self, numbers: Array) -> Array:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""
-        return np.concatenate([self.prior.ravel(), numbers[-self.P :]])
+        return np.concatenate([self.prior.ravel(), numbers[-self._P :]])
 
     def learn(
         self, numbers: Array, H: Array, o: Array, x: Array, share: float, is_due: bool
@@ -69,7 +65,9 @@ class KnownCamera:
             share: λT, to be forgotten.
             is_due: Not used: every frame is learnt from at once.
         """
-        P = self.P
+        P = self._P
+        if self._is_turned:
+            x = x.reshape(-1, len(self._R)).dot(self._R).ravel()
         Lambda = numbers[: P * P].reshape(P, P)
         Lambda = law.forgotten_information(Lambda, self.prior, share)
         Theta = numbers[P * P :]
@@ -80,13 +78,16 @@ class KnownCamera:
 
     def estimate(self, numbers: Array) -> Estimate:
         """Return what is estimated."""
-        Theta = numbers[-self.P :]
-        return Estimate(Theta[: self.n_u].copy(), np.eye(self._d), Theta[self.n_u :])
+        return Estimate(numbers[-self._P :].copy(), self._R)
 
     def covariance(self, numbers: Array) -> Array:
         """Return the covariance of (u, b), shape (P, P)."""
-        P = self.P
-        return np.asarray(np.linalg.inv(numbers[: P * P].reshape(P, P)), dtype=np.float64)
+        P, n = self._P, self._n_u
+        covariance = np.asarray(np.linalg.inv(numbers[: P * P].reshape(P, P)), dtype=np.float64)
+        if self._is_turned and n < P:
+            covariance[n:] = self._R.dot(covariance[n:])
+            covariance[:, n:] = covariance[:, n:].dot(self._R.T)
+        return covariance
 
 
 class UnknownCamera:
@@ -102,36 +103,30 @@ class UnknownCamera:
     about what is estimated now, which leaves the estimate where it is, as in Theorem A.
 
     Args:
-        u_0: Believed u, shape (n_u,).
-        sd_u: Their standard deviations, shape (n_u,).
-        d: Dimensions, 2 or 3.
-        sd_b: Standard deviation of the offset b = R c, along each axis [m].
-        sd_R: Of the rotation [rad].
+        unknowns: What may be wrong.
         noise: Of x [m].
     """
 
-    def __init__(
-        self, u_0: Array, sd_u: Array, d: int, sd_b: float, sd_R: float, noise: float
-    ) -> None:
-        self.n_u, self.P, self.d = len(u_0), len(u_0) + d, d
-        self._u_0 = u_0
-        self.prior = np.diag(np.concatenate([sd_u, np.full(d, sd_b)]) ** -2.0)
-        self._sd_R, self._weight = sd_R, noise**-2.0
-        P, dd = self.P, d * d
+    def __init__(self, unknowns: Unknowns, noise: float) -> None:
+        self._n_u, self._P, self._d = unknowns.n_u, len(unknowns.Theta), unknowns.d
+        self._first, self._R = unknowns.Theta, unknowns.R
+        self.prior = np.diag(unknowns.sd_Theta**-2.0)
+        self._sd_R, self._weight = unknowns.sd_R, noise**-2.0
+        P, dd = self._P, self._d**2
         sizes = [P * P, P, P * dd, dd, P, dd]
-        self._ends = np.cumsum(sizes)[:-1]
         self.size = sum(sizes)
-        self._everywhere = law.rotations_everywhere(d).reshape(-1, dd)
+        ends = np.cumsum(sizes).tolist()
+        self._parts = [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
+        self._everywhere = law.rotations_everywhere(self._d).reshape(-1, dd)
 
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
-        Theta = np.concatenate([self._u_0, np.zeros(self.d)])
-        return self._about(Theta, np.eye(self.d))
+        return self._about(self._first, self._R.T)
 
     def renewed(self, numbers: Array) -> Array:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""
-        *_, Theta, A = np.split(numbers, self._ends)
-        return self._about(Theta, A.reshape(self.d, self.d))
+        *_, Theta, A = self._split(numbers)
+        return self._about(Theta, A.reshape(self._d, self._d))
 
     def learn(
         self, numbers: Array, H: Array, o: Array, x: Array, share: float, is_due: bool
@@ -146,11 +141,11 @@ class UnknownCamera:
             share: λT, to be forgotten.
             is_due: Whether to say what follows for the estimates, or to remember the frame only.
         """
-        d, P, W = self.d, self.P, self._weight
+        d, P, W = self._d, self._P, self._weight
         if share > 0.0:
-            *_, Theta, A = np.split(numbers, self._ends)
+            *_, Theta, A = self._split(numbers)
             numbers = numbers + share * (self._about(Theta, A.reshape(d, d)) - numbers)
-        N, a, B, E, Theta, w = np.split(numbers, self._ends)
+        N, a, B, E, Theta, w = self._split(numbers)
         HW = W * H.T
         N = N.reshape(P, P) + HW.dot(H)
         a = a - HW.dot(o)
@@ -166,17 +161,16 @@ class UnknownCamera:
 
     def estimate(self, numbers: Array) -> Estimate:
         """Return what is estimated."""
-        d = self.d
-        Theta, A = numbers[-self.P - d * d : -d * d], numbers[-d * d :].reshape(d, d)
-        return Estimate(Theta[: self.n_u].copy(), A.T, A.T.dot(Theta[self.n_u :]))
+        *_, Theta, A = self._split(numbers)
+        return Estimate(Theta.copy(), A.reshape(self._d, self._d).T)
 
     def covariance(self, numbers: Array) -> Array:
         """Return the covariance of (u, b, φ), φ the rotation R ← exp([φ]ₓ)R, (P + 1 or 3) squared.
 
         That of the least squares: rotation first, all else given the rotation.
         """
-        d, P = self.d, self.P
-        N, a, B, E, Theta, A = np.split(numbers, self._ends)
+        d, P = self._d, self._P
+        N, a, B, E, Theta, A = self._split(numbers)
         A = A.reshape(d, d)
         solved, M, h = _reduced(N.reshape(P, P), a, B.reshape(P, -1), E)
         known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
@@ -188,12 +182,16 @@ class UnknownCamera:
         joint = joint.dot(np.concatenate([follows, np.eye(len(G))]).T)
         joint[:P, :P] += np.linalg.inv(N.reshape(P, P))
         # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
-        c, R = Theta[self.n_u :], A.T
+        c, R = Theta[self._n_u :], A.T
         T = np.eye(P + len(G))
-        T[self.n_u : P, self.n_u : P] = R
-        T[self.n_u : P, P:] = -R.dot((G @ c).T)
+        T[self._n_u : P, self._n_u : P] = R
+        T[self._n_u : P, P:] = -R.dot((G @ c).T)
         T[P:, P:] = -R if d == 3 else -1.0
         return np.asarray(T.dot(joint).dot(T.T))
+
+    def _split(self, numbers: Array) -> list[Array]:
+        """Return N, a, B, E, the estimates Θ and A, flat."""
+        return [numbers[part] for part in self._parts]
 
     def _rotation(self, M: Array, h: Array, A: Array) -> Array:
         """Return the best rotation near A, or one elsewhere that is better beyond doubt."""
@@ -201,7 +199,7 @@ class UnknownCamera:
         found = self._everywhere
         values = found.dot(h) + 0.5 * (found.dot(M) * found).sum(axis=1)
         start = found[int(np.argmax(values))]
-        if start.dot(near.ravel()) > _SAME * self.d:
+        if start.dot(near.ravel()) > _SAME * self._d:
             return near
         other = law.best_rotation(M, h, start.reshape(A.shape))
         better = law.explained(M, h, other) > law.explained(M, h, near) + _ODDS
@@ -209,10 +207,10 @@ class UnknownCamera:
 
     def _about(self, Theta: Array, A: Array) -> Array:
         """Return the sums of the prior alone, about these estimates."""
-        d, n = self.d, self.n_u
+        d, n = self._d, self._n_u
         a = np.concatenate([self.prior.diagonal()[:n] * Theta[:n], np.zeros(d)])
         b = A.T.dot(Theta[n:])
-        B = np.zeros((self.P, d, d))
+        B = np.zeros((self._P, d, d))
         B[n:] = np.eye(d)[:, :, np.newaxis] * (b * self.prior[-1, -1])
         E = (0.5 / self._sd_R**2) * A.ravel()
         return np.concatenate([self.prior.ravel(), a, B.ravel(), E, Theta, A.ravel()])

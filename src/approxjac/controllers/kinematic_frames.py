@@ -58,8 +58,8 @@ class Frames:
         head[-2:] = _LONG_AGO, self._count - 1
         return np.concatenate([head, ring.ravel()])
 
-    def remember(self, numbers: Array, measurement: Measurement) -> None:
-        """Write the configuration at hand into the ring, if it is time."""
+    def remember(self, numbers: Array, measurement: Measurement) -> bool:
+        """Write the configuration at hand into the ring, if it is time; return whether it was."""
         n, head = self._n_x, self._head
         last = int(numbers[n + 1])
         since = measurement.t - numbers[head + last * self._width]
@@ -69,9 +69,10 @@ class Frames:
             numbers[at] = measurement.t
             numbers[at + 1 : at + self._width] = measurement.q
             numbers[n + 1] = last
-        elif since < -1e-9:  # time starts anew
-            x, numbers[:] = numbers[:n].copy(), self.initial(measurement)
-            numbers[:n] = x
+            return True
+        if since < -1e-9:  # time starts anew
+            numbers[:] = self.initial(measurement)
+        return False
 
     def new(self, numbers: Array, measurement: Measurement) -> Frame | None:
         """Return the frame if it is new, and note it; `remember` comes first."""

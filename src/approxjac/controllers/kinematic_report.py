@@ -7,7 +7,7 @@ from typing import NamedTuple
 from approxjac.validation import Array
 
 _NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
-_UNEXPLAINED = 2.0  # χ² a degree of freedom
+_UNEXPLAINED = 1.5  # χ² a degree of freedom
 
 
 class LearntNumber(NamedTuple):

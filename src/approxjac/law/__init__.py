@@ -46,6 +46,7 @@ from approxjac.law.pseudoinverse import (
 )
 from approxjac.law.rotation import (
     best_rotation,
+    cross_matrix,
     explained,
     generators,
     nearest_rotation,
@@ -98,6 +99,7 @@ __all__ = [
     "bounded_torque_bound",
     "closed_loop_matrix",
     "correction",
+    "cross_matrix",
     "cross_weight_damped",
     "cross_weight_pinv",
     "damped_gram_solve",

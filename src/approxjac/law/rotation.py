@@ -15,9 +15,15 @@ _SPACE = np.array([
     [[0, -1, 0], [1, 0, 0], [0, 0, 0]],
 ], dtype=float)  # fmt: skip
 _PLANE = np.array([[[0, -1], [1, 0]]], dtype=float)
+# all of their products, ½(GᵢGⱼ + GⱼGᵢ), a row each
+_PRODUCTS = {
+    len(G[0]): (0.5 * (G @ G[:, np.newaxis] + G[:, np.newaxis] @ G)).reshape(len(G) ** 2, -1)
+    for G in (_SPACE, _PLANE)
+}
+_UNITS = {2: np.eye(2), 3: np.eye(3)}
 _NEWTON_STEPS = 5  # it goes on with the next frame
 _LARGEST_STEP = 0.7  # of Newton's method [rad]
-_CONVERGED = 1e-10  # [rad]
+_CONVERGED = 1e-4  # after a step as small the next would be its square [rad]
 
 
 def generators(d: int) -> Array:
@@ -25,14 +31,22 @@ def generators(d: int) -> Array:
     return _SPACE if d == 3 else _PLANE
 
 
+def cross_matrix(phi: Array) -> Array:
+    """Return [φ]ₓ = Σ φᵢ Gᵢ of φ (3,), or of an angle (1,) in the plane."""
+    if len(phi) == 1:
+        return np.asarray(phi * _PLANE[0])
+    x, y, z = phi.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
 def rotation_exp(phi: Array) -> Array:
     """Return exp([φ]ₓ) of a rotation vector (3,), or of the angle (1,) in the plane [rad]."""
     angle = math.hypot(*phi.tolist())
-    K = np.tensordot(phi, _SPACE if len(phi) == 3 else _PLANE, 1)
-    if angle < 1e-4:
-        return np.asarray(np.eye(len(K)) + K + 0.5 * K.dot(K))
-    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
-    return np.asarray(np.eye(len(K)) + s * K + c * K.dot(K))
+    K = cross_matrix(phi)
+    s, c = 1.0, 0.5
+    if angle > 1e-4:
+        s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
+    return np.asarray(_UNITS[len(K)] + s * K + c * K.dot(K))
 
 
 def rotation_log(R: Array) -> Array:
@@ -101,9 +115,9 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
         slope, curvature = _derivatives(M, h, A, G)
         step = _newton_step(slope, curvature)
         if step is not None:
-            if math.hypot(*step.tolist()) < _CONVERGED:
-                break
             new = rotation_exp(step).dot(A)
+            if math.hypot(*step.tolist()) < _CONVERGED:
+                return nearest_rotation(new)
             if (higher := explained(M, h, new)) >= value:
                 A, value = new, higher
                 continue
@@ -127,9 +141,8 @@ def _derivatives(M: Array, h: Array, A: Array, G: Array) -> tuple[Array, Array]:
     d = len(A)
     moved = (G @ A).reshape(len(G), -1)  # (g, d²)
     rise = M.dot(A.ravel()) + h
-    # the second derivative of exp([δ]ₓ)A is ½(GᵢGⱼ + GⱼGᵢ)A
-    bent = np.tensordot(G @ G[:, np.newaxis], rise.reshape(d, d).dot(A.T), ([2, 3], [0, 1]))
-    return moved.dot(rise), -(moved.dot(M).dot(moved.T) + 0.5 * (bent + bent.T))
+    bent = _PRODUCTS[d].dot(rise.reshape(d, d).dot(A.T).ravel()).reshape(len(G), -1)
+    return moved.dot(rise), -(moved.dot(M).dot(moved.T) + bent)
 
 
 def _newton_step(slope: Array, curvature: Array) -> Array | None:

@@ -64,6 +64,7 @@ class KinematicRegressor:
         names: Names of the parameters, such as "panda_joint4.x" [m] or "tool.x"; with several
             frames the name of the frame in place of "tool".
         theta: Their values for `robot` itself, shape (p,) [m].
+        has_offset: Whether `offset` is ever anything but 0.
 
     Raises:
         UnknownNameError: No such frame.
@@ -117,6 +118,7 @@ class KinematicRegressor:
         origins = [model.jointPlacements[joint].translation for joint in joints]
         self.theta = np.concatenate([*origins, *(each.placement.translation for each in placed)])
         self.theta.flags.writeable = False
+        self.has_offset = bool(slides.any()) or known.any()
         ends = ("tool",) if len(placed) == 1 else self.frames
         self.names = tuple(f"{part}.{axis}" for part in (*self._movers, *ends) for axis in "xyz")
 
@@ -176,7 +178,7 @@ class KinematicRegressor:
 
     def offset(self, q: Array) -> Array:
         """Return p − Y(q)θ, shape (3k,) [m]: what slides, and points beside the frame's origin."""
-        if not self._sliding and self._known is None:
+        if not self.has_offset:
             return np.zeros(3 * self.k)
         return self.position(q, np.zeros(self.p))
 
