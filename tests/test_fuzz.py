@@ -16,6 +16,7 @@ import approxjac as aj
 from approxjac.controllers import (
     CompiledSetpointController,
     DifferentiatedVelocity,
+    KnownKinematics,
     ModelDynamics,
     Posture,
     RegressorGravity,
@@ -49,6 +50,10 @@ SLIDER = """<robot name="slider">
 
 def prismatic_arm():
     return aj.load_robot(SLIDER).with_object(0.5, 0.1, axis="x")
+
+
+def followed(task, **options):
+    return aj.TrackingController(task, kinematics=KnownKinematics(task), **options)
 
 
 @functools.cache
@@ -105,13 +110,11 @@ def controllers():
         "prismatic, nonsingular": aj.SetpointController(
             NonsingularTask(tool, {"slide": 0.3}), aj.Gains(100.0, 20.0, 1.0)
         ),
-        "tracking": aj.TrackingController(task),
-        "tracking, pose": aj.TrackingController(
-            aj.PoseTask(kinova), dynamics=ModelDynamics(kinova)
-        ),
-        "tracking, prismatic": aj.TrackingController(tool),
-        "tracking, velocity": aj.TrackingController(kinova_task, command="velocity"),
-        "tracking, limited": aj.TorqueLimited(aj.TrackingController(task)),
+        "tracking": followed(task),
+        "tracking, pose": followed(aj.PoseTask(kinova), dynamics=ModelDynamics(kinova)),
+        "tracking, prismatic": followed(tool),
+        "tracking, velocity": followed(kinova_task, command="velocity"),
+        "tracking, limited": aj.TorqueLimited(followed(task)),
     }
 
 

@@ -11,6 +11,7 @@ import approxjac as aj
 from approxjac import law
 from approxjac.controllers import (
     AdaptiveDynamics,
+    AdaptiveKinematics,
     KnownKinematics,
     ModelDynamics,
     TrackingController,
@@ -35,9 +36,14 @@ def measured(task, q, v=None, x=None):
     return aj.Measurement(0.0, q, v, task.value(q) if x is None else x)
 
 
+def known(task, **options):
+    """The law on the believed arm's own kinematics."""
+    return TrackingController(task, kinematics=KnownKinematics(task), **options)
+
+
 @pytest.fixture(scope="module")
 def panda_law(panda):
-    return TrackingController(aj.PositionTask(panda))
+    return known(aj.PositionTask(panda))
 
 
 # -- runs -----------------------------------------------------------------------------------------
@@ -49,7 +55,7 @@ def test_with_the_exact_model_a_target_is_reached_and_followed(name, moves):
     robot, q0 = aj.load_robot(name), STARTS[name]
     task = aj.PositionTask(robot)
     path = circle(task, q0)
-    controller = TrackingController(task, dynamics=ModelDynamics(robot))
+    controller = known(task, dynamics=ModelDynamics(robot))
     target = path if moves else path.at(0.0).x
     run = aj.simulate(aj.Plant(robot), controller, target, q0, 4.0)
     assert run.error_norm[3500:].max() < 2e-5  # 0.007 mm measured
@@ -81,7 +87,7 @@ def watched_run(dt, limits=None, duration=1.0):
     belief, q0 = aj.load_robot("panda"), STARTS["panda"]
     truth = belief.with_object(0.2, 1.0, axis="x")
     task = aj.PositionTask(belief, "panda_hand_tcp")
-    controller = TrackingController(task, dt=dt)
+    controller = known(task, dt=dt)
     plant = aj.Plant(truth, aj.PositionTask(truth, "panda_hand_tcp"))
     watched = Watched(truth, controller)
     limited = controller if limits is None else aj.TorqueLimited(controller, limits, dt=dt)
@@ -118,7 +124,7 @@ def test_limits_of_torques_with_y_sigma_keep_what_v2_does():
 
 def test_while_the_proof_is_given_up_the_dynamics_rest(panda):
     task, q = aj.PositionTask(panda), STARTS["panda"]
-    law_ = TrackingController(task)
+    law_ = known(task)
     limited = aj.TorqueLimited(law_, aj.Limits(effort=1.0))
     far = task.value(q) + [0.2, 0.2, 0.2]
     state = limited.initial_state(measured(task, q))
@@ -141,7 +147,7 @@ def test_payload_rotors_and_friction_are_learnt():
     plant = aj.Plant(truth, sensor, friction=1.0, coulomb=0.2)
     rms = {}
     for kind in (AdaptiveDynamics, ModelDynamics):
-        controller = TrackingController(task, dynamics=kind(belief))
+        controller = known(task, dynamics=kind(belief))
         run = aj.simulate(plant, controller, circle(task, q0), q0, 3.0)
         rms[kind] = np.sqrt(np.mean(run.error_norm[2000:] ** 2))
         if kind is AdaptiveDynamics:
@@ -173,7 +179,7 @@ def test_other_tasks_and_arms_are_followed(kind):
     if kind == "planar":
         e[:] = -0.1
     target = task.target(task.displaced(task.value(q0), e))
-    controller = TrackingController(task, dynamics=ModelDynamics(task.robot))
+    controller = known(task, dynamics=ModelDynamics(task.robot))
     run = aj.simulate(plant, controller, target, q0, 2.5, record_every=0.01)
     errors = [task.error(x, target) for x in run.x]
     assert np.linalg.norm(errors[-1]) < 1e-2 * np.linalg.norm(errors[0])  # one is damped
@@ -209,8 +215,8 @@ def test_the_reference_acceleration_is_exact(kind, rng):
         "image": lambda: aj.ImageTask(panda, camera),
     }[kind]()
     robot = task.robot
-    controller = TrackingController(task, dynamics=ModelDynamics(robot))
-    known, q = np.zeros(0), STARTS["panda"].copy()
+    controller = known(task, dynamics=ModelDynamics(robot))
+    state, q = np.zeros(0), STARTS["panda"].copy()
     if robot is not panda:
         q = robot.random_configuration(rng)
     if kind == "singular":  # stretched out upwards, nearly
@@ -228,7 +234,7 @@ def test_the_reference_acceleration_is_exact(kind, rng):
         return aj.Target(moved, back[0] + t * back[1], back[1])
 
     def reference(t):
-        return controller._reference(known, q_of(t), v_of(t), target(t))
+        return controller._reference(state, q_of(t), v_of(t), target(t))
 
     J, _, a_r, status = reference(0.0)
     damped = np.linalg.svd(J, compute_uv=False)
@@ -245,7 +251,7 @@ def test_the_reference_acceleration_is_exact(kind, rng):
 def test_the_self_motion_goes_to_the_posture(panda):
     task, q0 = aj.PositionTask(panda), STARTS["panda"]
     wanted = q0 + [0.3, 0.0, -0.3, 0.0, 0.2, 0.0, 0.5]
-    controller = TrackingController(task, dynamics=ModelDynamics(panda), posture=wanted)
+    controller = known(task, dynamics=ModelDynamics(panda), posture=wanted)
     options = {"dt": 1e-3, "record_every": 0.1}
     run = aj.simulate(aj.Plant(panda), controller, task.value(wanted), q0, 10.0, **options)
     assert_allclose(run.q[-1], wanted, atol=2e-3)
@@ -254,7 +260,7 @@ def test_the_self_motion_goes_to_the_posture(panda):
 
 def test_joints_are_led_no_faster_than_they_may_move(panda, panda_law):
     task = aj.PositionTask(panda)
-    law_ = TrackingController(task, speed=100.0)
+    law_ = known(task, speed=100.0)
     q = STARTS["panda"]
     state = law_.initial_state(measured(task, q))
     _, answer = law_.step(state, measured(task, q), task.value(q) + 0.5, 1e-3)
@@ -273,7 +279,7 @@ def test_the_torque_does_not_depend_on_the_true_robot(panda_law, panda):
     state = panda_law.initial_state(measurement)
     after, answer = panda_law.step(state, measurement, target, 1e-3)
     truth = panda.with_object(0.2, 1.0, axis="x")
-    other = TrackingController(aj.PositionTask(truth))
+    other = known(aj.PositionTask(truth))
     aj.simulate(aj.Plant(truth), other, [0.4, 0.0, 0.5], q, 5e-3)
     again, same = panda_law.step(state, measurement, target, 1e-3)
     assert_array_equal(answer.torque, same.torque)
@@ -301,7 +307,7 @@ def test_a_point_that_the_believed_camera_does_not_see_brings_the_arm_to_rest(pa
     seeing = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, 0.0, 0.4), 600.0, (640, 480))
     robot = panda
     task = aj.ImageTask(robot, seeing)
-    law_ = TrackingController(task, dynamics=ModelDynamics(robot))
+    law_ = known(task, dynamics=ModelDynamics(robot))
     vars(law_)["kinematics"] = Unseeing(task)
     assert camera is not seeing
     q, v = STARTS["panda"], np.full(7, 0.1)
@@ -318,12 +324,58 @@ class Unseeing(KnownKinematics):
         return super().predict(state, q, v, target)._replace(z=np.full(self.task.m, np.nan))
 
 
+def test_by_default_tool_and_origins_are_learnt(panda):
+    """A tool of 20 cm and 1 kg that nobody told of, and a circle with it: 277 mm, then 1 mm."""
+    truth, q0 = panda.with_object(0.2, 1.0, axis="x"), STARTS["panda"]
+    task, sensor = aj.PositionTask(panda), aj.PositionTask(truth)
+    controller = aj.TrackingController(task)
+    assert controller.kinematics.unknown == ("tool", "origins")
+    plant = aj.Plant(truth, sensor, sensing=aj.Sensing(x_noise=1e-3, x_rate=60.0))
+    run = aj.simulate(plant, controller, circle(sensor, q0), q0, 4.0, record_every=0.01)
+    assert run.error_norm[0] > 0.18
+    assert np.sqrt(np.mean(run.error_norm[300:] ** 2)) < 3e-3
+    learnt = controller.learnt(run.state[-1])
+    assert len(learnt) == controller.resting + len(controller.kinematics.names)
+
+
+@pytest.mark.parametrize("command", ["torque", "velocity"])
+def test_nonsense_is_answered_finitely_or_refused_while_kinematics_learn(panda, command):
+    """One number in some of the steps is absurd; the state goes on from what came before."""
+    task, q0, rng = aj.PositionTask(panda), STARTS["panda"], np.random.default_rng(3)
+    kinematics = AdaptiveKinematics(task, delay=2e-3)
+    law_ = TrackingController(task, kinematics=kinematics, command=command)
+    limited = aj.TorqueLimited(law_) if command == "torque" else law_
+    state, refused = limited.initial_state(measured(task, q0)), 0
+    absurd = [np.nan, np.inf, -np.inf, 5e-324, 1e16, -1e29, 1e31, 1e154, -1e308]
+    for k in range(600):
+        q, v = q0 + 0.1 * rng.normal(size=7), 0.3 * rng.normal(size=7)
+        told = {"q": q, "v": v, "x": task.value(q) + 0.01 * rng.normal(size=3)}
+        if rng.random() < 0.5:
+            spoilt = told[rng.choice(list(told))]
+            spoilt[rng.integers(len(spoilt))] = rng.choice(absurd)
+        measurement = aj.Measurement(k * 1e-3, **told)
+        try:
+            after, answer = limited.step(state, measurement, task.value(q0) + 0.1, 1e-3)
+        except aj.ApproxJacError:
+            refused += 1
+        else:
+            assert np.isfinite(answer.torque).all()
+            assert np.isfinite(after).all()
+            state = after
+    assert 50 < refused < 250
+
+
+def test_other_tasks_need_kinematics(panda):
+    with pytest.raises(aj.InvalidInputError, match=r"kinematics must be given for PoseTask.*Known"):
+        aj.TrackingController(aj.PoseTask(panda))
+
+
 # -- velocities -----------------------------------------------------------------------------------
 
 
 def test_velocity_commands_stay_within_limits(panda):
     task, q0 = aj.PositionTask(panda), STARTS["panda"]
-    controller = TrackingController(task, command="velocity", dt=4e-3, acceleration=5.0)
+    controller = known(task, command="velocity", dt=4e-3, acceleration=5.0)
     assert controller.command == "velocity"
     state = controller.initial_state(measured(task, q0))
     assert len(state) == 7
@@ -352,7 +404,10 @@ def test_velocity_commands_stay_within_limits(panda):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kinematics": "known"}, r"kinematics must be KnownKinematics\(task\) or None, got 'kn"),
+        (
+            {"kinematics": "known"},
+            r"kinematics must be AdaptiveKinematics\(task\) or None, got 'kn",
+        ),
         ({"dynamics": 3.0}, r"dynamics must be AdaptiveDynamics\(robot\), ModelDynamics\(robot\)"),
         ({"posture": np.zeros(6)}, r"posture must have shape \(7,\) \[rad or m\], got"),
         ({"posture": np.full(7, 90.0)}, "posture must be in radians"),
@@ -375,9 +430,9 @@ def test_parts_of_another_robot_are_refused(panda):
     with pytest.raises(aj.InvalidInputError, match="kinematics must be of the task PositionTask"):
         TrackingController(task, kinematics=KnownKinematics(aj.PositionTask(ur5)))
     with pytest.raises(aj.InvalidInputError, match="dynamics must be of a robot with the joints"):
-        TrackingController(task, dynamics=ModelDynamics(ur5))
+        known(task, dynamics=ModelDynamics(ur5))
     with pytest.raises(aj.InvalidInputError, match="posture is for arms with more joints than"):
-        TrackingController(aj.PoseTask(ur5), posture=np.zeros(6))
+        known(aj.PoseTask(ur5), posture=np.zeros(6))
 
 
 def test_wrappers_take_it_or_say_why_not(panda_law):
@@ -389,7 +444,7 @@ def test_wrappers_take_it_or_say_why_not(panda_law):
         aj.TorqueLimited(panda_law, dt=2e-3)
     with pytest.raises(aj.InvalidInputError, match="alpha must be None for a TrackingController"):
         aj.TorqueLimited(panda_law, alpha=1.0)
-    velocity = TrackingController(panda_law.task, command="velocity")
+    velocity = known(panda_law.task, command="velocity")
     with pytest.raises(aj.InvalidInputError, match=r'must command torques .*"velocity"'):
         aj.TorqueLimited(velocity)
 
@@ -402,14 +457,16 @@ def test_another_dt_is_refused(panda_law):
         panda_law.step(state, measurement, measurement.x, 2e-3)
 
 
-def test_the_belief_can_be_changed_where_it_is_not_given(panda_law, panda):
+def test_the_belief_can_be_changed_where_it_is_not_given(panda):
     other = aj.PositionTask(panda.with_object(0.1, 0.2))
-    changed = panda_law.with_task(other)
+    changed = TrackingController(aj.PositionTask(panda)).with_task(other)
     assert changed.dynamics.robot is other.robot
     assert changed.kinematics.task is other
-    given = TrackingController(panda_law.task, dynamics=ModelDynamics(panda))
-    with pytest.raises(aj.InvalidInputError, match="dynamics must be left to the controller"):
-        given.with_task(other)
+    task = aj.PositionTask(panda)
+    for name, part in (("kinematics", KnownKinematics(task)), ("dynamics", ModelDynamics(panda))):
+        given = TrackingController(task, **{name: part})
+        with pytest.raises(aj.InvalidInputError, match=f"{name} must be left to the controller"):
+            given.with_task(other)
 
 
 def test_it_is_copied_with_memory_of_its_own(panda_law):
@@ -431,7 +488,7 @@ def test_it_is_copied_with_memory_of_its_own(panda_law):
 def test_the_gain_is_stable_in_samples_for_an_arm_without_rotors(name, dt):
     """κ dt λ_max(M⁻¹M̂) ≤ 0.5, although drives are assumed that the URDF does not have."""
     robot = aj.load_robot(name)
-    controller = TrackingController(aj.PositionTask(robot), dt=dt)
+    controller = known(aj.PositionTask(robot), dt=dt)
     rng, most = np.random.default_rng(1), 0.0
     for _ in range(20):
         M = Dynamics(robot).M(robot.random_configuration(rng))
@@ -444,9 +501,7 @@ def test_the_gain_is_stable_in_samples_for_an_arm_without_rotors(name, dt):
 
 
 def test_told_rotors_are_in_the_gain_and_in_what_is_learnt(panda):
-    controller = TrackingController(
-        aj.PositionTask(panda), dynamics=AdaptiveDynamics(panda, rotor_inertia=0.1)
-    )
+    controller = known(aj.PositionTask(panda), dynamics=AdaptiveDynamics(panda, rotor_inertia=0.1))
     assert_array_equal(controller._added, 0.0)
     q = STARTS["panda"]
     assert_allclose(np.diag(controller.dynamics.M(q) - Dynamics(panda).M(q)), 0.1)

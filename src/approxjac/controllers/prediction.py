@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from approxjac.controllers.arguments import HUGE
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.interface import Measurement
 from approxjac.validation import Array
@@ -79,4 +80,5 @@ class Prediction:
         """Return the memory after a step that sends a torque with this f."""
         expected = measurement.v + self._period * f
         memory = np.concatenate([[measurement.t + self._dt], expected, residual])
-        return memory if math.isfinite(math.hypot(*memory.tolist())) else self.nothing()
+        # what is absurd must not make the next period's prediction overflow
+        return memory if math.hypot(*memory.tolist()) < HUGE else self.nothing()

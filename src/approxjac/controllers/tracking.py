@@ -11,7 +11,7 @@ import numpy as np
 from approxjac import law
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
 from approxjac.controllers.arguments import FLOAT64, HUGE, require_arrays
-from approxjac.controllers.known_kinematics import KnownKinematics
+from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.predicted import Kinematics
 from approxjac.controllers.proven_law import ProvenLaw
@@ -20,7 +20,7 @@ from approxjac.controllers.velocity_command import VelocityCommand
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics
-from approxjac.tasks import Task
+from approxjac.tasks import PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import seen_configurations, vanishing
 from approxjac.validation import Array, as_limits, as_number, as_vector, require
 
@@ -52,7 +52,9 @@ class TrackingController(ProvenLaw):
 
     Args:
         task: The task of the believed robot.
-        kinematics: What predicts z; the believed arm's own kinematics by default.
+        kinematics: What predicts z, for the same dt. By default, for positions,
+            `AdaptiveKinematics` of tool and joint origins; `KnownKinematics` takes the believed
+            arm's own for true.
         dynamics: What the torque of a motion comes from; `AdaptiveDynamics` of the believed robot
             by default, or `ModelDynamics`.
         posture: Configuration that the self-motion of a redundant arm is drawn to, shape (nq,); the
@@ -95,10 +97,12 @@ class TrackingController(ProvenLaw):
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
         robot = task.robot
         self.task = task
-        self.kinematics = KnownKinematics(task) if kinematics is None else kinematics
+        self.sampling_time = as_number("dt", dt, unit="s", above=0.0)
+        if kinematics is None:
+            kinematics = usual_kinematics(task, self.sampling_time)
+        self.kinematics = kinematics
         self.dynamics = AdaptiveDynamics(robot) if dynamics is None else dynamics
         self._require_parts()
-        self.sampling_time = as_number("dt", dt, unit="s", above=0.0)
         self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
         usual = min(_KAPPA, _STEADY / self.sampling_time)
         self.kappa = usual if kappa is None else as_number("kappa", kappa, unit="1/s", above=0.0)
@@ -147,7 +151,7 @@ class TrackingController(ProvenLaw):
     def _require_parts(self) -> None:
         """Refuse kinematics or dynamics that are none, or of another robot."""
         task = self.task
-        require("kinematics", self.kinematics, Kinematics, "KnownKinematics(task) or None")
+        require("kinematics", self.kinematics, Kinematics, "AdaptiveKinematics(task) or None")
         wanted = "AdaptiveDynamics(robot), ModelDynamics(robot) or None"
         require("dynamics", self.dynamics, MotionDynamics, wanted)
         told = self.kinematics.task
@@ -364,6 +368,22 @@ class TrackingController(ProvenLaw):
     def __repr__(self) -> str:
         parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"
         return f"TrackingController({parts}, alpha={self.alpha:g}, kappa={self.kappa:g})"
+
+
+def usual_kinematics(task: Task, dt: float) -> Kinematics:
+    """Return kinematics that learn tool and joint origins, for a task of positions.
+
+    Raises:
+        InvalidInputError: Another task.
+    """
+    parts = task.tasks if isinstance(task, StackedTask) else (task,)
+    if all(isinstance(part, PositionTask) for part in parts):
+        return AdaptiveKinematics(task, unknown=("tool", "origins"), dt=dt)
+    raise InvalidInputError(
+        f"kinematics must be given for {task!r}: what is learnt by itself are positions; "
+        "KnownKinematics(task) takes the believed arm for true",
+        given=task,
+    )
 
 
 def usual_speeds(task: Task) -> list[float]:
