@@ -356,7 +356,7 @@ def test_nonsense_is_answered_finitely_or_refused_while_kinematics_learn(panda, 
         measurement = aj.Measurement(k * 1e-3, **told)
         try:
             after, answer = limited.step(state, measurement, task.value(q0) + 0.1, 1e-3)
-        except aj.ApproxJacError:
+        except aj.errors.ApproxJacError:
             refused += 1
         else:
             assert np.isfinite(answer.torque).all()
