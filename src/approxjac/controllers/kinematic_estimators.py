@@ -52,9 +52,7 @@ class KnownCamera:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""
         return np.concatenate([self.prior.ravel(), numbers[-self._P :]])
 
-    def learn(
-        self, numbers: Array, H: Array, o: Array, x: Array, share: float, is_due: bool
-    ) -> Array:
+    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: float) -> Array:
         """Return the numbers after a frame.
 
         Args:
@@ -63,7 +61,6 @@ class KnownCamera:
             o: What of them is known, shape (m,).
             x: What is measured, shape (m,).
             share: λT, to be forgotten.
-            is_due: Not used: every frame is learnt from at once.
         """
         P = self._P
         if self._is_turned:
@@ -128,9 +125,7 @@ class UnknownCamera:
         *_, Theta, A = self._split(numbers)
         return self._about(Theta, A.reshape(self._d, self._d))
 
-    def learn(
-        self, numbers: Array, H: Array, o: Array, x: Array, share: float, is_due: bool
-    ) -> Array:
+    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: float) -> Array:
         """Return the numbers after a frame.
 
         Args:
@@ -139,13 +134,12 @@ class UnknownCamera:
             o: What of them is known, (k d,).
             x: What is measured, shape (k d,).
             share: λT, to be forgotten.
-            is_due: Whether to say what follows for the estimates, or to remember the frame only.
         """
         d, P, W = self._d, self._P, self._weight
         if share > 0.0:
             *_, Theta, A = self._split(numbers)
             numbers = numbers + share * (self._about(Theta, A.reshape(d, d)) - numbers)
-        N, a, B, E, Theta, w = self._split(numbers)
+        N, a, B, E, _, A = self._split(numbers)
         HW = W * H.T
         N = N.reshape(P, P) + HW.dot(H)
         a = a - HW.dot(o)
@@ -153,10 +147,9 @@ class UnknownCamera:
         each = HW.reshape(P, -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
         B = B.reshape(P, -1) + each.reshape(P, -1)
         E = E + (W * o.reshape(-1, d).T.dot(seen)).ravel()
-        if is_due:
-            solved, M, h = _reduced(N, a, B, E)
-            w = self._rotation(M, h, w.reshape(d, d)).ravel()
-            Theta = solved[:, 0] + solved[:, 1:].dot(w)
+        solved, M, h = _reduced(N, a, B, E)
+        w = self._rotation(M, h, A.reshape(d, d)).ravel()
+        Theta = solved[:, 0] + solved[:, 1:].dot(w)
         return np.concatenate([N.ravel(), a, B.ravel(), E, Theta, w])
 
     def estimate(self, numbers: Array) -> Estimate:

@@ -16,10 +16,17 @@ from approxjac.validation import Array
 _SPACING = 5e-3  # between remembered configurations, from which others are interpolated [s]
 _HORIZON = 0.25  # age up to which a frame finds its configuration [s]
 _LONG_AGO = -1e6  # [s]
+_CLOSEST = 4e-3  # between frames, below which there is nothing to learn from the second one [s]
+_FARTHEST = 1e3  # that anything is from the sensor [m]
+
+
+def is_seen(x: Array) -> Array:
+    """Return which entries of x are positions, and not lost, shape (n_x,)."""
+    return np.asarray(np.abs(x) < _FARTHEST)
 
 
 class Frame(NamedTuple):
-    """A frame that is new: x (n_x,), when it was taken [s], and the configuration at that time."""
+    """A frame: x (n_x,), NaN where it is lost, when it was taken [s], and q at that time (nq,)."""
 
     x: Array
     t: float
@@ -31,7 +38,8 @@ class Frames:
 
     Its numbers: the last x, when it was taken, where the ring was written last, and the ring of
     (t, q). A frame is new by `Measurement.t_x`, or where that is None by a change of x, and was
-    taken then, or `delay` ago. One taken before all that the ring remembers is passed over.
+    taken then, or `delay` ago. One taken before all that the ring remembers is passed over, and so
+    are those that come faster than at 250 Hz.
 
     Args:
         robot: The believed robot.
@@ -82,17 +90,15 @@ class Frames:
             taken, is_old = t - self._delay, x.tolist() == numbers[:n].tolist()
         else:
             taken, is_old = t_x, not t_x > numbers[n]
-        if is_old and numbers[n] > _LONG_AGO:
+        if (is_old and numbers[n] > _LONG_AGO) or 0.0 < taken - numbers[n] < _CLOSEST - 1e-9:
             return None
-        seen = np.isfinite(x)
+        seen = is_seen(x)
         known = np.where(seen, x, 0.0)
-        if not seen.any() or (
-            t_x is None and np.array_equal(known, numbers[:n]) and not seen.all()
-        ):
+        if not seen.any() or (t_x is None and np.array_equal(known, numbers[:n])):
             return None
         numbers[:n], numbers[n] = known, taken
         q = self._at(numbers, taken, measurement)
-        return None if q is None else Frame(x, taken, q)
+        return None if q is None else Frame(np.where(seen, x, np.nan), taken, q)
 
     def _at(self, numbers: Array, t: float, measurement: Measurement) -> Array | None:
         """Return the configuration at a time [s], None if that is longer ago than the ring is."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.kinematic_estimators import KnownCamera, UnknownCamera
-from approxjac.controllers.kinematic_frames import Frame, Frames, Gate
+from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, is_seen
 from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber
 from approxjac.controllers.kinematic_unknowns import Unknowns
 from approxjac.controllers.predicted import Kinematics, Prediction
@@ -24,7 +24,6 @@ _INTEGRAL = 1.0  # ω_b [1/s]
 _EASED_SPEED = 0.5  # of x̂, by what is learnt [m/s]
 _EASED_TURN = 2.0 * math.pi  # of the camera's estimate [rad/s]
 _LONGEST = 0.1  # time that one frame counts for [s]
-_BUSY = 7e-3  # between frames, below which they are remembered, and wait to be made use of [s]
 _JUMP = 8.0  # standard deviations of x
 _WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
 _MEMORY = 15.0  # of χ² [s]
@@ -97,7 +96,7 @@ class AdaptiveKinematics(Kinematics):
         m, n, turns = task.m, unknowns.n_u, self._turns
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "sums": self._estimator.size,
-            "told": len(self.names), "integral": m, "averaged": m, "chi": 2, "times": 2,
+            "told": len(self.names), "integral": m, "averaged": m, "chi": 2, "time": 1,
             "u": n, "b": m, "R": self._d**2 if turns else 0,
             "u_dot": n, "b_dot": m, "spin": len(law.generators(self._d)) if turns else 0,
         }  # fmt: skip
@@ -123,16 +122,14 @@ class AdaptiveKinematics(Kinematics):
         state[at["sums"]] = self._estimator.initial()
         state[at["told"]] = unknowns.believed
         state[at["chi"]] = 1.0, 0.0
-        state[at["times"]] = measurement.t, measurement.t - 1.0
+        state[at["time"]] = measurement.t
         state[at["u"]] = unknowns.Theta[: unknowns.n_u]
         if self._turns:
             state[at["R"]] = unknowns.R.ravel()
         H, known = unknowns.at(measurement.q)
-        x, x_hat = (
-            np.asarray(measurement.x),
-            self._turned(unknowns.R, known + H.dot(state[at["u"]])),
-        )
-        state[at["b"]] = np.where(np.isfinite(x), x - x_hat, 0.0)
+        x_hat = self._turned(unknowns.R, known + H.dot(state[at["u"]]))
+        b = self._turned(unknowns.R, unknowns.offsets.dot(unknowns.Theta[unknowns.n_u :]))
+        state[at["b"]] = np.where(is_seen(measurement.x), measurement.x - x_hat, b)
         return state
 
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
@@ -173,8 +170,7 @@ class AdaptiveKinematics(Kinematics):
             seen = np.repeat(seen.reshape(-1, self._d).all(axis=1), self._d)
             if not seen.any():
                 return
-        last, used = state[at["times"]].tolist()
-        since = min(max(frame.t - last, 0.0), _LONGEST)
+        since = min(max(frame.t - float(state[at["time"]][0]), 0.0), _LONGEST)
         sums = state[at["sums"]]
         if is_anew:
             sums = self._estimator.renewed(sums)
@@ -182,14 +178,12 @@ class AdaptiveKinematics(Kinematics):
         H, known = self._unknowns.at(frame.q)
         H = np.concatenate([H, self._unknowns.offsets], axis=1)
         x, H, known = (frame.x, H, known) if seen.all() else (frame.x[seen], H[seen], known[seen])
-        is_due = not 0.0 <= frame.t - used < _BUSY
         share = -math.expm1(-_FORGETTING * since)
-        sums = self._estimator.learn(sums, H, known, x, share, is_due)
+        sums = self._estimator.learn(sums, H, known, x, share)
         state[at["sums"]] = sums
-        state[at["times"]] = frame.t, frame.t if is_due else used
+        state[at["time"]] = frame.t
         Theta, R = self._estimator.estimate(sums)
-        if is_due:
-            state[at["told"]] = self._told(Theta, R)
+        state[at["told"]] = self._told(Theta, R)
         # what is left of x: taken up by the integral, and averaged to be looked at
         left = x - self._turned(R, known + H.dot(Theta))
         integral, averaged = state[at["integral"]], state[at["averaged"]]

@@ -194,7 +194,8 @@ class KinematicRegressor:
         J = (_skews(z) @ self._levers.dot(c).reshape(self.k, -1, 3, 1))[..., 0]
         if self._along is not None:
             J = J + self._along * z
-        return self._columns_of(J)
+        J = J.transpose(0, 2, 1).reshape(3 * self.k, -1)
+        return J if self._plain else np.asarray(J.dot(self._columns))
 
     def jacobian_dot(self, q: Array, v: Array, theta: Array) -> Array:
         """Return the rate of `jacobian` along q̇ (n_v,), at fixed θ (p,); shape (3k, n_v)."""
@@ -218,10 +219,14 @@ class KinematicRegressor:
             c[i, :, 1] += z[i] * speeds[i]
         levers = self._levers.dot(c.reshape(terms, 6)).reshape(self.k, -1, 3, 2)
         columns = _skews(z) @ levers
-        J, J_dot = columns[..., 0], columns[..., 1] + (_skews(z_dot) @ levers[..., :1])[..., 0]
+        columns[..., 1:] += _skews(z_dot) @ levers[..., :1]
         if self._along is not None:
-            J, J_dot = J + self._along * z, J_dot + self._along * z_dot
-        return PointMotion(p, self._columns_of(J), self._columns_of(J_dot), drift)
+            columns[..., 0] += self._along * z
+            columns[..., 1] += self._along * z_dot
+        J, J_dot = columns.transpose(3, 0, 2, 1).reshape(2, 3 * self.k, -1)
+        if not self._plain:
+            J, J_dot = J.dot(self._columns), J_dot.dot(self._columns)
+        return PointMotion(p, J, J_dot, drift)
 
     # -- what can be told apart, and the robot with it -----------------------------------
 
@@ -343,11 +348,6 @@ class KinematicRegressor:
         """Return parameters as vectors, that of the tool once for each of its points."""
         each = theta.reshape(-1, 3)
         return each if self._of_term is None else each.take(self._of_term, 0)
-
-    def _columns_of(self, columns: Array) -> Array:
-        """Return what is (k, n, 3) of the chain's joints as a Jacobian (3k, n_v)."""
-        J = columns.transpose(0, 2, 1).reshape(3 * self.k, -1)
-        return J if self._plain else J.dot(self._columns)
 
     @cached_property
     def _independent(self) -> tuple[list[int], Array]:
