@@ -77,8 +77,8 @@ class Watched:
         a_error = self.a - loop.state[: self.law.resting]
         M = self.dynamics.M(q)
         self.V.append(law.tracking_potential(sigma, M, a_error, inside.gamma))
-        M_gain = inside.M(q) + np.diag(self.law._added)
-        self.W.append(self.law.kappa * sigma @ M_gain @ sigma)
+        gain = inside.momentum(q, sigma) + self.law._added * sigma
+        self.W.append(self.law.kappa * sigma @ gain)
         self.statuses.append(loop.answer.limit_status)
 
 
@@ -504,7 +504,8 @@ def test_told_rotors_are_in_the_gain_and_in_what_is_learnt(panda):
     controller = known(aj.PositionTask(panda), dynamics=AdaptiveDynamics(panda, rotor_inertia=0.1))
     assert_array_equal(controller._added, 0.0)
     q = STARTS["panda"]
-    assert_allclose(np.diag(controller.dynamics.M(q) - Dynamics(panda).M(q)), 0.1)
+    v = np.arange(7.0)
+    assert_allclose(controller.dynamics.momentum(q, v), Dynamics(panda).M(q) @ v + 0.1 * v)
     regressor = controller.dynamics.regressor
     rotors = controller.dynamics.initial_state()[regressor.links : regressor.links + 7]
     assert_array_equal(rotors, 0.1)

@@ -15,14 +15,14 @@ def rate_of(function, h=1e-6):
 @pytest.mark.parametrize("speed", [0.5, np.array([0.1, 1.0, np.inf])])
 @pytest.mark.parametrize("size", [1e-9, 0.01, 1.0, 100.0])
 def test_the_saturated_error_is_bounded_and_has_its_rate(rng, speed, size):
-    z, z_dot = size * rng.normal(size=3), rng.normal(size=3)
-    s = law.saturated(z, 4.0, speed)
+    z, z_dot, k = size * rng.normal(size=3), rng.normal(size=3), 4.0 / speed
+    s, s_dot = law.saturated(z, z_dot, k)
     assert (np.abs(4.0 * s) <= speed).all()
     if size < 1e-6:
         assert_allclose(s, z, rtol=1e-9)
     assert s @ z == pytest.approx(np.linalg.norm(s) * np.linalg.norm(z))  # along z
-    expected = rate_of(lambda t: law.saturated(z + t * z_dot, 4.0, speed))
-    assert_allclose(law.saturated_rate(z, z_dot, 4.0, speed), expected, atol=1e-8)
+    expected = rate_of(lambda t: law.saturated(z + t * z_dot, z_dot, k)[0])
+    assert_allclose(s_dot, expected, atol=1e-8)
 
 
 def motion(rng, m, n, singular=None):
@@ -107,9 +107,11 @@ def test_v2_falls_by_what_the_gain_dissipates(rng):
     M_dot = rng.normal(size=(n, n))
     M_dot = M_dot + M_dot.T
     C = 0.5 * (M_dot + skew - skew.T)
-    torque = law.tracking_torque(-Y @ a_error, kappa, M_hat, sigma)  # Y_d(â − a), less the motion's
+    torque = law.tracking_torque(
+        -Y @ a_error, kappa, M_hat @ sigma
+    )  # Y_d(â − a), less the motion's
     sigma_dot = np.linalg.solve(M, torque - C @ sigma)
-    a_rate = law.dynamics_rate(gamma, Y, sigma)
+    a_rate = law.dynamics_rate(gamma, Y.T @ sigma)
 
     def V(t):
         return law.tracking_potential(

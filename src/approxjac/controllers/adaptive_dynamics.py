@@ -14,7 +14,6 @@ from approxjac.controllers.usual_postures import usual_inertias
 from approxjac.robots import Robot
 from approxjac.robots.dynamics_regressor import DynamicsRegressor
 from approxjac.robots.joint_limits import reach_bound
-from approxjac.robots.model import mass_matrix
 from approxjac.validation import Array, Immutable, as_diagonal, as_number, require
 
 _MASS = 0.03  # share of the arm's mass that a link's may be wrong by
@@ -52,6 +51,7 @@ class MotionDynamics(Immutable, ABC):
         self._data = self._model.createData()
         self._weightless = pin.Model(self._model)
         self._weightless.gravity.linear = np.zeros(3)
+        self._still = np.zeros(robot.nv)
 
     @abstractmethod
     def initial_state(self) -> Array:
@@ -79,11 +79,10 @@ class MotionDynamics(Immutable, ABC):
     def gravity(self, state: Array, q: Array) -> Array:
         """Return the part of the torque that holds the arm, shape (n_v,) [N m or N]."""
 
-    def M(self, q: Array) -> Array:
-        """Return the believed M̂(q) with rotor inertias, shape (n_v, n_v); not what is learnt."""
-        M = mass_matrix(self._model, self._data, q)
-        M.flat[:: len(M) + 1] += self.rotor_inertia
-        return M
+    def momentum(self, q: Array, v: Array) -> Array:
+        """Return M̂(q) v of the believed arm with its rotors, nothing learnt; shape (n_v,)."""
+        p = pin.rnea(self._weightless, self._data, q, self._still, v)
+        return np.asarray(p + self.rotor_inertia * v)
 
     def gain_inertia(self, room: float) -> Array:
         """Return inertias F (n_v,) to add to M̂ in the gain κM̂, with λ_max(M̂⁻¹(M̂ + F)) <= room.
@@ -120,7 +119,6 @@ class ModelDynamics(MotionDynamics):
     ) -> None:
         self._remember(locals())
         self._build(robot, rotor_inertia)
-        self._none = np.zeros(robot.nv)
 
     def initial_state(self) -> Array:
         """Return no state, shape (0,)."""
@@ -133,7 +131,7 @@ class ModelDynamics(MotionDynamics):
         middle = pin.rnea(self._model, self._data, q, 0.5 * (v + v_r), a_r) + (
             self.rotor_inertia * a_r
         )
-        apart = pin.rnea(self._weightless, self._data, q, 0.5 * (v - v_r), self._none)
+        apart = pin.rnea(self._weightless, self._data, q, 0.5 * (v - v_r), self._still)
         return state, middle - apart
 
     def gravity(self, state: Array, q: Array) -> Array:
@@ -205,11 +203,17 @@ class AdaptiveDynamics(MotionDynamics):
         self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, dt: float
     ) -> tuple[Array, Array]:
         """Return what is learnt dt [s] later, and Y_d â with it; see `MotionDynamics`."""
-        Y_d = self.regressor.Y_d(q, v, v_r, a_r)
+        (links, joints), k, sigma = (
+            self.regressor.parts(q, v, v_r, a_r),
+            self.regressor.links,
+            v - v_r,
+        )
         if dt > 0.0:
-            moved = state + dt * law.dynamics_rate(self.gamma, Y_d, v - v_r)
+            Y_d_sigma = np.concatenate([sigma.dot(links), (joints * sigma).ravel()])
+            moved = state + dt * law.dynamics_rate(self.gamma, Y_d_sigma)
             state = np.minimum(np.maximum(moved, self._low), self._high)
-        return state, Y_d.dot(state)
+        of_joints = joints * state[k:].reshape(joints.shape)
+        return state, links.dot(state[:k]) + np.add.reduce(of_joints)
 
     def gravity(self, state: Array, q: Array) -> Array:
         """Return Z(q) â of the links, shape (n_v,) [N m or N]."""

@@ -40,7 +40,9 @@ class RestConfiguration:
                 f"{robot.name} with {robot.nv} joints and {task.m} coordinates",
                 given=q,
             )
-        self._rate, self._model = rate, robot.model
+        # as arrays, which NumPy multiplies with in a third of the time of numbers
+        self._pull, self._share = np.array(-rate), np.array(rate / _FASTEST)
+        self._model = robot.model
         self._is_vector = robot.nq == robot.nv
         self._continuous = np.array([joint.nq > joint.nv for joint in robot._joints.values()])
         self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
@@ -61,8 +63,5 @@ class RestConfiguration:
             angle = pin.difference(self._model, self.q, q)
             away = np.where(self._continuous, np.sin(angle), angle)
             rate = np.where(self._continuous, np.cos(angle), 1.0) * v
-        k = self._rate
-        return (
-            -k * law.saturated(away, k, _FASTEST),
-            -k * law.saturated_rate(away, rate, k, _FASTEST),
-        )
+        s, s_dot = law.saturated(away, rate, self._share)
+        return self._pull * s, self._pull * s_dot

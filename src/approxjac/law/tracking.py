@@ -16,21 +16,15 @@ from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solve, dampi
 from approxjac.validation import Array
 
 
-def saturated(z: Array, alpha: float, speed: float | Array) -> Array:
-    """s(z) = z / √(1 + Σ(α zᵢ/vᵢ)²): along z, and α s(z) is never faster than v.
+def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
+    """s(z) = z/√r with r = 1 + Σ(kᵢzᵢ)², and its derivative (ż − z Σkᵢ²zᵢżᵢ/r)/√r.
 
-    With one v for all entries ‖α s(z)‖ < v, otherwise each entry of α s(z) is below its own.
+    s is along z, and with k = α/v no α sᵢ(z) is above vᵢ; with one v for all, ‖α s(z)‖ is not.
     """
-    u = z * (alpha / speed)
-    return np.asarray(z / math.sqrt(1.0 + float(dot(u, u))))
-
-
-def saturated_rate(z: Array, z_dot: Array, alpha: float, speed: float | Array) -> Array:
-    """ds/dt of `saturated`: (ż − z (Σ(α/vᵢ)² zᵢ żᵢ) / r) / √r with r = 1 + Σ(α zᵢ/vᵢ)²."""
-    k = alpha / speed
-    u = z * k
+    u = k * z
     r = 1.0 + float(dot(u, u))
-    return np.asarray((z_dot - z * (float(dot(u, z_dot * k)) / r)) / math.sqrt(r))
+    root = math.sqrt(r)
+    return z / root, (z_dot - z * (float(dot(u, k * z_dot)) / r)) / root
 
 
 def reference(
@@ -86,14 +80,14 @@ def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple
     return c * velocity, c * (acceleration - velocity * (acceleration[i] / velocity[i]))
 
 
-def tracking_torque(feedforward: Array, kappa: float, M_hat: Array, sigma: Array) -> Array:
-    """τ = Y_d(q, q̇, q̇_r, q̈_r) â − κ M̂σ, with σ = q̇ − q̇_r and the first term given."""
-    return feedforward - kappa * dot(M_hat, sigma)
+def tracking_torque(feedforward: Array, kappa: float, M_hat_sigma: Array) -> Array:
+    """τ = Y_d(q, q̇, q̇_r, q̈_r) â − κ M̂σ, with σ = q̇ − q̇_r and both terms given."""
+    return feedforward - kappa * M_hat_sigma
 
 
-def dynamics_rate(gamma: Array, Y_d: Array, sigma: Array) -> Array:
-    """dâ/dt = −Γ Y_dᵀσ, shape (p,), with the diagonal of Γ (p,) and Y_d (n_v, p)."""
-    return -gamma * dot(sigma, Y_d)
+def dynamics_rate(gamma: Array, Y_d_sigma: Array) -> Array:
+    """dâ/dt = −Γ Y_dᵀσ, shape (p,), with the diagonal of Γ and Y_dᵀσ, (p,) each."""
+    return -gamma * Y_d_sigma
 
 
 def tracking_potential(sigma: Array, M: Array, a_error: Array, gamma: Array) -> float:

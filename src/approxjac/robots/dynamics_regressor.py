@@ -13,6 +13,7 @@ from approxjac.validation import Array, require
 COULOMB_SPEED = 0.05
 """Speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]."""
 
+_HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
 _OF_A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _OF_A_JOINT = ("rotor", "viscous", "coulomb", "constant")
 
@@ -69,9 +70,6 @@ class DynamicsRegressor:
         of_joints = np.zeros(len(_OF_A_JOINT) * robot.nv)
         self.a = np.concatenate([*(each.toDynamicParameters() for each in inertias), of_joints])
         self.a.flags.writeable = False
-        self._diagonals = tuple(
-            (np.arange(robot.nv), self.links + k * robot.nv + np.arange(robot.nv)) for k in range(4)
-        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot,)  # a copy has scratch memory of its own
@@ -92,17 +90,19 @@ class DynamicsRegressor:
             v_r: q̇_r, shape (n_v,) [rad/s or m/s].
             a_r: q̈_r, shape (n_v,) [rad/s² or m/s²].
         """
-        mimic, model = self._mimic_joints, self._weightless
-        q_all = mimic.q(q)
-        middle, apart = mimic.v(0.5 * (v + v_r)), mimic.v(0.5 * (v - v_r))
-        Y = np.zeros((len(v), self.p))
-        links = Y[:, : self.links]
-        links += self._torques(self._model, q_all, middle, mimic.v(a_r))
-        links -= self._torques(model, q_all, apart, self._zero)
-        rotor, viscous, coulomb, constant = self._diagonals
-        Y[rotor], Y[viscous], Y[constant] = a_r, v_r, self._one
-        Y[coulomb] = np.tanh(v_r / COULOMB_SPEED)
-        return Y
+        links, joints = self.parts(q, v, v_r, a_r)
+        return np.concatenate([links, *(np.diag(each) for each in joints)], axis=1)
+
+    def parts(self, q: Array, v: Array, v_r: Array, a_r: Array) -> tuple[Array, Array]:
+        """Return Y_d as its columns of links (n_v, 10 links), and the diagonals of the others.
+
+        The arguments are those of `Y_d`; the diagonals are (4, n_v).
+        """
+        mimic, q_all = self._mimic_joints, self._mimic_joints.q(q)
+        middle, apart = mimic.v(_HALF * (v + v_r)), mimic.v(_HALF * (v - v_r))
+        links = self._torques(self._model, q_all, middle, mimic.v(a_r))
+        links = links - self._torques(self._weightless, q_all, apart, self._zero)
+        return links, np.array((a_r, v_r, np.tanh(v_r / COULOMB_SPEED), self._one))
 
     def Z(self, q: Array) -> Array:
         """Gravity's part of the links' columns, Y_d(q, 0, 0, 0), shape (n_v, 10 links)."""
