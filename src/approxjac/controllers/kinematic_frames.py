@@ -67,7 +67,11 @@ class Frames:
         return np.concatenate([head, ring.ravel()])
 
     def remember(self, numbers: Array, measurement: Measurement) -> bool:
-        """Write the configuration at hand into the ring, if it is time; return whether it was."""
+        """Write the configuration at hand into the ring, if it is time.
+
+        Returns:
+            Whether it was, or time does not pass.
+        """
         n, head = self._n_x, self._head
         last = int(numbers[n + 1])
         since = measurement.t - numbers[head + last * self._width]
@@ -80,7 +84,7 @@ class Frames:
             return True
         if since < -1e-9:  # time starts anew
             numbers[:] = self.initial(measurement)
-        return False
+        return bool(since < 1e-9)
 
     def new(self, numbers: Array, measurement: Measurement) -> Frame | None:
         """Return the frame if it is new, and note it; `remember` comes first."""

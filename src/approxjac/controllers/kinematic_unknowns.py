@@ -41,6 +41,7 @@ class Unknowns:
         R: Believed rotation of the base's axes in the sensor's, shape (d, d).
         Theta: Believed Θ, shape (P,).
         turns: Whether the rotation is learnt.
+        constant: What is to be added to p, as the offset is known, in the base's axes, shape (m,).
         has_scale: Whether a scale is learnt, the last entry of u.
     """
 
@@ -65,6 +66,8 @@ class Unknowns:
                 )
         else:
             axes = "".join(letter for letter in "xyz" if any(letter == axis for _, axis in of_each))
+            if len(axes) != len(b):  # points with other axes than the first: no tracker's
+                self.R, b = np.eye(len(axes)), np.zeros(len(axes))
         self.d = len(axes)
 
         # p = o(q) + Y(q)(θ_known + S u)
@@ -89,7 +92,7 @@ class Unknowns:
         self.theta, self.n_u = theta, len(u)
         self.S = np.array(columns).reshape(-1, regressor.p).T
         c = self.R.T.dot(b)
-        self._constant: Array = np.zeros(len(rows))  # c, where it is known
+        self.constant: Array = np.zeros(len(rows))  # c, where it is known
         self.offsets = np.zeros((len(rows), 0))
         spins = len(law.generators(self.d)) if self.turns else 0
         believed, deviations = u, sd_u
@@ -99,7 +102,7 @@ class Unknowns:
             names = names + [f"offset.{axis}" for axis in axes]
             believed, deviations = [*u, *b], [*sd_u, *[sds["offset"]] * self.d]
         elif c.any():
-            self._constant = c[each]
+            self.constant = c[each]
         self.Theta = np.concatenate([u, c if self.offsets.size else np.zeros(0)])
         self.sd_Theta, self.sd_R = np.array(deviations), sds["camera"]
         if self.turns:
@@ -118,7 +121,7 @@ class Unknowns:
     def at(self, q: Array) -> tuple[Array, Array]:
         """Return H(q) without the offset's columns, shape (m, n_u), and o(q), shape (m,)."""
         Y = self.regressor.Y(q)[self.rows]
-        known = Y.dot(self.theta) + self._constant
+        known = Y.dot(self.theta) + self.constant
         if self.regressor.has_offset:
             known = known + self.regressor.offset(q)[self.rows]
         return Y.dot(self.S), known

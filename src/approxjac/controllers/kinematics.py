@@ -258,6 +258,7 @@ class AdaptiveKinematics(Kinematics):
         p, J, J_dot, drift = motion
         if not isinstance(unknowns.rows, slice):
             p, J, J_dot, drift = (part[unknowns.rows] for part in motion)
+        p = p + unknowns.constant
         x_d, v_d, a_d = target
         nothing = np.zeros(len(p))
         feed = nothing if v_d is None else v_d
