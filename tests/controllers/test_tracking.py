@@ -18,6 +18,7 @@ from approxjac.controllers import (
 )
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics_regressor import DynamicsRegressor
+from approxjac.simulation import VelocityServo
 from approxjac.tasks import CombinedTask, NonsingularTask
 
 STARTS = {
@@ -378,7 +379,7 @@ def test_velocity_commands_stay_within_limits(panda):
     controller = known(task, command="velocity", dt=4e-3, acceleration=5.0)
     assert controller.command == "velocity"
     state = controller.initial_state(measured(task, q0))
-    assert len(state) == 7
+    assert len(state) == 8
     path, q, before = circle(task, q0), q0, np.zeros(7)
     errors = []
     for k in range(1500):
@@ -394,8 +395,21 @@ def test_velocity_commands_stay_within_limits(panda):
     near = q0.copy()
     near[3] = low[3] + 1e-3
     slow = measured(task, near)
-    _, answer = controller.step(np.zeros(7), slow, task.value(near) - [0.5, 0.0, 0.0], 4e-3)
+    _, answer = controller.step(np.zeros(8), slow, task.value(near) - [0.5, 0.0, 0.0], 4e-3)
     assert answer.torque[3] >= -5e-3 - 1e-12  # towards a stop that is 1 mrad away
+
+
+@pytest.mark.parametrize(("lag", "delay"), [(0.03, 0.008), (0.01, 0.0), (0.05, 0.02)])
+def test_the_lag_of_a_servo_is_learnt(lag, delay):
+    """Delay and half a period count as lag; without it the circle is 3 mm behind."""
+    robot, q0 = aj.load_robot("ur5"), STARTS["ur5"]
+    task, dt = aj.PositionTask(robot), 8e-3
+    servo = VelocityServo(lag=lag, delay=delay, period=dt)
+    controller = known(task, command="velocity", dt=dt)
+    run = aj.simulate(aj.Plant(robot, servo=servo), controller, circle(task, q0), q0, 6.0, dt=dt)
+    assert run.error_norm[500:].max() < 4e-4  # 0.09 to 0.28 mm
+    learnt = controller.learnt(run.state[-1])
+    assert learnt == pytest.approx([lag + delay + 0.5 * dt], abs=4e-3)
 
 
 # -- what is taken and what is refused ------------------------------------------------------------

@@ -98,6 +98,20 @@ def test_speeds_are_brought_within_their_limits_as_a_whole(rng):
     assert_allclose(slowly, v1[:2])
 
 
+def test_v3_of_a_servo_falls_by_the_square_of_sigma(rng):
+    """V̇₃ = −‖σ‖² for L q̈ + q̇ = q̇_r + L̂q̈_r and L̂' = −γ q̈_rᵀσ."""
+    sigma, a_r = rng.normal(size=(2, 4))
+    L, estimate, gamma = 0.04, 0.01, 2.0
+    sigma_dot = (-sigma + (estimate - L) * a_r) / L
+    rate = law.servo_lag_rate(gamma, a_r, sigma)
+
+    def V(t):
+        off, s = estimate + t * rate - L, sigma + t * sigma_dot
+        return 0.5 * L * s @ s + off * off / (2.0 * gamma)
+
+    assert_allclose(rate_of(V), -sigma @ sigma, rtol=1e-7)
+
+
 def test_v2_falls_by_what_the_gain_dissipates(rng):
     """V̇₂ = −κσᵀM̂σ for Mσ̇ = −Cσ − κM̂σ + Y_d(â − a), Ṁ − 2C skew, â' = −ΓY_dᵀσ."""
     n, p, kappa = 4, 6, 3.0

@@ -68,10 +68,11 @@ class TrackingController(ProvenLaw):
             where that is less.
         self_motion: k_n [1/s].
         command: "torque", or "velocity" for a robot that takes joint velocities: then q̇_r is the
-            command, within the URDF's limits of speed and position, and nothing is learnt of the
-            dynamics.
+            command, ahead of the lag of the robot's servo, which is learnt in place of the
+            dynamics, and within the URDF's limits of speed and position.
         acceleration: Largest change of a velocity command, a number or shape (n_v,) [rad/s² or
-            m/s²]; by default what the motors of the believed arm surely have.
+            m/s²]; by default what the motors of the believed arm surely have, up to full speed in
+            0.1 s.
 
     Raises:
         InvalidInputError: Numbers out of range or of the wrong shape, kinematics or dynamics of
@@ -132,7 +133,7 @@ class TrackingController(ProvenLaw):
             )
         room = max(1.0, _ROOM / (self.kappa * self.sampling_time))
         self._added = np.zeros(robot.nv)
-        self._n_dynamics = 0
+        self._n_dynamics = 1  # the lag of a servo
         if self._commands is None:
             self._added = self.dynamics.gain_inertia(room)
             self._n_dynamics = self.dynamics.n_state
@@ -230,8 +231,8 @@ class TrackingController(ProvenLaw):
         if status is _OK and not math.isfinite(math.hypot(*e.tolist())):
             status = _PREDICTED
         if self._commands is not None:
-            sent = self._commands.within(q, v_r, state[self._end :])
-            after[self._end :] = sent
+            lag, sent = self._commands.step(state[:1], q, v, v_r, a_r, state[self._end :])
+            after[:1], after[self._end :] = lag, sent
             return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
         a_hat = state[: self._n_dynamics]
         a_hat, motion = self.dynamics.step(a_hat, q, v, v_r, a_r, dt if learns else 0.0)

@@ -1,4 +1,4 @@
-"""`VelocityCommand`: a reference velocity within limits of speed, position and acceleration."""
+"""`VelocityCommand`: joint velocities for a robot's own servo, within limits, ahead of its lag."""
 
 from __future__ import annotations
 
@@ -7,24 +7,33 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from approxjac import law
 from approxjac.controllers.limits import Limits, speed_bounds, sure_deceleration
 from approxjac.robots import Robot
 from approxjac.validation import Array, as_limits
 
 _APPROACH = 5.0  # κ of `speed_bounds` [1/s]
+_GAIN = 1.0  # of what learns the lag
+_LONGEST = 0.1  # lag [s]
+_SOONEST = 0.1  # that a joint gets to its full speed in, where nothing is told [s]
 
 
 class VelocityCommand:
-    """The velocity nearest to q̇_r that joints may be commanded.
+    """The velocity nearest to q̇_r + L̂q̈_r that joints may be commanded, with a lag L̂ that is learnt.
+
+    A servo with L q̈ + q̇ = q̇_cmd and σ = q̇ − q̇_r has Lσ̇ = −σ + (L̂ − L)q̈_r, so with
+    L̂' = −γ q̈_rᵀσ the function V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has V̇₃ = −‖σ‖². A delay counts as lag,
+    for which nothing is proven.
 
     Speed is brought within its limits along q̇_r as a whole (`law.within_speeds`, before); joints
     near their position limits are slowed down each on its own, and each command differs from the
-    one before by the acceleration that there may be.
+    one before by the acceleration that there may be. Where a command is limited, L̂ rests.
 
     Args:
         robot: The believed robot.
         limits: With an entry for each joint.
-        acceleration: A number or shape (n_v,) [rad/s² or m/s²]; by default `sure_deceleration`.
+        acceleration: A number or shape (n_v,) [rad/s² or m/s²]; by default `sure_deceleration`, but
+            no more than leads to full speed in 0.1 s.
         dt: Time from command to command [s].
     """
 
@@ -36,17 +45,38 @@ class VelocityCommand:
         dt: float,
     ) -> None:
         sure = sure_deceleration(robot, np.asarray(limits.effort))
-        given = sure if acceleration is None else acceleration
+        usual = np.minimum(sure, np.asarray(limits.velocity) / _SOONEST)
+        given = usual if acceleration is None else acceleration
         self.acceleration = as_limits("acceleration", given, robot.nv, unit="rad/s^2 or m/s^2")
         (low, high), fastest = np.array(limits.position), np.asarray(limits.velocity)
         slowing = np.minimum(self.acceleration, sure)
         self._joints = np.array([low, high, fastest, slowing]).T.tolist()
         self._model = robot.model
         self._neutral = None if robot.nq == robot.nv else robot.neutral()
-        self._change = dt * self.acceleration
+        self._dt, self._change = dt, dt * self.acceleration
 
-    def within(self, q: Array, velocity: Array, before: Array) -> Array:
-        """Return the command at q (nq,), given the wanted one and the one before, (n_v,) each."""
+    def step(
+        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, before: Array
+    ) -> tuple[Array, Array]:
+        """Return L̂ a period later, shape (1,), and the command, shape (n_v,).
+
+        Args:
+            state: L̂ [s], shape (1,).
+            q: Configuration, shape (nq,).
+            v: q̇, shape (n_v,).
+            v_r: q̇_r, shape (n_v,).
+            a_r: q̈_r, shape (n_v,).
+            before: The command before, shape (n_v,).
+        """
+        wanted = v_r + state[0] * a_r
+        sent = self._within(q, wanted, before)
+        if sent.tolist() != wanted.tolist():
+            return state, sent
+        lag = float(state[0]) + self._dt * law.servo_lag_rate(_GAIN, a_r, v - v_r)
+        return np.array([min(max(lag, 0.0), _LONGEST)]), sent
+
+    def _within(self, q: Array, velocity: Array, before: Array) -> Array:
+        """Return the velocity within limits, given the command before."""
         motion = q if self._neutral is None else pin.difference(self._model, self._neutral, q)
         low, high = np.array(speed_bounds(motion, self._joints, _APPROACH))
         wanted = np.minimum(np.maximum(velocity, low), high)

@@ -90,6 +90,11 @@ def dynamics_rate(gamma: Array, Y_d_sigma: Array) -> Array:
     return -gamma * Y_d_sigma
 
 
+def servo_lag_rate(gamma: float, acceleration: Array, sigma: Array) -> float:
+    """dL̂/dt = −γ q̈_rᵀσ, of a servo with L q̈ + q̇ = q̇_cmd that is sent q̇_r + L̂q̈_r."""
+    return -gamma * float(dot(acceleration, sigma))
+
+
 def tracking_potential(sigma: Array, M: Array, a_error: Array, gamma: Array) -> float:
     """V₂ = ½σᵀMσ + ½ãᵀΓ⁻¹ã [J], with the true M and ã = a − â.
 
