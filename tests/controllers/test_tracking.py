@@ -430,7 +430,7 @@ def test_the_lag_of_a_servo_is_learnt(lag, delay):
         ({"kappa": -1.0}, r"kappa must be a finite number > 0 \[1/s\], got -1.0"),
         ({"dt": 0.0}, r"dt must be a finite number > 0 \[s\], got 0.0"),
         ({"command": "position"}, 'command must be "torque" or "velocity", got \'position\''),
-        ({"acceleration": 3.0}, 'acceleration is of command="velocity", got 3.0'),
+        ({"acceleration": 3.0}, 'acceleration must be None without command="velocity", got 3.0'),
     ],
 )
 def test_what_does_not_fit_is_refused(panda, changes, message):

@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from approxjac.controllers.predicted import Kinematics, Prediction
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import require_jacobian_of_q, uncombined
+from approxjac.tasks.analysis import uncombined
 from approxjac.validation import Array, require
 
 _DIFFERENCE = 1e-5  # of values, either way, from which a rate is taken [unit of the task]
@@ -33,7 +34,12 @@ class KnownKinematics(Kinematics):
     def __init__(self, task: Task) -> None:
         self._remember(locals())
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
-        require_jacobian_of_q(task, "KnownKinematics")
+        if task._uses_x:
+            raise InvalidInputError(
+                f"task must have a Jacobian that depends on q only, such as an ImageTask with "
+                f"depth='believed', got {task!r}",
+                given=task,
+            )
         self.task = task
         back = uncombined(task)  # a target moves in the coordinates of what is measured
         self._combination = None if back is None else np.linalg.inv(back)
@@ -66,6 +72,9 @@ class KnownKinematics(Kinematics):
     def learnt(self, state: Array) -> Array:
         """Return nothing, shape (…, 0)."""
         return state[..., :0]
+
+    def __repr__(self) -> str:
+        return f"KnownKinematics({self.task!r})"
 
     def _combined(self, rate: Array) -> Array:
         return rate if self._combination is None else self._combination.dot(rate)

@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 
 from approxjac.controllers.predicted import Kinematics
-from approxjac.controllers.wrapper import ControllerWrapper, with_task
+from approxjac.controllers.tracking import TrackingController
+from approxjac.controllers.wrapper import ControllerWrapper, law_of, with_task
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
 from approxjac.robots import Robot
@@ -45,6 +46,12 @@ class PredictedMeasurement(ControllerWrapper):
         self._remember(locals())
         require("kinematics", kinematics, Kinematics, "AdaptiveKinematics(task)")
         require("controller", controller, Controller, "a controller such as SetpointController")
+        if isinstance(law_of(controller), TrackingController):
+            raise InvalidInputError(
+                f"controller must be one that controls the measured x, got {controller!r}, which "
+                "has kinematics of its own",
+                given=controller,
+            )
         task = kinematics.task
         if controller.task.labels != task.labels or controller.task.robot is not task.robot:
             raise InvalidInputError(

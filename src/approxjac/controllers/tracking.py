@@ -129,7 +129,8 @@ class TrackingController(ProvenLaw):
             self._commands = VelocityCommand(robot, limits, acceleration, self.sampling_time)
         elif acceleration is not None:
             raise InvalidInputError(
-                f'acceleration is of command="velocity", got {acceleration!r}', given=acceleration
+                f'acceleration must be None without command="velocity", got {acceleration!r}',
+                given=acceleration,
             )
         room = max(1.0, _ROOM / (self.kappa * self.sampling_time))
         self._added = np.zeros(robot.nv)
@@ -161,7 +162,7 @@ class TrackingController(ProvenLaw):
         told = self.kinematics.task
         if told.robot.joint_names != task.robot.joint_names or told.labels != task.labels:
             raise InvalidInputError(
-                f"kinematics must be of the task {task!r}, got {self.kinematics!r} of {told!r}",
+                f"kinematics must be of the task {task!r}, got {self.kinematics!r}",
                 given=self.kinematics,
             )
         if self.dynamics.robot.joint_names != task.robot.joint_names:

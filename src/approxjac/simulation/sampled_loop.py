@@ -247,7 +247,7 @@ def require_fit(plant: Plant, controller: Controller, dt: float | None) -> None:
     wanted = controller.dt
     if wanted is not None and (dt is None or not np.isclose(dt, wanted, rtol=1e-9, atol=0.0)):
         raise InvalidInputError(
-            f"dt must be that of the controller, {wanted:g} [s], which keeps limits of speeds or "
-            f"positions from step to step, got {dt!r}",
+            f"dt must be that of the controller, {wanted:g} [s], for which it was built, got "
+            f"{dt!r}",
             given=dt,
         )
