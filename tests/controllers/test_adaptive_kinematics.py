@@ -283,6 +283,38 @@ def test_a_tracker_that_was_moved_is_learnt_anew(turned_run, truth):
     assert np.mean(seen) < 6e-3
 
 
+def test_a_tool_that_slips_is_learnt_anew(turned_run, panda, truth):
+    """By 3 cm, which no gate keeps out: residuals contradict what is remembered."""
+    kinematics, R, _ = turned_run
+    slipped = aj.PositionTask(wrong_arm(panda, np.random.default_rng(0), length=0.23), axes="xyz")
+    before, place = aj.PositionTask(truth, axes="xyz"), {}
+
+    def spoil(t, x):
+        return x + R @ (slipped.value(place["q"]) - before.value(place["q"])) if t > 2.0 else x
+
+    def look(t, q, state):
+        place["q"] = q
+        if t > 4.0:
+            p = kinematics.regressor.Y(q) @ kinematics._unknowns.S @ state[kinematics._at["u"]]
+            x_hat = state[kinematics._at["R"]].reshape(3, 3) @ p + state[kinematics._at["b"]]
+            seen.append(np.linalg.norm(x_hat - R @ slipped.value(q) - OFFSET))
+
+    seen = []
+    run = follow(kinematics, truth, R, spoil=spoil, look=look, seconds=4.5)
+    assert np.mean(seen) < 5e-3
+    assert kinematics.report(run.state).restarts == 1
+    assert "begun anew 1 times" in str(kinematics.report(run.state))
+
+
+def test_noise_beyond_what_was_told_is_seen(belief, truth):
+    R = rotation_exp(TURN)
+    kinematics = AdaptiveKinematics(belief)
+    report = kinematics.report(follow(kinematics, truth, R, noise=1e-2, seconds=5.0).state)
+    assert report.noise == pytest.approx((2e-3, 1e-2), rel=0.35)
+    assert report.restarts == 0
+    assert report.chi_squared < 3.0
+
+
 def test_without_x_control_goes_on(turned_run, truth):
     def spoil(t, x):
         return np.full(3, np.nan) if 2.5 < t < 3.8 else x

@@ -40,18 +40,23 @@ class KinematicReport(NamedTuple):
 
     Attributes:
         rows: A row each number that was learnt.
-        covariance: Of them, in the same order, wider where χ² is above 1.
+        covariance: Of them, in the same order, wider where χ² is above 1, or the noise above what
+            was told.
         angle: Of the camera's rotation [rad]; 0 where it is known.
         chi_squared: Of residuals averaged over a third of a second, per degree of freedom: 1 if
-            the parameters that may be wrong explain x up to white noise of the sd that was told.
-        seconds: Of frames that were learnt from [s].
+            the parameters that may be wrong explain x up to white noise.
+        noise: Standard deviation of x as it was told, and as it is seen from frame to frame [m].
+        seconds: Of frames that were learnt from, since the last restart [s].
+        restarts: How often learning began anew, as the sensor was moved or the tool slipped.
     """
 
     rows: tuple[LearntNumber, ...]
     covariance: Array
     angle: float
     chi_squared: float
+    noise: tuple[float, float]
     seconds: float
+    restarts: int
 
     @property
     def is_explained(self) -> bool:
@@ -61,13 +66,16 @@ class KinematicReport(NamedTuple):
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)
         head = f"{'':{width}}  {'believed':>10} {'learnt':>10} {'sd':>9} {'seen':>6}"
-        lines = [f"learnt from {self.seconds:.1f} s of frames", head]
+        since = f", begun anew {self.restarts} times" if self.restarts else ""
+        lines = [f"learnt from {self.seconds:.1f} s of frames{since}", head]
         for row in self.rows:
             said = f"{100.0 * row.share:5.0f} %" if row.is_seen else "not seen"
             numbers = f"{row.believed:10.4f} {row.value:10.4f} {row.sd:9.4f} {said:>8}"
             lines.append(f"{row.name:{width}}  {numbers} {row.unit}".rstrip())
         if self.angle:
             lines.append(f"camera turned by {self.angle:.4f} rad")
+        told, seen = (1e3 * noise for noise in self.noise)
+        lines.append(f"noise of x {seen:.2g} mm, told {told:.2g} mm")
         lines.append(f"chi squared a degree of freedom: {self.chi_squared:.2f}")
         if not self.is_explained:
             lines.append("the parameters that may be wrong do not explain x")

@@ -27,6 +27,11 @@ _LONGEST = 0.1  # time that one frame counts for [s]
 _JUMP = 8.0  # standard deviations of x
 _WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
 _MEMORY = 15.0  # of χ² [s]
+_NOISE_MEMORY = 2.0  # of the noise that is seen [s]
+_CHANGED = (
+    3e-3,
+    9.0,
+)  # averaged residual [m], and in its standard deviations: another sensor or tool
 _SMALLEST_SCALE = 0.1
 
 
@@ -44,7 +49,8 @@ class AdaptiveKinematics(Kinematics):
     offset on x̂ takes up what the parameters do not explain.
 
     Frames are paired with the configuration at which they were taken, so delay and frame rate are
-    outside the loop. A sensor that jumps is passed over; one that was moved is learnt anew.
+    outside the loop. A sensor that jumps is passed over. One that was moved is learnt anew, and so
+    is a tool that slipped: what was learnt before is a belief then.
 
     Args:
         task: A `PositionTask` or `TrackerTask` of the believed robot, or a `StackedTask` of them;
@@ -96,7 +102,7 @@ class AdaptiveKinematics(Kinematics):
         m, n, turns = task.m, unknowns.n_u, self._turns
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "sums": self._estimator.size,
-            "told": len(self.names), "integral": m, "averaged": m, "chi": 2, "time": 1,
+            "told": len(self.names), "integral": m, "averaged": m, "left": m, "chi": 4, "time": 1,
             "u": n, "b": m, "R": self._d**2 if turns else 0,
             "u_dot": n, "b_dot": m, "spin": len(law.generators(self._d)) if turns else 0,
         }  # fmt: skip
@@ -121,7 +127,7 @@ class AdaptiveKinematics(Kinematics):
         state[at["frames"]] = self._frames.initial(measurement)
         state[at["sums"]] = self._estimator.initial()
         state[at["told"]] = unknowns.believed
-        state[at["chi"]] = 1.0, 0.0
+        state[at["chi"]] = 1.0, 0.0, 0.0, self.noise**2
         state[at["time"]] = measurement.t
         state[at["u"]] = unknowns.Theta[: unknowns.n_u]
         if self._turns:
@@ -171,10 +177,15 @@ class AdaptiveKinematics(Kinematics):
             if not seen.any():
                 return
         since = min(max(frame.t - float(state[at["time"]][0]), 0.0), _LONGEST)
-        sums = state[at["sums"]]
-        if is_anew:
+        sums, averaged, chi = state[at["sums"]], state[at["averaged"]], state[at["chi"]]
+        kept = -math.expm1(-since / _WINDOW)
+        noise = max(self.noise, math.sqrt(chi[3]))  # as told, or as seen from frame to frame
+        usual = noise * math.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
+        is_anew = is_anew or bool(np.abs(averaged).max() > max(_CHANGED[0], _CHANGED[1] * usual))
+        if is_anew:  # what was learnt before is contradicted, as by a tool that slipped
             sums = self._estimator.renewed(sums)
-            state[at["integral"]] = 0.0
+            state[at["integral"]] = averaged[:] = 0.0
+            chi[:3] = 1.0, 0.0, chi[2] + 1.0
         H, known = self._unknowns.at(frame.q)
         H = np.concatenate([H, self._unknowns.offsets], axis=1)
         x, H, known = (frame.x, H, known) if seen.all() else (frame.x[seen], H[seen], known[seen])
@@ -186,16 +197,17 @@ class AdaptiveKinematics(Kinematics):
         state[at["told"]] = self._told(Theta, R)
         # what is left of x: taken up by the integral, and averaged to be looked at
         left = x - self._turned(R, known + H.dot(Theta))
-        integral, averaged = state[at["integral"]], state[at["averaged"]]
+        integral = state[at["integral"]]
         integral[seen] += -math.expm1(-_INTEGRAL * since) * (left - integral[seen])
-        kept = -math.expm1(-since / _WINDOW)
         averaged[seen] += kept * (left - averaged[seen])
+        change = left - state[at["left"]][seen]
+        state[at["left"]][seen] = left
         if kept > 0.0:
-            chi = state[at["chi"]]
             chi[1] += since
-            mean = averaged[seen].dot(averaged[seen]) / len(x)
-            now = mean * (2.0 - kept) / (kept * self.noise**2)
+            now = averaged[seen].dot(averaged[seen]) / (len(x) * usual**2)
             chi[0] += since / min(chi[1] + 1.0, _MEMORY) * (now - chi[0])
+            seen_now = 0.5 * change.dot(change) / len(x)
+            chi[3] += since / min(chi[1] + 0.3, _NOISE_MEMORY) * (seen_now - chi[3])
 
     # -- the smoothed estimates ----------------------------------------------------------
 
@@ -293,10 +305,10 @@ class AdaptiveKinematics(Kinematics):
         """Return what a state has learnt: values, standard deviations, and what was not seen."""
         at, unknowns = self._at, self._unknowns
         told = self.learnt(state)
-        chi, seconds = state[at["chi"]].tolist()
+        chi, seconds, restarts, variance = state[at["chi"]].tolist()
         P = self._estimator.covariance(state[at["sums"]])
         share = 1.0 - P.diagonal() / unknowns.sd**2
-        P = P * max(chi, 1.0)
+        P = P * (max(chi, 1.0) * max(1.0, variance / self.noise**2))
         if unknowns.has_scale:  # translations were learnt times the scale
             n = unknowns.n_u - 1
             T = np.eye(len(P))
@@ -309,7 +321,8 @@ class AdaptiveKinematics(Kinematics):
             for name, unit, each in zip(self.names, unknowns.units, numbers, strict=True)
         )
         turn = told[len(P) - len(state[at["spin"]]) :]
-        return KinematicReport(rows, P, math.hypot(*turn.tolist()), chi, seconds)
+        angle, noise = math.hypot(*turn.tolist()), (self.noise, math.sqrt(variance))
+        return KinematicReport(rows, P, angle, chi, noise, seconds, int(restarts))
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the translations that a state has learnt."""
