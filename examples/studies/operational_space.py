@@ -12,7 +12,7 @@ DAMPED = 1e-3  # share of λ_max[ĴM̂⁻¹Ĵᵀ] that is added to it before it 
 class OperationalSpace(ContinuousController):
     """Operational-space control with integral action and a posture spring.
 
-    F* = −2ω(Ĵq̇ − ν) − (ω²/T) ∫e dt,   ν = −½ω e of at most V,
+    F* = −2ω(Ĵq̇ − ν) − (ω²/T) ∫e dt,   ν = ẋ_d − ½ω e, the latter of at most V,
     τ = ĴᵀΛ̂F* + N̂ᵀM̂(−ω_n²(q − q_p) − 2ω_n q̇) + Ĉ(q, q̇)q̇ + ĝ(q)
 
     with Λ̂ = (ĴM̂⁻¹Ĵᵀ)⁻¹, N̂ = I − M̂⁻¹ĴᵀΛ̂Ĵ and ω_n = ½ω, after O. Khatib, "A unified approach for
@@ -44,13 +44,16 @@ class OperationalSpace(ContinuousController):
     def evaluate(self, state, measurement, target):
         """Return the torque for one measurement, and the rate of the integral."""
         _, q, v, x, _ = measurement
+        v_d = 0.0
+        if isinstance(target, aj.Target):
+            target, v_d = target.x, 0.0 if target.v is None else target.v
         e, J = self.task.error(x, target), self.task.jacobian(q, x)
         lost = not np.isfinite(e).all()
         e = np.zeros(self.task.m) if lost else e
         w, M, robot = self.frequency, self.dynamics.M(q), self.task.robot
         reference = -0.5 * w * e
         share = min(1.0, self.speed / max(np.linalg.norm(reference), 1e-12))
-        command = -2.0 * w * (J @ v - share * reference) - w**2 / self.integral_time * state
+        command = -2.0 * w * (J @ v - v_d - share * reference) - w**2 / self.integral_time * state
         mobility = J @ np.linalg.solve(M, J.T)
         floor = DAMPED * np.linalg.norm(mobility, 2) * np.eye(len(e))
         inertia = np.linalg.inv(mobility + floor)

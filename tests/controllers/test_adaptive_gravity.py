@@ -323,10 +323,12 @@ def test_freezing_keeps_theta_from_winding_up_on_weak_motors(arms):
 def test_it_learns_no_weight_that_the_motors_cannot_hold(panda, rng):
     """Where |Yθ̂| is beyond the motors, it becomes no larger, as long as the arm stays there."""
     task = aj.PositionTask(panda)
-    controller = aj.SetpointController(
-        task, gravity=aj.AdaptiveGravity(panda, torque_limits=np.inf)
+    law, effort = (
+        aj.SetpointController(task, gravity=aj.AdaptiveGravity(panda)),
+        panda.effort_limits,
     )
-    learning, effort = controller.adaptation, panda.effort_limits
+    controller = law.with_limiter(effort)  # which never rests, so that it is bounds that are seen
+    learning = controller.adaptation
     measurement = aj.Plant(panda).measure(0.0, panda.random_configuration(rng), np.zeros(7))
     theta0 = controller.initial_state(measurement)
     Y = learning.Y(measurement.q, task.jacobian(measurement.q))
@@ -334,6 +336,8 @@ def test_it_learns_no_weight_that_the_motors_cannot_hold(panda, rng):
     for _ in range(50):
         heavy = rng.choice([-1.2, 0.0, 1.2], 7) * effort  # N m, by joint torques alone
         theta_hat = theta0 + np.concatenate([np.zeros(15), heavy])
+        # at a bound of one parameter on which rows of torque depend, too
+        theta_hat[12] = learning.bounds[rng.integers(2)][12]
         target = measurement.x + rng.uniform(-0.2, 0.2, 3)
         answer = controller.evaluate(theta_hat, measurement, target)
         g, g_dot = answer.gravity, Y @ answer.state_rate
@@ -341,3 +345,28 @@ def test_it_learns_no_weight_that_the_motors_cannot_hold(panda, rng):
         beyond += too_much.sum()
         assert (g_dot * np.sign(g))[too_much].max(initial=0.0) <= 1e-9 * np.abs(g_dot).max()
     assert beyond > 50
+
+
+def test_motors_that_are_stronger_than_the_urdf_says_may_be_asked_for_more(panda):
+    """With `torque_limits` of one's own, within limits of one's own, and with none at all."""
+    truth, strong = panda.with_object(0.2, 6.0), 3.0 * panda.effort_limits
+    task, belief = aj.PositionTask(panda), aj.AdaptiveGravity
+    q = np.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.6, 0.7])
+    theta = GravityRegressor(panda).fit(truth)[0]
+    told = {"bounds": (-100.0, 100.0), "theta0": theta}
+    for gravity, limits in (
+        (belief(panda, torque_limits=strong, **told), None),
+        (belief(panda, torque_limits=np.inf, **told), None),
+        (belief(panda, **told), aj.Limits(effort=strong)),
+    ):
+        law = aj.SetpointController(task, gravity=gravity)
+        controller = law if limits is None else aj.TorqueLimited(law, limits)
+        x = aj.PositionTask(panda).value(q)
+        measurement = aj.Measurement(0.0, q, np.zeros(7), x - [0.0, 0.0, 0.01])
+        state = controller.initial_state(measurement)
+        after, answer = controller.step(state, measurement, x, 1e-3)
+        assert (np.abs(answer.gravity) > panda.effort_limits).any()
+        free = law.with_limiter(np.full(7, np.inf)).evaluate(
+            law.initial_state(measurement), measurement, x
+        )
+        assert_allclose(controller.learnt(after) - controller.learnt(state), 1e-3 * free.state_rate)

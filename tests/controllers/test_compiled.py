@@ -20,7 +20,7 @@ from approxjac.controllers import (
     machine_code,
 )
 from approxjac.errors import MeasurementError, MissingPackageError
-from approxjac.law import Linear, Sine, Tanh, products
+from approxjac.law import Linear, Sine, Tanh, products, theta_hat_rate
 from approxjac.robots import GravityRegressor
 from approxjac.tasks import NonsingularTask
 
@@ -560,3 +560,26 @@ def test_an_equation_that_was_changed_is_compiled_anew(tmp_path):
     equation.write_text(text.replace("kp * s + kv * dot(J_hat, v)", "2.0 * kp * s"))
     after = torque()
     assert np.abs(after - before).max() > 1.0
+
+
+def test_learning_stops_at_the_motors_as_that_of_the_ordinary_law(panda, rng):
+    """Where |Yθ̂| is beyond what θ̂ may ask for, and the torque of the law is not."""
+    task = aj.PositionTask(panda)
+    low = 10.0  # N m
+    gravity = aj.AdaptiveGravity(panda, bounds=(-100.0, 100.0), torque_limits=low)
+    given = aj.SetpointController(task, gravity=gravity).adaptation
+    given = given._replace(torque_limits=np.full(7, np.inf))
+    plain = aj.SetpointController(task, gravity=given)
+    quick, seen = CompiledSetpointController(task, gravity=given), 0
+    for _ in range(50):
+        measurement, target = measured(task, rng)
+        state = plain.initial_state(measurement)
+        expected = plain.evaluate(state, measurement, target)
+        assert_same(quick.evaluate(state, measurement, target), expected)
+        g = expected.gravity
+        unbounded = theta_hat_rate(
+            given.L, given.Y(measurement.q, expected.J_hat),
+            plain.passive_output(expected, measurement.v, given.alpha),
+        )  # fmt: skip
+        seen += not np.allclose(expected.state_rate, unbounded) and (np.abs(g) > low).any()
+    assert seen > 5

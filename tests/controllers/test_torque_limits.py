@@ -889,3 +889,29 @@ def test_absurd_errors_and_postures_do_not_warn(panda, proof):
         answer = answered(limited, limited.initial_state(measurement), measurement, np.zeros(3))
         assert np.isfinite(answer.torque).all()
         assert (np.abs(answer.torque) <= panda.effort_limits).all()
+
+
+def test_what_others_learn_at_limits_stays_within_bounds(panda, rng):
+    """θ̂ at a bound goes no further where joints at a limit do not learn."""
+    task, regressor = aj.PositionTask(panda), GravityRegressor(panda)
+    bounds = regressor.theta - 0.01, regressor.theta + 0.01
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor, bounds=bounds))
+    limited, seen = aj.TorqueLimited(law, aj.Limits.of(panda)), 0
+    lower, upper = law.adaptation.bounds
+    for _ in range(400):
+        measurement, _ = some_measurement(panda, rng, speed=0.1, error=0.2)
+        q = measurement.q.copy()
+        q[3] = panda.position_limits[1][3] - 0.001
+        measurement = measurement._replace(q=q, x=task.value(q))
+        target = measurement.x + rng.uniform(-0.05, 0.05, 3)
+        state = limited.initial_state(measurement)
+        state[:12] = np.where(rng.random(12) < 0.5, lower[:12], upper[:12])
+        after, answer = limited.step(state, measurement, target, DT)
+        theta_hat, moved = state[:22], after[:22] - state[:22]
+        if answer.limit_status is not aj.LimitStatus.PROOF_GIVEN_UP or not moved.any():
+            continue
+        seen += 1
+        size = np.abs(moved).max()
+        assert (moved[theta_hat <= lower] >= -1e-9 * size).all()
+        assert (moved[theta_hat >= upper] <= 1e-9 * size).all()
+    assert seen > 3

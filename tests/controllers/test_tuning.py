@@ -177,17 +177,17 @@ def test_the_check_refuses_what_diverges_and_passes_what_the_rule_chose(name, la
         np.zeros(task.robot.nv), np.zeros(0), None,
     )  # fmt: skip
     all_cases = np.ones(4 * len(arm.postures.q[:20]), dtype=bool)
-    assert not arm.passes(gains, fast, latency, all_cases)
+    assert not arm.passes(gains, fast, latency, all_cases, math.inf)
     assert chosen.stable
     rule = chosen.gains.diagonals(task.m, task.robot.nv)
-    assert arm.passes(rule, chosen.learning, latency, all_cases)
+    assert arm.passes(rule, chosen.learning, latency, all_cases, math.inf)
 
 
 def test_what_is_too_late_for_any_gains_says_so():
     task = position_task(aj.load_robot("panda"))
     hopeless = tuned(task, Latency(image_age=100.0), settling_time=0.01)
     assert not hopeless.stable
-    assert "no gains passed the check: this loop is too late" in str(hopeless)
+    assert "no gains passed the check: x is too late, or Ĵ too far off" in str(hopeless)
 
 
 def test_law_5_is_damped_as_late_as_it_differentiates(panda):

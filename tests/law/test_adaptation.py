@@ -56,7 +56,7 @@ def test_at_a_bound_only_what_leads_out_is_left_out(theta, rate, kept):
     L = np.array([1.0, 2.0, 0.5, 3.0])
     for metric in (L, np.diag(L)):
         answer = law.within_bounds(given_rate, around, LOWER, UPPER, metric)
-        assert_allclose(answer, [7.0, kept, -7.0, 7.0], atol=0)
+        assert_allclose(answer, [7.0, kept, -7.0, 7.0], atol=1e-20)
 
 
 @given(boxed, rates, boxed, gains())
@@ -94,14 +94,22 @@ def test_many_bounds_at_once_are_kept_with_what_is_learnt_with_by_default(panda,
         assert (at * projected / size).max() <= 1e-10
 
 
-@given(boxed, rates, boxed, gains(), arrays(np.float64, (2, P), elements=st.floats(-1.0, 1.0)))
-def test_further_bounds_are_kept_and_the_potential_falls(theta_hat, rate, theta, L, normals):
-    """Of half-spaces that θ lies in and θ̂ is at or beyond, beside the box."""
+@given(
+    boxed, rates, boxed, gains(), arrays(np.float64, (2, P), elements=st.floats(-1.0, 1.0)),
+    st.booleans(),
+)  # fmt: skip
+def test_further_bounds_are_kept_and_the_potential_falls(
+    theta_hat, rate, theta, L, normals, depend
+):
+    """Of half-spaces that θ lies in and θ̂ is at or beyond, beside the box; also dependent ones."""
+    if depend:
+        normals = np.concatenate([np.eye(P)[:2], normals, normals[:1] + normals[1:], normals[:1]])
     beyond = normals @ (theta_hat - theta) >= 0.0  # a half-space through θ̂ has θ on its inside
     outward = normals[beyond & (np.abs(normals).max(axis=1) > 0.1)]
     projected = law.within_bounds(rate, theta_hat, LOWER, UPPER, L, outward)
     error, L = theta - theta_hat, np.diag(L) if L.ndim == 1 else L
     assert error @ np.linalg.solve(L, projected - rate) >= -1e-7
+    assert projected @ np.linalg.solve(L, projected) <= (1 + 1e-9) * rate @ np.linalg.solve(L, rate)
     assert (outward @ projected <= 1e-7).all()
     assert (projected[theta_hat <= LOWER] >= -1e-7).all()
     assert (projected[theta_hat >= UPPER] <= 1e-7).all()

@@ -108,8 +108,8 @@ class AdaptiveGravity(Immutable):
     action with a proof, and constant joint torques w, which take up friction. (28), (29) hold for
     the regressor Y = [Z, Ĵᵀ, I] with θ = (θ_g, 0, 0), and V̇ = −W with it.
 
-    θ̂ stands still while x is lost, near a singular Ĵ, and while the torque of the law is beyond
-    `torque_limits`: what a saturated motor fails to do is no evidence about gravity.
+    θ̂ stands still while x is lost, while the target is out of reach, and while the torque of the
+    law is beyond `torque_limits`: what a saturated motor fails to do is no evidence about gravity.
 
     Args:
         model: The believed robot, or a `GravityRegressor` of it. What it holds
@@ -243,7 +243,15 @@ class AdaptiveGravity(Immutable):
                     side[:p] = given
         weight = None if chosen is None else chosen.pinv_weight
         return Adaptation(
-            self.regressor, sizes, L, alpha, theta0, bounds, self.torque_limits, weight
+            self.regressor,
+            sizes,
+            L,
+            alpha,
+            theta0,
+            bounds,
+            self.torque_limits,
+            self.torque_limits,
+            weight,
         )
 
 
@@ -258,6 +266,8 @@ class Adaptation(NamedTuple):
         theta0: θ̂(0), shape (P,).
         bounds: Smallest and largest θ, each shape (P,), or None.
         torque_limits: Torques beyond which θ̂ stands still, shape (n_v,).
+        motors: Torques beyond which what θ̂ alone asks for grows no further, shape (n_v,): those
+            limits, also within a limiter, which decides itself when θ̂ stands still.
         pinv_weight: Weight of Ĵ⁺ in y of (10), as of `law.cross_weight_pinv`, shape (n_v,): B_c
             where the rule chose how to learn; None is I.
     """
@@ -269,6 +279,7 @@ class Adaptation(NamedTuple):
     theta0: Array
     bounds: tuple[Array, Array] | None
     torque_limits: Array
+    motors: Array
     pinv_weight: Array | None
 
     def __repr__(self) -> str:
@@ -318,21 +329,26 @@ class Adaptation(NamedTuple):
     def bounded(self, rate: Array, theta_hat: Array, Y: Array, g: Array) -> Array:
         """Return dθ̂/dt (P,) with what would lead out of bounds taken back, for g = Yθ̂ (n_v,).
 
-        Beside the bounds of each parameter, θ̂ may not ask for more than the motors have: no gravity
-        that the arm can bear does.
+        Beside the bounds of each parameter there are those of the motors: where |Yθ̂| is beyond
+        them, it grows no further. V̇ ≤ −W stays where the true arm can be held at q.
         """
         if self.bounds is None:
             return rate
-        effort = self.robot.effort_limits
-        beyond = np.abs(g) > effort
-        outward = np.sign(g[beyond])[:, np.newaxis] * Y[beyond] if beyond.any() else None
+        outward = None
+        if _is_beyond(g, self.motors):
+            beyond = np.abs(g) > self.motors
+            outward = np.sign(g[beyond])[:, np.newaxis] * Y[beyond]
         return law.within_bounds(rate, theta_hat, *self.bounds, self.L, outward)
 
     def rests(self, torque: Array) -> bool:
         """Return whether any torque (n_v,) is beyond its limit, where θ̂ stands still."""
-        share = torque / self.torque_limits
-        # the norm first: it is cheap, and mostly small enough
-        return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)
+        return _is_beyond(torque, self.torque_limits)
+
+
+def _is_beyond(torque: Array, limits: Array) -> bool:
+    share = torque / limits
+    # the norm first: it is cheap, and mostly small enough
+    return bool(math.hypot(*share.tolist()) > 1.0 and np.abs(share).max() > 1.0)
 
 
 Gravity = ModelGravity | NoGravity | RegressorGravity | AdaptiveGravity | Adaptation

@@ -44,3 +44,14 @@ class Latency:
     def of_position(self) -> float:
         """Mean lag from x to the torque that answers it [s]."""
         return self.period + self.torque_delay + self.image_age + 0.5 * self.image_period
+
+    def in_samples(self) -> tuple[float, int, int, int]:
+        """Return time of a sample [s], samples between frames of x, its age, torques' lateness.
+
+        The last two in samples, too. Long delays are counted in longer samples than those of
+        control.
+        """
+        dt = max(self.period, 0.25 * self.torque_delay)
+        frame = self.image_period or max(dt, 0.25 * self.image_age)
+        samples = max(1, round(frame / dt))
+        return dt, samples, round(self.image_age / dt), round(self.torque_delay / dt)

@@ -111,8 +111,8 @@ class Limiter(ControllerWrapper):
         robot = controller.task.robot
         given = Limits.of(robot) if limits is None else limits
         self.limits = given.for_joints(robot.nv)
-        self._law, self._p = controller.with_limiter(), controller.resting
         self._upper = np.asarray(self.limits.effort)
+        self._law, self._p = controller.with_limiter(self._upper), controller.resting
         self._lower = -self._upper
         self._rate = np.asarray(self.limits.rate)
         self._has_rate = bool(np.isfinite(self._rate).any())
@@ -199,11 +199,11 @@ class Limiter(ControllerWrapper):
         if not locked.any() or (np.abs(answer.torque) > self._upper).any():
             return np.zeros(self._p)  # or θ̂ would ask for ever more than the motors have
         J_free, s = np.where(locked, 0.0, J_hat), controller.saturation.s(answer.e)
-        v, scale = np.where(locked, 0.0, v), float(np.linalg.norm(J_hat, 2))
+        v = np.where(locked, 0.0, v)
         if answer.reference is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
-            v_d = J_hat.dot(answer.reference)
+            v_d, scale = J_hat.dot(answer.reference), float(np.linalg.norm(J_hat, 2))
             v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
-        y = law.passive_output(v, controller.pinv_times(J_free, s, scale)[0], learning.alpha)
+        y = law.passive_output(v, controller.pinv_times(J_free, s, J_hat)[0], learning.alpha)
         Y = learning.Y(q, J_hat)
         rate = law.theta_hat_rate(learning.L, Y, y)
         return learning.bounded(rate, state[: self._p], Y, asked.gravity)

@@ -76,8 +76,12 @@ class ProvenLaw(Immutable, ABC):
     def resting(self) -> int:
         """How many numbers of the state, its first, rest where the proof is given up."""
 
-    def with_limiter(self) -> ProvenLaw:
-        """Return this law as it is inside of a limiter, which decides when it rests."""
+    def with_limiter(self, motors: Array) -> ProvenLaw:
+        """Return this law as it is inside of a limiter, which decides when it rests.
+
+        Args:
+            motors: Largest torques that the limiter sends, shape (n_v,).
+        """
         return self
 
     @abstractmethod

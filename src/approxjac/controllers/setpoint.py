@@ -231,12 +231,12 @@ class SetpointController(ProvenLaw):
         """How many numbers of the state, its first, rest where limits give the proof up."""
         return self._p
 
-    def with_limiter(self) -> SetpointController:
+    def with_limiter(self, motors: Array) -> SetpointController:
         """Return this law with learning that leaves it to the limiter when it rests."""
         if self.adaptation is None:
             return self
         always = np.full(self.task.robot.nv, np.inf)
-        return self.with_gravity(self.adaptation._replace(torque_limits=always))
+        return self.with_gravity(self.adaptation._replace(torque_limits=always, motors=motors))
 
     def resolved_alpha(self, alpha: float | None) -> float:
         """Return α of y [1/s]; where gravity is learnt, it is that of the adaptation."""
@@ -275,21 +275,24 @@ class SetpointController(ProvenLaw):
         """Return Ĵ⁺ of a Ĵ (m, n_v), damped near singular ones as in the law; shape (n_v, m)."""
         return np.array([self.pinv_times(J_hat, unit)[0] for unit in np.eye(len(J_hat))]).T
 
-    def pinv_times(self, J_hat: Array, s: Array, scale: float | None = None) -> tuple[Array, float]:
+    def pinv_times(self, J_hat: Array, s: Array, whole: Array | None = None) -> tuple[Array, float]:
         """Return Ĵ⁺s (n_v,), and its damping λ, 0 away from singular configurations.
 
-        `scale` is that of `law.damped_gram_solve`, by default the one at which Ĵ vanishes.
-        Where the rule chose how to learn, Ĵ⁺s is the one of all q̇ with Ĵq̇ = s that has the least
-        q̇ᵀB_cq̇, as the arm's own motion towards its target has. So y of (10) is small along it,
-        and what is learnt is not drawn along by the motion. Elsewhere it is the shortest, as in
-        the paper.
+        Of a Ĵ without the columns of some joints, `whole` is the one with them, whose size says
+        what is near singular. Where the rule chose how to learn, Ĵ⁺s is the one of all q̇ with
+        Ĵq̇ = s that has the least q̇ᵀB_cq̇, as the arm's own motion towards its target has. So y of
+        (10) is small along it, and what is learnt is not drawn along by the motion. Elsewhere it is
+        the shortest, as in the paper.
         """
-        if self._root is not None:
-            J_hat = J_hat / self._root
-        scale = self._scale if scale is None else scale
+        root = self._root
+        scale = self._scale
+        if whole is not None:
+            scale = float(np.linalg.norm(whole if root is None else whole / root, 2))
+        if root is not None:
+            J_hat = J_hat / root
         w, damped = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=scale)
         pinv_s = w.dot(J_hat)
-        return (pinv_s if self._root is None else pinv_s / self._root), damped
+        return (pinv_s if root is None else pinv_s / root), damped
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""

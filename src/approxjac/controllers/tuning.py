@@ -36,6 +36,8 @@ _SLOWER, _STEPS = 0.8, 12  # rates that are tried, as a share of the one before,
 _LIGHTER, _HEAVIER = 0.7, 1.3  # true inertia as a multiple of the believed one
 _IDEAL = 1e-4  # period of a loop without latency [s]
 _ROUND_OFF = 1e-7  # of multipliers
+_NO_GROWTH = 1e-11  # of those of a loop without latency
+_NEARLY = 0.95  # of the damping that a loop without latency has
 _STILL = 1e-3  # slower modes, as a share of the rate, are self-motion and what no joint feels
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
@@ -233,26 +235,33 @@ class _Arm:
         choices: list[tuple[float, Learning | None]] = [(0.0, None)]
         if self.Z is not None:
             choices = [(share, self.learning(gains, share, latency, alpha)) for share in _SHARES]
-        slowest = choices[-1][1]
-        counted = self.curable(gains, slowest)
-        if not self.passes(gains, slowest, latency, counted):
-            return (*choices[-1], False)
-        return (*next(c for c in choices if self.passes(gains, c[1], latency, counted)), True)
+        counted, attainable = self.without_latency(gains, choices[-1][1])
+        for choice in choices:
+            if self.passes(gains, choice[1], latency, counted, attainable):
+                return (*choice, True)
+        return (*choices[-1], False)
 
-    def curable(self, gains: Diagonals, learning: Learning | None) -> Flags:
-        """Return in which cases a loop without latency is stable, where latency is what counts.
+    def without_latency(self, gains: Diagonals, learning: Learning | None) -> tuple[Flags, float]:
+        """Return in which cases a loop without latency is stable, and how well it is damped.
 
-        In others the believed Jacobian is too far from the true one for any gains.
+        More is not asked for of one with latency: what is left is a believed Jacobian that is too
+        far from the true one for any gains, or that makes any of them ring.
         """
         multipliers = np.linalg.eigvals(law.frame_map(self.cases(gains, learning), _IDEAL, 1, 0))
-        return np.asarray(np.abs(multipliers).max(axis=1) <= 1.0 + _ROUND_OFF)
+        curable = np.abs(multipliers).max(axis=1) <= 1.0 + _NO_GROWTH
+        return np.asarray(curable), self.damping_ratio(gains, multipliers[curable], _IDEAL, _IDEAL)
 
     def passes(
-        self, gains: Diagonals, learning: Learning | None, latency: Latency, counted: Flags
+        self,
+        gains: Diagonals,
+        learning: Learning | None,
+        latency: Latency,
+        counted: Flags,
+        attainable: float,
     ) -> bool:
         """Return whether the sampled, delayed linearisation is stable with a margin, and damped."""
         loop = law.LinearLaw(*(part[counted] for part in self.cases(gains, learning)))
-        dt, samples, age, late = _timing(latency)
+        dt, samples, age, late = latency.in_samples()
         timing = (dt, samples, age, late, latency.velocity_filter)
         larger = loop._replace(
             stiffness=_MARGIN * loop.stiffness,
@@ -268,14 +277,24 @@ class _Arm:
         multipliers, of_larger = np.linalg.eigvals(maps)
         if max(np.abs(multipliers).max(), np.abs(of_larger).max()) > 1.0 + _ROUND_OFF:
             return False
+        lag = latency.of_position
+        wanted = _DAMPED + _LATE * float(self.motion(gains)[2]) * lag
+        ratio = self.damping_ratio(gains, multipliers, samples * dt, lag)
+        return ratio >= min(wanted, _NEARLY * attainable)
+
+    def damping_ratio(self, gains: Diagonals, multipliers: Array, dt: float, lag: float) -> float:
+        """Return the damping ratio that nine of ten cases have, of multipliers (k, n) over dt [s].
+
+        Of modes that are slower than what the lag of x makes, and no self-motion.
+        """
+        if not len(multipliers):
+            return math.inf
         dead = multipliers == 0.0  # what is left of a delay
-        poles = np.log(np.where(dead, 1e-300, multipliers).astype(complex)) / (samples * dt)
-        size = np.abs(poles)
-        rate = float(self.motion(gains)[2])
-        slow = (size > _STILL * rate) & (size < 2.3 / latency.of_position)
+        poles = np.log(np.where(dead, 1e-300, multipliers).astype(complex)) / dt
+        size, rate = np.abs(poles), float(self.motion(gains)[2])
+        slow = (size > _STILL * rate) & (size < 2.3 / lag)
         ratios = np.where(slow, -poles.real / np.maximum(size, 1e-300), 1.0)
-        wanted = _DAMPED + _LATE * rate * latency.of_position
-        return float(np.quantile(ratios.min(axis=1), 0.1)) >= wanted
+        return float(np.quantile(ratios.min(axis=1), 0.1))
 
 
 def tuned(
@@ -328,7 +347,7 @@ def tuned(
     if rate < rates[0]:
         why += f"; slower by the check, {SETTLED / rate:.3g} s"
     if not stable:
-        why += "; no gains passed the check: this loop is too late"
+        why += "; no gains passed the check: x is too late, or Ĵ too far off"
     reasons = [why, f"gamma {short(gamma)} by {' and '.join(dict.fromkeys(limited_by))}"]
     if learning is not None:
         reasons.append(f"learns at {100.0 * share:.0f} % of what inertia allows")
@@ -374,14 +393,3 @@ def _pinv_weight(damping: Array) -> Array | None:
     if not (damping > 0.0).all():
         return None
     return np.asarray(damping / np.exp(np.log(damping).mean()))
-
-
-def _timing(latency: Latency) -> tuple[float, int, int, int]:
-    """Return time of a sample, samples between frames of x, age of x, and lateness of torques.
-
-    The last two in samples. Long delays are counted in longer samples than those of control.
-    """
-    dt = max(latency.period, 0.25 * latency.torque_delay)
-    frame = latency.image_period or max(dt, 0.25 * latency.image_age)
-    samples = max(1, round(frame / dt))
-    return dt, samples, round(latency.image_age / dt), round(latency.torque_delay / dt)

@@ -7,7 +7,8 @@ import numpy as np
 from approxjac.law.products import dot
 from approxjac.validation import Array
 
-_PIVOTS = 100  # for two dozen bounds at once mostly a dozen
+_TINY = np.finfo(float).tiny
+_ROUND_OFF = 1e-12  # of bounds that depend on each other
 
 
 def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:
@@ -54,18 +55,43 @@ def within_bounds(
     N[np.arange(len(at)), at] = np.where(high[at], 1.0, -1.0)
     if outward is not None:
         N = np.concatenate([N, outward])
-    leads_out = N @ rate
-    held = leads_out > 0.0
-    if not held.any():
+    if not (N.dot(rate) > 0.0).any():
         return rate
-    NL = N * L if L.ndim == 1 else N @ L
-    A = NL @ N.T
-    round_off = 1e-12 * np.abs(leads_out).max()
-    for _ in range(_PIVOTS):  # Murty's: the first bound that is wrong changes sides
-        multipliers = np.zeros(len(N))
-        multipliers[held] = np.linalg.lstsq(A[np.ix_(held, held)], leads_out[held])[0]
-        wrong = np.where(held, multipliers < 0.0, leads_out - A @ multipliers > round_off)
-        if not wrong.any():
+    NL = N * L if L.ndim == 1 else N.dot(L)
+    A = NL.dot(N.T)
+    size = np.sqrt(np.maximum(A.diagonal(), _TINY))
+    multipliers = _nonnegative(A / size / size[:, np.newaxis], N.dot(rate) / size) / size
+    return np.asarray(rate - multipliers.dot(NL))
+
+
+def _nonnegative(A: Array, b: Array) -> Array:
+    """Minimum of ½λᵀAλ − bᵀλ over λ ≥ 0, for a semidefinite A (k, k) with ones on its diagonal.
+
+    The active set method of C. Lawson and R. Hanson, "Solving Least Squares Problems" (1974),
+    chapter 23. What is minimized falls from iterate to iterate, each of which is ≥ 0: wherever
+    rounding of bounds that depend on each other ends it, the rate is no longer than it was.
+    """
+    found = np.zeros(len(b))
+    free = np.zeros(len(b), dtype=bool)
+    least = _ROUND_OFF * np.abs(b).max()
+    for _ in range(3 * len(b)):
+        slope = np.where(free, -np.inf, b - A.dot(found))
+        if slope.max() <= least:
             break
-        held[np.argmax(wrong)] ^= True
-    return np.asarray(rate - np.maximum(multipliers, 0.0) @ NL)
+        free[slope.argmax()] = True
+        while free.any():
+            wanted = np.zeros(len(b))
+            part = A[np.ix_(free, free)]
+            wanted[free] = np.linalg.lstsq(part, b[free], rcond=_ROUND_OFF)[0]
+            below = free & (wanted <= 0.0)
+            if not below.any():
+                found = wanted
+                break
+            shares = np.full(len(b), np.inf)
+            shares[below] = found[below] / np.maximum(found[below] - wanted[below], _TINY)
+            first = shares.argmin()
+            found = found + shares[first] * (wanted - found)
+            free &= found > 0.0
+            free[first] = False
+            found[~free] = 0.0
+    return found
