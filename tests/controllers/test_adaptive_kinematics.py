@@ -175,6 +175,37 @@ def test_a_known_camera_is_theorem_a(belief, truth):
     assert late(run, 2.5, 3.0) < 2e-3
 
 
+@pytest.mark.parametrize("angle", [1.0, 2.1, np.pi])
+def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
+    """J(true) − J(estimate) of the sum of squares never rises, and falls by what is left of x."""
+    R = rotation_exp(np.array([0.0, 0.0, angle]))
+    kinematics = AdaptiveKinematics(belief)
+    estimator, at = kinematics._estimator, kinematics._at
+    true = np.concatenate([KinematicRegressor(truth).theta, R.T @ OFFSET])
+    sensor = aj.PositionTask(truth, axes="xyz")
+    values, falls, last = [], [], [0.0]
+
+    def squares(N, a, B, E, Theta, w):
+        N, B = N.reshape(len(Theta), -1), B.reshape(len(Theta), -1)
+        return 0.5 * Theta @ N @ Theta - Theta @ (a + B @ w) - E @ w
+
+    def look(t, q, state):
+        if state[at["time"]][0] == last[0]:
+            return
+        last[0] = state[at["time"]][0]
+        sums = estimator._split(state[at["sums"]])
+        values.append(squares(*sums[:4], true, R.T.ravel()) - squares(*sums))
+        H, known = kinematics._unknowns.at(q)
+        Theta, R_hat = estimator.estimate(state[at["sums"]])
+        left = R @ sensor.value(q) + OFFSET - R_hat @ (known + H @ Theta[:-3] + Theta[-3:])
+        falls.append(0.5 * left @ left / kinematics.noise**2)
+
+    follow(kinematics, truth, R, noise=0.0, delay=0.0, look=look, seconds=3.0)
+    assert min(values) > 0.0
+    assert (np.diff(values) <= -np.array(falls[1:]) + 1e-6).all()
+    assert sum(falls[1:]) < values[0]
+
+
 def test_a_rotation_near_a_known_one_is_learnt_as_without(belief, rng):
     """With a rotation that is as good as known both estimators are one."""
     known, free = (

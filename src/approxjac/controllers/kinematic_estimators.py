@@ -10,7 +10,7 @@ from approxjac import law
 from approxjac.controllers.kinematic_unknowns import Unknowns
 from approxjac.validation import Array
 
-_ODDS = 8.0  # of another rotation against the one at hand, as a logarithm, before it is taken
+_ODDS = 2.0  # of another rotation against the one at hand, as a logarithm, before it is taken
 _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to Newton's method
 
 
@@ -96,8 +96,15 @@ class UnknownCamera:
 
         Θ(A) = N⁻¹(a + Bw), and A maximises ½(a + Bw)ᵀN⁻¹(a + Bw) + Eᵀw
 
-    over rotations only, 3 numbers (1 in the plane) instead of all. Forgetting is towards the prior
-    about what is estimated now, which leaves the estimate where it is, as in Theorem A.
+    over rotations only, 3 numbers (1 in the plane) instead of all, and looked for everywhere.
+    Forgetting is towards the prior about what is estimated now, which leaves the estimate where it
+    is.
+
+    As in Theorem A no excitation is needed. Where x is exact, V = J(true) − J(estimate) ≥ 0 of the
+    sum of squares J (which is V₁ where the rotation is known) falls with each frame by at least
+    ½‖ε‖²/noise², ε what is left of x: J(true) does not grow, and the least J grows by that much.
+    So ε is square summable, for any motion. With forgetting this holds where the sum of squares is
+    as convex as the prior.
 
     Args:
         unknowns: What may be wrong.

@@ -45,7 +45,7 @@ class AdaptiveKinematics(Kinematics):
 
     With a rotation that is known it is recursive least squares with forgetting towards the prior
     (Theorem A): x̂ → x for any motion whatever, without excitation. With one that is not, it is the
-    same over rotations: all frames, not the last one only, say which rotation is right. An integral
+    same over all rotations: all frames, not the last one only, say which one is right. An integral
     offset on x̂ takes up what the parameters do not explain.
 
     Frames are paired with the configuration at which they were taken, so delay and frame rate are
