@@ -5,6 +5,7 @@ import pickle
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
@@ -375,6 +376,44 @@ def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(belief, x):
             state = kinematics.step(state, measurement, 0.02)
     assert np.isfinite(state).all()
     assert np.abs(kinematics.learnt(state)).max() < 10.0
+
+
+@pytest.mark.parametrize("unknown", [("tool", "origins", "offset"), ("tool", "origins", "camera")])
+def test_any_arm_learns_and_bears_any_measurement(arm, unknown, rng):
+    """x̂ is x after six seconds of any motion; and no measurement makes anything not finite."""
+    kinematics = AdaptiveKinematics(arm, unknown)
+    regressor, axes = kinematics.regressor, ["xyz".index(axis) for axis in kinematics.task.axes]
+    theta = regressor.theta + 0.02 * rng.standard_normal(regressor.p)
+    d = len(axes)
+    R = (
+        rotation_exp(rng.uniform(-1.5, 1.5, 3 if d == 3 else 1))
+        if "camera" in unknown
+        else np.eye(d)
+    )
+    q, phase, state, dt = arm.random_configuration(rng), rng.standard_normal(arm.nv), None, 0.01
+
+    def seen():
+        return R @ regressor.position(q, theta)[axes] + 0.1
+
+    for k in range(600):
+        v = 0.5 * np.sin(0.7 * k * dt * (1.0 + 0.3 * np.arange(arm.nv)) + phase)
+        measurement = aj.Measurement(k * dt, q, v, seen() + 1e-3 * rng.standard_normal(d), k * dt)
+        if state is None:
+            state = kinematics.initial_state(measurement)
+        state = kinematics.step(state, measurement, dt)
+        q = np.array(pin.integrate(arm.model, q, dt * v))
+    assert_allclose(kinematics.predict(state, q, v, aj.Target(seen())).z, 0.0, atol=1e-2)
+    t = 6.0
+    for _ in range(60):
+        t = rng.choice([t, t + 0.05, 20.0 * rng.random()])
+        x = seen() + rng.choice([0.0, 0.5, 1e300, np.nan, np.inf]) * rng.standard_normal(d)
+        measurement = aj.Measurement(t, q, v, x, rng.choice([None, t, t - 0.05, t + 1.0, np.nan]))
+        q = arm.random_configuration(rng)
+        state = kinematics.step(state, measurement, rng.choice([1e-3, 0.1, 1.0]))
+        target = aj.Target(np.zeros(d), np.zeros(d), np.zeros(d))
+        for part in (state, *kinematics.predict(state, q, v, target)):
+            assert np.isfinite(part).all()
+        assert np.abs(state).max() < 1e12
 
 
 def test_time_may_start_anew(turned_run, truth):

@@ -90,15 +90,16 @@ class Frames:
         """Return the frame if it is new, and note it; `remember` comes first."""
         n = self._n_x
         t, _, _, x, t_x = measurement
-        if t_x is None:
-            taken, is_old = t - self._delay, x.tolist() == numbers[:n].tolist()
+        is_told = t_x is not None and math.isfinite(t_x)
+        if t_x is not None and is_told:  # a clock that is ahead is wrong
+            taken, is_old = min(t_x, t), t_x <= numbers[n]
         else:
-            taken, is_old = t_x, not t_x > numbers[n]
+            taken, is_old = t - self._delay, x.tolist() == numbers[:n].tolist()
         if (is_old and numbers[n] > _LONG_AGO) or 0.0 < taken - numbers[n] < _CLOSEST - 1e-9:
             return None
         seen = is_seen(x)
         known = np.where(seen, x, 0.0)
-        if not seen.any() or (t_x is None and np.array_equal(known, numbers[:n])):
+        if not seen.any() or (not is_told and np.array_equal(known, numbers[:n])):
             return None
         numbers[:n], numbers[n] = known, taken
         q = self._at(numbers, taken, measurement)
