@@ -241,3 +241,12 @@ def test_the_latency_of_a_scenario_is_that_of_its_loop():
     assert latency_of(late) == Latency(2e-3, 4e-3, 5e-3, 1 / 30, 0.06)
     assert late.build().law.tuning.latency == latency_of(late)
     assert latency_of(reach(loop={"dt": "continuous"})) == IDEAL
+
+
+@pytest.mark.parametrize(("name", "length"), [("panda", 0.3), ("ur10", 0.15), ("ur5", 0.2)])
+def test_a_long_tool_without_mass_is_no_reason_for_slow_gains(name, length):
+    """A light wrist rings with a tool that nobody told of, at any rate: then π is what gives way."""
+    belief = aj.load_robot(name).with_object(length)
+    chosen = tuned(aj.PositionTask(belief), regressor=GravityRegressor(belief))
+    assert chosen.stable
+    assert chosen.rate >= 6.0

@@ -313,15 +313,16 @@ def tuned(
     1. r, of ten rates from 1.5 to 8 1/s that are at most 0.3 over the lag of x, the one with which
        a usual distance takes least time. Gains are `default_gains` of the settling time 4/r, with
        the bandwidth that the lag of q̇ leaves; α is the rate of the slow pole.
-    2. γ, so that the position force asks for at most 75 % of the motors beside gravity, less where
-       x is late, and for 80 % of the joints' speeds; an eighth of a usual distance at most.
+    2. γ, so that in three of four postures that the motors can hold the position force asks for at
+       most 75 % of the motors beside gravity, less where x is late, of which 30 % count as free at
+       least, and for 80 % of the joints' speeds; an eighth of a usual distance at most.
     3. L_d = ½K_p, reduced where λ_max(W ĴᵀL_dĴ) > 0.6 max(π, 0.35); L = k S(SCS + 0.03 I)⁻¹S with
        C the mean of ZᵀWZ, S = diag(C)^−½ and k such that λ_max(W Z L Zᵀ) = π/2;
        L_w = ¼B_c²/Mⱼⱼ, reduced where λ_max(W L_w) > π/2.
     4. The check: the loop's sampled, delayed linearisation at twenty postures, of arms that are
        lighter and heavier than believed and hold a tool that nobody told of, is stable with one
        and a half times all of these, and in nine of ten cases its damping ratio is at least
-       0.15 + 0.36 r times the lag of x.
+       0.15 + 0.36 r times the lag of x, or nearly that of a loop without latency.
        If not, π is reduced, and then r.
 
     Args:

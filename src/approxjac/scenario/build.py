@@ -79,7 +79,10 @@ class BuiltScenario:
 
     @functools.cached_property
     def warning(self) -> str:
-        """Why the believed arm cannot reach the target, as far as it tells; or ""."""
+        """Why the gains, or the believed arm, may not get to the target; or ""."""
+        tuning = self.law.tuning
+        if tuning is not None and not tuning.stable:
+            return tuning.reasons[0]
         if self.scenario.true.tracker != Tracker():
             return ""  # in whose axes nobody knows where the arm is
         return doubts(self.law.task, self.target, self.q0, self.scenario.run.duration)
