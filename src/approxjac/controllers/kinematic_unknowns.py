@@ -48,75 +48,84 @@ class Unknowns:
     def __init__(self, task: Task, unknown: Any, sd: Any) -> None:
         kinds, sds = _kinds(unknown), _deviations(sd)
         points = _points(task)
-        axes, self.R, b = points[0][1:]
         self.turns, self.has_scale = "camera" in kinds, "scale" in kinds
+        axes, self.R, b = self._axes(task, points)
+        self.d = len(axes)
         frames = list(dict.fromkeys(point.frame for point in points))
         self.regressor = regressor = KinematicRegressor(task.robot, frames)
-        of_each = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
-        rows = [3 * frame + "xyz".index(axis) for frame, axis in of_each]
-        self.rows: slice | Array = slice(None) if rows == list(range(3 * regressor.k)) else (
-            np.array(rows)
-        )  # fmt: skip
-        if self.turns:
-            if any(point.axes != axes or axes not in _TURNABLE for point in points):
-                raise InvalidInputError(
-                    f"a camera that may be turned needs the same axes of every point, one of "
-                    f"{', '.join(_TURNABLE)}, got {task!r}",
-                    given=task,
-                )
-        else:
-            axes = "".join(letter for letter in "xyz" if any(letter == axis for _, axis in of_each))
-            if len(axes) != len(b):  # points with other axes than the first: no tracker's
-                self.R, b = np.eye(len(axes)), np.zeros(len(axes))
-        self.d = len(axes)
+        entries = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
+        rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
+        in_order = rows == list(range(3 * regressor.k))
+        self.rows: slice | Array = slice(None) if in_order else np.array(rows)
 
-        # p = o(q) + Y(q)(θ_known + S u)
+        # u: p = o(q) + Y(q)(θ + S u)
         theta = regressor.theta.copy()
         is_tool = np.arange(regressor.p) >= regressor.p - 3 * len(frames)
         self.of_theta = np.flatnonzero(np.where(is_tool, "tool" in kinds, "origins" in kinds))
         columns = list(np.eye(regressor.p)[self.of_theta])
-        u = theta[self.of_theta].tolist()
         names = [regressor.names[i] for i in self.of_theta]
-        sd_u = [sds["tool" if is_tool[i] else "origins"] for i in self.of_theta]
+        u = theta[self.of_theta].tolist()
+        deviations = [sds["tool" if is_tool[i] else "origins"] for i in self.of_theta]
         theta[self.of_theta] = 0.0
         if self.has_scale:
-            if "origins" in kinds or "m" in task.robot.joint_units:
-                raise InvalidInputError(
-                    "scale can be learnt only where the origins are known and no joint slides, "
-                    f"got unknown = {kinds} for {task.robot.name}, where lengths and scale are one",
-                    given=unknown,
-                )
-            columns.append(theta)
-            u, sd_u, names = [*u, 1.0], [*sd_u, sds["scale"]], [*names, "scale"]
+            self._require_known_lengths(task, kinds)
+            columns, names = [*columns, theta], [*names, "scale"]
+            u, deviations = [*u, 1.0], [*deviations, sds["scale"]]
             theta = np.zeros(regressor.p)
         self.theta, self.n_u = theta, len(u)
         self.S = np.array(columns).reshape(-1, regressor.p).T
-        c = self.R.T.dot(b)
-        self.constant: Array = np.zeros(len(rows))  # c, where it is known
-        self.offsets = np.zeros((len(rows), 0))
-        spins = len(law.generators(self.d)) if self.turns else 0
-        believed, deviations = u, sd_u
-        each = np.array([axes.index(axis) for _, axis in of_each])
-        if self.turns or "offset" in kinds:
-            self.offsets = np.eye(self.d)[each]
-            names = names + [f"offset.{axis}" for axis in axes]
-            believed, deviations = [*u, *b], [*sd_u, *[sds["offset"]] * self.d]
-        elif c.any():
-            self.constant = c[each]
-        self.Theta = np.concatenate([u, c if self.offsets.size else np.zeros(0)])
-        self.sd_Theta, self.sd_R = np.array(deviations), sds["camera"]
-        if self.turns:
-            names += [f"camera.r{axis}" for axis in "xyz"] if self.d == 3 else ["camera.turn"]
-        turn = law.rotation_log(self.R) if self.turns else np.zeros(0)
-        self.names = tuple(names)
-        self.units = tuple(
-            "" if name == "scale" else "rad" if name.startswith("camera") else "m" for name in names
-        )
-        self.believed = np.concatenate([believed, turn])
-        self.sd = np.concatenate([deviations, np.full(spins, sds["camera"])])
         # how far x may move from one configuration to another
-        self._usual = self.theta + self.S.dot(u)
-        self._spread = self.S * np.array(sd_u)
+        self._usual, self._spread = theta + self.S.dot(u), self.S * np.array(deviations)
+
+        # c: the offset, learnt or known
+        c, believed = self.R.T.dot(b), list(u)
+        each = np.eye(self.d)[[axes.index(axis) for _, axis in entries]]
+        self.offsets, self.constant = np.zeros((len(rows), 0)), np.zeros(len(rows))
+        if self.turns or "offset" in kinds:
+            self.offsets = each
+            names += [f"offset.{axis}" for axis in axes]
+            u, believed = [*u, *c], [*u, *b]
+            deviations = [*deviations, *[sds["offset"]] * self.d]
+        elif c.any():
+            self.constant = each.dot(c)
+        self.Theta = np.array(u)
+        self.sd_Theta, self.sd_R = np.array(deviations), sds["camera"]
+
+        if self.turns:
+            turn = law.rotation_log(self.R)
+            names += [f"camera.r{axis}" for axis in axes] if self.d == 3 else ["camera.turn"]
+            believed, deviations = [*believed, *turn], [*deviations, *[sds["camera"]] * len(turn)]
+        self.names = tuple(names)
+        spins = len(names) - len(self.Theta)
+        units = ["m"] * len(self.Theta) + ["rad"] * spins
+        if self.has_scale:
+            units[self.n_u - 1] = ""
+        self.units = tuple(units)
+        self.believed, self.sd = np.array(believed), np.array(deviations)
+
+    def _axes(self, task: Task, points: list[_Point]) -> tuple[str, Array, Array]:
+        """Return the axes of a point, and believed rotation and offset along them."""
+        _, axes, R, b = points[0]
+        if not self.turns:
+            found = {axis for point in points for axis in point.axes}
+            axes = "".join(axis for axis in "xyz" if axis in found)
+        elif any(point.axes != axes or axes not in _TURNABLE for point in points):
+            raise InvalidInputError(
+                f"a camera that may be turned needs the same axes of every point, one of "
+                f"{', '.join(_TURNABLE)}, got {task!r}",
+                given=task,
+            )
+        if len(axes) != len(b):  # points with other axes than the first: no tracker's
+            R, b = np.eye(len(axes)), np.zeros(len(axes))
+        return axes, R, b
+
+    def _require_known_lengths(self, task: Task, kinds: tuple[str, ...]) -> None:
+        if "origins" in kinds or "m" in task.robot.joint_units:
+            raise InvalidInputError(
+                "scale can be learnt only where the origins are known and no joint slides, "
+                f"got unknown = {kinds} for {task.robot.name}, where lengths and scale are one",
+                given=kinds,
+            )
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """Return H(q) without the offset's columns, shape (m, n_u), and o(q), shape (m,)."""
@@ -164,17 +173,12 @@ def _points(task: Task) -> list[_Point]:
                 given=task,
             )
     first = points[0]
-    if len(points) > 1 and isinstance(task, StackedTask):
-        trackers = [each for each in task.tasks if isinstance(each, TrackerTask)]
-        alike = all(
-            np.array_equal(point.R, first.R) and np.array_equal(point.b, first.b)
-            for point in points
+    one = all(np.array_equal(p.R, first.R) and np.array_equal(p.b, first.b) for p in points)
+    kinds = {type(each) for each in (task.tasks if isinstance(task, StackedTask) else [task])}
+    if TrackerTask in kinds and not (one and len(kinds) == 1):
+        raise InvalidInputError(
+            f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
         )
-        if trackers and not (alike and len(trackers) == len(points)):
-            raise InvalidInputError(
-                f"task must be of one tracker, with one rotation and offset, got {task!r}",
-                given=task,
-            )
     return points
 
 
