@@ -245,7 +245,7 @@ def test_the_latency_of_a_scenario_is_that_of_its_loop():
 
 @pytest.mark.parametrize(("name", "length"), [("panda", 0.3), ("ur10", 0.15), ("ur5", 0.2)])
 def test_a_long_tool_without_mass_is_no_reason_for_slow_gains(name, length):
-    """A light wrist rings with a tool that nobody told of, at any rate: then π is what gives way."""
+    """A light wrist rings with an unknown tool at any rate: then π is what gives way."""
     belief = aj.load_robot(name).with_object(length)
     chosen = tuned(aj.PositionTask(belief), regressor=GravityRegressor(belief))
     assert chosen.stable

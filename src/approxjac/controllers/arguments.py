@@ -53,6 +53,19 @@ def is_lost(
     q: Array, v: Array, x: Array, target: Array, state: Array, e: Array, task: Task
 ) -> bool:
     """Return whether x is lost, or refuse anything else that is not finite."""
+    require_finite(q, v, target, state, task)
+    if np.isfinite(e).all():
+        return False
+    if np.isfinite(x).all() and task._subtracts:
+        raise MeasurementError(
+            f"the error overflows: x = {x.tolist()} is beyond what the law can be evaluated at",
+            given=x,
+        )
+    return True
+
+
+def require_finite(q: Array, v: Array, target: Array, state: Array, task: Task) -> None:
+    """Refuse numbers that are not finite, but for x."""
     for name, value in (("q", q), ("v", v)):
         if not np.isfinite(value).all():
             raise MeasurementError(
@@ -63,11 +76,14 @@ def is_lost(
     if not np.isfinite(state).all():
         raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
     task.target(target)
-    if np.isfinite(e).all():
-        return False
-    if np.isfinite(x).all() and task._subtracts:
-        raise MeasurementError(
-            f"the error overflows: x = {x.tolist()} is beyond what the law can be evaluated at",
-            given=x,
-        )
-    return True
+
+
+def overflow(measurement: Measurement) -> MeasurementError:
+    """Return the error of a law whose torque is no number."""
+    _, q, v, x, _ = measurement
+    return MeasurementError(
+        f"the torque overflows or is no number at q = {q.tolist()}, v = {v.tolist()}, "
+        f"x = {x.tolist()}: they are beyond what the law, or a task, saturation or kinematics of "
+        "your own, is for",
+        given=measurement,
+    )

@@ -133,7 +133,7 @@ class CompiledSetpointController(SetpointController):
             # copies, as Numba takes longer with arrays that are read-only
             L, limits = learning.L.copy(), learning.torque_limits.copy()
             alpha, nothing = learning.alpha, np.zeros(n)
-            root = np.ones(n) if self._root is None else self._root.copy()
+            root = np.ones(n) if self.pinv.root is None else self.pinv.root.copy()
             Y_of = learning.Y
         float64, huge, empty, ndarray, hypot = FLOAT64, HUGE, np.empty, np.ndarray, math.hypot
         made, ok, unlimited = tuple.__new__, Status.OK, LimitStatus.UNLIMITED

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from approxjac.validation import as_number
+import numpy as np
+
+from approxjac.controllers.latency import Latency
+from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.tasks import Task
+from approxjac.validation import Array, as_number
 
 
 @dataclass(frozen=True)
@@ -19,3 +24,25 @@ class DifferentiatedVelocity:
 
     def __post_init__(self) -> None:
         as_number("time_constant", self.time_constant, unit="s", above=0.0)
+
+    def late(self, latency: Latency) -> Latency:
+        """Return a latency with the damping of law (5), which acts as late as x tells Ẋ."""
+        lag = latency.image_age + 0.5 * latency.image_period + self.time_constant
+        return replace(latency, velocity_filter=latency.velocity_filter + lag)
+
+    def require_difference(self, task: Task) -> None:
+        """Refuse a task whose error is another one than x − x_d."""
+        if not task._subtracts:
+            raise InvalidInputError(
+                f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
+                given=self,
+            )
+
+    def require_finite(self, x: Array) -> None:
+        """Refuse a first x that is lost."""
+        if not np.isfinite(x).all():
+            raise MeasurementError(
+                f"the first x must be finite for law (5), which differentiates it, "
+                f"got {x.tolist()}",
+                given=x,
+            )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.validation import Array, as_diagonal, is_scalar, shape_of
 
@@ -57,3 +58,15 @@ class Diagonals(NamedTuple):
     kp: Array
     kv: Array
     damping: Array
+
+
+def require_damping(gains: Gains, diagonals: Diagonals, spare: int, name: str) -> None:
+    """Refuse no added damping on an arm with more joints than task coordinates."""
+    if spare > 0 and not (diagonals.damping > 0.0).all():
+        nv, m = len(diagonals.damping), len(diagonals.kp)
+        raise InvalidInputError(
+            f"damping must be > 0 [N m s/rad] for {name}: it has {nv} joints for {m} task "
+            f"coordinates, and nothing else damps its self-motion; "
+            f"got {diagonals.damping.tolist()}",
+            given=gains,
+        )

@@ -203,7 +203,7 @@ class Limiter(ControllerWrapper):
         if answer.reference is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
             v_d, scale = J_hat.dot(answer.reference), float(np.linalg.norm(J_hat, 2))
             v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, scale=scale)[0] @ J_free
-        y = law.passive_output(v, controller.pinv_times(J_free, s, J_hat)[0], learning.alpha)
+        y = law.passive_output(v, controller.pinv.times(J_free, s, J_hat)[0], learning.alpha)
         Y = learning.Y(q, J_hat)
         rate = law.theta_hat_rate(learning.L, Y, y)
         return learning.bounded(rate, state[: self._p], Y, asked.gravity)

@@ -74,8 +74,9 @@ class AwayFromStops:
     τ₀ = k (δ − d) for a joint at a distance d < δ from its stop, none elsewhere; k is r B_c with
     r the rate of the task's slow pole: self-motion out of the zone is as fast as the task.
 
-    It is a `Posture` in all else: e = 0 stays the only equilibrium of the task, and V̇ = −W + yᵀN τ₀,
-    which is −W + q̇ᵀN τ₀ with the shortest Ĵ⁺. Which way round a target is reached it does not know: an arm whose way is
+    It is a `Posture` in all else: e = 0 stays the only equilibrium of the task, and
+    V̇ = −W + yᵀN τ₀, which is −W + q̇ᵀN τ₀ with the shortest Ĵ⁺. Which way round a target is
+    reached it does not know: an arm whose way is
     barred by a stop stays there.
 
     Attributes:

@@ -61,7 +61,7 @@ def lyapunov_value(
         return math.nan
     (kp, kv, _), saturation = controller.diagonals, controller.saturation
     s, S = saturation.s(e), saturation.S(e)
-    V = law.V(v, s, S, controller.jacobian_pinv(J_hat), M, kp, kv, alpha)
+    V = law.V(v, s, S, controller.pinv.matrix(J_hat), M, kp, kv, alpha)
     if controller.adaptation is None or theta_error is None:
         return V
     return V + law.parameter_potential(theta_error, controller.adaptation.L)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 from typing import Any, Literal, Self
 
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, require_arrays
+from approxjac.controllers.arguments import FLOAT64, HUGE, is_lost, overflow, require_arrays
 from approxjac.controllers.default_gains import slow_rate
 from approxjac.controllers.differentiator import DifferentiatedVelocity
-from approxjac.controllers.gains import Gains
+from approxjac.controllers.gains import Gains, require_damping
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,
@@ -24,11 +23,11 @@ from approxjac.controllers.gravity import (
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
 from approxjac.controllers.proven_law import ProvenLaw
+from approxjac.controllers.pseudoinverse import Pseudoinverse
 from approxjac.controllers.reach import Reach
 from approxjac.controllers.saturation import require_saturation
 from approxjac.controllers.tuning import Tuning, tuned
 from approxjac.controllers.usual_postures import quickest
-from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import (
     ContinuousController,
     Evaluation,
@@ -67,6 +66,7 @@ class SetpointController(ProvenLaw):
         dt: None: any sampling time will do.
         tuning: What `tuned` chose, and why; None if gains and learning are given.
         adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
+        pinv: Ĵ⁺ of y.
 
     Args:
         task: The task of the believed robot.
@@ -131,33 +131,24 @@ class SetpointController(ProvenLaw):
         self.posture = posture
         self.diagonals = self.gains.diagonals(task.m, robot.nv)
         require_saturation(self.saturation, task)
-        if robot.nv > task.m and not (self.diagonals.damping > 0.0).all():
-            raise InvalidInputError(
-                f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for "
-                f"{task.m} task coordinates, and nothing else damps its self-motion; "
-                f"got {self.diagonals.damping.tolist()}",
-                given=gains,
-            )
-        if velocity is not None and not task._subtracts:
-            raise InvalidInputError(
-                f"law (5) differentiates x and needs a task whose error is x - x_d, got {task!r}",
-                given=velocity,
-            )
+        require_damping(self.gains, self.diagonals, robot.nv - task.m, robot.name)
+        if velocity is not None:
+            velocity.require_difference(task)
         learning = self.gravity
         if isinstance(learning, AdaptiveGravity):
             chosen = None if self.tuning is None else self.tuning.learning
             learning = learning.adaptation(task, self.diagonals, chosen)
         self.adaptation = learning if isinstance(learning, Adaptation) else None
         self._p = 0 if self.adaptation is None else len(self.adaptation.theta0)
+        self._scale = vanishing(task)
+        weight = None if self.adaptation is None else self.adaptation.pinv_weight
+        self.pinv = Pseudoinverse(weight, self._scale)
         # as arrays, which NumPy takes in two thirds of the time of numbers
-        self.pinv_weight = None if self.adaptation is None else self.adaptation.pinv_weight
-        self._root = None if self.pinv_weight is None else np.sqrt(self.pinv_weight)
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
         self._pull = None
         if posture is not None:
             self._pull = posture.torque(task, self.diagonals, slow_rate(task, self.diagonals))
-        self._scale = vanishing(task)
         self._reach = Reach(task)
         self._subtracts = task._subtracts  # as most do
         back = uncombined(task)  # a target moves in the coordinates of what is measured
@@ -179,9 +170,7 @@ class SetpointController(ProvenLaw):
         if gains is not None and regressor is None:
             return None
         if self.velocity is not None:  # damping of law (5) acts as late as x tells Ẋ
-            latency = Latency() if latency is None else latency
-            lag = latency.image_age + 0.5 * latency.image_period + self.velocity.time_constant
-            latency = replace(latency, velocity_filter=latency.velocity_filter + lag)
+            latency = self.velocity.late(Latency() if latency is None else latency)
         return tuned(
             self.task, latency, settling_time=settling_time, regressor=regressor, gains=gains,
             alpha=alpha,
@@ -196,12 +185,8 @@ class SetpointController(ProvenLaw):
         """
         task, x_d = self.task, np.zeros(self.task.n_x)
         _, _, x = require_arrays(self._no_rate, measurement, x_d, task, self._n_state)
-        if self.velocity is not None and not np.isfinite(x).all():
-            raise MeasurementError(
-                f"the first x must be finite for law (5), which differentiates it, "
-                f"got {x.tolist()}",
-                given=measurement,
-            )
+        if self.velocity is not None:
+            self.velocity.require_finite(x)
         theta0 = np.zeros(0) if self.adaptation is None else self.adaptation.theta0
         followed = np.zeros(0) if self.velocity is None else x
         return np.concatenate([theta0, followed])
@@ -224,7 +209,7 @@ class SetpointController(ProvenLaw):
         s, J_hat = self.saturation.s(answer.e), answer.J_hat
         if J_hat is None or not math.isfinite(s.dot(s)):
             return v
-        return law.passive_output(v, self.pinv_times(J_hat, s)[0], alpha)
+        return law.passive_output(v, self.pinv.times(J_hat, s)[0], alpha)
 
     @property
     def resting(self) -> int:
@@ -243,12 +228,8 @@ class SetpointController(ProvenLaw):
         if alpha is None:
             return self.alpha
         alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
-        if self.adaptation is not None and alpha != self.adaptation.alpha:
-            raise InvalidInputError(
-                f"alpha must be that of the adaptation, {self.adaptation.alpha:g} [1/s], got "
-                f"{alpha:g}",
-                given=alpha,
-            )
+        if self.adaptation is not None:
+            self.adaptation.require_alpha(alpha)
         return alpha
 
     def damping_rate(self, inertias: Array) -> float:
@@ -270,29 +251,6 @@ class SetpointController(ProvenLaw):
         if self.adaptation is not None:
             return self.adaptation.alpha
         return _ALPHA_SHARE * slow_rate(self.task, self.diagonals)
-
-    def jacobian_pinv(self, J_hat: Array) -> Array:
-        """Return Ĵ⁺ of a Ĵ (m, n_v), damped near singular ones as in the law; shape (n_v, m)."""
-        return np.array([self.pinv_times(J_hat, unit)[0] for unit in np.eye(len(J_hat))]).T
-
-    def pinv_times(self, J_hat: Array, s: Array, whole: Array | None = None) -> tuple[Array, float]:
-        """Return Ĵ⁺s (n_v,), and its damping λ, 0 away from singular configurations.
-
-        Of a Ĵ without the columns of some joints, `whole` is the one with them, whose size says
-        what is near singular. Where the rule chose how to learn, Ĵ⁺s is the one of all q̇ with
-        Ĵq̇ = s that has the least q̇ᵀB_cq̇, as the arm's own motion towards its target has. So y of
-        (10) is small along it, and what is learnt is not drawn along by the motion. Elsewhere it is
-        the shortest, as in the paper.
-        """
-        root = self._root
-        scale = self._scale
-        if whole is not None:
-            scale = float(np.linalg.norm(whole if root is None else whole / root, 2))
-        if root is not None:
-            J_hat = J_hat / root
-        w, damped = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=scale)
-        pinv_s = w.dot(J_hat)
-        return (pinv_s if root is None else pinv_s / root), damped
 
     def gravity_torque(self, state: Array, q: Array) -> Array:
         """Return the gravity torque that this law compensates, shape (n_v,) [N m or N]."""
@@ -333,11 +291,6 @@ class SetpointController(ProvenLaw):
         A measurement x that is not finite counts as lost: then there is no position force, only
         damping (by K_v and B_c, where the law has them) and gravity compensation, and learning
         rests.
-
-        Args:
-            state: Controller state, shape (n_state,).
-            measurement: t, q, v and the measured x.
-            target: x_d, shape (n_x,) [unit of the task], or a `Target` that moves.
 
         Raises:
             MeasurementError: q or v not finite, or a torque that overflows.
@@ -382,12 +335,7 @@ class SetpointController(ProvenLaw):
                     return answer
             except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
                 pass
-        raise MeasurementError(
-            f"the torque overflows or is no number at q = {q.tolist()}, v = {v.tolist()}, "
-            f"x = {x.tolist()}: they are beyond what the law, or a task or saturation of your own, "
-            "is for",
-            given=measurement,
-        )
+        raise overflow(measurement)
 
     def _answer(
         self, q: Array, v: Array, x: Array, e: Array, state: Array, v_d: Array | None, lost: bool
@@ -402,7 +350,7 @@ class SetpointController(ProvenLaw):
             singular = law.is_near_singular(G, scale=self._scale)
             g = self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
         else:
-            pinv_s, damped = self.pinv_times(J_hat, s)
+            pinv_s, damped = self.pinv.times(J_hat, s)
             singular = damped > 0.0
             Y = learning.Y(q, J_hat)
             g = law.gravity(Y, state[: self._p])  # with it, (6) below is (28)

@@ -10,14 +10,20 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
-from approxjac.controllers.arguments import FLOAT64, HUGE, require_arrays
+from approxjac.controllers.arguments import (
+    FLOAT64,
+    HUGE,
+    overflow,
+    require_arrays,
+    require_finite,
+)
 from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.predicted import Kinematics
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.rest_configuration import RestConfiguration
 from approxjac.controllers.velocity_command import VelocityCommand
-from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics
 from approxjac.tasks import PositionTask, StackedTask, Task
@@ -211,13 +217,7 @@ class TrackingController(ProvenLaw):
                     return after, answer
             except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
                 pass
-        _, q, v, *_ = measurement
-        raise MeasurementError(
-            f"the torque overflows or is no number at q = {q.tolist()}, v = {v.tolist()}, "
-            f"x = {measurement.x.tolist()}: they are beyond what the law, or kinematics or a task "
-            "of your own, is for",
-            given=measurement,
-        )
+        raise overflow(measurement)
 
     def _step(
         self, state: Array, measurement: Measurement, target: Target
@@ -285,7 +285,7 @@ class TrackingController(ProvenLaw):
             q, v, x = require_arrays(state, measurement, x_d, task, self._n_state)
         largest = math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist())
         if not (largest < HUGE and state.dot(state) < HUGE):
-            self._require_finite(q, v, x_d, state)
+            require_finite(q, v, x_d, state, task)
         if not x.dot(x) < HUGE:  # lost, or beyond what can be learnt from
             measurement = measurement._replace(x=np.where(x * x < HUGE, x, math.nan))
         if self._continuous:
@@ -293,18 +293,6 @@ class TrackingController(ProvenLaw):
         if not task._subtracts:
             task.target(x_d)
         return target, measurement
-
-    def _require_finite(self, q: Array, v: Array, x_d: Array, state: Array) -> None:
-        for name, value in (("q", q), ("v", v)):
-            if not np.isfinite(value).all():
-                raise MeasurementError(
-                    f"{name} must be finite, got {value.tolist()}: no safe torque exists without "
-                    "the joint state; stop the robot",
-                    given=value,
-                )
-        if not np.isfinite(state).all():
-            raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
-        self.task.target(x_d)
 
     def _require_dt(self, dt: float) -> None:
         dt = as_number("dt", dt, unit="s", above=0.0)

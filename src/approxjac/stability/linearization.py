@@ -62,7 +62,7 @@ def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> Linea
     Z, L, alpha, J_hat_pinv = np.zeros((n, 0)), np.zeros(0), 0.0, np.zeros((n, m))
     if learning is not None:
         Z, L, alpha = learning.Y(q, J_hat), learning.L, learning.alpha
-        J_hat_pinv = controller.jacobian_pinv(J_hat)
+        J_hat_pinv = controller.pinv.matrix(J_hat)
     M, G = plant.dynamics.M(q), plant.dynamics.g_gradient(q)
     J = np.array(plant.sensor._sensor_jacobian(q))
     kp, kv, damping = controller.diagonals

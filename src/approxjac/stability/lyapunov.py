@@ -84,7 +84,7 @@ def lyapunov(
         )
     J_hat_dot = task.jacobian_dot(q, v)
     J_hat_pinv, (J_hat_pinv_dot,) = law.cross_weight_pinv(
-        J_hat, J_hat_dot[None], controller.pinv_weight
+        J_hat, J_hat_dot[None], controller.pinv.weight
     )
     M = dynamics.M(q)
     V = law.V(v, s, controller.saturation.S(e), J_hat_pinv, M, kp, kv, alpha)

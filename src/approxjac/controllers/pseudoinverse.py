@@ -1,0 +1,45 @@
+"""`Pseudoinverse`: the Ĵ⁺ of a set-point law, shortest or weighted, damped where it has to be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from approxjac import law
+from approxjac.validation import Array
+
+
+class Pseudoinverse:
+    """Ĵ⁺, damped near singular configurations as in the law.
+
+    Where the rule chose how to learn, Ĵ⁺s is the one of all q̇ with Ĵq̇ = s that has the least
+    q̇ᵀB_cq̇, as the arm's own motion towards its target has. So y of (10) is small along it, and what
+    is learnt is not drawn along by the motion. Elsewhere it is the shortest, as in the paper.
+
+    Attributes:
+        weight: As of `law.cross_weight_pinv`, shape (n_v,); None is I.
+        root: Its square root, or None.
+        scale: That of `law.damped_gram_solve`, at which Ĵ vanishes.
+    """
+
+    def __init__(self, weight: Array | None, scale: float) -> None:
+        self.weight, self.scale = weight, scale
+        self.root = None if weight is None else np.sqrt(weight)
+
+    def times(self, J_hat: Array, s: Array, whole: Array | None = None) -> tuple[Array, float]:
+        """Return Ĵ⁺s (n_v,), and its damping λ, 0 away from singular configurations.
+
+        Of a Ĵ without the columns of some joints, `whole` is the one with them, whose size says
+        what is near singular.
+        """
+        root, scale = self.root, self.scale
+        if whole is not None:
+            scale = float(np.linalg.norm(whole if root is None else whole / root, 2))
+        if root is not None:
+            J_hat = J_hat / root
+        w, damped = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=scale)
+        pinv_s = w.dot(J_hat)
+        return (pinv_s if root is None else pinv_s / root), damped
+
+    def matrix(self, J_hat: Array) -> Array:
+        """Return Ĵ⁺ of a Ĵ (m, n_v), shape (n_v, m)."""
+        return np.array([self.times(J_hat, unit)[0] for unit in np.eye(len(J_hat))]).T
