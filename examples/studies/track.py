@@ -118,11 +118,11 @@ def run_case(case):
         asked[0] = max(asked[0], float(np.max(np.abs(loop.answer.torque) / plant.motor_limits)))
         last[0] = loop.state
 
-    if case.delay != DELAY:  # then nobody says when x was taken
-        controller = WithoutTime(controller)
+    # of another delay nobody says when x was taken
+    sent = controller if case.delay == DELAY else WithoutTime(controller)
     try:
         run = aj.simulate(
-            plant, controller, target, setup.q0, case.duration, dt=DT, record_every=5 * DT,
+            plant, sent, target, setup.q0, case.duration, dt=DT, record_every=5 * DT,
             integrator="semi_implicit_euler", seed=setup.seed, observer=look,
         )  # fmt: skip
     except aj.errors.SimulationError as error:
