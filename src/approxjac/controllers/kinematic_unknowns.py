@@ -74,6 +74,7 @@ class Unknowns:
             theta = np.zeros(regressor.p)
         self.theta, self.n_u = theta, len(u)
         self.S = np.array(columns).reshape(-1, regressor.p).T
+        self._is_all = np.array_equal(self.S, np.eye(len(theta)))  # which is usual
         # how far x may move from one configuration to another
         self._usual, self._spread = theta + self.S.dot(u), self.S * np.array(deviations)
 
@@ -126,6 +127,14 @@ class Unknowns:
                 f"got unknown = {kinds} for {task.robot.name}, where lengths and scale are one",
                 given=kinds,
             )
+
+    def translations(self, u: Array) -> Array:
+        """Return all translations times the scale, of u (n_u,), shape (p,) [m]."""
+        return u if self._is_all else self.theta + self.S.dot(u)
+
+    def rates(self, u_dot: Array) -> Array:
+        """Return the rates of `translations`, shape (p,) [m/s]."""
+        return u_dot if self._is_all else self.S.dot(u_dot)
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """Return H(q) without the offset's columns, shape (m, n_u), and o(q), shape (m,)."""

@@ -265,8 +265,8 @@ class AdaptiveKinematics(Kinematics):
         z = R̂ᵀ(x̂ − x_d), with the smoothed estimates, and all that its derivatives need.
         """
         at, unknowns = self._at, self._unknowns
-        theta = unknowns.theta + unknowns.S.dot(state[at["u"]])
-        motion = self.regressor.motion(q, v, theta, unknowns.S.dot(state[at["u_dot"]]))
+        theta, theta_dot = unknowns.translations(state[at["u"]]), unknowns.rates(state[at["u_dot"]])
+        motion = self.regressor.motion(q, v, theta, theta_dot)
         p, J, J_dot, drift = motion
         if not isinstance(unknowns.rows, slice):
             p, J, J_dot, drift = (part[unknowns.rows] for part in motion)

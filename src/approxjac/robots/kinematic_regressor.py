@@ -207,23 +207,22 @@ class KinematicRegressor:
         if not self._plain:
             speeds = self._columns.dot(speeds)
         placed = self._placed(q, theta, theta_dot)
-        terms = self._terms
-        c, z = placed[:terms], placed[terms:, :, 0]  # the terms of p, beside Y's of θ'
-        p, drift = self._sum.dot(c.reshape(terms, 6)).reshape(-1, 2).T
-        # all that turns with its link: the terms of p, and the joints' axes
-        turning = _skews(self._spins.dot(z * speeds[:, np.newaxis]))
-        rates = turning @ placed[:, :, :1]
-        z_dot = rates[terms:, :, 0]
-        c[:, :, 1:] += rates[:terms]
+        n, k, terms = self._n, self.k, self._terms
+        c, z = placed[:terms], placed[terms:]  # terms of p and, beside them, of Yθ'; joints' axes
+        p, drift = self._sum.dot(c.reshape(terms, 6)).reshape(3 * k, 2).T
+        # both turn with their links: beside each vector is its rate, then
+        turning = _skews(self._spins.dot(z[:, :, 0] * speeds[:, np.newaxis]))
+        placed[:, :, 1:] += turning @ placed[:, :, :1]
         for i, _ in self._sliding:
-            c[i, :, 1] += z[i] * speeds[i]
-        levers = self._levers.dot(c.reshape(terms, 6)).reshape(self.k, -1, 3, 2)
-        columns = _skews(z) @ levers
-        columns[..., 1:] += _skews(z_dot) @ levers[..., :1]
+            c[i, :, 1] += z[i, :, 0] * speeds[i]
+        levers = self._levers.dot(c.reshape(terms, 6)).reshape(k, n, 3, 2)
+        crossed = _skews(z.transpose(0, 2, 1).reshape(2 * n, 3)).reshape(n, 6, 3) @ levers
+        J, J_dot = crossed[:, :, :3, 0], crossed[:, :, :3, 1] + crossed[:, :, 3:, 0]
         if self._along is not None:
-            columns[..., 0] += self._along * z
-            columns[..., 1] += self._along * z_dot
-        J, J_dot = columns.transpose(3, 0, 2, 1).reshape(2, 3 * self.k, -1)
+            J = J + self._along * z[:, :, 0]
+            J_dot = J_dot + self._along * z[:, :, 1]
+        J = J.transpose(0, 2, 1).reshape(3 * k, n)
+        J_dot = J_dot.transpose(0, 2, 1).reshape(3 * k, n)
         if not self._plain:
             J, J_dot = J.dot(self._columns), J_dot.dot(self._columns)
         return PointMotion(p, J, J_dot, drift)
