@@ -16,6 +16,7 @@ from approxjac.controllers import (
     ModelDynamics,
     TrackingController,
 )
+from approxjac.controllers.adaptive_dynamics import squared_rates
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics_regressor import DynamicsRegressor
 from approxjac.simulation import VelocityServo
@@ -523,6 +524,18 @@ def test_told_rotors_are_in_the_gain_and_in_what_is_learnt(panda):
     regressor = controller.dynamics.regressor
     rotors = controller.dynamics.initial_state()[regressor.links : regressor.links + 7]
     assert_array_equal(rotors, 0.1)
+
+
+@pytest.mark.parametrize("name", ["panda", "xarm7", "tiago_arm"])
+def test_nothing_learns_faster_than_the_loop_stands(name):
+    """A wrist of 5e-6 kg m², as in TIAGo's URDF, would have swung at 8000/s."""
+    robot = aj.load_robot(name)
+    dynamics = TrackingController(aj.PositionTask(robot)).dynamics
+    assert dynamics.fastest == 120.0
+    rates = squared_rates(dynamics.regressor, dynamics.gamma)
+    assert np.sqrt(rates.max()) <= 120.0 * (1.0 + 1e-9)
+    reduced = (dynamics.gamma < 0.999 * dynamics.gain * dynamics.sd**2).sum()
+    assert (reduced == 0) == (name == "panda")
 
 
 def test_what_is_learnt_stays_within_bounds(panda, rng):

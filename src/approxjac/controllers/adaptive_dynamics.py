@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.usual_postures import usual_inertias
-from approxjac.robots import Robot
+from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics_regressor import DynamicsRegressor
 from approxjac.robots.joint_limits import reach_bound
 from approxjac.validation import Array, Immutable, as_diagonal, as_number, require
@@ -25,6 +25,7 @@ _FARTHEST = 20.0  # standard deviations that a parameter may go from what is bel
 _FRICTION = 0.02  # of the effort
 _DRIVE = 2e-3  # rotor inertia over effort [s²] that any joint's drive may have
 _STANDARD_GRAVITY = 9.81
+_CONFIGURATIONS, _SPEED, _ACCELERATION = 20, 0.5, 2.0  # usual ones [rad/s, rad/s² or m]
 
 
 class MotionDynamics(Immutable, ABC):
@@ -143,7 +144,10 @@ class ModelDynamics(MotionDynamics):
 
 
 class AdaptiveDynamics(MotionDynamics):
-    """All of the dynamics, learnt: â' = −Γ Y_dᵀσ with Γ = gain · diag(sd²).
+    """All of the dynamics, learnt: â' = −Γ Y_dᵀσ with Γ = gain · diag(sd²), or less.
+
+    Less where a parameter alone would make the loop swing faster than `fastest`, as those of a
+    wrist do that a URDF says to be lighter than any wrist is.
 
     Ten inertial parameters of every link, and of every joint rotor inertia, viscous and Coulomb
     friction and a constant torque. Weight that hangs on wrong origins is outside of the span of
@@ -162,6 +166,8 @@ class AdaptiveDynamics(MotionDynamics):
             [kg m² or kg]. Where they are told, the gain matrix of the law has them.
         sd: Plausible errors of all parameters in the order of `regressor.names`, shape (p,).
         gain: How fast all of them learn > 0 [1/J].
+        fastest: How fast each parameter may learn at usual configurations > 0 [1/s]. In place of
+            the default a `TrackingController` takes twice its κ, for dynamics that it makes itself.
 
     Attributes:
         regressor: The `DynamicsRegressor`.
@@ -179,6 +185,7 @@ class AdaptiveDynamics(MotionDynamics):
         rotor_inertia: float | Sequence[float] | Array = 0.0,
         sd: Sequence[float] | Array | None = None,
         gain: float = 20.0,
+        fastest: float = 120.0,
     ) -> None:
         self._remember(locals())
         self._build(robot, rotor_inertia)
@@ -187,7 +194,9 @@ class AdaptiveDynamics(MotionDynamics):
         self.gain = as_number("gain", gain, unit="1/J", above=0.0)
         usual = plausible_errors(self.regressor) if sd is None else sd
         self.sd = as_diagonal("sd", usual, self.n_state)
-        self.gamma = self.gain * self.sd**2
+        self.fastest = as_number("fastest", fastest, unit="1/s", above=0.0)
+        gamma = self.gain * self.sd**2
+        self.gamma = gamma * np.minimum(1.0, self.fastest**2 / squared_rates(self.regressor, gamma))
         links, n = self.regressor.links, robot.nv
         prior = self.regressor.a.copy()
         prior[links : links + n] = self.rotor_inertia
@@ -241,6 +250,22 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     torque = np.maximum(mass * _STANDARD_GRAVITY * arm, _FRICTION * effort)
     rotor = np.maximum(_ROTOR * mass * arm**2, _DRIVE * effort)
     return np.concatenate([links, rotor, torque, torque, torque])
+
+
+def squared_rates(regressor: DynamicsRegressor, gamma: Array) -> Array:
+    """Return how fast each parameter alone makes σ swing, squared, shape (p,) [1/s²].
+
+    With Mσ̇ = −Y_d ã and ã' = ΓY_dᵀσ that is γᵢ Y_dᵢᵀM⁻¹Y_dᵢ: the largest over usual configurations,
+    each with joints at usual speeds and accelerations.
+    """
+    robot, rng = regressor.robot, np.random.default_rng(0)
+    dynamics, largest = Dynamics(robot), np.full(regressor.p, 1e-9)
+    for _ in range(_CONFIGURATIONS):
+        q = robot.random_configuration(rng)
+        v, a = (size * rng.choice((-1.0, 1.0), robot.nv) for size in (_SPEED, _ACCELERATION))
+        Y_d = regressor.Y_d(q, v, v, a)
+        largest = np.maximum(largest, gamma * (Y_d * (dynamics.M_inv(q) @ Y_d)).sum(axis=0))
+    return largest
 
 
 def known_efforts(robot: Robot) -> Array:

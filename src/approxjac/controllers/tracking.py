@@ -35,6 +35,7 @@ _PREDICTED, _UNPREDICTED = Status.PREDICTED, Status.NOT_PREDICTED
 _KAPPA = 60.0  # [1/s]
 _STEADY = 0.25  # κ dt at most
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
+_QUICK = 2.0  # times κ, how fast a parameter may learn
 _SINGULAR_RATIO = 0.05  # of σ_max, below which Ĵ⁺ is damped
 _SPEEDS = {"m": 0.5, "rad": 1.0}
 _TURN = 0.5  # [rad/s], at which other tasks go by their Jacobian
@@ -108,11 +109,13 @@ class TrackingController(ProvenLaw):
         if kinematics is None:
             kinematics = usual_kinematics(task, self.sampling_time)
         self.kinematics = kinematics
-        self.dynamics = AdaptiveDynamics(robot) if dynamics is None else dynamics
-        self._require_parts()
         self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
         usual = min(_KAPPA, _STEADY / self.sampling_time)
         self.kappa = usual if kappa is None else as_number("kappa", kappa, unit="1/s", above=0.0)
+        if dynamics is None:
+            dynamics = AdaptiveDynamics(robot, fastest=_QUICK * self.kappa)
+        self.dynamics = dynamics
+        self._require_parts()
         self.speed = as_limits(
             "speed",
             usual_speeds(task) if speed is None else speed,
