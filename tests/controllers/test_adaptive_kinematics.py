@@ -167,8 +167,8 @@ def test_a_known_camera_is_theorem_a(belief, truth):
     values = []
 
     def look(t, q, state):
-        sums, P = state[kinematics._at["sums"]], len(true)
-        values.append(law.V1(sums[:-P].reshape(P, P), true - sums[-P:]))
+        sums, estimator = state[kinematics._at["sums"]], kinematics._estimator
+        values.append(law.V1(estimator.information(sums), true - sums[-len(true) :]))
 
     run = follow(kinematics, truth, noise=0.0, delay=0.0, rate=500.0, look=look, seconds=3.0)
     assert (np.diff(values) <= 1e-9 * np.array(values[:-1])).all()
@@ -187,7 +187,7 @@ def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
     values, falls, last = [], [], [0.0]
 
     def squares(N, a, B, E, Theta, w):
-        N, B = N.reshape(len(Theta), -1), B.reshape(len(Theta), -1)
+        N, B = estimator._packed.unpack(N), B.reshape(len(Theta), -1)
         return 0.5 * Theta @ N @ Theta - Theta @ (a + B @ w) - E @ w
 
     def look(t, q, state):

@@ -26,6 +26,24 @@ class Estimate(NamedTuple):
     R: Array
 
 
+class _Packed:
+    """Symmetric matrices (P, P) as their upper triangles, as a state is copied and recorded."""
+
+    def __init__(self, P: int) -> None:
+        rows, columns = np.triu_indices(P)
+        self.size = len(rows)
+        self._upper = rows * P + columns
+        where = np.zeros((P, P), dtype=int)
+        where[rows, columns] = where[columns, rows] = np.arange(self.size)
+        self._where = where
+
+    def pack(self, matrix: Array) -> Array:
+        return np.asarray(matrix.ravel()[self._upper])
+
+    def unpack(self, triangle: Array) -> Array:
+        return np.asarray(triangle[self._where])
+
+
 class KnownCamera:
     """Rᵀx = o + HΘ with R known: recursive least squares with forgetting towards the prior.
 
@@ -42,15 +60,16 @@ class KnownCamera:
         self._is_turned = not np.array_equal(self._R, np.eye(len(self._R)))
         self.prior = np.diag(unknowns.sd_Theta**-2.0)
         self._weight = noise**-2.0
-        self.size = self._P * (self._P + 1)
+        self._packed = _Packed(self._P)
+        self.size = self._packed.size + self._P
 
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
-        return np.concatenate([self.prior.ravel(), self._first])
+        return np.concatenate([self._packed.pack(self.prior), self._first])
 
     def renewed(self, numbers: Array) -> Array:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""
-        return np.concatenate([self.prior.ravel(), numbers[-self._P :]])
+        return np.concatenate([self._packed.pack(self.prior), numbers[-self._P :]])
 
     def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: float) -> Array:
         """Return the numbers after a frame.
@@ -62,25 +81,27 @@ class KnownCamera:
             x: What is measured, shape (m,).
             share: λT, to be forgotten.
         """
-        P = self._P
         if self._is_turned:
             x = x.reshape(-1, len(self._R)).dot(self._R).ravel()
-        Lambda = numbers[: P * P].reshape(P, P)
-        Lambda = law.forgotten_information(Lambda, self.prior, share)
-        Theta = numbers[P * P :]
+        Lambda = law.forgotten_information(self.information(numbers), self.prior, share)
+        Theta = numbers[-self._P :]
         innovation = x - o - H.dot(Theta)
         Lambda = law.information(Lambda, H, self._weight)
         Theta = Theta + law.correction(Lambda, H, self._weight, innovation)
-        return np.concatenate([Lambda.ravel(), Theta])
+        return np.concatenate([self._packed.pack(Lambda), Theta])
 
     def estimate(self, numbers: Array) -> Estimate:
         """Return what is estimated."""
         return Estimate(numbers[-self._P :].copy(), self._R)
 
+    def information(self, numbers: Array) -> Array:
+        """Return Λ, shape (P, P)."""
+        return self._packed.unpack(numbers[: -self._P])
+
     def covariance(self, numbers: Array) -> Array:
         """Return the covariance of (u, b), shape (P, P)."""
         P, n = self._P, self._n_u
-        covariance = np.asarray(np.linalg.inv(numbers[: P * P].reshape(P, P)), dtype=np.float64)
+        covariance = np.asarray(np.linalg.inv(self.information(numbers)), dtype=np.float64)
         if self._is_turned and n < P:
             covariance[n:] = self._R.dot(covariance[n:])
             covariance[:, n:] = covariance[:, n:].dot(self._R.T)
@@ -117,7 +138,8 @@ class UnknownCamera:
         self.prior = np.diag(unknowns.sd_Theta**-2.0)
         self._sd_R, self._weight = unknowns.sd_R, noise**-2.0
         P, dd = self._P, self._d**2
-        sizes = [P * P, P, P * dd, dd, P, dd]
+        self._packed = _Packed(P)
+        sizes = [self._packed.size, P, P * dd, dd, P, dd]
         self.size = sum(sizes)
         ends = np.cumsum(sizes).tolist()
         self._parts = [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
@@ -148,7 +170,7 @@ class UnknownCamera:
             numbers = numbers + share * (self._about(Theta, A.reshape(d, d)) - numbers)
         N, a, B, E, _, A = self._split(numbers)
         HW = W * H.T
-        N = N.reshape(P, P) + HW.dot(H)
+        N = self._packed.unpack(N) + HW.dot(H)
         a = a - HW.dot(o)
         seen = x.reshape(-1, d)
         each = HW.reshape(P, -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
@@ -157,7 +179,7 @@ class UnknownCamera:
         solved, M, h = _reduced(N, a, B, E)
         w = self._rotation(M, h, A.reshape(d, d)).ravel()
         Theta = solved[:, 0] + solved[:, 1:].dot(w)
-        return np.concatenate([N.ravel(), a, B.ravel(), E, Theta, w])
+        return np.concatenate([self._packed.pack(N), a, B.ravel(), E, Theta, w])
 
     def estimate(self, numbers: Array) -> Estimate:
         """Return what is estimated."""
@@ -171,8 +193,8 @@ class UnknownCamera:
         """
         d, P = self._d, self._P
         N, a, B, E, Theta, A = self._split(numbers)
-        A = A.reshape(d, d)
-        solved, M, h = _reduced(N.reshape(P, P), a, B.reshape(P, -1), E)
+        N, A = self._packed.unpack(N), A.reshape(d, d)
+        solved, M, h = _reduced(N, a, B.reshape(P, -1), E)
         known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
         # of A ← exp([δ]ₓ)A; nothing is known less well than before
         of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
@@ -180,7 +202,7 @@ class UnknownCamera:
         follows = solved[:, 1:].dot(law.tangents(A))  # ∂(u, c)/∂δ
         joint = np.concatenate([follows, np.eye(len(G))]).dot(of_delta)
         joint = joint.dot(np.concatenate([follows, np.eye(len(G))]).T)
-        joint[:P, :P] += np.linalg.inv(N.reshape(P, P))
+        joint[:P, :P] += np.linalg.inv(N)
         # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
         c, R = Theta[self._n_u :], A.T
         T = np.eye(P + len(G))
@@ -213,7 +235,7 @@ class UnknownCamera:
         B = np.zeros((self._P, d, d))
         B[n:] = np.eye(d)[:, :, np.newaxis] * (b * self.prior[-1, -1])
         E = (0.5 / self._sd_R**2) * A.ravel()
-        return np.concatenate([self.prior.ravel(), a, B.ravel(), E, Theta, A.ravel()])
+        return np.concatenate([self._packed.pack(self.prior), a, B.ravel(), E, Theta, A.ravel()])
 
 
 def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Array]:

@@ -13,7 +13,7 @@ from approxjac.interface import Measurement
 from approxjac.robots import Robot
 from approxjac.validation import Array
 
-_SPACING = 5e-3  # between remembered configurations, from which others are interpolated [s]
+_SPACING = 10e-3  # between remembered configurations, from which others are interpolated [s]
 _HORIZON = 0.25  # age up to which a frame finds its configuration [s]
 _LONG_AGO = -1e6  # [s]
 _CLOSEST = 4e-3  # between frames, below which there is nothing to learn from the second one [s]
