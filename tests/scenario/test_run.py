@@ -10,7 +10,9 @@ from numpy.testing import assert_allclose
 from scenarios import HOME, reach
 
 import approxjac as aj
-from approxjac.scenario import report
+from approxjac.errors import InvalidInputError
+from approxjac.scenario import Scenario, report
+from approxjac.scenario.stability import prepare
 
 NEAR = {"start": HOME, "target": {"offset": (0.05, -0.05, 0.05)}}
 FAR = {"start": HOME, "target": {"offset": (0.3, -0.4, 0.3)}}
@@ -415,3 +417,59 @@ def test_a_path_is_followed_as_closely_as_wanted_and_only_within_reach():
     away = {"line": {"offset": (1.0, 0.0, 0.1), "duration": 0.5}}
     far = reach(run={"start": HOME, "target": away, "duration": 1.0}).build().run()
     assert far.reason.startswith("out of reach: 1.43 m from the first joint")
+
+
+LEARNS = {
+    "true": {
+        "object": {"length": 0.2, "mass": 0.5, "axis": "x"},
+        "tracker": {"rotation": (0.0, 0.0, 1.7), "offset": (0.1, -0.05, 0.05)},
+    },
+    "sensor": {"noise": 1e-3, "rate": 60.0, "delay": 0.03},
+    "run": {"start": HOME, "target": {"circle": {"radius": 0.08}}, "duration": 4.0},
+}
+PARTS = ("tool", "origins", "camera")
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        {"law": "tracking", "unknown": PARTS},
+        {"unknown": PARTS},
+        {"law": "tracking", "unknown": PARTS, "command": "velocity"},
+    ],
+    ids=["law T", "set-point law", "velocities"],
+)
+def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
+    """A tool and a tracker turned by 97° that nobody told of; and what was learnt is written."""
+    result = Scenario("panda", controller=controller, **LEARNS).build().run()
+    last = result.run.error_norm[result.run.t > 3.0]
+    assert np.sqrt(np.mean(last**2)) < 5e-3
+    assert not result.failed
+    report.write(result, tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert abs(summary["kinematics"]["camera.rz"]["value"] - 1.7) < 0.05
+    assert "camera turned by 1.7" in (tmp_path / "kinematics.txt").read_text(encoding="utf-8")
+    assert "tracker turned by 97" in report.text(result)
+    again = Scenario.load(tmp_path / "scenario.toml")
+    assert again == result.built.scenario
+    with pytest.raises(InvalidInputError, match="unknown must be left out of a report"):
+        prepare(again)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"controller": {"law": "tracking", "kp": (9.0,)}}, "controller.kp is of the law setpoint"),
+        ({"controller": {"command": "velocity"}}, "needs controller.law tracking, got velocity"),
+        ({"controller": {"law": "tracking", "gravity": "exact"}}, "gravity must be learnt or"),
+        ({"controller": {"unknown": ("tool",), "unseen": 0.1}}, "unseen is of no use where x is"),
+        ({"controller": {"unknown": ("tol",)}}, "unknown must be one or more of"),
+        ({"controller": {"unknown": ("tool",)}, "task": {"kind": "pose"}}, "is for task.kind pos"),
+        ({"true": {"servo": {"lag": 0.1}}}, "true.servo needs controller.command velocity"),
+        ({"true": {"tracker": {"offset": (1, 0, 0)}}, "task": {"axes": "xz"}}, "must be xyz with"),
+        ({"true": {"tracker": {"offset": (1, 0, 0)}}, "task": {"kind": "pose"}}, "is for task.kin"),
+    ],
+)  # fmt: skip
+def test_what_does_nothing_for_a_law_is_refused(changes, message):
+    with pytest.raises(InvalidInputError, match=message):
+        Scenario("panda", **changes).build()

@@ -49,7 +49,11 @@ _COMMON = {
     "--duration": "run.duration",
     "--seed": "run.seed",
 }
-_FLAGS = {"--no-limits": ["--limits", "none"]}
+_UNKNOWN = ["--controller.unknown", "tool", "origins", "camera"]
+_FLAGS = {
+    "--no-limits": ["--limits", "none"],
+    "--learn-kinematics": ["--controller.law", "tracking", *_UNKNOWN],
+}
 _PATHS = {
     "circle": "run.target.circle.radius",
     "line": "run.target.line.offset",
@@ -65,7 +69,7 @@ SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COM
 def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:
     """Return the scenario of the file among a command's words, and the words with its robot.
 
-    In these --no-limits and --path are what they stand for.
+    In these --no-limits, --learn-kinematics and --path are what they stand for.
     """
     words = [part for word in words for part in _FLAGS.get(word, [word])]
     words = _with_path(words)

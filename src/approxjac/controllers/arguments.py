@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
-from approxjac.validation import Array
+from approxjac.validation import Array, as_number
 
 FLOAT64 = np.dtype(np.float64)
 HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
@@ -87,3 +89,11 @@ def overflow(measurement: Measurement) -> MeasurementError:
         "your own, is for",
         given=measurement,
     )
+
+
+def require_dt(dt: float, sampling_time: float) -> None:
+    """Refuse another dt [s] than the one that a controller is for."""
+    dt = as_number("dt", dt, unit="s", above=0.0)
+    if not math.isclose(dt, sampling_time):
+        wanted = f"that of the controller, {sampling_time:g} [s]"
+        raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)

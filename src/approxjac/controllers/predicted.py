@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
+from approxjac.controllers.kinematic_report import KinematicReport
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable
@@ -69,3 +71,11 @@ class Kinematics(Immutable, ABC):
     @abstractmethod
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+
+    def report(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt: values, standard deviations, and what was not seen.
+
+        Raises:
+            InvalidInputError: Kinematics that learn nothing.
+        """
+        raise InvalidInputError(f"kinematics must learn to report, got {self!r}", given=self)

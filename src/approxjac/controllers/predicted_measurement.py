@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.predicted import Kinematics
 from approxjac.controllers.tracking import TrackingController
 from approxjac.controllers.wrapper import ControllerWrapper, law_of, with_task
@@ -113,6 +114,14 @@ class PredictedMeasurement(ControllerWrapper):
         if status is _OK and not math.isfinite(math.hypot(*e.tolist())):
             status = _PREDICTED
         return np.concatenate([after, known]), answer._replace(e=e, status=status)
+
+    def kinematics_learnt(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt of the kinematics.
+
+        Raises:
+            InvalidInputError: Kinematics that learn nothing.
+        """
+        return self.kinematics.report(self._split(state)[1])
 
     def _predicted(
         self, known: Array, measurement: Measurement, target: Target

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac import law
+from approxjac.controllers.arguments import require_dt
 from approxjac.controllers.limit_weights import task_force_weight
 from approxjac.controllers.limiter import Asked, Limited, Limiter
 from approxjac.controllers.limits import (
@@ -177,10 +178,7 @@ class TorqueLimited(Limiter):
             InvalidInputError: Another dt than the one that speeds and positions are limited for.
         """
         if self._looks_ahead and dt != self._dt:
-            dt = as_number("dt", dt, unit="s", above=0.0)
-            if not math.isclose(dt, self._dt):
-                wanted = f"that of the controller, {self._dt:g} [s]"
-                raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)
+            require_dt(dt, self._dt)
         return super().step(state, measurement, target, dt)
 
     def _limit(self, asked: Asked) -> Limited:

@@ -15,8 +15,10 @@ from approxjac.controllers.arguments import (
     HUGE,
     overflow,
     require_arrays,
+    require_dt,
     require_finite,
 )
+from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.predicted import Kinematics
@@ -211,7 +213,7 @@ class TrackingController(ProvenLaw):
                 this controller is for.
         """
         if dt != self.sampling_time:
-            self._require_dt(dt)
+            require_dt(dt, self.sampling_time)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             target, measurement = self._checked(state, measurement, target)
             try:
@@ -297,12 +299,6 @@ class TrackingController(ProvenLaw):
             task.target(x_d)
         return target, measurement
 
-    def _require_dt(self, dt: float) -> None:
-        dt = as_number("dt", dt, unit="s", above=0.0)
-        if not math.isclose(dt, self.sampling_time):
-            wanted = f"that of the controller, {self.sampling_time:g} [s]"
-            raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)
-
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p).
 
@@ -310,6 +306,14 @@ class TrackingController(ProvenLaw):
         """
         known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
         return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
+
+    def kinematics_learnt(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt of the kinematics.
+
+        Raises:
+            InvalidInputError: Kinematics that learn nothing.
+        """
+        return self.kinematics.report(state[self._n_dynamics : self._end])
 
     def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.

@@ -9,41 +9,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.controllers import (
-    AdaptiveGravity,
-    AwayFromStops,
-    DifferentiatedVelocity,
-    Gains,
-    Gravity,
-    HeldMeasurement,
-    Latency,
-    Limits,
-    ModelGravity,
-    NoGravity,
-    Posture,
-    RegressorGravity,
-    SetpointController,
-    TorqueLimited,
-    tuned,
-)
+from approxjac.controllers import KinematicReport, Limits, PredictedMeasurement, TrackingController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Controller, TargetPath
-from approxjac.law import Sine
 from approxjac.paths import Circle, Line, Waypoints
-from approxjac.robots import GravityRegressor, Robot, load_robot
+from approxjac.robots import Robot, load_robot
 from approxjac.robots.urdf_edit import OBJECT_RADIUS
 from approxjac.scenario.configurations import (
     configuration_of,
     regular_configuration,
     straight_ahead,
 )
+from approxjac.scenario.control import Law, controller_of, limits_of, sampling_time
 from approxjac.scenario.images import image_scene
 from approxjac.scenario.reachability import doubts
 from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
-from approxjac.simulation import MujocoPlant, Plant, SampledLoop, Sensing, simulate
+from approxjac.simulation import (
+    MujocoPlant,
+    Plant,
+    SampledLoop,
+    Sensing,
+    VelocityServo,
+    simulate,
+)
 from approxjac.tasks import (
     CombinedTask,
     ImageTask,
@@ -71,7 +62,7 @@ class BuiltScenario:
     scenario: Scenario  # that it was built from
     plant: Plant  # the truth; its torque limits are those of the motors
     controller: Controller  # the law, within limits and with a held measurement where they are
-    law: SetpointController
+    law: Law
     q0: Array  # start, shape (nq,)
     target: Array | TargetPath  # x_d, shape (n_x,), or its path
     limits: Limits | None  # that the controller keeps, an entry for each joint
@@ -80,12 +71,28 @@ class BuiltScenario:
     @functools.cached_property
     def warning(self) -> str:
         """Why the gains, or the believed arm, may not get to the target; or ""."""
-        tuning = self.law.tuning
+        tuning = None if isinstance(self.law, TrackingController) else self.law.tuning
         if tuning is not None and not tuning.stable:
             return tuning.reasons[0]
         if self.scenario.true.tracker != Tracker():
             return ""  # in whose axes nobody knows where the arm is
         return doubts(self.law.task, self.target, self.q0, self.scenario.run.duration)
+
+    @property
+    def gains(self) -> dict[str, Any]:
+        """The gains of the law by their names."""
+        if isinstance(self.law, TrackingController):
+            return {"alpha": self.law.alpha, "kappa": self.law.kappa}
+        return self.law.diagonals._asdict()
+
+    def kinematics_learnt(self, state: Array) -> KinematicReport | None:
+        """Return what a state of the controller has learnt of the kinematics; None of nothing."""
+        for each in (self.controller, self.law):
+            if self.scenario.controller.unknown and isinstance(
+                each, TrackingController | PredictedMeasurement
+            ):
+                return each.kinematics_learnt(state)
+        return None
 
     def run(
         self,
@@ -127,7 +134,7 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
         return holding(arm, held, believed.shifts, believed.rotations)
 
     belief = believe(believed.object.length)
-    limits = _limits(scenario, belief)
+    limits = limits_of(scenario, belief)
     motors = truth.effort_limits if limits is None else np.asarray(limits.effort)
     rng = np.random.default_rng(scenario.run.seed)
     task: Task
@@ -149,14 +156,7 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
             q0 = plant.ready_configuration() if start is None else draw()
         goal = draw if start == "random" else functools.partial(straight_ahead, sensor, q0, draw)
         target = _target(sensor, q0, scenario, goal)
-    chosen = scenario.controller
-    gravity = gravity_from(truth, belief, chosen.gravity, chosen.integral)
-    law = _law(task, gravity, q0, scenario, within_limits=limits is not None)
-    controller: Controller = law
-    if limits is not None:
-        controller = TorqueLimited(law, limits, dt=sampling_time(scenario))
-    if scenario.controller.unseen is not None:
-        controller = HeldMeasurement(controller, scenario.controller.unseen)
+    law, controller = controller_of(scenario, task, truth, q0, limits)
     return BuiltScenario(scenario, plant, controller, law, q0, target, limits, believe)
 
 
@@ -233,95 +233,6 @@ def _target(
     return sensor.target(goal.at)
 
 
-# -- who controls -----------------------------------------------------------------------
-
-
-def gravity_from(truth: Robot, belief: Robot, kind: str, integral: str | None = None) -> Gravity:
-    """Return the gravity of a controller by its kind; `integral` says if it learns forces, too."""
-    if kind == "learnt":
-        nothing = 0.0 if integral == "none" else None
-        return AdaptiveGravity(belief, task_force=nothing, joint_torque=nothing)
-    if kind == "exact":
-        regressor = GravityRegressor(belief)
-        theta = regressor.fit(truth)[0]
-        if integral == "learnt":
-            return AdaptiveGravity(regressor, L=0.0, theta0=theta)
-        return RegressorGravity(regressor, theta)
-    if integral == "learnt":
-        return AdaptiveGravity(belief, L=0.0, theta0=0.0 if kind == "none" else None)
-    return NoGravity(belief) if kind == "none" else ModelGravity(belief)
-
-
-def _law(
-    task: Task, gravity: Gravity, q0: Array, scenario: Scenario, *, within_limits: bool
-) -> SetpointController:
-    chosen, stiffness = scenario.controller, scenario.controller.posture_stiffness
-    posture: Posture | AwayFromStops | None = None
-    if stiffness:
-        posture = Posture(q0, stiffness)
-    elif within_limits and task.robot.nv > task.m:
-        posture = AwayFromStops()
-    differentiator = chosen.differentiator
-    return SetpointController(
-        task,
-        _gains(task, scenario),
-        gravity=gravity,
-        saturation=None if chosen.gamma is None else Sine(chosen.gamma),
-        velocity=None if differentiator is None else DifferentiatedVelocity(differentiator),
-        posture=posture,
-        latency=latency_of(scenario),
-        settling_time=chosen.settling_time,
-    )
-
-
-def _gains(task: Task, scenario: Scenario) -> Gains | None:
-    """Return the gains that are given, with those of the rule beside them; None if none is."""
-    chosen = scenario.controller
-    given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
-    if not any(given.values()):
-        return None
-    usual = tuned(task, latency_of(scenario), settling_time=chosen.settling_time).gains
-    values = {
-        name: getattr(usual, name) if value is None else value[0] if len(value) == 1 else value
-        for name, value in given.items()
-    }
-    return Gains(**values)
-
-
-def latency_of(scenario: Scenario) -> Latency:
-    """Return how late the loop of a scenario measures and acts; continuous control as at 1 kHz."""
-    sensor = scenario.sensor
-    return Latency(
-        period=sampling_time(scenario) or Latency.period,
-        torque_delay=scenario.loop.actuator_delay,
-        velocity_filter=sensor.velocity_filter or 0.0,
-        image_period=0.0 if sensor.rate is None else 1.0 / sensor.rate,
-        image_age=sensor.delay,
-    )
-
-
-def sampling_time(scenario: Scenario) -> float:
-    """Return the period of control [s], 0 where it is continuous."""
-    return scenario.loop.dt if isinstance(scenario.loop.dt, float) else 0.0
-
-
-def _limits(scenario: Scenario, belief: Robot) -> Limits | None:
-    """Return the limits that the controller keeps, with an entry for each joint."""
-    share = scenario.controller.limits
-    if share == "none" or sampling_time(scenario) == 0.0:
-        return None
-    if not np.isfinite(belief.effort_limits).any():
-        if share == "urdf":
-            return None
-        raise InvalidInputError(
-            f"controller.limits are shares of the URDF's effort limits, and that of {belief.name} "
-            f"has none, got {share}",
-            given=share,
-        )
-    limits = Limits.of(belief, share if isinstance(share, float) else 1.0)
-    return replace(limits, rate=scenario.controller.torque_rate).for_joints(belief.nv)
-
-
 # -- the plant --------------------------------------------------------------------------
 
 
@@ -333,6 +244,9 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
         "actuator_delay": scenario.loop.actuator_delay,
         "torque_limits": motors if np.isfinite(motors).any() else None,
     }
+    if scenario.controller.command == "velocity":
+        options["servo"] = VelocityServo(**vars(true.servo))
+        options["torque_limits"], options["actuator_delay"] = None, 0.0
     if true.engine == "mujoco":
         return MujocoPlant(truth, sensor, true.friction, floor=true.floor, **options)
     return Plant(truth, sensor, true.friction, **options)

@@ -101,6 +101,23 @@ class Tracker:
 
 
 @dataclass(frozen=True)
+class Servo:
+    """The servo of a robot that takes joint velocities.
+
+    Attributes:
+        lag: Time constant with which joints follow, s.
+        delay: From a command to its effect, s.
+        period: Between commands that are taken, s.
+        quantum: Steps in which positions are measured, rad or m.
+    """
+
+    lag: float = _above(0.03)
+    delay: float = _at_least(0.008)
+    period: float = _above(0.008)
+    quantum: float = _at_least(0.0)
+
+
+@dataclass(frozen=True)
 class Truth:
     """The truth, which only the plant gets to see.
 
@@ -112,6 +129,7 @@ class Truth:
         coulomb: Coulomb friction of every joint, N m.
         camera: Of an image task.
         tracker: Measures x in axes of its own, which targets are in, too; the world's by default.
+        servo: Of a robot that takes joint velocities.
         engine: Simulates the robot.
         floor: Height of a floor, m, for the engine mujoco.
     """
@@ -123,6 +141,7 @@ class Truth:
     coulomb: float = _at_least(0.0)
     camera: Camera = Camera()
     tracker: Tracker = Tracker()
+    servo: Servo = Servo()
     engine: Literal["pinocchio", "mujoco"] = "pinocchio"
     floor: float | None = None
 
@@ -201,7 +220,10 @@ class ControllerChoice:
     """The law, its gains, and its limits.
 
     Attributes:
-        law: "setpoint", the paper's.
+        law: "setpoint", the paper's; or "tracking", law T, for paths.
+        unknown: Parts of the kinematics that are learnt from x (tool, origins, camera, offset,
+            scale): then x̂ is controlled (--learn-kinematics: by law T, the first three).
+        command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: "learnt" (law (28)), "exact" (fitted to the true one), "believed", or "none".
         integral: Constant task force and joint torques, "learnt" or "none"; as gravity by default.
@@ -218,7 +240,9 @@ class ControllerChoice:
         unseen: Motion for which the x that was last seen will do, m, rad or px; none by default.
     """
 
-    law: Literal["setpoint"] = "setpoint"
+    law: Literal["setpoint", "tracking"] = "setpoint"
+    unknown: tuple[str, ...] = ()
+    command: Literal["torque", "velocity"] = "torque"
     differentiator: float | None = _above(None)
     gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"
     integral: Literal["learnt", "none"] | None = None

@@ -45,8 +45,23 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("controller.torque_rate", control.limits == "none", needs, "none"),
         ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
     ]
+    tracks, learns = control.law == "tracking", bool(control.unknown)
+    for_setpoint = ("differentiator", "integral", "settling_time", "kp", "kv", "damping", "gamma")
+    rules += [
+        (f"controller.{name}", tracks, "is of the law setpoint", control.law)
+        for name in (*for_setpoint, "posture_stiffness")
+    ]
+    velocities = control.command == "velocity"
+    rules += [
+        ("true.servo", not velocities, "needs controller.command velocity", control.command),
+        ("controller.command", not tracks, "needs controller.law tracking", control.law),
+        ("controller.torque_rate", velocities, "is of torques", control.command),
+        ("loop.actuator_delay", velocities, "is of torques: see true.servo", control.command),
+        ("controller.unseen", learns, "is of no use where x is predicted", "controller.unknown"),
+    ]
     continuous = scenario.loop.dt == "continuous"
-    sampled = ["controller.torque_rate", "controller.unseen", "sensor", "loop.actuator_delay"]
+    of_control = ("law", "unknown", "torque_rate", "unseen")
+    sampled = [*(f"controller.{name}" for name in of_control), "sensor", "loop.actuator_delay"]
     if control.limits != "none":
         sampled.append("controller.limits")
     rules += [(key, continuous, "needs a loop.dt in s", "continuous") for key in sampled]
@@ -86,6 +101,13 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
     given = {name for name, value in vars(goal).items() if value != getattr(type(goal)(), name)}
     if len(given) > 1:
         yield given, f"run.target must not both be given as {' and as '.join(sorted(given))}"
+    control = scenario.controller
+    if control.law == "tracking" and control.gravity not in ("learnt", "believed"):
+        wanted = 'learnt or believed with controller.law "tracking"'
+        yield control.gravity, f"controller.gravity must be {wanted}, got {control.gravity}"
+    if control.unknown and task.kind not in ("position", "stacked"):
+        wanted = "is for task.kind position or stacked"
+        yield control.unknown, f"controller.unknown {wanted}, got {task.kind}"
     tracker = scenario.true.tracker
     if tracker != type(tracker)() and task.axes not in (None, "xyz"):
         yield task.axes, f"task.axes must be xyz with true.tracker, got {task.axes}"

@@ -9,6 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from approxjac.controllers import KinematicReport, SetpointController, TrackingController
 from approxjac.formatting import listed
 from approxjac.interface import LimitStatus, Status
 from approxjac.scenario.records import Belief
@@ -32,9 +35,15 @@ if TYPE_CHECKING:
 
 
 def write(result: Result, out: Path) -> None:
-    """Write run.png, run.svg, run.npz, summary.json and scenario.toml into a folder."""
+    """Write run.png, run.svg, run.npz, summary.json and scenario.toml into a folder.
+
+    And kinematics.txt, where they were learnt.
+    """
     save_figure(draw(result), out / "run")
     result.run.save(out / "run.npz")
+    learnt = result.built.kinematics_learnt(result.run.state[-1])
+    if learnt is not None:
+        (out / "kinematics.txt").write_text(f"{learnt}\n", encoding="utf-8")
     result.built.scenario.save(out / "scenario.toml")
     summary = json.dumps(result.summary(), indent=2)
     (out / "summary.json").write_text(summary + "\n", encoding="utf-8")
@@ -44,10 +53,9 @@ def text(result: Result) -> str:
     """Return where the arm started, went and ended, and the verdict, a line each."""
     run, built, torque = result.run, result.built, result.peak_torque_ratio
     law = built.law
-    number = "28" if law.adaptation is not None else "6" if law.velocity is None else "5"
     told = {
         "believed": believed(built.scenario),
-        "law": f"({number}) with {law.gains!r}",
+        "law": _law(law),
         "joints": f"{listed(run.q[0])} -> {listed(run.q[-1])}",
         "x": f"{listed(run.x[0])} -> {listed(run.x[-1])} after {run.t[-1]:g} s",
         "target": listed(run.target),
@@ -59,11 +67,13 @@ def text(result: Result) -> str:
         else f"{'asks for up to' if built.limits is None else 'up to'} {torque:.2f} of the limits",
         "status": _shares(run.status_counts()),
     }
-    if law.adaptation is not None:
+    if isinstance(law, SetpointController) and law.adaptation is not None:
         told["learnt"] = law.adaptation.words(law.learnt(run.state[-1]), law.task)
+    if (kinematics := built.kinematics_learnt(run.state[-1])) is not None:
+        told["kinematics"] = _kinematics(kinematics)
     if result.on_path:
-        largest, rms = (_size({run.task_unit: error}) for error in result.strayed)
-        told["strayed"] = f"up to {largest} from the path, {rms} RMS"
+        largest, rms, last = (_size({run.task_unit: error}) for error in result.strayed)
+        told["strayed"] = f"up to {largest} from the path, {rms} RMS, {last} in the last quarter"
     if built.limits is not None:
         told["limits"] = _shares(run.limit_status_counts())
     if run.at_stops:
@@ -100,6 +110,26 @@ def draw(result: Result) -> Figure:
     if limited:
         plot_slack(run, axes[3])
     return figure
+
+
+def _kinematics(learnt: KinematicReport) -> str:
+    """Return tool and camera as they were learnt, and whether that explains x."""
+    tool = [row.value for row in learnt.rows if row.name.startswith("tool.")]
+    told = [f"tool at {listed(np.round(tool, 3))} m"] if tool else []
+    if learnt.angle:
+        told.append(f"tracker turned by {math.degrees(learnt.angle):.1f} deg")
+    told.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
+    if not learnt.is_explained:
+        told.append("which does not explain x")
+    return ", ".join(told)
+
+
+def _law(law: SetpointController | TrackingController) -> str:
+    """Return which law it is, and its gains."""
+    if isinstance(law, TrackingController):
+        return f"T with alpha={law.alpha:.4g}, kappa={law.kappa:.4g}"
+    number = "28" if law.adaptation is not None else "6" if law.velocity is None else "5"
+    return f"({number}) with {law.gains!r}"
 
 
 def _size(errors: dict[str, float]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import law_of
+from approxjac.controllers import TrackingController, law_of
 from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions
@@ -99,9 +99,12 @@ class Result:
         return self.settling_time <= 0.9 * float(self.run.t[-1])
 
     @property
-    def strayed(self) -> tuple[float, float]:
-        """Largest and RMS error over the run, as told of a path [unit of the task]."""
-        return float(self.errors.max()), float(np.sqrt((self.errors**2).mean()))
+    def strayed(self) -> tuple[float, float, float]:
+        """Largest, RMS, and last quarter's RMS error on a path [unit of the task]."""
+        errors = self.errors
+        last = errors[-max(1, len(errors) // 4) :]
+        rms, of_last = (float(np.sqrt((part**2).mean())) for part in (errors, last))
+        return float(errors.max()), rms, of_last
 
     # -- limits -------------------------------------------------------------------------
 
@@ -192,7 +195,11 @@ class Result:
     def _learns(self, last: slice) -> bool:
         """Return whether 1 % of the position force at the end was learnt in the last quarter."""
         run, law, q = self.run, self.built.law, self.run.q[-1]
-        if law.adaptation is None or law_of(self.built.controller) is not law:
+        if (
+            isinstance(law, TrackingController)
+            or law.adaptation is None
+            or law_of(self.built.controller) is not law
+        ):
             return False
         first, end = (law.gravity_torque(run.state[last][k], q) for k in (0, -1))
         return bool(np.linalg.norm(end - first) > 0.01 * np.linalg.norm(run.task_torque[-1]))
@@ -217,8 +224,9 @@ class Result:
         run, built = self.run, self.built
         sizes = {"final_error": self.final_error, "start_error": self.errors_at(0)}
         if self.on_path:
-            largest, rms = self.strayed
-            sizes |= {"largest_error": {run.task_unit: largest}, "rms_error": {run.task_unit: rms}}
+            names = ("largest_error", "rms_error", "last_quarter_rms_error")
+            pairs = zip(names, self.strayed, strict=True)
+            sizes |= {name: {run.task_unit: error} for name, error in pairs}
         found = {
             "robot": run.robot_name,
             **{f"{name}_{unit}": e for name, errors in sizes.items() for unit, e in errors.items()},
@@ -237,11 +245,19 @@ class Result:
             "q_start": built.q0,
             "q_end": run.q[-1],
             "controller": repr(built.law),
-            "gains": built.law.diagonals._asdict(),
+            "gains": built.gains,
+            "kinematics": self._kinematics_summary(),
             "status_counts": {status.name: n for status, n in run.status_counts().items()},
             "scenario": asdict(built.scenario),
         }
         return {name: plain(value) for name, value in found.items()}
+
+    def _kinematics_summary(self) -> dict[str, Any] | None:
+        """Return what was learnt of the kinematics, number by number; None of nothing."""
+        learnt = self.built.kinematics_learnt(self.run.state[-1])
+        if learnt is None:
+            return None
+        return {"chi_squared": learnt.chi_squared} | {r.name: r._asdict() for r in learnt.rows}
 
     def _limits_summary(self) -> dict[str, Any] | None:
         """Return what limits did at the recorded instants; None where the controller knows none."""

@@ -68,13 +68,22 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     for name in analysis.map:
         if name not in PARAMETERS:
             raise UnknownNameError("parameter", name, "the map", PARAMETERS)
-    arm, gravity = loaded_arm(scenario), scenario.controller.gravity
+    choice = scenario.controller
+    if choice.law == "tracking" or choice.unknown:
+        name, given = ("unknown", choice.unknown) if choice.unknown else ("law", choice.law)
+        raise InvalidInputError(
+            f"controller.{name} must be left out of a report, which is about a fixed Jacobian, got "
+            f"{given}",
+            given=given,
+        )
+    arm, gravity = loaded_arm(scenario), choice.gravity
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
     # a report is of eq. (1), and of whatever target
-    law = replace(scenario.controller, gravity=gravity, limits="none", torque_rate=None)
+    law = replace(choice, gravity=gravity, limits="none", torque_rate=None)
     built = build(replace(scenario, controller=law), arm)
     truth = _truth(arm, built, analysis)
+    assert isinstance(built.law, SetpointController)
     region = _region(built.law, truth, analysis)
     return ClosedLoop(built.law, truth, region, analysis.target)
 
