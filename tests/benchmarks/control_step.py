@@ -21,6 +21,8 @@ from approxjac.controllers import (
     CompiledSetpointController,
     ControllerWrapper,
     DifferentiatedVelocity,
+    KnownKinematics,
+    ModelDynamics,
     Posture,
 )
 from approxjac.law import Sine
@@ -102,6 +104,14 @@ def laws(name):
     limited = aj.TorqueLimited(law(), aj.Limits(effort=limits))
     found.append(Law("(6), `TorqueLimited`", limited))
     found.append(Law("(6), `TorqueLimited`, held", aj.HeldMeasurement(limited, 0.05)))
+    exact = KnownKinematics(task)
+    for title, options in (
+        ("T, exact model", {"kinematics": exact, "dynamics": ModelDynamics(robot)}),
+        ("T, learnt dynamics", {"kinematics": exact}),
+        ("T, all learnt, a frame each step", {}),
+        ("T, velocities", {"kinematics": exact, "command": "velocity"}),
+    ):
+        found.append(Law(title, aj.TrackingController(task, **options)))
     found.append(_image_law(robot, middle))
     return found
 
@@ -126,7 +136,7 @@ def our_step(controller):
     first = measurement(0.0, controller.task.robot.neutral(), np.zeros(1), x_d)
     first = first._replace(v=np.zeros(controller.task.robot.nv))
     state = controller.initial_state(first)
-    if isinstance(controller, ControllerWrapper):
+    if isinstance(controller, ControllerWrapper | aj.TrackingController):
         step = controller.step
         return lambda q, v, x: step(state, measurement(0.0, q, v, x), x_d, 1e-3)[1]
     evaluate = controller.evaluate
