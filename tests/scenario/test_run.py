@@ -449,6 +449,7 @@ def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert abs(summary["kinematics"]["camera.rz"]["value"] - 1.7) < 0.05
     assert "camera turned by 1.7" in (tmp_path / "kinematics.txt").read_text(encoding="utf-8")
+    assert (tmp_path / "kinematics.png").stat().st_size > 20_000
     assert "tracker turned by 97" in report.text(result)
     again = Scenario.load(tmp_path / "scenario.toml")
     assert again == result.built.scenario

@@ -149,3 +149,24 @@ def test_parameters_that_were_not_learnt_are_refused(run):
 def test_what_is_no_run_is_refused(plot):
     with pytest.raises(aj.InvalidInputError, match="run must be a Trajectory, such as simulate"):
         plot(aj.load_robot("two_link"))
+
+
+def test_what_is_learnt_of_kinematics_is_drawn_with_its_uncertainty(panda):
+    task = aj.PositionTask(panda)
+    controller = aj.TrackingController(task)
+    truth = panda.with_object(0.1)
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    plant = aj.Plant(truth)
+    run = aj.simulate(plant, controller, plant.sensor.value(q0) + 0.05, q0, 0.5, dt=1e-3)
+    ax = view.plot_kinematics(run, controller, ["tool.z"], truth={"tool.z": 0.2})
+    (learnt, true), (band,) = ax.lines, ax.collections
+    assert learnt.get_label() == "tool.z [m]"
+    assert list(true.get_ydata()) == [0.2, 0.2]
+    last = controller.kinematics_learnt(run.state[-1]).rows[
+        controller.kinematics.names.index("tool.z")
+    ]
+    assert learnt.get_ydata()[-1] == last.value
+    edges = band.get_paths()[0].vertices
+    assert np.isclose(edges[edges[:, 0] == run.t[-1], 1].max(), last.value + 2.0 * last.sd)
+    with pytest.raises(aj.errors.UnknownNameError, match=r"tool.w.*what is learnt"):
+        view.plot_kinematics(run, controller, ["tool.w"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.controllers import KinematicReport, Limits, PredictedMeasurement, TrackingController
+from approxjac.controllers import Limits, PredictedMeasurement, TrackingController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Controller, TargetPath
@@ -85,14 +85,13 @@ class BuiltScenario:
             return {"alpha": self.law.alpha, "kappa": self.law.kappa}
         return self.law.diagonals._asdict()
 
-    def kinematics_learnt(self, state: Array) -> KinematicReport | None:
-        """Return what a state of the controller has learnt of the kinematics; None of nothing."""
-        for each in (self.controller, self.law):
-            if self.scenario.controller.unknown and isinstance(
-                each, TrackingController | PredictedMeasurement
-            ):
-                return each.kinematics_learnt(state)
-        return None
+    @property
+    def learning(self) -> TrackingController | PredictedMeasurement | None:
+        """Where kinematics are learnt; None if they are not."""
+        if not self.scenario.controller.unknown:
+            return None
+        found = [self.law, self.controller]
+        return next(x for x in found if isinstance(x, TrackingController | PredictedMeasurement))
 
     def run(
         self,

@@ -23,6 +23,7 @@ from approxjac.view import (
     new_figure,
     plot_error,
     plot_image,
+    plot_kinematics,
     plot_path,
     plot_slack,
     plot_torque,
@@ -37,13 +38,17 @@ if TYPE_CHECKING:
 def write(result: Result, out: Path) -> None:
     """Write run.png, run.svg, run.npz, summary.json and scenario.toml into a folder.
 
-    And kinematics.txt, where they were learnt.
+    And kinematics.txt, .png and .svg, where they were learnt.
     """
     save_figure(draw(result), out / "run")
     result.run.save(out / "run.npz")
-    learnt = result.built.kinematics_learnt(result.run.state[-1])
-    if learnt is not None:
+    learning = result.built.learning
+    if learning is not None:
+        learnt = learning.kinematics_learnt(result.run.state[-1])
         (out / "kinematics.txt").write_text(f"{learnt}\n", encoding="utf-8")
+        figure, (axes,) = new_figure(1)
+        plot_kinematics(result.run, learning, ax=axes)
+        save_figure(figure, out / "kinematics")
     result.built.scenario.save(out / "scenario.toml")
     summary = json.dumps(result.summary(), indent=2)
     (out / "summary.json").write_text(summary + "\n", encoding="utf-8")
@@ -69,8 +74,8 @@ def text(result: Result) -> str:
     }
     if isinstance(law, SetpointController) and law.adaptation is not None:
         told["learnt"] = law.adaptation.words(law.learnt(run.state[-1]), law.task)
-    if (kinematics := built.kinematics_learnt(run.state[-1])) is not None:
-        told["kinematics"] = _kinematics(kinematics)
+    if built.learning is not None:
+        told["kinematics"] = _kinematics(built.learning.kinematics_learnt(run.state[-1]))
     if result.on_path:
         largest, rms, last = (_size({run.task_unit: error}) for error in result.strayed)
         told["strayed"] = f"up to {largest} from the path, {rms} RMS, {last} in the last quarter"

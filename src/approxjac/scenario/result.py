@@ -254,9 +254,9 @@ class Result:
 
     def _kinematics_summary(self) -> dict[str, Any] | None:
         """Return what was learnt of the kinematics, number by number; None of nothing."""
-        learnt = self.built.kinematics_learnt(self.run.state[-1])
-        if learnt is None:
+        if self.built.learning is None:
             return None
+        learnt = self.built.learning.kinematics_learnt(self.run.state[-1])
         return {"chi_squared": learnt.chi_squared} | {r.name: r._asdict() for r in learnt.rows}
 
     def _limits_summary(self) -> dict[str, Any] | None:

@@ -3,6 +3,7 @@
 from approxjac.view.browser.live import LiveView
 from approxjac.view.browser.page import save_page, show, write_index
 from approxjac.view.images import plot_camera_view, plot_image
+from approxjac.view.kinematics import plot_kinematics
 from approxjac.view.plots import (
     plot_error,
     plot_parameters,
@@ -24,6 +25,7 @@ __all__ = [
     "plot_camera_view",
     "plot_error",
     "plot_image",
+    "plot_kinematics",
     "plot_map",
     "plot_margins",
     "plot_parameters",

@@ -1,0 +1,66 @@
+"""Plot of what is learnt of an arm's kinematics, with bands of two standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from approxjac.controllers import PredictedMeasurement, TrackingController
+from approxjac.errors import UnknownNameError
+from approxjac.simulation import Trajectory
+from approxjac.validation import require
+from approxjac.view.style import SERIES, styled
+
+_INSTANTS = 200
+_USUAL = ("tool.", "camera.")
+
+
+def plot_kinematics(
+    run: Trajectory,
+    controller: TrackingController | PredictedMeasurement,
+    names: Sequence[str] | None = None,
+    ax: Axes | None = None,
+    *,
+    truth: Mapping[str, float] | None = None,
+    title: str = "What is learnt of the kinematics",
+) -> Axes:
+    """Draw numbers that are learnt against time, with bands of two standard deviations.
+
+    Args:
+        run: A run of the controller.
+        controller: What learnt in it.
+        names: Of the numbers, such as "tool.x" or "camera.rz"; tool and camera by default.
+        ax: Axes; new ones by default.
+        truth: True numbers by name, drawn dashed.
+        title: Of the axes.
+
+    Raises:
+        InvalidInputError: No run, or a controller that learns no kinematics.
+        UnknownNameError: No such number is learnt.
+    """
+    require("run", run, Trajectory, "a Trajectory, such as simulate returns")
+    kinds = (TrackingController, PredictedMeasurement)
+    require("controller", controller, kinds, "a TrackingController or PredictedMeasurement")
+    kept = np.unique(np.linspace(0, len(run.t) - 1, _INSTANTS).astype(int))
+    reports = [controller.kinematics_learnt(run.state[k]) for k in kept]
+    known = [row.name for row in reports[0].rows]
+    chosen = [n for n in known if n.startswith(_USUAL)] if names is None else list(names)
+    for name in chosen:
+        if name not in known:
+            raise UnknownNameError("number", name, "what is learnt", known)
+    with styled(ax) as ax:
+        for i, name in enumerate(chosen):
+            j, color = known.index(name), SERIES[i % len(SERIES)]
+            unit = reports[0].rows[j].unit
+            values = np.array([report.rows[j].value for report in reports])
+            sd = np.array([report.rows[j].sd for report in reports])
+            ax.plot(run.t[kept], values, color=color, label=f"{name} [{unit}]")
+            ax.fill_between(
+                run.t[kept], values - 2.0 * sd, values + 2.0 * sd, color=color, alpha=0.15, lw=0
+            )
+            if truth is not None and name in truth:
+                ax.axhline(truth[name], color=color, linestyle="--", linewidth=0.9)
+        ax.set(xlabel="time [s]", ylabel="learnt, ± 2 sd", title=title)
+    return ax
