@@ -64,6 +64,10 @@ class FrameKinematics:
     def _all_data(self) -> pin.Data:
         return self._data if self._all is self._model else self._all.createData()
 
+    @cached_property
+    def _id_in_all(self) -> int:
+        return int(self._all.getFrameId(self.frame, self._model.frames[self._id].type))
+
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.robot, self.frame)  # a copy has scratch memory of its own
 
@@ -98,7 +102,7 @@ class FrameKinematics:
         """Return the time derivative of `jacobian` along q̇, shape (6, n_v)."""
         q, v = self.robot.configuration(q), as_vector("v", v, self.robot.nv)
         mimic_joints = self.robot.mimic_joints
-        frame = self._all.getFrameId(self.frame, self._model.frames[self._id].type)
+        frame = self._id_in_all
         pin.computeJointJacobiansTimeVariation(
             self._all, self._all_data, mimic_joints.q(q), mimic_joints.v(v)
         )
