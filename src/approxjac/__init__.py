@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from approxjac import law
 from approxjac.controllers import (
+    AdaptiveCamera,
     AdaptiveGravity,
     AdaptiveKinematics,
     Gains,
@@ -67,6 +68,7 @@ _LAZY = ("stability", "view")  # modules that many programs never need
 _MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [
+    "AdaptiveCamera",
     "AdaptiveGravity",
     "AdaptiveKinematics",
     "Circle",

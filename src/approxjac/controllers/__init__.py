@@ -1,5 +1,6 @@
 """Controllers: the laws of the paper put together with a believed robot."""
 
+from approxjac.controllers.adaptive_camera import AdaptiveCamera
 from approxjac.controllers.adaptive_dynamics import (
     AdaptiveDynamics,
     ModelDynamics,
@@ -37,6 +38,7 @@ from approxjac.interface import ContinuousController
 
 __all__ = [
     "Adaptation",
+    "AdaptiveCamera",
     "AdaptiveDynamics",
     "AdaptiveGravity",
     "AdaptiveKinematics",

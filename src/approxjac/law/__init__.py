@@ -22,6 +22,7 @@ from approxjac.law.estimation import (
     forgotten_information,
     information,
 )
+from approxjac.law.images import image_turn, ray_basis, ray_jacobian, rays
 from approxjac.law.linearization import (
     adaptive_closed_loop_matrix,
     closed_loop_matrix,
@@ -113,6 +114,7 @@ __all__ = [
     "frame_map",
     "generators",
     "gravity",
+    "image_turn",
     "inertial_block",
     "information",
     "is_near_singular",
@@ -128,6 +130,9 @@ __all__ = [
     "parameter_potential",
     "passive_output",
     "potential_matrix",
+    "ray_basis",
+    "ray_jacobian",
+    "rays",
     "reference",
     "right_pinv",
     "rotation_exp",

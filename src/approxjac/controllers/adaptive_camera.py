@@ -1,0 +1,369 @@
+"""`AdaptiveCamera`: where points are and what sees them, learnt from their images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.image_estimator import Deviations, Estimate, ImageEstimator
+from approxjac.controllers.image_rays import ImageRays
+from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, is_seen
+from approxjac.controllers.predicted import Kinematics, Prediction
+from approxjac.controllers.watched_points import WatchedPoints
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.interface import Measurement, Target
+from approxjac.tasks import ImageTask, PinholeCamera
+from approxjac.tasks.analysis import seen_configurations
+from approxjac.validation import Array, as_number, require
+
+USUAL_SD: Mapping[str, float] = {
+    "points": 0.2, "origins": 0.02, "position": 0.5, "rotation": 1.0, "focal_length": 0.3,
+}  # fmt: skip
+"""Plausible errors: of points, origins and position along each axis [m], rotation [rad], log f."""
+_KINDS = ("points", "origins", "camera", "focal_length")
+_SMOOTHING = 20.0  # β [1/s]
+_INTEGRAL = 1.0  # ω_b [1/s]
+_EASED_SPEED = 0.5  # of the predicted points beside their rays, by what is learnt [m/s]
+_EASED_TURN = 2.0 * math.pi  # of the camera's estimate [rad/s]
+_LONGEST = 0.1  # time that one frame counts for [s]
+_JUMP = 8.0  # standard deviations of x
+_MOVES = 2.0  # times as far as believed, and four standard deviations: what is no jump
+
+
+class AdaptiveCamera(Kinematics):
+    """x̂ = π(R̂(r(q; û) − p̂); f̂), learnt from the images of points while the arm moves.
+
+    Learnt are where the points are on the tool, the camera's pose and focal length, and the origins
+    of the joints if told. A camera in the world watches points of the robot; one that the robot
+    carries watches points of the world. Depth is not measured: it is what explains how images move.
+
+    What the law controls is how far each point is beside the ray of its target, at its predicted
+    depth Ẑ: z = (f₀/Z₀) Ẑ(ρ̂ − ρ_d), with ρ the ray (X/Z, Y/Z) and the believed f₀ over a usual
+    depth Z₀, which makes pixels of it. It is [I, −ρ_d] times the point in the camera's axes, so
+    that Ĵ is as regular as the arm's own, on the way through any roll and even where the camera is
+    believed behind the points. z = 0 where x̂ = x_d.
+
+    Frames are paired with the configuration at which they were taken, so delay and frame rate are
+    outside the loop. Points that jump are passed over; a camera that was moved is learnt anew.
+
+    Args:
+        task: An `ImageTask` of the believed robot with a `PinholeCamera`, as it is believed. Its
+            center and distortion are taken for true.
+        unknown: What may be wrong: "points", where they are, all by one translation (of the tool,
+            or in the world); "camera", its position and rotation; "focal_length"; "origins" of the
+            joints.
+        sd: Plausible errors: "points", "origins" and "position" of the camera [m], its "rotation"
+            [rad], and of "focal_length" the logarithm; by default 0.2, 0.02, 0.5, 1.0 and 0.3.
+        noise: Standard deviation of x [px].
+        delay: Age of x where `Measurement.t_x` is None [s].
+        dt: Sampling time of control [s].
+
+    Attributes:
+        names: Names of what is learnt, such as "tool.x", "points.x", "camera.x", "camera.rz" (of
+            the rotation from the believed camera's axes to the learnt one's, in the believed one's)
+            and "focal_length" [px].
+
+    Raises:
+        InvalidInputError: Another task or camera, nothing unknown or something else than that, or
+            numbers that make no sense.
+        UnknownNameError: An sd of something else.
+    """
+
+    def __init__(
+        self,
+        task: ImageTask,
+        unknown: Sequence[str] = ("points", "camera", "focal_length"),
+        sd: Mapping[str, float] | None = None,
+        noise: float = 0.5,
+        delay: float = 0.0,
+        dt: float = 1e-3,
+    ) -> None:
+        self._remember(locals())
+        camera = _camera(task)
+        self.task, self.unknown = task, _kinds(unknown)
+        self.noise = as_number("noise", noise, unit="px", above=0.0)
+        self.delay = as_number("delay", delay, unit="s", minimum=0.0)
+        dt = as_number("dt", dt, unit="s", above=0.0)
+        sds = _deviations(sd)
+        kinds = self.unknown
+        self._points = points = WatchedPoints(task, "points" in kinds, "origins" in kinds)
+        self._k, n = points.k, len(points.u)
+        self._camera = camera
+        R = np.asarray(camera.rotation).T
+        self._believed = Estimate(points.u, R, np.asarray(camera.position), 0.0)
+        moves, zooms = "camera" in kinds, "focal_length" in kinds
+        self._sd_u = np.where(points.is_points, sds["points"], sds["origins"])
+        sd_of = Deviations(
+            self._sd_u,
+            moves * sds["position"],
+            moves * sds["rotation"],
+            zooms * sds["focal_length"],
+        )
+        self._rays, self._f = ImageRays(camera), np.asarray(camera.focal_length)
+        estimator = ImageEstimator(self._believed, sd_of, self.noise / self._f, self._k)
+        self._estimator = estimator
+        self._frames = Frames(task.robot, task.m, self.delay, dt)
+        self._gate = Gate(task.robot, task.m)
+        self.names = (
+            *points.names,
+            *(f"camera.{each}" for each in ("x", "y", "z", "rx", "ry", "rz") if moves),
+            *(["focal_length"] if zooms else []),
+        )
+        self._told = estimator.sd > 0.0
+        seen = seen_configurations(task, 20)
+        self._usual_depth = float(np.median([task.depths(q) for q in seen]))
+        self._scale = self._f / self._usual_depth
+        m = task.m
+        sizes = {
+            "frames": self._frames.size, "gate": self._gate.size, "keys": estimator.size,
+            "told": len(self.names), "integral": m, "time": 1,
+            "u": n, "R": 9, "t": 3, "stretch": 1, "b": m,
+            "u_dot": n, "spin": 3, "t_dot": 3, "stretch_dot": 1, "b_dot": m,
+        }  # fmt: skip
+        ends = np.cumsum(list(sizes.values())).tolist()
+        self._at = {
+            name: slice(end - size, end)
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+        self.n_state = ends[-1]
+
+    def __repr__(self) -> str:
+        return f"AdaptiveCamera({self.task!r}, unknown={self.unknown})"
+
+    # -- state ---------------------------------------------------------------------------
+
+    def initial_state(self, measurement: Measurement) -> Array:
+        """Return the state before the first step, shape (n_state,): what is believed.
+
+        The camera is believed where it sees the first x, if that is not lost.
+        """
+        at, state = self._at, np.zeros(self.n_state)
+        measurement = self._rays.of_measurement(measurement)
+        state[at["frames"]] = self._frames.initial(measurement)
+        numbers, x = self._estimator.initial(), measurement.x
+        y = self._rays.at(np.where(is_seen(x), x, np.nan))
+        if np.isfinite(y).all(axis=1).any():
+            H, o = self._points.at(measurement.q)
+            guess = self._estimator.learn(numbers, H, o, y)
+            numbers = self._estimator.renewed(guess)
+            numbers[-2] = 1e-12  # the camera was placed
+        state[at["keys"]] = numbers
+        state[at["time"]] = measurement.t
+        u, R, p, stretch = estimate = self._estimator.estimate(numbers)
+        state[at["told"]] = self._in_order(estimate)
+        state[at["u"]], state[at["R"]], state[at["t"]] = u, R.ravel(), -R.dot(p)
+        state[at["stretch"]] = stretch
+        return state
+
+    def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
+        """Return the state after learning from a measurement, and dt [s] later.
+
+        A measurement whose x is lost, or was seen before, or that jumps, teaches nothing.
+        """
+        state, measurement = state.copy(), self._rays.of_measurement(measurement)
+        numbers = state[self._at["frames"]]
+        is_time = self._frames.remember(numbers, measurement)
+        frame = self._frames.new(numbers, measurement)
+        if frame is not None:
+            believed, is_anew = self._gate.judge(state[self._at["gate"]], frame, self._reach)
+            if believed:
+                self._learn(state, frame, is_anew)
+                is_time = True
+        if is_time:  # the rates of smoothed estimates may wait for some milliseconds
+            self._aim(state, measurement.q, dt)
+        self._advance(state, dt)
+        return state
+
+    def learnt(self, state: Array) -> Array:
+        """Return what a state, or a series of them (…, n_state), has learnt; shape (…, p).
+
+        In the order of `names` [m, rad, px].
+        """
+        return state[..., self._at["told"]]
+
+    def camera(self, state: Array) -> PinholeCamera:
+        """Return the camera as a state has learnt it."""
+        _, R, p, stretch = self._estimator.estimate(state[self._at["keys"]])
+        return self._camera.with_error(
+            shift=self._believed.R.dot(p - self._believed.p),
+            rotation=law.rotation_log(self._believed.R.dot(R.T)),
+            focal_factor=math.exp(stretch),
+        )
+
+    def _in_order(self, estimate: Estimate) -> Array:
+        """Return what is learnt in the order of `names`."""
+        turn = law.rotation_log(self._believed.R.dot(estimate.R.T))
+        f = self._f[0] * math.exp(estimate.stretch)
+        return np.concatenate([estimate.u, estimate.p, turn, [f]])[self._told]
+
+    # -- learning ------------------------------------------------------------------------
+
+    def _reach(self, q_0: Array, q: Array) -> Array:
+        """Return how far each entry of w may move from one configuration to another, (m,)."""
+        (H_0, o_0), (H, o) = self._points.at(q_0), self._points.at(q)
+        u = self._believed.u
+        known = np.linalg.norm(o + H.dot(u) - o_0 - H_0.dot(u), axis=1)
+        unsure = np.sqrt((((H - H_0) * self._sd_u) ** 2).sum(axis=(1, 2)))
+        rays = (_MOVES * known + 4.0 * unsure) * _MOVES / self._usual_depth
+        return np.asarray(np.repeat(rays, 2) + _JUMP * self.noise / self._f.min())
+
+    def _learn(self, state: Array, frame: Frame, is_anew: bool) -> None:
+        """Learn from a frame, in place."""
+        at, estimator = self._at, self._estimator
+        since = min(max(frame.t - float(state[at["time"]][0]), 0.0), _LONGEST)
+        state[at["time"]] = frame.t
+        H, o = self._points.at(frame.q)
+        y, keys = self._rays.at(frame.x), state[at["keys"]]
+        seen = np.isfinite(y).all(axis=1)
+        if not seen.any():
+            return
+        if is_anew:
+            keys = estimator.renewed(keys)
+            state[at["integral"]] = 0.0
+        state[at["keys"]] = keys = estimator.learn(keys, H, o, y)
+        u, R, p, stretch = estimate = estimator.estimate(keys)
+        state[at["told"]] = self._in_order(estimate)
+        c = (o + H.dot(u) - p).dot(R.T)
+        left = y - law.rays(c, math.exp(stretch))
+        integral = state[at["integral"]].reshape(-1, 2)
+        integral[seen] += -math.expm1(-_INTEGRAL * since) * (left[seen] - integral[seen])
+
+    # -- the smoothed estimates ----------------------------------------------------------
+
+    def _aim(self, state: Array, q: Array, dt: float) -> None:
+        """Set the rates at which the smoothed estimates follow, in place.
+
+        All follow with the rate β, and the camera such that the points at q do. All are slower
+        where x̂ or R would be fast, as after a restart.
+        """
+        at = self._at
+        u, R, p, stretch = self._estimator.estimate(state[at["keys"]])
+        smooth_u, smooth_R, smooth_stretch = self._smooth(state)
+        H, o = self._points.at(q)
+        r, smooth_r = o + H.dot(u), o + H.dot(smooth_u)
+        c, smooth_c = (r - p).dot(R.T), smooth_r.dot(smooth_R.T) + state[at["t"]]
+        # how far apart the two are beside the rays, at the depth of the points
+        ray, smooth_ray = (
+            each[:, :2] / np.maximum(each[:, 2:], self._camera.near) for each in (c, smooth_c)
+        )
+        beside = np.abs(ray - smooth_ray).max() * max(float(c[:, 2].max()), self._camera.near)
+        turn = law.rotation_log(R.dot(smooth_R.T))
+        rate = min(
+            _SMOOTHING,
+            0.5 / dt,
+            _EASED_SPEED / max(float(beside), 1e-9),
+            _EASED_TURN / max(math.hypot(*turn.tolist()), 1e-9),
+        )
+        u_dot, spin = rate * (u - smooth_u), rate * turn
+        moved = H.dot(u_dot).dot(smooth_R.T) + np.cross(spin, smooth_r.dot(smooth_R.T))
+        state[at["u_dot"]], state[at["spin"]] = u_dot, spin
+        state[at["t_dot"]] = (rate * (c - smooth_c) - moved).mean(axis=0)
+        state[at["stretch_dot"]] = rate * (stretch - smooth_stretch)
+        state[at["b_dot"]] = rate * (state[at["integral"]] - state[at["b"]])
+
+    def _advance(self, state: Array, dt: float) -> None:
+        """Let the smoothed estimates follow for dt [s], in place."""
+        at = self._at
+        for name in ("u", "t", "stretch", "b"):
+            state[at[name]] += dt * state[at[f"{name}_dot"]]
+        R = state[at["R"]].reshape(3, 3)
+        state[at["R"]] = law.rotation_exp(dt * state[at["spin"]]).dot(R).ravel()
+
+    def _smooth(self, state: Array) -> tuple[Array, Array, float]:
+        """Return the smoothed u, R and λ."""
+        at = self._at
+        return state[at["u"]], state[at["R"]].reshape(3, 3), float(state[at["stretch"]][0])
+
+    # -- prediction ----------------------------------------------------------------------
+
+    def predict(self, state: Array, q: Array, v: Array, target: Target) -> Prediction:
+        """Return the predicted error at q (nq,) and q̇ (n_v,).
+
+        z = (f₀/Z₀) N(ρ_d) c, with the smoothed estimates, c the points in the camera's axes and
+        N(ρ) = [I, −ρ]; and, exactly, all that its derivatives need.
+        """
+        at, k, s = self._at, self._k, self._scale[:, np.newaxis]
+        u, R, stretch = self._smooth(state)
+        t_dot, spin, l_dot = (
+            state[at["t_dot"]],
+            state[at["spin"]],
+            float(state[at["stretch_dot"]][0]),
+        )
+        r, J_r, J_r_dot, drift_r = self._points.motion(q, v, u, state[at["u_dot"]])
+        turned = r.dot(R.T)
+        c, A = turned + state[at["t"]], R @ J_r
+        drift_c = drift_r.dot(R.T) + np.cross(spin, turned) + t_dot
+        A_dot = R @ J_r_dot + law.cross_matrix(spin).dot(R) @ J_r
+        # the target's rays, as the learnt focal length shows them
+        y, y_dot, y_ddot = self._rays.of_target(target)
+        shrink = math.exp(-stretch)
+        rho = shrink * (y - state[at["b"]].reshape(-1, 2))
+        led, led_dot = shrink * y_dot, shrink * (y_ddot - l_dot * y_dot)
+        rho_dot = -l_dot * rho - shrink * state[at["b_dot"]].reshape(-1, 2)  # by what is learnt
+        N, Z = law.ray_basis(rho) * s, c[:, 2:]
+        J = (N @ A).reshape(2 * k, -1)
+        N_dot = -(s[:, 0] * (led + rho_dot))[:, :, np.newaxis] * A[:, 2:]
+        J_dot = (N @ A_dot + N_dot).reshape(2 * k, -1)
+        Z_dot = (A[:, 2].dot(v) + drift_c[:, 2])[:, np.newaxis]
+        scale = s[:, 0]
+        drift = (N @ drift_c[:, :, np.newaxis])[..., 0] - scale * Z * rho_dot
+        return Prediction(
+            (N @ c[:, :, np.newaxis]).ravel(),
+            J,
+            J_dot,
+            (scale * Z * led).ravel(),
+            (scale * (Z_dot * led + Z * led_dot)).ravel(),
+            drift.ravel(),
+        )
+
+
+def _camera(task: object) -> PinholeCamera:
+    """Return the camera of a task that can be learnt."""
+    require("task", task, ImageTask, "an ImageTask of the believed robot")
+    assert isinstance(task, ImageTask)
+    camera = task.camera
+    if not isinstance(camera, PinholeCamera):
+        raise InvalidInputError(
+            f"task must have a PinholeCamera, got {task!r}; AdaptiveKinematics learns a camera "
+            "that looks straight at the plane of an arm",
+            given=task,
+        )
+    if task._uses_x:
+        raise InvalidInputError(
+            f"task must have depth='believed', as depth is learnt, got {task!r}", given=task
+        )
+    if camera.mount is not None and task.frame is not None:
+        raise InvalidInputError(
+            f"task of a camera that is carried must watch points of the world, frame=None, "
+            f"got {task!r}",
+            given=task,
+        )
+    return camera
+
+
+def _kinds(unknown: object) -> tuple[str, ...]:
+    try:
+        kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)  # type: ignore[arg-type]
+    except TypeError:
+        kinds = ()
+    if not kinds or any(kind not in _KINDS for kind in kinds):
+        raise InvalidInputError(
+            f"unknown must be one or more of {', '.join(_KINDS)}, got {unknown!r}", given=unknown
+        )
+    return kinds
+
+
+def _deviations(sd: object) -> dict[str, float]:
+    given = {} if sd is None else sd
+    require("sd", given, Mapping, f"a mapping from some of {', '.join(USUAL_SD)} to numbers")
+    assert isinstance(given, Mapping)
+    for kind in given:
+        if kind not in USUAL_SD:
+            raise UnknownNameError("kind", kind, "sd", USUAL_SD)
+    return {
+        kind: as_number(f"sd of {kind}", given.get(kind, usual), above=0.0)
+        for kind, usual in USUAL_SD.items()
+    }

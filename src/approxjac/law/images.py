@@ -1,0 +1,47 @@
+"""Rays of points in a camera: how they move with what is unknown, and the error in their depth.
+
+Not of the paper. y = e^λ (X/Z, Y/Z) is the ray of a point c = (X, Y, Z) in the camera's axes, as a
+focal length shows it that is wrong by the factor e^λ. Shapes: c is (k, 3), y and ρ are (k, 2).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from approxjac.validation import Array
+
+
+def ray_basis(rho: Array) -> Array:
+    """N(ρ) = [I, −ρ], shape (k, 2, 3): N(ρ)c is how far c is beside the ray ρ, at its depth."""
+    N = np.zeros((len(rho), 2, 3))
+    N[:, 0, 0] = N[:, 1, 1] = 1.0
+    N[:, :, 2] = -rho
+    return N
+
+
+def rays(c: Array, stretch: float) -> Array:
+    """y = e^λ (X/Z, Y/Z) with e^λ = stretch, shape (k, 2)."""
+    return np.asarray(stretch * c[:, :2] / c[:, 2:])
+
+
+def ray_jacobian(c: Array, stretch: float) -> Array:
+    """∂y/∂c = e^λ/Z N(X/Z, Y/Z), shape (k, 2, 3)."""
+    Z = c[:, 2:]
+    return np.asarray(ray_basis(c[:, :2] / Z) * (stretch / Z)[:, :, np.newaxis])
+
+
+def image_turn(shown: Array, seen: Array, weights: Array) -> float:
+    """Return the turn of the image [rad] that leads from `shown` to `seen` best.
+
+    The planar Kabsch problem, in closed form: of rays about their means, with any size.
+
+    Args:
+        shown: Rays as they are predicted, shape (k, 2).
+        seen: As they are measured, shape (k, 2).
+        weights: Of the points, shape (k,).
+    """
+    w = weights / weights.sum()
+    a, b = shown - w.dot(shown), seen - w.dot(seen)
+    return math.atan2(w.dot(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), w.dot((a * b).sum(axis=1)))

@@ -1,0 +1,322 @@
+"""Tool, camera and focal length learnt from images, while an arm follows a circle of 60 px."""
+
+import copy
+import math
+import pickle
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.controllers import AdaptiveCamera, PredictedMeasurement, RegressorGravity
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.law import rotation_exp
+from approxjac.robots import GravityRegressor, KinematicRegressor
+from approxjac.tasks import FrameKinematics, PlanarCamera
+
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+CAMERA = aj.PinholeCamera.looking_at(
+    (0.45, 0.0, 0.4), (1.5, -0.8, 0.9), focal_length=600.0, size=(640, 480)
+)
+ALPHA, FASTEST, DT = 4.0, 300.0, 5e-3
+NAMES = ("tool.x", "tool.y", "tool.z", *(f"camera.{a}" for a in ("x", "y", "z", "rx", "ry", "rz")))
+
+
+def believed(camera, roll, tilt=8.0, back=0.7, focal_factor=1.3):
+    """A camera that is believed farther away, tilted and rolled."""
+    moved = camera.with_error(
+        shift=(0.0, 0.0, -back), rotation=(math.radians(tilt), 0.0, 0.0), focal_factor=focal_factor
+    )
+    return moved.with_error(rotation=(0.0, 0.0, math.radians(roll)))
+
+
+def circle(center, t, radius=60.0, period=4.0):
+    """A circle in the image that is eased into."""
+    w = 2 * np.pi / period
+    phase, rate, bend = (w * (t - 0.5), w, 0.0) if t > 1 else (w * t * t / 2, w * t, w)
+    a = radius * np.array([np.cos(phase), np.sin(phase)])
+    b = radius * np.array([-np.sin(phase), np.cos(phase)])
+    k = len(center) // 2
+    return aj.Target(
+        center + np.tile(a, k), np.tile(rate * b, k), np.tile(bend * b - rate**2 * a, k)
+    )
+
+
+def follow(
+    kinematics, sensor, start, way=(90.0, -60.0), *, seconds=3.0, rate=30.0, delay=0.05, noise=0.5,
+    seed=0, spoil=None, tells_t_x=True,
+):  # fmt: skip
+    """Let an arm follow the circle by q̇ = Ĵ⁺(feed − α s(z)); images are late and noisy."""
+    rng, n = np.random.default_rng(seed), len(start)
+    q, v, state, frames, taken, errors = start.copy(), np.zeros(n), None, [], -1, []
+    x = sensor.value(q)
+    center, arrived = x + np.tile(way, len(x) // 2), (x, 0.0)
+    for k in range(round(seconds / DT)):
+        t = k * DT
+        x = sensor.value(q)
+        if int(t * rate + 1e-6) > taken:
+            taken = int(t * rate + 1e-6)
+            seen = x + noise * rng.standard_normal(len(x))
+            frames.append((seen if spoil is None else spoil(t, seen), t))
+        while frames and frames[0][1] + delay <= t + 1e-9:
+            arrived = frames.pop(0)
+        measurement = aj.Measurement(t, q, v, arrived[0], arrived[1] if tells_t_x else None)
+        if state is None:
+            state = kinematics.initial_state(measurement)
+        state = kinematics.step(state, measurement, DT)
+        target = circle(center, t)
+        z, J, _, feed, _, _ = kinematics.predict(state, q, v, target)
+        wanted = feed - ALPHA * z / np.sqrt(1.0 + (ALPHA * np.linalg.norm(z) / FASTEST) ** 2)
+        G = J @ J.T
+        G += 1e-4 * np.trace(G) * np.eye(len(z))
+        v = start - q + J.T @ np.linalg.solve(G, wanted - J @ (start - q))
+        q = q + DT * v
+        errors.append(np.linalg.norm(x - target.x))
+    return SimpleNamespace(state=state, errors=np.array(errors), q=q, v=v, x=x)
+
+
+def late(run, start, end):
+    """Root mean square of the error in an interval [px]."""
+    return np.sqrt(np.mean(run.errors[round(start / DT) : round(end / DT)] ** 2))
+
+
+@pytest.fixture(scope="module")
+def room(panda):
+    """An arm with a tool, and what is believed: none, and another camera."""
+    sensor = aj.ImageTask(panda.with_object(0.15, axis="x"), CAMERA)
+    return sensor, aj.ImageTask(panda.with_object(0.0), believed(CAMERA, 120.0))
+
+
+@pytest.fixture(scope="module")
+def hand():
+    """A camera on the hand, which watches two points of the room."""
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    camera = aj.PinholeCamera(600.0, (640, 480), (0.0, 0.0, 0.05), axes, mount="tool0")
+    arm, goal = aj.load_robot("ur5"), np.array([0.0, -1.2, 1.8, -0.6, 0.3, 0.0])
+    R, p = FrameKinematics(arm, "tool0").placement(goal)
+    points = (np.array([[-0.1, 0.02, 0.5], [0.1, -0.02, 0.5]]) @ axes.T + camera.position) @ R.T + p
+    wrong = believed(camera, 120.0, back=0.05)
+    return (
+        goal,
+        aj.ImageTask(arm, camera, points=points),
+        aj.ImageTask(arm, wrong, points=points + [0.05, -0.1, 0.05]),
+    )
+
+
+@pytest.fixture(scope="module")
+def room_run(room):
+    kinematics = AdaptiveCamera(room[1])
+    return kinematics, follow(kinematics, room[0], START, seconds=4.0)
+
+
+def test_a_camera_that_is_rolled_is_learnt(room_run, room):
+    kinematics, run = room_run
+    assert kinematics.names == (*NAMES, "focal_length")
+    assert late(run, 3.0, 4.0) < 2.5
+    found, state = kinematics.camera(run.state), run.state
+    learnt = dict(zip(kinematics.names, kinematics.learnt(state), strict=True))
+    assert found.focal_length[0] == pytest.approx(learnt["focal_length"])
+    assert_allclose(found.position, [learnt[f"camera.{axis}"] for axis in "xyz"])
+    turn = rotation_exp(np.array([learnt[f"camera.r{axis}"] for axis in "xyz"]))
+    assert_allclose(found.rotation, np.array(room[1].camera.rotation) @ turn, atol=1e-9)
+    apart = np.array(found.rotation).T @ CAMERA.rotation
+    assert np.degrees(np.arccos((np.trace(apart) - 1.0) / 2.0)) < 12.0
+    # what tells where images are is the whole
+    robot = room[0].robot
+    theta = KinematicRegressor(robot).theta[-3:] - [learnt[f"tool.{axis}"] for axis in "xyz"]
+    assert np.linalg.norm(theta) < 0.1
+
+
+def test_a_camera_on_the_hand_is_learnt(hand):
+    goal, sensor, task = hand
+    kinematics = AdaptiveCamera(task)
+    assert kinematics.names[:3] == ("points.x", "points.y", "points.z")
+    start = goal + [0.05, 0.05, -0.06, 0.05, 0.1, -0.1]
+    run = follow(kinematics, sensor, start, (20.0, -15.0))
+    assert late(run, 2.0, 3.0) < 6.0
+    assert run.errors.max() < 1.6 * run.errors[0]
+
+
+@pytest.mark.parametrize("case", ["room", "lens", "hand"])
+def test_prediction_has_exact_derivatives(case, room, hand, rng):
+    if case == "hand":
+        q, _, task = hand
+    else:
+        q, (_, task) = START, room
+    if case == "lens":
+        camera = aj.PinholeCamera(
+            (600.0, 580.0), (640, 480), CAMERA.position, CAMERA.rotation, distortion=(-0.1, 0.02)
+        )
+        task = aj.ImageTask(task.robot, camera, points=[(0.0, 0.0, 0.0), (0.0, 0.1, 0.05)])
+    unknown = ("points", "origins", "camera", "focal_length")
+    kinematics, m = AdaptiveCamera(task, unknown), task.m
+    x = np.tile([330.0, 210.0], m // 2) + 30.0 * rng.standard_normal(m)
+    state = kinematics.initial_state(aj.Measurement(0.0, q, 0.0 * q, x))
+    at, v, h = kinematics._at, rng.standard_normal(len(q)), 1e-5
+    for name in ("u_dot", "t_dot", "b_dot", "spin", "stretch_dot", "b"):
+        state[at[name]] = 0.1 * rng.standard_normal(len(state[at[name]]))
+    x_dot, x_ddot = 100.0 * rng.standard_normal((2, m))
+
+    def later(s):
+        new = state.copy()
+        kinematics._advance(new, s)
+        target = aj.Target(x + s * x_dot + s * s / 2 * x_ddot, x_dot + s * x_ddot, x_ddot)
+        return kinematics.predict(new, q + s * v, v, target)
+
+    now, after, before = later(0.0), later(h), later(-h)
+    assert_allclose((after.z - before.z) / (2 * h), now.J @ v - now.feed + now.drift, rtol=1e-6)
+    assert_allclose((after.J - before.J) / (2 * h), now.J_dot, rtol=1e-6, atol=1e-3)
+    assert_allclose((after.feed - before.feed) / (2 * h), now.feed_dot, rtol=1e-5)
+
+
+def test_the_prediction_of_a_camera_that_is_known_is_that_of_the_image(room):
+    """z is the error in the image, at its own depth and in believed pixels."""
+    sensor, _ = room
+    kinematics = AdaptiveCamera(sensor, ("origins",))
+    q, x_d = START + 0.1, sensor.value(START)
+    state = kinematics.initial_state(aj.Measurement(0.0, q, 0.0 * q, sensor.value(q)))
+    z = kinematics.predict(state, q, 0.0 * q, aj.Target(x_d)).z
+    share = float(sensor.depths(q)[0]) / kinematics._usual_depth
+    assert_allclose(z, share * (sensor.value(q) - x_d), rtol=1e-6)
+    at_target = kinematics.predict(state, START, 0.0 * q, aj.Target(x_d))
+    share = float(sensor.depths(START)[0]) / kinematics._usual_depth
+    assert_allclose(at_target.J, share * sensor.jacobian(START), rtol=1e-6)
+
+
+@pytest.mark.parametrize("roll", np.arange(0.0, 360.0, 45.0))
+def test_the_jacobian_is_regular_at_any_roll_and_behind_the_camera(room, roll):
+    kinematics = AdaptiveCamera(room[1])
+    seen = aj.Measurement(0.0, START, 0.0 * START, np.array([300.0, 250.0]))
+    state, at = kinematics.initial_state(seen), kinematics._at
+    turn = rotation_exp(np.array([0.0, 0.0, math.radians(roll)]))
+    state[at["R"]] = (turn @ state[at["R"]].reshape(3, 3)).ravel()
+    usual = np.linalg.svd(room[1].jacobian(START), compute_uv=False)[-1]
+    for depth in (1.0, 0.0, -1.0):
+        state[at["t"]] = [0.1, 0.1, depth]
+        J = kinematics.predict(state, START, 0.0 * START, aj.Target(np.array([400.0, 100.0]))).J
+        assert np.linalg.svd(J, compute_uv=False)[-1] > 0.3 * usual
+
+
+def test_a_state_goes_in_and_another_comes_out(room_run):
+    kinematics, run = room_run
+    state = run.state.copy()
+    measurement = aj.Measurement(9.0, run.q, run.v, run.x, 8.99)
+    copies = kinematics, copy.copy(kinematics), pickle.loads(pickle.dumps(kinematics))
+    once, again, elsewhere = (each.step(state, measurement, DT) for each in copies)
+    assert np.array_equal(once, again)
+    assert np.array_equal(once, elsewhere)
+    assert np.array_equal(state, run.state)
+    assert kinematics.learnt(np.stack([state, once])).shape == (2, len(kinematics.names))
+    with pytest.raises(InvalidInputError, match="delay of a AdaptiveCamera cannot be changed"):
+        kinematics.delay = 0.1
+
+
+@pytest.mark.parametrize("law", ["tracking", "set-point"])
+def test_the_torque_knows_nothing_but_the_measurement(room, law):
+    """And a frame that was seen before teaches nothing."""
+    kinematics = AdaptiveCamera(room[1])
+    if law == "tracking":
+        controller = aj.TrackingController(room[1], kinematics=kinematics)
+    else:
+        regressor = GravityRegressor(room[1].robot)
+        gravity = RegressorGravity(regressor, regressor.theta)
+        controller = PredictedMeasurement(
+            aj.SetpointController(room[1], gravity=gravity), kinematics
+        )
+    x, x_d = np.array([300.0, 200.0]), np.array([350.0, 260.0])
+    measurement = aj.Measurement(0.0, START, 0.1 * START, x, 0.0)
+    state = controller.initial_state(measurement)
+    once, again = (controller.step(state, measurement, x_d, 1e-3) for _ in range(2))
+    assert np.array_equal(once[1].torque, again[1].torque)
+    assert np.array_equal(once[0], again[0])
+    lost = measurement._replace(t=1e-3, x=np.full(2, np.nan))
+    state, answer = controller.step(once[0], lost, x_d, 1e-3)
+    assert np.isfinite(answer.torque).all()
+    assert answer.status is aj.Status.PREDICTED
+
+
+# -- sensors as they are ---------------------------------------------------------------------
+
+
+def test_points_that_jump_or_are_lost_do_not_spoil_what_was_learnt(room_run, room):
+    def spoil(t, x):
+        if 2.5 < t < 2.59:
+            return x + [150.0, -100.0]
+        return np.full(2, np.nan) if 3.0 < t < 3.5 else x
+
+    kinematics, clean = room_run
+    run = follow(kinematics, room[0], START, spoil=spoil, seconds=4.0)
+    assert late(run, 2.5, 4.0) < late(clean, 2.5, 4.0) + 2.0
+
+
+def test_the_age_of_x_is_told_by_the_delay_where_x_does_not_tell_it(room):
+    told, wrong = (
+        follow(AdaptiveCamera(room[1], delay=delay), room[0], START, tells_t_x=False)
+        for delay in (0.05, 0.0)
+    )
+    assert late(told, 2.0, 3.0) < 0.7 * late(wrong, 2.0, 3.0)
+
+
+@pytest.mark.parametrize("x", [np.full(2, np.nan), np.full(2, 1e30), [np.inf, 0.0]], ids=str)
+def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(room, x):
+    kinematics = AdaptiveCamera(room[1])
+    state = kinematics.initial_state(aj.Measurement(0.0, START, 0.0 * START, np.array(x)))
+    for k in range(30):
+        x_k = np.array(x) if k % 3 else np.array([300.0, 100.0])
+        for t_x in (None, 0.02 * k):
+            state = kinematics.step(
+                state, aj.Measurement(0.02 * k, START, 0.0 * START, x_k, t_x), DT
+            )
+    assert np.isfinite(state).all()
+    assert np.isfinite(kinematics.learnt(state)).all()
+
+
+def test_points_that_are_believed_behind_the_camera_are_found(room):
+    behind = aj.PinholeCamera.looking_at(
+        (-0.5, 0.0, 0.4), (0.3, 0.0, 0.4), focal_length=600.0, size=(640, 480)
+    )
+    task = aj.ImageTask(room[1].robot, behind)
+    assert task.depths(START)[0] < 0.0
+    kinematics = AdaptiveCamera(task)
+    x = room[0].value(START)
+    state = kinematics.initial_state(aj.Measurement(0.0, START, 0.0 * START, x))
+    z, J, *_ = kinematics.predict(state, START, 0.0 * START, aj.Target(x))
+    assert_allclose(z, 0.0, atol=3.0)
+    assert np.isfinite(J).all()
+
+
+# -- what wrong calls are told -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"unknown": ("tool",)}, "unknown must be one or more of points, origins, camera"),
+        ({"unknown": ()}, "unknown must be one or more of"),
+        ({"unknown": 3}, "unknown must be one or more of"),
+        ({"noise": 0.0}, r"noise must be a finite number > 0 \[px\]"),
+        ({"delay": -1.0}, r"delay must be a finite number >= 0 \[s\]"),
+        ({"sd": {"points": 0.0}}, "sd of points must be a finite number > 0"),
+    ],
+    ids=str,
+)
+def test_wrong_numbers_are_told(room, options, text):
+    with pytest.raises(InvalidInputError, match=text):
+        AdaptiveCamera(room[1], **options)
+
+
+def test_wrong_tasks_are_told(panda, room, hand):
+    with pytest.raises(InvalidInputError, match="task must be an ImageTask of the believed robot"):
+        AdaptiveCamera(aj.PositionTask(panda))
+    planar = aj.ImageTask(aj.load_robot("two_link"), PlanarCamera(0.05, 3.0))
+    with pytest.raises(InvalidInputError, match="task must have a PinholeCamera"):
+        AdaptiveCamera(planar)
+    with pytest.raises(InvalidInputError, match="task must have depth='believed'"):
+        AdaptiveCamera(aj.ImageTask(panda, CAMERA, depth=1.0))
+    robot, camera = hand[1].robot, hand[1].camera
+    with pytest.raises(InvalidInputError, match="must watch points of the world"):
+        AdaptiveCamera(aj.ImageTask(robot, camera, "base_link", [(0.5, 0.0, 0.0)]))
+    with pytest.raises(UnknownNameError, match="tool"):
+        AdaptiveCamera(room[1], sd={"tool": 0.1})
