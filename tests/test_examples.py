@@ -53,7 +53,7 @@ def test_an_example_runs_and_makes_its_files(example):
     for path in made:
         assert str(path) in process.stdout
         assert path.stat().st_size > (1000 if path.name == "index.html" else 10_000)
-    assert {path for path in made if path.suffix not in (".png", ".svg")} == (
+    assert {path for path in made if path.suffix not in (".png", ".svg", ".urdf")} == (
         pages | {out / "index.html"} if pages else set()
     )
     assert {".png", ".svg"} <= {path.suffix for path in made}

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
+from approxjac.robots import Robot
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable
 
@@ -71,6 +72,16 @@ class Kinematics(Immutable, ABC):
     @abstractmethod
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
+
+    def robot(self, state: Array) -> Robot:
+        """Return the believed robot with the translations that a state has learnt.
+
+        Raises:
+            InvalidInputError: Kinematics that learn nothing.
+        """
+        raise InvalidInputError(
+            f"kinematics must learn to change a robot, got {self!r}", given=self
+        )
 
     def report(self, state: Array) -> KinematicReport:
         """Return what a state has learnt: values, standard deviations, and what was not seen.

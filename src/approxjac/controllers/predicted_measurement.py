@@ -123,6 +123,14 @@ class PredictedMeasurement(ControllerWrapper):
         """
         return self.kinematics.report(self._split(state)[1])
 
+    def learnt_robot(self, state: Array) -> Robot:
+        """Return the believed robot with the translations that a state has learnt.
+
+        Raises:
+            InvalidInputError: Kinematics that learn nothing.
+        """
+        return self.kinematics.robot(self._split(state)[1])
+
     def _predicted(
         self, known: Array, measurement: Measurement, target: Target
     ) -> tuple[Measurement, Target]:

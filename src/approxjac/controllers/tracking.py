@@ -19,17 +19,17 @@ from approxjac.controllers.arguments import (
     require_finite,
 )
 from approxjac.controllers.kinematic_report import KinematicReport
-from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.predicted import Kinematics
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.rest_configuration import RestConfiguration
+from approxjac.controllers.tracking_defaults import usual_kinematics, usual_speeds
 from approxjac.controllers.velocity_command import VelocityCommand
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Status, Target
-from approxjac.robots import Dynamics
-from approxjac.tasks import PositionTask, StackedTask, Task
-from approxjac.tasks.analysis import seen_configurations, vanishing
+from approxjac.robots import Dynamics, Robot
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import vanishing
 from approxjac.validation import Array, as_limits, as_number, as_vector, require
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
@@ -39,8 +39,6 @@ _STEADY = 0.25  # κ dt at most
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
 _QUICK = 2.0  # times κ, how fast a parameter may learn
 _SINGULAR_RATIO = 0.08  # of σ_max, below which Ĵ⁺ is damped
-_SPEEDS = {"m": 0.5, "rad": 1.0}
-_TURN = 0.5  # [rad/s], at which other tasks go by their Jacobian
 _SHARE = 0.9  # of the speed limits of joints
 
 
@@ -315,6 +313,14 @@ class TrackingController(ProvenLaw):
         """
         return self.kinematics.report(state[self._n_dynamics : self._end])
 
+    def learnt_robot(self, state: Array) -> Robot:
+        """Return the believed robot with the translations that a state has learnt.
+
+        Raises:
+            InvalidInputError: Kinematics that learn nothing.
+        """
+        return self.kinematics.robot(state[self._n_dynamics : self._end])
+
     def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.
 
@@ -369,28 +375,3 @@ class TrackingController(ProvenLaw):
     def __repr__(self) -> str:
         parts = f"{self.task!r}, {self.kinematics!r}, {self.dynamics!r}"
         return f"TrackingController({parts}, alpha={self.alpha:g}, kappa={self.kappa:g})"
-
-
-def usual_kinematics(task: Task, dt: float) -> Kinematics:
-    """Return kinematics that learn tool and joint origins, for a task of positions.
-
-    Raises:
-        InvalidInputError: Another task.
-    """
-    parts = task.tasks if isinstance(task, StackedTask) else (task,)
-    if all(isinstance(part, PositionTask) for part in parts):
-        return AdaptiveKinematics(task, unknown=("tool", "origins"), dt=dt)
-    raise InvalidInputError(
-        f"kinematics must be given for {task!r}: what is learnt by itself are positions; "
-        "KnownKinematics(task) takes the believed arm for true",
-        given=task,
-    )
-
-
-def usual_speeds(task: Task) -> list[float]:
-    """Return the largest speeds of a task's coordinates [unit of the task/s], length m."""
-    if set(task.units) <= set(_SPEEDS):
-        return [_SPEEDS[unit] for unit in task.units]
-    rows = [np.linalg.norm(task.jacobian(q), axis=1) for q in seen_configurations(task, 20)]
-    usual = _TURN * np.median(rows, axis=0)
-    return [_SPEEDS.get(unit, value) for unit, value in zip(task.units, usual, strict=True)]
