@@ -99,3 +99,24 @@ def test_what_does_not_fit_is_refused(panda, two_link):
         PredictedMeasurement(law, None)
     with pytest.raises(InvalidInputError, match="build a new controller"):
         PredictedMeasurement(law, KnownKinematics(task)).with_task(task)
+
+
+@pytest.mark.parametrize("law", ["set-point law", "law T"])
+def test_the_next_run_begins_with_what_was_learnt(panda, law):
+    """A tracker turned by 100° is learnt once; the next target is reached straight away."""
+    plant = tracker_far_off(panda)
+    controller = controller_of(panda)
+    if law == "law T":
+        controller = aj.TrackingController(controller.task, kinematics=controller.kinematics)
+    before = run(plant, controller, 2.5)
+    state = controller.resumed(before.state[-1], plant.measure(0.0, HOME, np.zeros(7)))
+    again = run(plant, controller, 1.5, state=state)
+    assert_allclose(
+        controller.kinematics_learnt(state).covariance,
+        controller.kinematics_learnt(before.state[-1]).covariance,
+    )
+    for each in (before, again):
+        assert each.error_norm[0] > 0.15
+    path = [np.abs(np.diff(each.x[each.t <= 1.5], axis=0)).sum() for each in (before, again)]
+    assert path[1] < 0.31 < 1.1 * path[1] < path[0]  # 0.3 m is the straight way
+    assert again.error_norm[-1] < 3e-3

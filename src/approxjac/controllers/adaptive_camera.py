@@ -129,6 +129,8 @@ class AdaptiveCamera(Kinematics):
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
         self.n_state = ends[-1]
+        learnt = ("keys", "told", "integral", "u", "R", "t", "stretch", "b")
+        self._kept = tuple(self._at[name] for name in learnt)
 
     def __repr__(self) -> str:
         return f"AdaptiveCamera({self.task!r}, unknown={self.unknown})"

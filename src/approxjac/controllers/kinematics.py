@@ -112,6 +112,8 @@ class AdaptiveKinematics(Kinematics):
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
         self.n_state = ends[-1]
+        learnt = ("sums", "told", "integral", "averaged", "left", "chi", "u", "b", "R")
+        self._kept = tuple(self._at[name] for name in learnt)
 
     def __repr__(self) -> str:
         return f"AdaptiveKinematics({self.task!r}, unknown={self.unknown})"

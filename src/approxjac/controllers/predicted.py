@@ -53,10 +53,21 @@ class Kinematics(Immutable, ABC):
 
     task: Task
     n_state: int
+    _kept: tuple[slice, ...] = ()  # parts of a state that hold what was learnt
 
     @abstractmethod
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step, shape (n_state,)."""
+
+    def resumed(self, state: Array, measurement: Measurement) -> Array:
+        """Return a state before a first step that knows what another state has learnt.
+
+        Times, configurations and frames of the other one are forgotten.
+        """
+        fresh = self.initial_state(measurement)
+        for part in self._kept:
+            fresh[part] = state[part]
+        return fresh
 
     @abstractmethod
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:

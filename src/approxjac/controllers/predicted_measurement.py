@@ -93,6 +93,19 @@ class PredictedMeasurement(ControllerWrapper):
         seen, _ = self._predicted(known, measurement, target)
         return np.concatenate([self.controller.initial_state(seen), known])
 
+    def resumed(self, state: Array, measurement: Measurement) -> Array:
+        """Return a state before a first step that knows what another state has learnt.
+
+        Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+        """
+        inner, known = self._split(state)
+        known = self.kinematics.resumed(known, measurement)
+        seen, _ = self._predicted(known, measurement, Target(np.zeros(self._task.n_x)))
+        fresh = self.controller.initial_state(seen)
+        p = self.controller.learnt(inner).shape[-1]
+        fresh[:p] = inner[:p]
+        return np.concatenate([fresh, known])
+
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:

@@ -196,6 +196,16 @@ class TrackingController(ProvenLaw):
         state[self._n_dynamics : self._end] = self.kinematics.initial_state(measurement)
         return state
 
+    def resumed(self, state: Array, measurement: Measurement) -> Array:
+        """Return a state before a first step that knows what another state (…) has learnt.
+
+        Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+        """
+        fresh, (p, end) = self.initial_state(measurement), (self._n_dynamics, self._end)
+        fresh[:p] = state[:p]
+        fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
+        return fresh
+
     def step(
         self, state: Array, measurement: Measurement, target: Target | Array, dt: float
     ) -> tuple[Array, Evaluation]:

@@ -57,6 +57,7 @@ class SampledLoop:
         steps: int,
         integrator: str,
         seed: int,
+        state: Array | None = None,
     ) -> None:
         self.plant = plant
         self.controller = controller
@@ -71,7 +72,7 @@ class SampledLoop:
             self._readings = SensorReadings(plant.sensing, plant.sensor, dt, seed)
         self._aim()
         self._sense(q, v)
-        self.state = first_state(plant, controller, self._wanted, self.measurement, dt)
+        self.state = first_state(plant, controller, self._wanted, self.measurement, dt, state)
         self._commands = HeldCommands(plant, q, dt, steps)
         self._control()
 
@@ -209,9 +210,15 @@ def first_state(
     wanted: Target | Array,
     measurement: Measurement,
     dt: float,
+    given: Array | None = None,
 ) -> Array:
-    """Return the initial state of a controller, after a step in which it is seen to be one."""
+    """Return the state that a controller begins with, after a step in which it is seen to be one.
+
+    Its initial state, unless another one is given.
+    """
     state = controller.initial_state(measurement)
+    if given is not None:
+        state = as_array("state", given, state.shape)
     state = as_array("the controller's initial_state", state, (np.size(state),))
     stepped = controller.step(state, measurement, wanted, dt)
     if not (isinstance(stepped, tuple) and len(stepped) == 2):

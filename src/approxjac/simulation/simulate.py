@@ -43,6 +43,7 @@ def simulate(
     *,
     dt: float | None = 1e-3,
     v0: Sequence[float] | Array | None = None,
+    state: Array | None = None,
     record_every: float | None = None,
     integrator: str = "rk4",
     seed: int = 0,
@@ -65,6 +66,8 @@ def simulate(
             for laws in continuous time. A controller that limits speeds or positions has a `dt`
             of its own, which it must be.
         v0: Start velocity, shape (n_v,); at rest by default.
+        state: State of the controller to begin with, such as `controller.resumed(...)` gives; by
+            default its `initial_state`.
         record_every: Time between recorded instants [s]: dt, or duration/1000 where dt is None.
             A whole number of them fits into duration where dt is None; it is a whole number of dt
             otherwise, and the last instant is recorded too.
@@ -106,6 +109,8 @@ def simulate(
     # a loop that diverges overflows before the error says so
     with np.errstate(over="ignore", invalid="ignore"):
         if dt is None:
+            if state is not None:
+                raise InvalidInputError("dt must be given for a state, got None", given=None)
             law = _continuous_law(plant, controller, observer)
             count = 1000 if record_every is None else _whole("record_every", record_every, duration)
             return _continuous(plant, law, wanted, q, v, duration, count, rtol, atol, progress)
@@ -113,7 +118,7 @@ def simulate(
         if record_every is not None:
             record_every = as_number("record_every", record_every, unit="s", above=0.0)
             stride = _whole("dt", dt, record_every, whole="record_every")
-        loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed)
+        loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed, state)
         return _sampled(loop, stride, observer, progress)
 
 
