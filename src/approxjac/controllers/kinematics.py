@@ -52,22 +52,27 @@ class AdaptiveKinematics(Kinematics):
     outside the loop. A sensor that jumps is passed over. One that was moved is learnt anew, and so
     is a tool that slipped: what was learnt before is a belief then.
 
+    Of a pose R̂_x = R̂ R_f(q) T̂ is learnt, too, the tool's rotation T̂ with that of the tracker.
+
     Args:
         task: A `PositionTask` or `TrackerTask` of the believed robot, or a `StackedTask` of them;
-            or the robot, for the position of its tip. A camera that may be turned needs two axes
-            or three, the same of every point. Two turn in their plane.
-        unknown: What may be wrong: "tool" and "origins" are translations; "camera" is rotation and
-            offset, "offset" the offset alone; "scale" only where the origins are known.
-        sd: Plausible errors: "tool", "origins" and "offset" [m], "camera" [rad], "scale"; by
-            default 0.2, 0.02, 0.2, 1.0 and 0.2.
+            or a `PoseTask`; or the robot, for the position of its tip. A camera that may be turned
+            needs two axes or three, the same of every point. Two turn in their plane.
+        unknown: What may be wrong: "tool" and "origins" are translations, of a pose "tool" is its
+            orientation, too; "camera" is rotation and offset, "offset" the offset alone; "scale"
+            only of positions and where the origins are known.
+        sd: Plausible errors: "tool", "origins" and "offset" [m], "orientation" of the tool and
+            "camera" [rad], "scale"; by default 0.2, 0.02, 0.2, 1.0, 1.0 and 0.2.
         noise: Standard deviation of x [m].
         delay: Age of x where `Measurement.t_x` is None [s].
         dt: Sampling time of control [s].
+        angle_noise: Standard deviation of the orientation of a pose [rad].
 
     Attributes:
         regressor: p(q) of the points, linear in the translations.
         names: Names of what is learnt, such as "panda_joint4.x", "tool.x", "scale", "offset.y",
-            "camera.rz", or "camera.turn" from the first axis to the second.
+            "camera.rz", or "camera.turn" from the first axis to the second; of a pose "tool.rx",
+            in the axes of the believed tool.
 
     Raises:
         InvalidInputError: Another task, nothing unknown or something else than that, a scale
@@ -83,28 +88,33 @@ class AdaptiveKinematics(Kinematics):
         noise: float = 2e-3,
         delay: float = 0.0,
         dt: float = 1e-3,
+        angle_noise: float = 5e-3,
     ) -> None:
         self._remember(locals())
         task = PositionTask(task) if isinstance(task, Robot) else task
-        self._unknowns = unknowns = Unknowns(task, unknown, sd)
         self.task, self.unknown = task, unknown
         self.noise = as_number("noise", noise, unit="m", above=0.0)
+        angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0)
         self.delay = as_number("delay", delay, unit="s", minimum=0.0)
         dt = as_number("dt", dt, unit="s", above=0.0)
+        length = self.noise / angle_noise
+        self._unknowns = unknowns = Unknowns(task, unknown, sd, length)
         self.regressor, self.names = unknowns.regressor, unknowns.names
-        self._frames = Frames(task.robot, task.m, self.delay, dt)
-        self._gate = Gate(task.robot, task.m)
+        self._orientation = unknowns.orientation
+        self._frames = Frames(task.robot, task.n_x, self.delay, dt)
+        self._gate = Gate(task.robot, len(unknowns.points(np.zeros(task.n_x))))
         kind = UnknownCamera if unknowns.turns else KnownCamera
         self._estimator: KnownCamera | UnknownCamera = kind(unknowns, self.noise)
         self._turns, self._d = unknowns.turns, unknowns.d
-        # in the sensor's axes, or in the base's
-        self._is_turned = self._turns or not np.array_equal(unknowns.R, np.eye(self._d))
-        m, n, turns = task.m, unknowns.n_u, self._turns
+        self._is_turned, self._n_p = unknowns.is_turned, len(unknowns.constant)
+        m, n, turns, n_p = task.m, unknowns.n_u, self._turns, self._n_p
+        is_pose = self._orientation is not None
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "sums": self._estimator.size,
             "told": len(self.names), "integral": m, "averaged": m, "left": m, "chi": 4, "time": 1,
-            "u": n, "b": m, "R": self._d**2 if turns else 0,
-            "u_dot": n, "b_dot": m, "spin": len(law.generators(self._d)) if turns else 0,
+            "u": n, "b": n_p, "R": self._d**2 if turns else 0, "T": 9 if is_pose else 0,
+            "u_dot": n, "b_dot": n_p, "spin": len(law.generators(self._d)) if turns else 0,
+            "T_spin": 3 if is_pose else 0,
         }  # fmt: skip
         ends = np.cumsum(list(sizes.values())).tolist()
         self._at = {
@@ -137,7 +147,11 @@ class AdaptiveKinematics(Kinematics):
         H, known = unknowns.at(measurement.q)
         x_hat = self._turned(unknowns.R, known + H.dot(state[at["u"]]))
         b = self._turned(unknowns.R, unknowns.offsets.dot(unknowns.Theta[unknowns.n_u :]))
-        state[at["b"]] = np.where(is_seen(measurement.x), measurement.x - x_hat, b)
+        x = measurement.x[: self._n_p]
+        state[at["b"]] = np.where(is_seen(x), x - x_hat, b)
+        if self._orientation is not None:
+            T = self._orientation.first(measurement.q, measurement.x[3:], unknowns.R)
+            state[at["T"]] = T.ravel()
         return state
 
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
@@ -150,6 +164,7 @@ class AdaptiveKinematics(Kinematics):
         is_time = self._frames.remember(numbers, measurement)
         frame = self._frames.new(numbers, measurement)
         if frame is not None:
+            frame = frame._replace(x=self._unknowns.points(frame.x))
             believed, is_anew = self._gate.judge(state[self._at["gate"]], frame, self._reach)
             if believed:
                 self._learn(state, frame, is_anew)
@@ -174,10 +189,8 @@ class AdaptiveKinematics(Kinematics):
     def _learn(self, state: Array, frame: Frame, is_anew: bool) -> None:
         """Learn from a frame, in place."""
         at, seen = self._at, np.isfinite(frame.x)
-        if self._is_turned and not seen.all():  # a point that is seen in part tells of no rotation
-            seen = np.repeat(seen.reshape(-1, self._d).all(axis=1), self._d)
-            if not seen.any():
-                return
+        if not seen.any():
+            return
         since = min(max(frame.t - float(state[at["time"]][0]), 0.0), _LONGEST)
         sums, averaged, chi = state[at["sums"]], state[at["averaged"]], state[at["chi"]]
         kept = -math.expm1(-since / _WINDOW)
@@ -188,36 +201,43 @@ class AdaptiveKinematics(Kinematics):
             sums = self._estimator.renewed(sums)
             state[at["integral"]] = averaged[:] = 0.0
             chi[:3] = 1.0, 0.0, chi[2] + 1.0
-        H, known = self._unknowns.at(frame.q)
-        H = np.concatenate([H, self._unknowns.offsets], axis=1)
-        x, H, known = (frame.x, H, known) if seen.all() else (frame.x[seen], H[seen], known[seen])
+        H, known = self._unknowns.regression(frame.q)
+        some = slice(None) if seen.all() else seen
         share = -math.expm1(-_FORGETTING * since)
-        sums = self._estimator.learn(sums, H, known, x, share)
+        sums = self._estimator.learn(sums, H[some], known[some], frame.x[some], share)
         state[at["sums"]] = sums
         state[at["time"]] = frame.t
         Theta, R = self._estimator.estimate(sums)
-        state[at["told"]] = self._told(Theta, R)
+        state[at["told"]] = self._unknowns.told(Theta, R)
         # what is left of x: taken up by the integral, and averaged to be looked at
-        left = x - self._turned(R, known + H.dot(Theta))
-        integral = state[at["integral"]]
+        left = self._left(frame.x, self._turned(R, known + H.dot(Theta)))
+        seen = np.isfinite(left)
+        left, integral = left[seen], state[at["integral"]]
         integral[seen] += -math.expm1(-_INTEGRAL * since) * (left - integral[seen])
         averaged[seen] += kept * (left - averaged[seen])
         change = left - state[at["left"]][seen]
         state[at["left"]][seen] = left
         if kept > 0.0:
             chi[1] += since
-            now = averaged[seen].dot(averaged[seen]) / (len(x) * usual**2)
+            now = averaged[seen].dot(averaged[seen]) / (len(left) * usual**2)
             chi[0] += since / min(chi[1] + 1.0, _MEMORY) * (now - chi[0])
-            seen_now = 0.5 * change.dot(change) / len(x)
+            seen_now = 0.5 * change.dot(change) / len(left)
             chi[3] += since / min(chi[1] + 0.3, _NOISE_MEMORY) * (seen_now - chi[3])
+
+    def _left(self, x: Array, predicted: Array) -> Array:
+        """Return what is left of x, of a pose as position and rotation vector, (m,) [m]."""
+        if self._orientation is None:
+            return x - predicted
+        turn = self._orientation.left(x[3:], predicted[3:])
+        return np.concatenate([x[:3] - predicted[:3], turn])
 
     # -- the smoothed estimates ----------------------------------------------------------
 
     def _aim(self, state: Array, q: Array, dt: float) -> None:
         """Set the rates at which the smoothed estimates follow, in place.
 
-        u and R follow with the rate β, and the offset such that x̂ at q does. All are slower where
-        x̂ or R would be fast, as after a restart.
+        u and R follow with the rate β, and the offset such that x̂ at q does; of a pose so does T.
+        All are slower where x̂ or R would be fast, as after a restart.
         """
         at, n = self._at, self._unknowns.n_u
         Theta, R = self._estimator.estimate(state[at["sums"]])
@@ -227,12 +247,18 @@ class AdaptiveKinematics(Kinematics):
         H, known = self._unknowns.at(q)
         smooth_p, smooth_R = known + H.dot(smooth_u), self._rotation(state)
         p = known + H.dot(u) + self._unknowns.offsets.dot(Theta[n:])
-        away = self._turned(R, p) + state[at["integral"]]
+        integral, n_p = state[at["integral"]], self._n_p
+        away = self._turned(R, p) + integral[:n_p]
         away -= self._turned(smooth_R, smooth_p) + state[at["b"]]
         rate = min(_SMOOTHING, _EASED_SPEED / max(math.hypot(*away.tolist()), 1e-9), 0.5 / dt)
+        turn = law.rotation_log(R.dot(smooth_R.T)) if self._turns else np.zeros(3)
+        rate = min(rate, _EASED_TURN / max(math.hypot(*turn.tolist()), 1e-9))
+        if self._orientation is not None:
+            smooth, goal = (smooth_R, state[at["T"]].reshape(3, 3)), (R, self._tool(state))
+            apart, back = self._orientation.apart(q, smooth, goal, integral[n_p:])
+            rate = min(rate, _EASED_TURN / max(math.hypot(*apart.tolist()), 1e-9))
+            state[at["T_spin"]] = rate * back.dot(apart - turn)
         if self._turns:
-            turn = law.rotation_log(R.dot(smooth_R.T))
-            rate = min(rate, _EASED_TURN / max(math.hypot(*turn.tolist()), 1e-9))
             state[at["spin"]] = spin = rate * turn
         u_dot = rate * (u - smooth_u)
         b_dot = rate * away - self._turned(smooth_R, H.dot(u_dot))
@@ -248,12 +274,22 @@ class AdaptiveKinematics(Kinematics):
         if self._turns:
             turned = law.rotation_exp(dt * state[at["spin"]]).dot(self._rotation(state))
             state[at["R"]] = turned.ravel()
+        if self._orientation is not None:
+            T = law.rotation_exp(dt * state[at["T_spin"]]).dot(state[at["T"]].reshape(3, 3))
+            state[at["T"]] = T.ravel()
 
     def _rotation(self, state: Array) -> Array:
         """Return the smoothed rotation of the base's axes in the sensor's, (d, d)."""
         if not self._turns:
             return self._unknowns.R
         return np.asarray(state[self._at["R"]].reshape(self._d, self._d))
+
+    def _tool(self, state: Array) -> Array:
+        """Return the learnt rotation of the tool from what is believed, (3, 3)."""
+        if not self._unknowns.n_t:
+            return np.eye(3)
+        start = len(self._unknowns.of_theta)
+        return law.rotation_exp(state[self._at["told"]][start : start + 3])
 
     def _turned(self, R: Array, p: Array) -> Array:
         """Return R p of each point, shape (m,)."""
@@ -266,6 +302,23 @@ class AdaptiveKinematics(Kinematics):
 
         z = R̂ᵀ(x̂ − x_d), with the smoothed estimates, and all that its derivatives need.
         """
+        if self._orientation is None:
+            return self._positions(state, q, v, *target)
+        at, T = self._at, state[self._at["T"]].reshape(3, 3)
+        x_d, v_d, a_d = target
+        rates = [(None, None) if rate is None else (rate[:3], rate[3:]) for rate in (v_d, a_d)]
+        (v_p, v_r), (a_p, a_r) = rates
+        R, spin = self._rotation(state), state[at["spin"]] if self._turns else np.zeros(3)
+        positions = self._positions(state, q, v, x_d[:3], v_p, a_p)
+        turns = self._orientation.predict(
+            q, v, Target(x_d[3:], v_r, a_r), T, state[at["T_spin"]], R, spin
+        )
+        return Prediction(*map(np.concatenate, zip(positions, turns, strict=True)))
+
+    def _positions(
+        self, state: Array, q: Array, v: Array, x_d: Array, v_d: Array | None, a_d: Array | None
+    ) -> Prediction:
+        """Return the predicted error of positions."""
         at, unknowns = self._at, self._unknowns
         theta, theta_dot = unknowns.translations(state[at["u"]]), unknowns.rates(state[at["u_dot"]])
         motion = self.regressor.motion(q, v, theta, theta_dot)
@@ -273,7 +326,6 @@ class AdaptiveKinematics(Kinematics):
         if not isinstance(unknowns.rows, slice):
             p, J, J_dot, drift = (part[unknowns.rows] for part in motion)
         p = p + unknowns.constant
-        x_d, v_d, a_d = target
         nothing = np.zeros(len(p))
         feed = nothing if v_d is None else v_d
         feed_dot = nothing if a_d is None else a_d
@@ -294,21 +346,13 @@ class AdaptiveKinematics(Kinematics):
 
     # -- what was learnt -----------------------------------------------------------------
 
-    def _told(self, Theta: Array, R: Array) -> Array:
-        """Return what is learnt in the order of `names`."""
-        n = self._unknowns.n_u
-        u, c = Theta[:n], Theta[n:]
-        if self._unknowns.has_scale:
-            u = np.append(u[:-1] / u[-1], u[-1])
-        turn = law.rotation_log(R) if self._turns else np.zeros(0)
-        return np.concatenate([u, R.dot(c) if len(c) else c, turn])
-
     def report(self, state: Array) -> KinematicReport:
         """Return what a state has learnt: values, standard deviations, and what was not seen."""
         at, unknowns = self._at, self._unknowns
         told = self.learnt(state)
         chi, seconds, restarts, variance = state[at["chi"]].tolist()
-        P = self._estimator.covariance(state[at["sums"]])
+        Theta, _ = self._estimator.estimate(state[at["sums"]])
+        P = unknowns.merged(self._estimator.covariance(state[at["sums"]]), Theta)
         share = 1.0 - P.diagonal() / unknowns.sd**2
         P = P * (max(chi, 1.0) * max(1.0, variance / self.noise**2))
         if unknowns.has_scale:  # translations were learnt times the scale
@@ -327,8 +371,9 @@ class AdaptiveKinematics(Kinematics):
         return KinematicReport(rows, P, angle, chi, noise, seconds, int(restarts))
 
     def robot(self, state: Array) -> Robot:
-        """Return the believed robot with the translations that a state has learnt."""
-        theta = self.regressor.theta.copy()
-        of_theta = self._unknowns.of_theta
-        theta[of_theta] = self.learnt(state)[: len(of_theta)]
-        return self.regressor.robot_with(theta)
+        """Return the believed robot with what a state has learnt of its tool and origins."""
+        theta, told = self.regressor.theta.copy(), self.learnt(state)
+        n = len(self._unknowns.of_theta)
+        theta[self._unknowns.of_theta] = told[:n]
+        turn = told[n : n + 3] if self._unknowns.n_t else None
+        return self.regressor.robot_with(theta, turn)

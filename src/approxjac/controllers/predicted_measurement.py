@@ -89,7 +89,7 @@ class PredictedMeasurement(ControllerWrapper):
             InvalidInputError: A measurement of the wrong shapes.
         """
         known = self.kinematics.initial_state(measurement)
-        target = Target(np.zeros(self._task.n_x))
+        target = Target(self._task._origin)
         seen, _ = self._predicted(known, measurement, target)
         return np.concatenate([self.controller.initial_state(seen), known])
 

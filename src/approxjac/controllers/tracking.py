@@ -59,7 +59,7 @@ class TrackingController(ProvenLaw):
 
     Args:
         task: The task of the believed robot.
-        kinematics: What predicts z, for the same dt. By default, for positions,
+        kinematics: What predicts z, for the same dt. By default, for positions and poses,
             `AdaptiveKinematics` of tool and joint origins; `KnownKinematics` takes the believed
             arm's own for true.
         dynamics: What the torque of a motion comes from; `AdaptiveDynamics` of the believed robot

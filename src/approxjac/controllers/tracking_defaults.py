@@ -7,7 +7,7 @@ import numpy as np
 from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.predicted import Kinematics
 from approxjac.errors import InvalidInputError
-from approxjac.tasks import PositionTask, StackedTask, Task
+from approxjac.tasks import PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import seen_configurations
 
 _SPEEDS = {"m": 0.5, "rad": 1.0}
@@ -15,17 +15,17 @@ _TURN = 0.5  # [rad/s], at which other tasks go by their Jacobian
 
 
 def usual_kinematics(task: Task, dt: float) -> Kinematics:
-    """Return kinematics that learn tool and joint origins, for a task of positions.
+    """Return kinematics that learn tool and joint origins, for a task of positions or a pose.
 
     Raises:
         InvalidInputError: Another task.
     """
     parts = task.tasks if isinstance(task, StackedTask) else (task,)
-    if all(isinstance(part, PositionTask) for part in parts):
+    if isinstance(task, PoseTask) or all(isinstance(part, PositionTask) for part in parts):
         return AdaptiveKinematics(task, unknown=("tool", "origins"), dt=dt)
     raise InvalidInputError(
-        f"kinematics must be given for {task!r}: what is learnt by itself are positions; "
-        "KnownKinematics(task) takes the believed arm for true",
+        f"kinematics must be given for {task!r}: what is learnt by itself are positions and "
+        "poses; KnownKinematics(task) takes the believed arm for true",
         given=task,
     )
 

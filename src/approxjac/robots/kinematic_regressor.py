@@ -244,11 +244,15 @@ class KinematicRegressor:
                 told.append(_in_words(parts))
         return tuple(told)
 
-    def robot_with(self, theta: Array) -> Robot:
-        """Return the robot with other translations θ (p,) [m].
+    def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
+        """Return the robot with other translations θ (p,) [m], and its one tool turned.
 
         A tool that is a joint of its own in the URDF, fixed, is moved. Where a moving link is the
         frame itself, it gets an object without mass, whose end is the new `tip`.
+
+        Args:
+            theta: Translations.
+            turn: Rotation vector of the tool in its own axes, (3,) [rad].
 
         Raises:
             InvalidInputError: A θ of the wrong length or not finite.
@@ -261,7 +265,7 @@ class KinematicRegressor:
         for link, tool in zip(map(self._link, self.frames), change[self._n :], strict=True):
             if above[link].type == "fixed":
                 wanted[above[link].name] = tool
-            elif tool.any():
+            elif tool.any() or turn is not None:
                 held[link] = tool
         moved: dict[str, Array] = {}  # in the axes of the link that moves
         shifts: dict[str, list[float]] = {}
@@ -277,8 +281,12 @@ class KinematicRegressor:
         for link, tool in held.items():
             name = "tool" if len(held) == 1 else f"{link}_tool"
             length = float(np.linalg.norm(tool))
-            robot = robot.with_object(length, parent=link, axis=list(tool), name=name)
-        return robot
+            axis = list(tool) if length > 0.0 else "x"
+            robot = robot.with_object(length, parent=link, axis=axis, name=name)
+        if turn is None:
+            return robot
+        joint = "tool_tip_joint" if held else above[self._link(self.frames[0])].name
+        return robot.with_kinematic_error(None, {joint: turn.tolist()})
 
     def _link(self, frame: str) -> str:
         joints = self.robot.tree.joints
