@@ -549,8 +549,8 @@ def test_the_covariance_is_honest(panda, belief):
 
 def test_what_makes_no_sense_is_refused(panda, belief):
     tip = aj.PositionTask(belief, axes="xyz")
-    with pytest.raises(InvalidInputError, match="task must be a PositionTask, a TrackerTask or"):
-        AdaptiveKinematics(aj.PoseTask(belief))
+    with pytest.raises(InvalidInputError, match="task must be a PositionTask, a TrackerTask, a"):
+        AdaptiveKinematics(StackedTask(aj.PoseTask(belief)))
     with pytest.raises(InvalidInputError, match="unknown must be one or more of tool, origins"):
         AdaptiveKinematics(tip, ("tol",))
     with pytest.raises(InvalidInputError, match="unknown must be one or more of tool, origins"):

@@ -13,7 +13,6 @@ from approxjac.controllers import AdaptiveKinematics, PredictedMeasurement
 from approxjac.errors import InvalidInputError
 from approxjac.law import rotation_exp, rotation_log
 from approxjac.robots import KinematicRegressor
-from approxjac.tasks import StackedTask
 
 HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 TOOL = np.radians(40.0) * np.array([0.6, 0.48, 0.64])  # of the tool, from what is believed
@@ -147,8 +146,8 @@ def test_with_a_known_tracker_the_tool_is_an_average(belief, truth, panda, unkno
     """A tool that is not unknown is taken as believed, but for an integral of what is left."""
     sensor = aj.PoseTask(truth)
     kinematics = AdaptiveKinematics(aj.PoseTask(belief), unknown, noise=1e-3)
-    run = follow(kinematics, sensor, Path(sensor), seconds=2.0)
-    position, angle = late(run.errors[round(1.7 / DT) :])
+    run = follow(kinematics, sensor, Path(sensor), seconds=1.7)
+    position, angle = late(run.errors[round(1.5 / DT) :])
     if "tool" in unknown:
         assert position < (3.0 if "origins" in unknown else 8.0)
         assert angle < 10.0
@@ -361,27 +360,47 @@ def simulated(plant, controller, target, seconds, dt=2e-3):
 
 
 def test_law_t_reaches_a_pose_and_goes_on_without_x(belief, sensor):
-    plant = plant_of(sensor, x_lost=((2.0, 2.3),))
+    plant = plant_of(sensor, x_lost=((1.7, 1.95),))
     task, dt = aj.PoseTask(belief), 2e-3
     kinematics = AdaptiveKinematics(task, noise=1e-3, delay=0.03, dt=dt)
     controller = aj.TrackingController(task, kinematics=kinematics, dt=dt)
-    run = simulated(plant, controller, Path(sensor, amplitude=0.0), 2.5)
-    position, angle = late(run.error[run.t > 2.0])
+    run = simulated(plant, controller, Path(sensor, amplitude=0.0), 2.0)
+    position, angle = late(run.error[run.t > 1.7])
     assert position < 2.0
     assert angle < 10.0
-    lost = run.status[(run.t > 2.05) & (run.t < 2.3)]
+    lost = run.status[(run.t > 1.75) & (run.t < 1.95)]
     assert set(lost) == {aj.Status.PREDICTED}
 
 
-def test_a_set_point_law_reaches_a_pose(belief, sensor):
-    task, dt = aj.PoseTask(belief), 2e-3
-    kinematics = AdaptiveKinematics(task, noise=1e-3, delay=0.03, dt=dt)
+def test_a_set_point_law_on_what_is_predicted_is_the_law_itself(belief):
+    """Where x is as the believed arm would measure it."""
+    task = aj.PoseTask(belief)
     law_ = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief))
-    controller = PredictedMeasurement(law_, kinematics)
-    run = simulated(plant_of(sensor), controller, Path(sensor, amplitude=0.0).at(0.0).x, 2.5)
-    position, angle = late(run.error[run.t > 2.2])
-    assert position < 10.0
-    assert angle < 40.0
+    predicted = PredictedMeasurement(law_, AdaptiveKinematics(task, ("tool", "origins")))
+    measurement = aj.Measurement(0.0, HOME, np.full(7, 0.1), task.value(HOME), 0.0)
+    target = task.displaced(measurement.x, np.full(6, 0.1))
+    _, wanted = law_.step(law_.initial_state(measurement), measurement, target, 1e-3)
+    _, found = predicted.step(predicted.initial_state(measurement), measurement, target, 1e-3)
+    assert_allclose(found.torque, wanted.torque, atol=1e-9)
+    assert_allclose(found.e, wanted.e, atol=1e-12)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", ["set-point", "path", "set-point law"])
+def test_a_pose_is_reached_and_followed_to_a_millimetre(belief, sensor, kind):
+    """After 6 s 0.12 mm and 0.8 mrad rms at rest, 0.46 mm and 1.0 mrad on the path."""
+    task = aj.PoseTask(belief)
+    kinematics = AdaptiveKinematics(task, noise=1e-3, delay=0.03)
+    controller = aj.TrackingController(task, kinematics=kinematics)
+    path = Path(sensor, amplitude=float(kind == "path"))
+    if kind == "set-point law":
+        law_ = aj.SetpointController(task, gravity=aj.AdaptiveGravity(belief))
+        controller, path = PredictedMeasurement(law_, kinematics), path.at(0.0).x
+    run = simulated(plant_of(sensor), controller, path, 8.0, dt=1e-3)
+    position, angle = late(run.error[run.t > 6.0])
+    assert position < 1.0
+    assert angle < 2.5
+    assert (np.abs(run.v) <= 1.05 * belief.velocity_limits).all()
 
 
 def test_the_torque_does_not_depend_on_the_true_robot(belief, truth, panda):
@@ -407,12 +426,7 @@ def test_the_torque_does_not_depend_on_the_true_robot(belief, truth, panda):
 
 
 def test_what_makes_no_sense_is_refused(belief):
+    """As tests/error_texts.txt has it, and"""
     task = aj.PoseTask(belief)
-    with pytest.raises(InvalidInputError, match=r"task must be .* a PoseTask, or a Robot, got St"):
-        AdaptiveKinematics(StackedTask(task))
-    with pytest.raises(InvalidInputError, match="scale can be learnt of positions only, got unkno"):
-        AdaptiveKinematics(task, ("tool", "scale"))
-    with pytest.raises(InvalidInputError, match=r"angle_noise must be a finite number > 0 \[rad\]"):
-        AdaptiveKinematics(task, angle_noise=0.0)
     with pytest.raises(InvalidInputError, match="sd of orientation must be a finite number > 0"):
         AdaptiveKinematics(task, sd={"orientation": -1.0})

@@ -367,8 +367,9 @@ def test_nonsense_is_answered_finitely_or_refused_while_kinematics_learn(panda, 
 
 
 def test_other_tasks_need_kinematics(panda):
-    with pytest.raises(aj.InvalidInputError, match=r"kinematics must be given for PoseTask.*Known"):
-        aj.TrackingController(aj.PoseTask(panda))
+    nonsingular = NonsingularTask(aj.PositionTask(panda))
+    with pytest.raises(aj.InvalidInputError, match=r"kinematics must be given for Nonsing.*Known"):
+        aj.TrackingController(nonsingular)
 
 
 # -- velocities -----------------------------------------------------------------------------------

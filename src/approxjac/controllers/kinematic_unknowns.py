@@ -256,8 +256,8 @@ def _points(task: Task) -> list[_Point]:
             points.append(_Point(each.frame, each.axes, np.eye(d), np.zeros(d)))
         else:
             raise InvalidInputError(
-                "task must be a PositionTask, a TrackerTask or a StackedTask of them, a PoseTask, "
-                f"or a Robot, got {task!r}",
+                "task must be a PositionTask, a TrackerTask, a StackedTask of them, a PoseTask or "
+                f"a Robot, got {task!r}",
                 given=task,
             )
     first = points[0]
