@@ -367,7 +367,7 @@ def test_nonsense_is_answered_finitely_or_refused_while_kinematics_learn(panda, 
 
 
 def test_other_tasks_need_kinematics(panda):
-    nonsingular = NonsingularTask(aj.PositionTask(panda))
+    nonsingular = NonsingularTask(aj.PositionTask(panda), {"panda_joint4": 0.3}, ratio=0.9)
     with pytest.raises(aj.InvalidInputError, match=r"kinematics must be given for Nonsing.*Known"):
         aj.TrackingController(nonsingular)
 
