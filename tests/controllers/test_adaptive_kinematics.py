@@ -315,6 +315,27 @@ def test_a_tracker_that_was_moved_is_learnt_anew(turned_run, truth):
     assert np.mean(seen) < 6e-3
 
 
+def test_what_was_learnt_for_a_second_is_no_belief_once_it_is_contradicted(belief, truth):
+    kinematics, sensor = AdaptiveKinematics(belief), aj.PositionTask(truth, axes="xyz")
+    other, R, ways = rotation_exp(-TURN), rotation_exp(TURN), np.linspace(0.2, 0.5, 7)
+
+    def learnt(numbers):
+        state = None
+        for k in numbers:
+            t, q = k / 60.0, START + ways * np.sin(k / 20.0 + np.arange(7))
+            x = (R if k >= 60 else other) @ sensor.value(q)
+            measurement = aj.Measurement(t, q, np.zeros(7), x, t)
+            if state is None:
+                state = kinematics.initial_state(measurement._replace(x=np.full(3, np.nan)))
+            state = kinematics.step(state, measurement, 1.0 / 60.0)
+        return kinematics.learnt(state), kinematics.report(state).restarts
+
+    # eight frames that agree: the last of them is the first that is believed
+    (after, restarts), (alone, _) = learnt(range(90)), learnt(range(67, 90))
+    assert restarts == 1
+    assert_allclose(after, alone, atol=1e-8)
+
+
 def test_a_tool_that_slips_is_learnt_anew(turned_run, panda, truth):
     """By 3 cm, which no gate keeps out: residuals contradict what is remembered."""
     kinematics, R, _ = turned_run

@@ -32,6 +32,7 @@ _CHANGED = (
     3e-3,
     9.0,
 )  # averaged residual [m], and in its standard deviations: another sensor or tool
+_BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _SMALLEST_SCALE = 0.1
 
 
@@ -198,7 +199,8 @@ class AdaptiveKinematics(Kinematics):
         usual = noise * math.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
         is_anew = is_anew or bool(np.abs(averaged).max() > max(_CHANGED[0], _CHANGED[1] * usual))
         if is_anew:  # what was learnt before is contradicted, as by a tool that slipped
-            sums = self._estimator.renewed(sums)
+            is_known = chi[1] > _BELIEVED
+            sums = self._estimator.renewed(sums) if is_known else self._estimator.initial()
             state[at["integral"]] = averaged[:] = 0.0
             chi[:3] = 1.0, 0.0, chi[2] + 1.0
         H, known = self._unknowns.regression(frame.q)
