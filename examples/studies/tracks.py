@@ -7,6 +7,7 @@ has 2 mm of noise, 60 Hz, and is 30 ms late.
 
 import math
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -22,8 +23,9 @@ START = {
     "panda": (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7),
     "ur5": (0.0, -1.2, 1.6, -1.9, -1.57, 0.0),
     "xarm7": (0.0, -0.4, 0.0, 1.2, 0.0, 1.6, 0.0),
-}
-AXIS = {"ur5": "y"}  # of the tip along the object; x of the others
+    "so101": (0.2, -0.3, 0.3, 0.7, 0.0),
+}  # others where they are well away from singular
+AXIS = {"ur5": "y", "ur10": "y", "kinova": "z", "so101": "z"}  # of the tip along the object, or x
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,8 @@ class Setup:
     @property
     def q0(self):
         """Where the arm starts."""
-        return np.array(START[self.robot])
+        start = START.get(self.robot)
+        return np.array(ready(self.robot) if start is None else start)
 
     def target(self, plant):
         """Return the set-point, in the tracker's axes."""
@@ -86,6 +89,12 @@ class Setup:
         """Return a circle about the set-point that begins slowly, in the tracker's axes."""
         u, w = (self.rotation @ np.array(side) for side in self.plane)
         return Circle(self.target(plant), radius * u, radius * w, period)
+
+
+@cache
+def ready(robot):
+    """Return a configuration to start from."""
+    return aj.Plant(aj.load_robot(robot)).ready_configuration()
 
 
 class Circle:
