@@ -18,7 +18,7 @@ from approxjac.controllers.gravity import (
     NoGravity,
     RegressorGravity,
 )
-from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber
+from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber, TiltedAxes
 from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.known_kinematics import KnownKinematics
 from approxjac.controllers.latency import Latency
@@ -68,6 +68,7 @@ __all__ = [
     "ProvenLaw",
     "RegressorGravity",
     "SetpointController",
+    "TiltedAxes",
     "TorqueLimited",
     "TrackingController",
     "Tuning",

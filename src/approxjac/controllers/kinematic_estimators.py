@@ -11,6 +11,7 @@ from approxjac.controllers.kinematic_unknowns import Unknowns
 from approxjac.validation import Array
 
 _ODDS = 2.0  # of another rotation against the one at hand, as a logarithm, before it is taken
+_SD_TILT = 0.1  # of an axis that may be tilted [rad]
 _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to Newton's method
 
 
@@ -24,6 +25,22 @@ class Estimate(NamedTuple):
 
     Theta: Array
     R: Array
+
+
+class Tilts(NamedTuple):
+    """What tilts of axes would explain beyond what is learnt.
+
+    Attributes:
+        chi_squared: Fall of the sum of squares, in the noise's variance.
+        freedom: What it is in the mean, where no axis is tilted.
+        tilts: That explain most, shape (t,) [rad].
+        sd: Their standard deviations, shape (t,) [rad].
+    """
+
+    chi_squared: float
+    freedom: float
+    tilts: Array
+    sd: Array
 
 
 class _Packed:
@@ -58,54 +75,72 @@ class KnownCamera:
         self._first, self._R = unknowns.Theta, unknowns.R
         self._n_u, self._P = unknowns.n_u, len(unknowns.Theta)
         self._is_turned = not np.array_equal(self._R, np.eye(len(self._R)))
-        self.prior = np.diag(unknowns.sd_Theta**-2.0)
+        self.prior = np.diag(
+            np.append(unknowns.sd_Theta, np.full(unknowns.n_tilts, _SD_TILT)) ** -2.0
+        )
         self._weight = noise**-2.0
-        self._packed = _Packed(self._P)
-        self.size = self._packed.size + self._P
+        self._packed = _Packed(len(self.prior))
+        self.size = self._packed.size + len(self.prior)
 
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
-        return np.concatenate([self._packed.pack(self.prior), self._first])
+        return self._about(self._first)
 
     def renewed(self, numbers: Array) -> Array:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""
-        return np.concatenate([self._packed.pack(self.prior), numbers[-self._P :]])
+        return self._about(self.estimate(numbers).Theta)
 
-    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: float) -> Array:
+    def learn(self, numbers: Array, H: Array, T: Array, o: Array, x: Array, share: float) -> Array:
         """Return the numbers after a frame.
 
         Args:
             numbers: As before, shape (size,).
             H: Regressor of the rows that are seen, (m, P).
+            T: That of tilts, which are looked for and not learnt, (m, t).
             o: What of them is known, shape (m,).
             x: What is measured, shape (m,).
             share: λT, to be forgotten.
         """
         if self._is_turned:
             x = x.reshape(-1, len(self._R)).dot(self._R).ravel()
-        Lambda = law.forgotten_information(self.information(numbers), self.prior, share)
-        Theta = numbers[-self._P :]
-        innovation = x - o - H.dot(Theta)
-        Lambda = law.information(Lambda, H, self._weight)
-        Theta = Theta + law.correction(Lambda, H, self._weight, innovation)
-        return np.concatenate([self._packed.pack(Lambda), Theta])
+        P, n, x = self._P, self._packed.size, x - o
+        N = law.forgotten_information(self._packed.unpack(numbers[:n]), self.prior, share)
+        N = law.information(N, np.concatenate([H, T], axis=1), self._weight)
+        Theta, pull = numbers[n : n + P], numbers[n + P :]
+        Theta = Theta + law.correction(N[:P, :P], H, self._weight, x - H.dot(Theta))
+        pull = (1.0 - share) * pull + self._weight * x.dot(T)
+        return np.concatenate([self._packed.pack(N), Theta, pull])
 
     def estimate(self, numbers: Array) -> Estimate:
         """Return what is estimated."""
-        return Estimate(numbers[-self._P :].copy(), self._R)
+        n = self._packed.size
+        return Estimate(numbers[n : n + self._P].copy(), self._R)
 
     def information(self, numbers: Array) -> Array:
         """Return Λ, shape (P, P)."""
-        return self._packed.unpack(numbers[: -self._P])
+        return self._packed.unpack(numbers[: self._packed.size])[: self._P, : self._P]
 
     def covariance(self, numbers: Array) -> Array:
         """Return the covariance of (u, b), shape (P, P)."""
-        P, n = self._P, self._n_u
+        n = self._n_u
         covariance = np.asarray(np.linalg.inv(self.information(numbers)), dtype=np.float64)
-        if self._is_turned and n < P:
+        if self._is_turned and n < self._P:
             covariance[n:] = self._R.dot(covariance[n:])
             covariance[:, n:] = covariance[:, n:].dot(self._R.T)
         return covariance
+
+    def tilts(self, numbers: Array) -> Tilts:
+        """Return what tilts of axes would explain."""
+        n, P = self._packed.size, self._P
+        N = self._packed.unpack(numbers[:n])
+        pull = numbers[n + P :] - N[P:, :P].dot(numbers[n : n + P])
+        left = np.linalg.inv(N[P:, P:] - N[P:, :P].dot(np.linalg.solve(N[:P, :P], N[:P, P:])))
+        return _tilts(float(pull.dot(left).dot(pull)), left.dot(pull), left)
+
+    def _about(self, Theta: Array) -> Array:
+        """Return the numbers of the prior alone, about these estimates."""
+        nothing = np.zeros(len(self.prior) - self._P)
+        return np.concatenate([self._packed.pack(self.prior), Theta, nothing])
 
 
 class UnknownCamera:
@@ -135,11 +170,13 @@ class UnknownCamera:
     def __init__(self, unknowns: Unknowns, noise: float) -> None:
         self._n_u, self._P, self._d = unknowns.n_u, len(unknowns.Theta), unknowns.d
         self._first, self._R = unknowns.Theta, unknowns.R
-        self.prior = np.diag(unknowns.sd_Theta**-2.0)
+        self.prior = np.diag(
+            np.append(unknowns.sd_Theta, np.full(unknowns.n_tilts, _SD_TILT)) ** -2.0
+        )
         self._sd_R, self._weight = unknowns.sd_R, noise**-2.0
-        P, dd = self._P, self._d**2
-        self._packed = _Packed(P)
-        sizes = [self._packed.size, P, P * dd, dd, P, dd]
+        P, Q, dd = self._P, len(self.prior), self._d**2
+        self._packed = _Packed(Q)
+        sizes = [self._packed.size, Q, Q * dd, dd, P, dd]
         self.size = sum(sizes)
         ends = np.cumsum(sizes).tolist()
         self._parts = [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
@@ -154,12 +191,13 @@ class UnknownCamera:
         *_, Theta, A = self._split(numbers)
         return self._about(Theta, A.reshape(self._d, self._d))
 
-    def learn(self, numbers: Array, H: Array, o: Array, x: Array, share: float) -> Array:
+    def learn(self, numbers: Array, H: Array, T: Array, o: Array, x: Array, share: float) -> Array:
         """Return the numbers after a frame.
 
         Args:
             numbers: As before, shape (size,).
             H: Regressor of the points that are seen, in the base frame, (k d, P).
+            T: That of tilts, which are looked for and not learnt, (k d, t).
             o: What of them is known, (k d,).
             x: What is measured, shape (k d,).
             share: λT, to be forgotten.
@@ -169,14 +207,15 @@ class UnknownCamera:
             *_, Theta, A = self._split(numbers)
             numbers = numbers + share * (self._about(Theta, A.reshape(d, d)) - numbers)
         N, a, B, E, _, A = self._split(numbers)
+        H = np.concatenate([H, T], axis=1)
         HW = W * H.T
         N = self._packed.unpack(N) + HW.dot(H)
         a = a - HW.dot(o)
         seen = x.reshape(-1, d)
-        each = HW.reshape(P, -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
-        B = B.reshape(P, -1) + each.reshape(P, -1)
+        each = HW.reshape(len(a), -1, d).transpose(0, 2, 1).dot(seen)  # Σ Hᵀ x
+        B = B.reshape(len(a), -1) + each.reshape(len(a), -1)
         E = E + (W * o.reshape(-1, d).T.dot(seen)).ravel()
-        solved, M, h = _reduced(N, a, B, E)
+        solved, M, h = _reduced(N[:P, :P], a[:P], B[:P], E)
         w = self._rotation(M, h, A.reshape(d, d)).ravel()
         Theta = solved[:, 0] + solved[:, 1:].dot(w)
         return np.concatenate([self._packed.pack(N), a, B.ravel(), E, Theta, w])
@@ -192,17 +231,9 @@ class UnknownCamera:
         That of the least squares: rotation first, all else given the rotation.
         """
         d, P = self._d, self._P
-        N, a, B, E, Theta, A = self._split(numbers)
-        N, A = self._packed.unpack(N), A.reshape(d, d)
-        solved, M, h = _reduced(N, a, B.reshape(P, -1), E)
-        known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
-        # of A ← exp([δ]ₓ)A; nothing is known less well than before
-        of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
-        G = law.generators(d)
-        follows = solved[:, 1:].dot(law.tangents(A))  # ∂(u, c)/∂δ
-        joint = np.concatenate([follows, np.eye(len(G))]).dot(of_delta)
-        joint = joint.dot(np.concatenate([follows, np.eye(len(G))]).T)
-        joint[:P, :P] += np.linalg.inv(N)
+        *_, Theta, A = self._split(numbers)
+        A, G = A.reshape(d, d), law.generators(d)
+        joint = self._joint(numbers, A, P)[0]
         # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
         c, R = Theta[self._n_u :], A.T
         T = np.eye(P + len(G))
@@ -210,6 +241,40 @@ class UnknownCamera:
         T[self._n_u : P, P:] = -R.dot((G @ c).T)
         T[P:, P:] = -R if d == 3 else -1.0
         return np.asarray(T.dot(joint).dot(T.T))
+
+    def tilts(self, numbers: Array) -> Tilts:
+        """Return what tilts of axes would explain, with all else and the rotation best for them."""
+        P, Q = self._P, len(self.prior)
+        A = numbers[self._parts[-1]].reshape(self._d, self._d)
+        _, without, _, _ = self._joint(numbers, A, P)
+        _, M, h = _reduced(*self._leading(numbers, Q))
+        A = law.best_rotation(M, h, A)
+        covariance, value, Theta, _ = self._joint(numbers, A, Q)
+        return _tilts(2.0 * (value - without), Theta[P:], covariance[P:Q, P:Q])
+
+    def _leading(self, numbers: Array, n: int) -> tuple[Array, Array, Array, Array]:
+        """Return N, a, B and E of the first n numbers alone."""
+        N, a, B, E, *_ = self._split(numbers)
+        return self._packed.unpack(N)[:n, :n], a[:n], B.reshape(len(a), -1)[:n], E
+
+    def _joint(self, numbers: Array, A: Array, n: int) -> tuple[Array, float, Array, Array]:
+        """Return the covariance of the first n numbers and δ of A ← exp([δ]ₓ)A, and what is best.
+
+        Returns:
+            The covariance (n + 1 or 3) squared; the fall of the sum of squares from where all is 0,
+            halved; the numbers, (n,), and their rates along δ, (n, 1 or 3).
+        """
+        N, a, B, E = self._leading(numbers, n)
+        solved, M, h = _reduced(N, a, B, E)
+        known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
+        # nothing is known less well than before
+        of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
+        follows = solved[:, 1:].dot(law.tangents(A))
+        moved = np.concatenate([follows, np.eye(len(of_delta))])
+        covariance = moved.dot(of_delta).dot(moved.T)
+        covariance[:n, :n] += np.linalg.inv(N)
+        value = law.explained(M, h, A.ravel()) + 0.5 * float(a.dot(solved[:, 0]))
+        return covariance, value, solved[:, 0] + solved[:, 1:].dot(A.ravel()), follows
 
     def _split(self, numbers: Array) -> list[Array]:
         """Return N, a, B, E, the estimates Θ and A, flat."""
@@ -230,10 +295,10 @@ class UnknownCamera:
     def _about(self, Theta: Array, A: Array) -> Array:
         """Return the sums of the prior alone, about these estimates."""
         d, n = self._d, self._n_u
-        a = np.concatenate([self.prior.diagonal()[:n] * Theta[:n], np.zeros(d)])
-        b = A.T.dot(Theta[n:])
-        B = np.zeros((self._P, d, d))
-        B[n:] = np.eye(d)[:, :, np.newaxis] * (b * self.prior[-1, -1])
+        a, b, P = np.zeros(len(self.prior)), A.T.dot(Theta[n:]), self._P
+        a[:n] = self.prior.diagonal()[:n] * Theta[:n]
+        B = np.zeros((len(a), d, d))
+        B[n:P] = np.eye(d)[:, :, np.newaxis] * (b * self.prior[n, n])
         E = (0.5 / self._sd_R**2) * A.ravel()
         return np.concatenate([self._packed.pack(self.prior), a, B.ravel(), E, Theta, A.ravel()])
 
@@ -243,3 +308,10 @@ def _reduced(N: Array, a: Array, B: Array, E: Array) -> tuple[Array, Array, Arra
     solved = np.linalg.solve(N, np.concatenate([a[:, np.newaxis], B], axis=1))
     M = B.T.dot(solved[:, 1:])
     return solved, 0.5 * (M + M.T), B.T.dot(solved[:, 0]) + E
+
+
+def _tilts(fall: float, tilts: Array, covariance: Array) -> Tilts:
+    """Return what tilts explain, of their covariance once they were looked for."""
+    variances = covariance.diagonal()
+    freedom = float((1.0 - variances / _SD_TILT**2).sum())
+    return Tilts(fall, freedom, tilts, np.sqrt(variances))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from approxjac.validation import Array
 
 _NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
+_BEYOND = 3.5  # standard deviations of χ²
 _UNEXPLAINED = 1.5  # χ² a degree of freedom
 
 
@@ -35,6 +37,30 @@ class LearntNumber(NamedTuple):
         return self.share >= _NOT_SEEN
 
 
+class TiltedAxes(NamedTuple):
+    """Whether axes of joints are as believed: what tilts would explain that is not explained.
+
+    Attributes:
+        chi_squared: What tilts of all axes would explain, per degree of freedom: 1 if none is
+            tilted and there is white noise only.
+        freedom: Degrees of freedom.
+        joint: Whose tilt would explain most.
+        angle: Its tilt that would do so, together with others [rad].
+    """
+
+    chi_squared: float
+    freedom: float
+    joint: str
+    angle: float
+
+    @property
+    def are_tilted(self) -> bool:
+        """Return whether axes are tilted, with 3.5 standard deviations of what noise explains."""
+        if self.freedom < 1.0:
+            return False
+        return self.chi_squared > 1.0 + _BEYOND * math.sqrt(2.0 / self.freedom)
+
+
 class KinematicReport(NamedTuple):
     """What was learnt of kinematics.
 
@@ -45,6 +71,7 @@ class KinematicReport(NamedTuple):
         angle: Of the camera's rotation [rad]; 0 where it is known.
         chi_squared: Of residuals averaged over a third of a second, per degree of freedom: 1 if
             the parameters that may be wrong explain x up to white noise.
+        axes: Whether tilted axes would explain x better.
         noise: Standard deviation of x as it was told, and as it is seen from frame to frame [m].
         seconds: Of frames that were learnt from, since the last restart [s].
         restarts: How often learning began anew, as the sensor was moved or the tool slipped.
@@ -54,6 +81,7 @@ class KinematicReport(NamedTuple):
     covariance: Array
     angle: float
     chi_squared: float
+    axes: TiltedAxes
     noise: tuple[float, float]
     seconds: float
     restarts: int
@@ -61,7 +89,7 @@ class KinematicReport(NamedTuple):
     @property
     def is_explained(self) -> bool:
         """Return whether the parameters that may be wrong explain x."""
-        return self.chi_squared <= _UNEXPLAINED
+        return self.chi_squared <= _UNEXPLAINED and not self.axes.are_tilted
 
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)
@@ -79,4 +107,11 @@ class KinematicReport(NamedTuple):
         lines.append(f"chi squared a degree of freedom: {self.chi_squared:.2f}")
         if not self.is_explained:
             lines.append("the parameters that may be wrong do not explain x")
+        if self.axes.are_tilted:
+            degrees = math.degrees(self.axes.angle)
+            lines.append(
+                f"axes are tilted: chi squared {self.axes.chi_squared:.1f} for each of "
+                f"{self.axes.freedom:.0f} degrees of freedom, most of it by {self.axes.joint} "
+                f"({degrees:.1f} deg)"
+            )
         return "\n".join(lines)

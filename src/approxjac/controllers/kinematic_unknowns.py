@@ -44,6 +44,7 @@ class Unknowns:
         believed: Their values before the first frame.
         sd: Their standard deviations then.
         n_u: Length of u.
+        n_tilts: Number of tilts of axes, which are looked for and not learnt; none of a pose.
         d: Number of axes of a point.
         R: Believed rotation of the base's axes in the sensor's, shape (d, d).
         Theta: Believed Θ, shape (P,).
@@ -62,6 +63,7 @@ class Unknowns:
         self.d = len(axes)
         frames = list(dict.fromkeys(point.frame for point in points))
         self.regressor = regressor = KinematicRegressor(task.robot, frames)
+        self.n_tilts = 0 if isinstance(task, PoseTask) else 2 * len(regressor.turning)
         entries = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
         in_order = rows == list(range(3 * regressor.k))
@@ -195,6 +197,12 @@ class Unknowns:
             known = known + self.regressor.offset(q)[self.rows]
         H = Y.dot(self.S)
         return np.concatenate([H, np.zeros((3, 9))], axis=1) if self.n_t else H, known
+
+    def tilts(self, q: Array, u: Array) -> Array:
+        """Return ∂(p times the scale)/∂(tilts of axes), shape (m, n_tilts)."""
+        if not self.n_tilts:
+            return np.zeros((12 if self.orientation is not None else len(self.constant), 0))
+        return self.regressor.tilts(q, self.translations(u))[self.rows]
 
     def reach(self, q_0: Array, q: Array) -> Array:
         """Return how far each of `points` may move from one configuration to another [m].

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.kinematic_estimators import KnownCamera, UnknownCamera
+from approxjac.controllers.kinematic_estimators import KnownCamera, Tilts, UnknownCamera
 from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, is_seen
-from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber
+from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber, TiltedAxes
 from approxjac.controllers.kinematic_unknowns import Unknowns
 from approxjac.controllers.predicted import Kinematics, Prediction
 from approxjac.interface import Measurement, Target
@@ -204,9 +204,10 @@ class AdaptiveKinematics(Kinematics):
             state[at["integral"]] = averaged[:] = 0.0
             chi[:3] = 1.0, 0.0, chi[2] + 1.0
         H, known = self._unknowns.regression(frame.q)
+        T = self._unknowns.tilts(frame.q, state[at["u"]])
         some = slice(None) if seen.all() else seen
         share = -math.expm1(-_FORGETTING * since)
-        sums = self._estimator.learn(sums, H[some], known[some], frame.x[some], share)
+        sums = self._estimator.learn(sums, H[some], T[some], known[some], frame.x[some], share)
         state[at["sums"]] = sums
         state[at["time"]] = frame.t
         Theta, R = self._estimator.estimate(sums)
@@ -370,7 +371,18 @@ class AdaptiveKinematics(Kinematics):
         )
         turn = told[len(P) - len(state[at["spin"]]) :]
         angle, noise = math.hypot(*turn.tolist()), (self.noise, math.sqrt(variance))
-        return KinematicReport(rows, P, angle, chi, noise, seconds, int(restarts))
+        axes = self._axes(self._estimator.tilts(state[at["sums"]]), max(noise))
+        return KinematicReport(rows, P, angle, chi, axes, noise, seconds, int(restarts))
+
+    def _axes(self, found: Tilts, noise: float) -> TiltedAxes:
+        """Return what tilts of axes would explain, with noise as it is seen [m]."""
+        if not len(found.tilts):
+            return TiltedAxes(1.0, 0.0, "", 0.0)
+        tilts = np.array([found.tilts, found.tilts / found.sd]).reshape(2, -1, 2)
+        joint = int(np.linalg.norm(tilts[1], axis=1).argmax())
+        angle = float(np.linalg.norm(tilts[0, joint]))
+        chi = found.chi_squared / max(found.freedom, 1e-9) * (self.noise / noise) ** 2
+        return TiltedAxes(chi, found.freedom, self.regressor.turning[joint], angle)
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and origins."""

@@ -64,6 +64,7 @@ class KinematicRegressor:
         names: Names of the parameters, such as "panda_joint4.x" [m] or "tool.x"; with several
             frames the name of the frame in place of "tool".
         theta: Their values for `robot` itself, shape (p,) [m].
+        turning: Names of the joints that turn.
         has_offset: Whether `offset` is ever anything but 0.
 
     Raises:
@@ -115,6 +116,13 @@ class KinematicRegressor:
         rotations = [placed[f].placement.rotation for f in of_frame]
         own = [R @ point for R, point in zip(rotations, known, strict=True)]
         self._known = np.concatenate([np.zeros((n, 3)), own]) if known.any() else None
+        # two directions across the axis of each joint that turns, on the link that carries it
+        self._turning = np.flatnonzero(~slides)
+        self.turning = tuple(self._movers[i] for i in self._turning)
+        carried = [model.jointPlacements[joints[i]].rotation for i in self._turning]
+        across = [np.linalg.svd(axes[i][np.newaxis])[2][1:].T for i in self._turning]
+        each = [R @ e for R, e in zip(carried, across, strict=True)]
+        self._across = np.array(each).reshape(-1, 3, 2)
         origins = [model.jointPlacements[joint].translation for joint in joints]
         self.theta = np.concatenate([*origins, *(each.placement.translation for each in placed)])
         self.theta.flags.writeable = False
@@ -226,6 +234,18 @@ class KinematicRegressor:
         if not self._plain:
             J, J_dot = J.dot(self._columns), J_dot.dot(self._columns)
         return PointMotion(p, J, J_dot, drift)
+
+    def tilts(self, q: Array, theta: Array) -> Array:
+        """Return ∂p/∂(tilts of the axes of joints that turn), shape (3k, 2 t) [m/rad].
+
+        Two for each of the t joints in `turning`, about directions across its axis.
+        """
+        c = self._placed(q, theta)[: self._terms, :, 0]
+        levers = self._levers.dot(c).reshape(self.k, -1, 3).take(self._turning, 1)
+        across = self._rotations.take(self._y_links.take(self._turning), 0) @ self._across
+        columns = -_skews(levers.reshape(-1, 3)).reshape(*levers.shape, 3) @ across
+        t = 2 * len(self.turning)
+        return np.asarray(columns.transpose(0, 2, 1, 3).reshape(3 * self.k, t))
 
     # -- what can be told apart, and the robot with it -----------------------------------
 
