@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from approxjac.controllers import KinematicReport, SetpointController, TrackingController
+from approxjac.controllers import (
+    KinematicReport,
+    PredictedMeasurement,
+    SetpointController,
+    TrackingController,
+)
 from approxjac.formatting import listed
 from approxjac.interface import LimitStatus, Status
 from approxjac.scenario.records import Belief
@@ -34,6 +39,8 @@ from approxjac.view.style import display_unit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from approxjac.simulation import Trajectory
+
 
 def write(result: Result, out: Path) -> None:
     """Write run.png, run.svg, run.npz, summary.json and scenario.toml into a folder.
@@ -46,9 +53,7 @@ def write(result: Result, out: Path) -> None:
     if learning is not None:
         learnt = learning.kinematics_learnt(result.run.state[-1])
         (out / "kinematics.txt").write_text(f"{learnt}\n", encoding="utf-8")
-        figure, (axes,) = new_figure(1)
-        plot_kinematics(result.run, learning, ax=axes)
-        save_figure(figure, out / "kinematics")
+        save_figure(_draw_kinematics(result.run, learning, learnt), out / "kinematics")
     result.built.scenario.save(out / "scenario.toml")
     summary = json.dumps(result.summary(), indent=2)
     (out / "summary.json").write_text(summary + "\n", encoding="utf-8")
@@ -135,6 +140,19 @@ def _law(law: SetpointController | TrackingController) -> str:
         return f"T with alpha={law.alpha:.4g}, kappa={law.kappa:.4g}"
     number = "28" if law.adaptation is not None else "6" if law.velocity is None else "5"
     return f"({number}) with {law.gains!r}"
+
+
+def _draw_kinematics(
+    run: Trajectory, learning: TrackingController | PredictedMeasurement, learnt: KinematicReport
+) -> Figure:
+    """Draw what was learnt of the tool, and of the tracker's rotation, where they were learnt."""
+    names = [row.name for row in learnt.rows]
+    groups = [[name for name in names if name.startswith(kind)] for kind in ("tool.", "camera.")]
+    groups = [group for group in groups if group] or [names]
+    figure, axes = new_figure(len(groups), title="What is learnt of the kinematics")
+    for ax, group in zip(axes, groups, strict=True):
+        plot_kinematics(run, learning, group, ax, title=group[0].partition(".")[0])
+    return figure
 
 
 def _size(errors: dict[str, float]) -> str:
