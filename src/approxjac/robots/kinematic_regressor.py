@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -12,7 +12,6 @@ from numpy.lib.stride_tricks import as_strided
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import Robot
-from approxjac.robots.urdf import UrdfJoint
 from approxjac.robots.urdf_edit import direction
 from approxjac.validation import Array, as_array, as_vector, require
 
@@ -289,7 +288,7 @@ class KinematicRegressor:
                 held[link] = tool
         moved: dict[str, Array] = {}  # in the axes of the link that moves
         shifts: dict[str, list[float]] = {}
-        for joint in sorted(wanted, key=lambda joint: self._depth(joint, above)):
+        for joint in sorted(wanted, key=self._frame_id):  # those that carry others first
             parent = link = self.robot.tree.joints[joint].parent
             moved[joint] = wanted[joint]
             while link in above and above[link].type == "fixed":  # what carries it was moved, too
@@ -319,15 +318,6 @@ class KinematicRegressor:
     def _frame_id(self, frame: str) -> int:
         kind = self.robot.model.frames[self.robot.frame_id(frame)].type
         return int(self._model.getFrameId(frame, kind))
-
-    @staticmethod
-    def _depth(joint: str, above: Mapping[str, UrdfJoint]) -> int:
-        """Return how many joints carry a joint."""
-        joints = {each.name: each for each in above.values()}
-        depth, link = 0, joints[joint].parent
-        while link in above:
-            depth, link = depth + 1, above[link].parent
-        return depth
 
     # -- forward kinematics --------------------------------------------------------------
 
