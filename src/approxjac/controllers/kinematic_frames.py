@@ -133,13 +133,18 @@ class Gate:
 
     Its numbers: frames passed over in a row, then of the last frame that was believed and of the
     last one that was not: configuration, x, and 1 for each entry of x that was ever seen.
+
+    Args:
+        robot: The believed robot.
+        n_x: Length of x.
+        jump: By how much x may change wherever the arm is, so that nobody need ask.
     """
 
     PASSED_OVER = 8
     """Frames in a row that agree after which the sensor is believed."""
 
-    def __init__(self, robot: Robot, n_x: int) -> None:
-        self._nq, self._n_x = robot.nq, n_x
+    def __init__(self, robot: Robot, n_x: int, jump: float = 0.0) -> None:
+        self._nq, self._n_x, self._jump = robot.nq, n_x, jump
         self._width = robot.nq + 2 * n_x
         self.size = 1 + 2 * self._width
 
@@ -171,11 +176,12 @@ class Gate:
 
     def _fits(self, last: Array, frame: Frame, moved: Callable[[Array, Array], Array]) -> bool:
         """Return whether x is where it may be after the last frame; where none was, it may be."""
-        q, x, known = np.split(last, [self._nq, self._nq + self._n_x])
-        to_compare = (known > 0.0) & np.isfinite(frame.x)
-        if not to_compare.any():
+        nq, n = self._nq, self._nq + self._n_x
+        compared = (last[n:] > 0.0) & np.isfinite(frame.x)
+        change = np.where(compared, np.abs(frame.x - last[nq:n]), 0.0)
+        if change.max() <= self._jump:  # which is usual
             return True
-        return bool((np.abs(frame.x - x) <= moved(q, frame.q))[to_compare].all())
+        return bool((change <= moved(last[:nq], frame.q)).all())
 
     def _note(self, where: Array, frame: Frame) -> None:
         n, seen = self._nq, np.isfinite(frame.x)

@@ -103,7 +103,8 @@ class AdaptiveKinematics(Kinematics):
         self.regressor, self.names = unknowns.regressor, unknowns.names
         self._orientation = unknowns.orientation
         self._frames = Frames(task.robot, task.n_x, self.delay, dt)
-        self._gate = Gate(task.robot, len(unknowns.points(np.zeros(task.n_x))))
+        n_points = len(unknowns.points(np.zeros(task.n_x)))
+        self._gate = Gate(task.robot, n_points, _JUMP * self.noise)
         kind = UnknownCamera if unknowns.turns else KnownCamera
         self._estimator: KnownCamera | UnknownCamera = kind(unknowns, self.noise)
         self._turns, self._d = unknowns.turns, unknowns.d
