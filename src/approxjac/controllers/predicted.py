@@ -53,6 +53,7 @@ class Kinematics(Immutable, ABC):
 
     task: Task
     n_state: int
+    names: tuple[str, ...] = ()  # of what `learnt` returns
     _kept: tuple[slice, ...] = ()  # parts of a state that hold what was learnt
 
     @abstractmethod

@@ -70,6 +70,12 @@ class PredictedMeasurement(ControllerWrapper):
         """The task of the believed robot."""
         return self._task
 
+    def learnt(self, state: Array) -> Array:
+        """Return what the law and then the kinematics have learnt, shape (…, p)."""
+        n = self.kinematics.n_state
+        parts = [self.controller.learnt(state[..., :-n]), self.kinematics.learnt(state[..., -n:])]
+        return np.concatenate(parts, axis=-1)
+
     def with_task(self, task: Task) -> Self:
         """Refuse another task: kinematics that have learnt are of the one that they were built for.
 

@@ -8,7 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import SetpointController, law_of
+from approxjac.controllers import (
+    ControllerWrapper,
+    PredictedMeasurement,
+    SetpointController,
+    TrackingController,
+    law_of,
+)
 from approxjac.controllers.run_terms import lyapunov_value, task_torque
 from approxjac.interface import Controller, Evaluation, Measurement
 from approxjac.robots import GravityRegressor, Robot
@@ -82,7 +88,7 @@ class Record:
             joint_units=robot.joint_units,
             task_labels=sensor.labels,
             task_units=sensor.units,
-            scene=scene_of(plant, self._controllers[-1][1]),
+            scene=scene_of(plant, self._controllers[-1][1], run["state"].shape[1]),
             derived=self._derive,
         )
 
@@ -95,6 +101,8 @@ class Record:
         ends = [start for start, _ in self._controllers[1:]] + [len(run.t)]
         for (start, controller), end in zip(self._controllers, ends, strict=True):
             law, which = law_of(controller), slice(start, end)
+            if _learning(controller) is not None:  # its V is of what it predicts
+                continue
             if isinstance(law, SetpointController) and name == "V":
                 found[which] = self._V(law, run, which, J_hat[which])
             elif isinstance(law, SetpointController):
@@ -134,7 +142,19 @@ def _true_parameters(regressor: GravityRegressor, robot: Robot) -> Array:
     return regressor.fit(robot)[0]
 
 
-def scene_of(plant: Plant, controller: Controller) -> Scene:
-    """Return who takes part in a run."""
-    task = controller.task
-    return Scene(plant.robot, task.robot, plant.sensor, task, plant.motor_limits)
+def scene_of(plant: Plant, controller: Controller, n_state: int) -> Scene:
+    """Return who takes part in a run of a controller with a state of that length."""
+    task, learning = controller.task, _learning(controller)
+    names = () if learning is None else learning.kinematics.names
+    where = controller.learnt(np.arange(n_state, dtype=float))
+    learnt = dict(zip(names, where[len(where) - len(names) :].astype(int).tolist(), strict=True))
+    return Scene(plant.robot, task.robot, plant.sensor, task, plant.motor_limits, learnt)
+
+
+def _learning(controller: Controller) -> TrackingController | PredictedMeasurement | None:
+    """Return the controller, or the one inside of it, that learns kinematics."""
+    while isinstance(controller, ControllerWrapper):
+        if isinstance(controller, PredictedMeasurement):
+            return controller
+        controller = controller.controller
+    return controller if isinstance(controller, TrackingController) else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ class Scene:
     sensor: Task | None  # the task that is measured on the true robot
     task: Task | None  # the controller's, of the believed robot
     torque_limits: Array  # of the motors, shape (n_v,) [N m or N]; infinite where unknown
+    learnt: Mapping[str, int] = field(default_factory=dict)  # of kinematics: where in a state
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a file holds of it: texts, numbers, lists and dictionaries."""
@@ -49,6 +50,7 @@ class Scene:
             "sensor": self.sensor and self.sensor._saved(),
             "task": self.task and self.task._saved(),
             # JSON knows no infinity
+            "learnt": dict(self.learnt),
             "torque_limits": [x if np.isfinite(x) else None for x in self.torque_limits.tolist()],
         }
 
@@ -62,7 +64,7 @@ class Scene:
             raise ValueError("its robots and torque limits have different numbers of joints")
         sensor = _restored_task(kept["sensor"], truth)
         task = _restored_task(kept["task"], belief)
-        return cls(truth, belief, sensor, task, np.array(limits))
+        return cls(truth, belief, sensor, task, np.array(limits), kept.get("learnt", {}))
 
 
 def _saved_robot(robot: Robot) -> dict[str, Any]:

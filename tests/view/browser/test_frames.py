@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.controllers import PredictedMeasurement
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import TrackerTask
 from approxjac.view.browser.frames import Frames
@@ -222,3 +223,22 @@ def test_what_a_tracker_tells_is_drawn_in_the_world(panda):
     assert_allclose(shown["measured"], shown["tip"], atol=1e-12)
     there = aj.PositionTask(panda).value(START + 0.1)
     assert_allclose(shown["target"], np.tile(there, (len(run.t), 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["law T", "set-point law"])
+def test_the_believed_tip_moves_onto_the_true_one_while_it_is_learnt(panda, law):
+    """Also of a run that was saved and loaded."""
+    plant, task = aj.Plant(panda.with_object(0.2, axis="x")), aj.PositionTask(panda)
+    kinematics = aj.AdaptiveKinematics(task, unknown=("tool",), noise=1e-4)
+    controller = aj.TrackingController(task, kinematics=kinematics)
+    if law == "set-point law":
+        controller = aj.TorqueLimited(aj.SetpointController(task), aj.Limits.of(panda))
+        controller = PredictedMeasurement(controller, kinematics)
+    x_d = plant.sensor.value(START) + [0.1, 0.1, 0.0]
+    run = aj.simulate(plant, controller, x_d, START, 1.0, dt=1e-3, record_every=0.01)
+    scene = Scene.from_dict(run.scene.to_dict())
+    shown = Frames(scene).columns(run)
+    apart = np.linalg.norm(shown["believed_tip"] - shown["tip"], axis=1)
+    assert apart[0] == pytest.approx(0.2)
+    assert apart[-1] < 2e-3
+    assert np.isnan(run.V).all()  # which would be of what is predicted

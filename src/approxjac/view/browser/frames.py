@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.robots import Robot
+from approxjac.robots import KinematicRegressor, Robot
 from approxjac.robots.model import own_joints
 from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene
@@ -32,11 +32,14 @@ class Frames:
         self._feature = _first(features(scene.sensor))
         self._true = _followed(scene.truth, self._feature)
         self._believed: PointKinematics | None = None
+        self._learnt: KinematicRegressor | None = None  # by which the believed tip moves
         if scene.belief is not None:
             feature = _first(features(scene.task)) or self._feature
             if feature is not None and feature.frame not in (None, *scene.belief.frame_names):
                 feature = None  # of the true robot only
             self._believed = _followed(scene.belief, feature)
+            if scene.learnt and feature is not None and feature.axes:
+                self._learnt = KinematicRegressor(scene.belief, feature.frame)
         # continuous joints have no limits; their (cos, sin) may go where it likes
         limited = [joint for joint in own_joints(scene.truth.model).values() if joint.nq == 1]
         self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
@@ -63,6 +66,8 @@ class Frames:
         share = tau / np.where(np.isfinite(limits), limits, np.nan)
         tip = np.array([self._true.positions(row)[0] for row in q]).reshape(-1, 3)
         believed_tip, force = self._believed_tip(q, run.task_torque[kept])
+        if self._learnt is not None:
+            believed_tip = self._learnt_tip(self._learnt, q, run.state[kept])
         return {
             "t": run.t[kept],
             "V": run.V[kept],
@@ -94,6 +99,14 @@ class Frames:
                 if left > _LITTLE * np.linalg.norm(torque):  # there is a moment too, as of a pose
                     force[i] = _wrench(whole.jacobian(row), torque)[:3]
         return tip, force
+
+    def _learnt_tip(self, regressor: KinematicRegressor, q: Array, state: Array) -> Array:
+        """Return where the tip is by the translations that were learnt by then, shape (N, 3)."""
+        theta = np.tile(regressor.theta, (len(q), 1))
+        for i, name in enumerate(regressor.names):
+            if name in self.scene.learnt:
+                theta[:, i] = state[:, self.scene.learnt[name]]
+        return np.array([regressor.position(*row) for row in zip(q, theta, strict=True)])
 
     def _position(self, x: Array, tip: Array) -> Array:
         """Return positions that x (N, n_x) tells, shape (N, 3); on other axes those of the tip."""

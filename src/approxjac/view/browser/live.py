@@ -145,7 +145,7 @@ class LiveView:
 
     def _look(self, loop: SampledLoop) -> Stage:
         """See anew who takes part."""
-        scene = scene_of(loop.plant, loop.controller)
+        scene = scene_of(loop.plant, loop.controller, len(loop.state))
         self._frames = Frames(scene)
         self._stage = stage = Stage(scene, self._stage)
         return stage
