@@ -139,6 +139,45 @@ def test_a_camera_on_the_hand_is_learnt(hand):
     assert run.errors.max() < 1.6 * run.errors[0]
 
 
+def test_what_was_learnt_is_told(room_run, room):
+    kinematics, run = room_run
+    report = kinematics.report(run.state)
+    assert tuple(row.name for row in report.rows) == kinematics.names
+    learnt = [row.value for row in report.rows]
+    assert np.array_equal(learnt, kinematics.learnt(run.state))
+    believed = [row.believed for row in report.rows]
+    camera = room[1].camera
+    assert_allclose(believed[3:], [*camera.position, 0.0, 0.0, 0.0, camera.focal_length[0]])
+    true = [*KinematicRegressor(room[0].robot).theta[-3:], *CAMERA.position]
+    d = np.array(learnt[:6]) - true
+    assert d @ np.linalg.solve(report.covariance[:6, :6], d) < 22.5
+    assert report.rows[0].is_seen
+    assert report.rows[-1].unit == "px"
+    assert report.angle == pytest.approx(np.radians(120.0), abs=0.2)
+    assert report.is_explained
+    assert report.restarts == 0
+    assert report.noise == pytest.approx((0.5, 0.5), rel=0.3)
+    assert "px, told 0.5 px" in str(report)
+
+
+def test_the_learnt_robot_and_camera_say_where_x_is(room_run, room, rng):
+    kinematics, run = room_run
+    camera, robot = kinematics.camera(run.state), kinematics.robot(run.state)
+    found = aj.ImageTask(robot, camera)
+    for q in run.q + 0.05 * rng.standard_normal((5, 7)):
+        assert_allclose(found.value(q), room[0].value(q), atol=4.0)
+
+
+def test_the_next_run_begins_with_what_was_learnt(room_run, room):
+    kinematics, run = room_run
+    elsewhere = START + 0.05
+    x = room[0].value(elsewhere)
+    state = kinematics.resumed(run.state, aj.Measurement(0.0, elsewhere, 0.0 * START, x))
+    assert np.array_equal(kinematics.learnt(state), kinematics.learnt(run.state))
+    z = kinematics.predict(state, elsewhere, 0.0 * START, aj.Target(x)).z
+    assert_allclose(z, 0.0, atol=6.0)
+
+
 @pytest.mark.parametrize("case", ["room", "lens", "hand"])
 def test_prediction_has_exact_derivatives(case, room, hand, rng):
     if case == "hand":
@@ -218,7 +257,8 @@ def test_the_torque_knows_nothing_but_the_measurement(room, law):
     """And a frame that was seen before teaches nothing."""
     kinematics = AdaptiveCamera(room[1])
     if law == "tracking":
-        controller = aj.TrackingController(room[1], kinematics=kinematics)
+        controller = aj.TrackingController(room[1])
+        assert isinstance(controller.kinematics, AdaptiveCamera)
     else:
         regressor = GravityRegressor(room[1].robot)
         gravity = RegressorGravity(regressor, regressor.theta)
@@ -249,6 +289,21 @@ def test_points_that_jump_or_are_lost_do_not_spoil_what_was_learnt(room_run, roo
     kinematics, clean = room_run
     run = follow(kinematics, room[0], START, spoil=spoil, seconds=4.0)
     assert late(run, 2.5, 4.0) < late(clean, 2.5, 4.0) + 2.0
+
+
+def test_a_camera_that_was_moved_is_learnt_anew(room_run, room):
+    """Rolled by 90°, all of a sudden."""
+    kinematics, _ = room_run
+    moved = aj.ImageTask(room[0].robot, CAMERA.with_error(rotation=(0.0, 0.0, math.pi / 2)))
+    state, x = room_run[1].state, []
+    q, v = room_run[1].q, 0.3 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+    for k in range(60):
+        t, place = 4.0 + k / 30.0, q + v * np.sin(k / 15.0)
+        x = moved.value(place)
+        state = kinematics.step(state, aj.Measurement(t, place, v, x, t), DT)
+    assert kinematics.report(state).restarts == 1
+    camera, robot = kinematics.camera(state), kinematics.robot(state)
+    assert_allclose(aj.ImageTask(robot, camera).value(place), x, atol=3.0)
 
 
 def test_the_age_of_x_is_told_by_the_delay_where_x_does_not_tell_it(room):

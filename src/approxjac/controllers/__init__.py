@@ -6,6 +6,7 @@ from approxjac.controllers.adaptive_dynamics import (
     ModelDynamics,
     MotionDynamics,
 )
+from approxjac.controllers.adaptive_planar_camera import AdaptivePlanarCamera
 from approxjac.controllers.compiled import CompiledSetpointController
 from approxjac.controllers.default_gains import default_gains
 from approxjac.controllers.differentiator import DifferentiatedVelocity
@@ -42,6 +43,7 @@ __all__ = [
     "AdaptiveDynamics",
     "AdaptiveGravity",
     "AdaptiveKinematics",
+    "AdaptivePlanarCamera",
     "AwayFromStops",
     "CompiledSetpointController",
     "ContinuousController",

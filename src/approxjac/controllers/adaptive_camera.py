@@ -11,10 +11,12 @@ from approxjac import law
 from approxjac.controllers.image_estimator import Deviations, Estimate, ImageEstimator
 from approxjac.controllers.image_rays import ImageRays
 from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, is_seen
+from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber, TiltedAxes
 from approxjac.controllers.predicted import Kinematics, Prediction
 from approxjac.controllers.watched_points import WatchedPoints
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Measurement, Target
+from approxjac.robots import Robot
 from approxjac.tasks import ImageTask, PinholeCamera
 from approxjac.tasks.analysis import seen_configurations
 from approxjac.validation import Array, as_number, require
@@ -29,6 +31,10 @@ _INTEGRAL = 1.0  # ω_b [1/s]
 _EASED_SPEED = 0.5  # of the predicted points beside their rays, by what is learnt [m/s]
 _EASED_TURN = 2.0 * math.pi  # of the camera's estimate [rad/s]
 _LONGEST = 0.1  # time that one frame counts for [s]
+_WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
+_CHANGED = 10.0  # averaged residual, in standard deviations of x: another camera or tool
+_SETTLED = 1.0  # since learning began, before which residuals tell of nothing new [s]
+_NOISE_MEMORY = 2.0  # of the noise that is seen [s]
 _JUMP = 8.0  # standard deviations of x
 _MOVES = 2.0  # times as far as believed, and four standard deviations: what is no jump
 
@@ -119,7 +125,7 @@ class AdaptiveCamera(Kinematics):
         m = task.m
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "keys": estimator.size,
-            "told": len(self.names), "integral": m, "time": 1,
+            "told": len(self.names), "integral": m, "averaged": m, "left": m, "seen": 3, "time": 1,
             "u": n, "R": 9, "t": 3, "stretch": 1, "b": m,
             "u_dot": n, "spin": 3, "t_dot": 3, "stretch_dot": 1, "b_dot": m,
         }  # fmt: skip
@@ -154,6 +160,7 @@ class AdaptiveCamera(Kinematics):
             numbers[-2] = 1e-12  # the camera was placed
         state[at["keys"]] = numbers
         state[at["time"]] = measurement.t
+        state[at["seen"]] = 0.0, 0.0, self.noise**2  # seconds, restarts, variance of x [px²]
         u, R, p, stretch = estimate = self._estimator.estimate(numbers)
         state[at["told"]] = self._in_order(estimate)
         state[at["u"]], state[at["R"]], state[at["t"]] = u, R.ravel(), -R.dot(p)
@@ -186,15 +193,6 @@ class AdaptiveCamera(Kinematics):
         """
         return state[..., self._at["told"]]
 
-    def camera(self, state: Array) -> PinholeCamera:
-        """Return the camera as a state has learnt it."""
-        _, R, p, stretch = self._estimator.estimate(state[self._at["keys"]])
-        return self._camera.with_error(
-            shift=self._believed.R.dot(p - self._believed.p),
-            rotation=law.rotation_log(self._believed.R.dot(R.T)),
-            focal_factor=math.exp(stretch),
-        )
-
     def _in_order(self, estimate: Estimate) -> Array:
         """Return what is learnt in the order of `names`."""
         turn = law.rotation_log(self._believed.R.dot(estimate.R.T))
@@ -222,9 +220,12 @@ class AdaptiveCamera(Kinematics):
         seen = np.isfinite(y).all(axis=1)
         if not seen.any():
             return
-        if is_anew:
+        noted, averaged = state[at["seen"]], state[at["averaged"]].reshape(-1, 2)
+        unlike = bool(np.abs(averaged * self._f).max() > _CHANGED * self.noise)
+        if is_anew or (unlike and noted[0] > _SETTLED):  # what was learnt before is contradicted
             keys = estimator.renewed(keys)
-            state[at["integral"]] = 0.0
+            state[at["integral"]] = averaged[:] = 0.0
+            noted[:2] = 0.0, noted[1] + 1.0
         state[at["keys"]] = keys = estimator.learn(keys, H, o, y)
         u, R, p, stretch = estimate = estimator.estimate(keys)
         state[at["told"]] = self._in_order(estimate)
@@ -232,6 +233,13 @@ class AdaptiveCamera(Kinematics):
         left = y - law.rays(c, math.exp(stretch))
         integral = state[at["integral"]].reshape(-1, 2)
         integral[seen] += -math.expm1(-_INTEGRAL * since) * (left[seen] - integral[seen])
+        averaged[seen] += -math.expm1(-since / _WINDOW) * (left[seen] - averaged[seen])
+        before = state[at["left"]].reshape(-1, 2)
+        change = ((left - before) * self._f)[seen]
+        before[seen] = left[seen]
+        noted[0] += since
+        share = since / min(noted[0] + 0.3, _NOISE_MEMORY)
+        noted[2] += share * (0.5 * float((change * change).mean()) - noted[2])
 
     # -- the smoothed estimates ----------------------------------------------------------
 
@@ -321,6 +329,52 @@ class AdaptiveCamera(Kinematics):
             drift.ravel(),
         )
 
+    # -- what was learnt -----------------------------------------------------------------
+
+    def camera(self, state: Array) -> PinholeCamera:
+        """Return the camera as a state has learnt it."""
+        _, R, p, stretch = self._estimator.estimate(state[self._at["keys"]])
+        return self._camera.with_error(
+            shift=self._believed.R.dot(p - self._believed.p),
+            rotation=law.rotation_log(self._believed.R.dot(R.T)),
+            focal_factor=math.exp(stretch),
+        )
+
+    def robot(self, state: Array) -> Robot:
+        """Return the believed robot with the translations that a state has learnt."""
+        u, *_ = self._estimator.estimate(state[self._at["keys"]])
+        return self._points.regressor.robot_with(self._points.theta(u))
+
+    def report(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt: values, standard deviations, and what was not seen.
+
+        The covariance is of the rotation in the learnt camera's own axes.
+        """
+        at, keys, noise = self._at, state[self._at["keys"]], self.noise
+        told, sd = self.learnt(state).copy(), self._estimator.sd[self._told]
+        believed = self._in_order(self._believed)
+        seconds, restarts, variance = state[at["seen"]].tolist()
+        P = self._estimator.covariance(keys)[np.ix_(self._told, self._told)]
+        share = 1.0 - P.diagonal() / sd**2
+        chi = self._estimator.chi_squared(keys)
+        scale = np.array([-1.0 if ".r" in name else 1.0 for name in self.names])
+        units = ["rad" if ".r" in name else "m" for name in self.names]
+        if self.names[-1] == "focal_length":
+            scale[-1], units[-1] = told[-1], "px"
+        P = P * max(chi, 1.0) * scale * scale[:, np.newaxis]
+        numbers = np.array([believed, told, np.sqrt(P.diagonal()), share]).T.tolist()
+        rows = tuple(
+            LearntNumber(name, unit, *each)
+            for name, unit, each in zip(self.names, units, numbers, strict=True)
+        )
+        angle = math.hypot(
+            *(value for name, value in zip(self.names, told, strict=True) if ".r" in name)
+        )
+        untested, told_seen = TiltedAxes(1.0, 0.0, "", 0.0), (noise, math.sqrt(variance))
+        return KinematicReport(
+            rows, P, angle, chi, untested, told_seen, seconds, int(restarts), "px"
+        )
+
 
 def _camera(task: object) -> PinholeCamera:
     """Return the camera of a task that can be learnt."""
@@ -329,7 +383,7 @@ def _camera(task: object) -> PinholeCamera:
     camera = task.camera
     if not isinstance(camera, PinholeCamera):
         raise InvalidInputError(
-            f"task must have a PinholeCamera, got {task!r}; AdaptiveKinematics learns a camera "
+            f"task must have a PinholeCamera, got {task!r}; AdaptivePlanarCamera is for one "
             "that looks straight at the plane of an arm",
             given=task,
         )

@@ -123,14 +123,14 @@ class ImageEstimator:
         if first:
             best = self._placed(best, terms)
         best, cost = self._improved(best, terms, 8 if first else 1)
-        chi = 2.0 * self._misfit(best, terms) / max(self._rows(terms), 1.0)
+        chi = self._chi_squared(best, terms)
         tried = numbers[m + 2 * e]
         if chi > _DOUBT and not first:
             other = self._unpacked(numbers[m + e : m + 2 * e]) if tried else self._turned(terms)
             other, cost_other = self._improved(other, terms, 2)
             if cost_other < min(_BETTER * cost, cost - _ODDS):
                 best, tried = other, 0.0
-                chi = 2.0 * self._misfit(best, terms) / max(self._rows(terms), 1.0)
+                chi = self._chi_squared(best, terms)
             else:
                 tried = 0.0 if tried >= _PATIENCE else tried + 1.0
                 numbers[m + e : m + 2 * e] = self._packed(other)
@@ -190,9 +190,9 @@ class ImageEstimator:
         weights = rows[:, :1] * self._weight
         return weights, rows[:, 1:3], rows[:, 3:6], rows[:, 6:].reshape(len(rows), 3, -1)
 
-    @staticmethod
-    def _rows(terms: tuple[Array, Array, Array, Array]) -> float:
-        return 2.0 * len(terms[0])
+    def _chi_squared(self, estimate: Estimate, terms: tuple[Array, Array, Array, Array]) -> float:
+        rows = 2.0 * len(terms[0])
+        return 2.0 * self._misfit(estimate, terms) / max(rows - len(self._free), 0.5 * rows)
 
     # -- least squares -------------------------------------------------------------------
 

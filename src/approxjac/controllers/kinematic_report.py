@@ -72,9 +72,11 @@ class KinematicReport(NamedTuple):
         chi_squared: Of residuals averaged over a third of a second, per degree of freedom: 1 if
             the parameters that may be wrong explain x up to white noise.
         axes: Whether tilted axes would explain x better.
-        noise: Standard deviation of x as it was told, and as it is seen from frame to frame [m].
+        noise: Standard deviation of x as it was told, and as it is seen from frame to frame
+            [`unit`].
         seconds: Of frames that were learnt from, since the last restart [s].
         restarts: How often learning began anew, as the sensor was moved or the tool slipped.
+        unit: Of the noise, "m" or "px".
     """
 
     rows: tuple[LearntNumber, ...]
@@ -85,6 +87,7 @@ class KinematicReport(NamedTuple):
     noise: tuple[float, float]
     seconds: float
     restarts: int
+    unit: str = "m"
 
     @property
     def is_explained(self) -> bool:
@@ -102,8 +105,9 @@ class KinematicReport(NamedTuple):
             lines.append(f"{row.name:{width}}  {numbers} {row.unit}".rstrip())
         if self.angle:
             lines.append(f"camera turned by {self.angle:.4f} rad")
-        told, seen = (1e3 * noise for noise in self.noise)
-        lines.append(f"noise of x {seen:.2g} mm, told {told:.2g} mm")
+        factor, unit = (1e3, "mm") if self.unit == "m" else (1.0, self.unit)
+        told, seen = (factor * noise for noise in self.noise)
+        lines.append(f"noise of x {seen:.2g} {unit}, told {told:.2g} {unit}")
         lines.append(f"chi squared a degree of freedom: {self.chi_squared:.2f}")
         if not self.is_explained:
             lines.append("the parameters that may be wrong do not explain x")

@@ -86,10 +86,14 @@ class WatchedPoints:
             H = np.concatenate([H, A], axis=1)
         return np.broadcast_to(H, (self.k, *H.shape)), (self._world - known[0]).dot(A.T)
 
+    def theta(self, u: Array) -> Array:
+        """Return all translations of `regressor`, those that are known as well; shape (p,) [m]."""
+        return np.asarray(self._theta + self._S.dot(u[: self._n_theta]))
+
     def motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointsMotion:
         """Return points and derivatives at q (nq,) and q̇ (n_v,), with u and u' (n_u,)."""
         n = self._n_theta
-        theta, theta_dot = self._theta + self._S.dot(u[:n]), self._S.dot(u_dot[:n])
+        theta, theta_dot = self.theta(u), self._S.dot(u_dot[:n])
         p, J, J_dot, drift = self.regressor.motion(q, v, theta, theta_dot)
         J, J_dot = (each.reshape(-1, 3, J.shape[1]) for each in (J, J_dot))
         p, drift = p.reshape(-1, 3), drift.reshape(-1, 3)
