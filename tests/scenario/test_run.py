@@ -457,6 +457,26 @@ def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
         prepare(again)
 
 
+def test_a_pose_is_learnt_from_a_tracker():
+    """The tool's orientation with its position, and one rotation of the tracker for both."""
+    target = {"offset": (0.05, -0.1, 0.1, 0.2, 0.0, 0.3)}
+    result = (
+        Scenario(
+            "panda",
+            **LEARNS | {"run": {"start": HOME, "target": target, "duration": 2.2}},
+            task={"kind": "pose"},
+            loop={"dt": 2e-3},
+            controller={"law": "tracking", "unknown": PARTS},
+        )
+        .build()
+        .run()
+    )
+    assert np.linalg.norm(result.run.error[result.run.t > 2.0], axis=1).max() < 5e-3
+    learnt = result.summary()["kinematics"]
+    assert learnt["camera.rz"]["value"] == pytest.approx(1.7, abs=0.05)
+    assert abs(learnt["tool.rx"]["value"]) < 0.05
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -465,10 +485,10 @@ def test_kinematics_that_are_learnt_follow_a_circle(tmp_path, controller):
         ({"controller": {"law": "tracking", "gravity": "exact"}}, "gravity must be learnt or"),
         ({"controller": {"unknown": ("tool",), "unseen": 0.1}}, "unseen is of no use where x is"),
         ({"controller": {"unknown": ("tol",)}}, "unknown must be one or more of"),
-        ({"controller": {"unknown": ("tool",)}, "task": {"kind": "pose"}}, "is for task.kind pos"),
+        ({"controller": {"unknown": ("tool",)}, "task": {"kind": "image"}}, "position, pose o"),
         ({"true": {"servo": {"lag": 0.1}}}, "true.servo needs controller.command velocity"),
         ({"true": {"tracker": {"offset": (1, 0, 0)}}, "task": {"axes": "xz"}}, "must be xyz with"),
-        ({"true": {"tracker": {"offset": (1, 0, 0)}}, "task": {"kind": "pose"}}, "is for task.kin"),
+        ({"true": {"tracker": {"offset": (1, 0, 0)}}, "task": {"kind": "stacked"}}, "is for task."),
     ],
 )  # fmt: skip
 def test_what_does_nothing_for_a_law_is_refused(changes, message):

@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.errors import UnknownNameError
-from approxjac.tasks import PlanarCamera, TrackerTask
+from approxjac.tasks import PlanarCamera, PoseTrackerTask, TrackerTask
 
 CAMERA = PlanarCamera(0.05, 3.0, roll=0.7, offset=(0.01, -0.02), plane="xy")
 
@@ -24,6 +24,7 @@ def tasks(robot):
         found.append(aj.StackedTask(aj.PositionTask(robot), aj.ImageTask(robot, CAMERA)))
     if robot.nv >= 6:
         found.append(aj.PoseTask(robot))
+        found.append(PoseTrackerTask(robot, (0.3, -0.7, 1.1), (0.1, -0.05, 0.05)))
     if robot.nv >= 7:
         found.append(aj.StackedTask(aj.PoseTask(robot), aj.PositionTask(robot, axes="y")))
     return found

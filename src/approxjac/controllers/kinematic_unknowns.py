@@ -12,7 +12,14 @@ from approxjac import law
 from approxjac.controllers.kinematic_orientation import Orientation
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import KinematicRegressor
-from approxjac.tasks import PoseTask, PositionTask, StackedTask, Task, TrackerTask
+from approxjac.tasks import (
+    PoseTask,
+    PoseTrackerTask,
+    PositionTask,
+    StackedTask,
+    Task,
+    TrackerTask,
+)
 from approxjac.validation import Array, as_number, require
 
 KINDS = ("tool", "origins", "camera", "offset", "scale")
@@ -254,7 +261,7 @@ def _points(task: Task) -> list[_Point]:
     """Return the positions that a task is made of."""
     points: list[_Point] = []
     for each in task.tasks if isinstance(task, StackedTask) else [task]:
-        if isinstance(each, TrackerTask):
+        if isinstance(each, TrackerTask) or (isinstance(each, PoseTrackerTask) and each is task):
             R = law.rotation_exp(each.rotation)
             points.append(_Point(each.frame, "xyz", R, each.offset))
         elif isinstance(each, PoseTask) and each is task:

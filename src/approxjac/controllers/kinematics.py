@@ -57,8 +57,9 @@ class AdaptiveKinematics(Kinematics):
 
     Args:
         task: A `PositionTask` or `TrackerTask` of the believed robot, or a `StackedTask` of them;
-            or a `PoseTask`; or the robot, for the position of its tip. A camera that may be turned
-            needs two axes or three, the same of every point. Two turn in their plane.
+            a `PoseTask` or `PoseTrackerTask`; or the robot, for the position of its tip. A camera
+            that may be turned needs two axes or three, the same of every point. Two turn in their
+            plane.
         unknown: What may be wrong: "tool" and "origins" are translations, of a pose "tool" is its
             orientation, too; "camera" is rotation and offset, "offset" the offset alone; "scale"
             only of positions and where the origins are known.
@@ -124,7 +125,7 @@ class AdaptiveKinematics(Kinematics):
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
         self.n_state = ends[-1]
-        learnt = ("sums", "told", "integral", "averaged", "left", "chi", "u", "b", "R")
+        learnt = ("sums", "told", "integral", "averaged", "left", "chi", "u", "b", "R", "T")
         self._kept = tuple(self._at[name] for name in learnt)
 
     def __repr__(self) -> str:

@@ -106,7 +106,7 @@ class PredictedMeasurement(ControllerWrapper):
         """
         inner, known = self._split(state)
         known = self.kinematics.resumed(known, measurement)
-        seen, _ = self._predicted(known, measurement, Target(np.zeros(self._task.n_x)))
+        seen, _ = self._predicted(known, measurement, Target(self._task._origin))
         fresh = self.controller.initial_state(seen)
         p = self.controller.learnt(inner).shape[-1]
         fresh[:p] = inner[:p]

@@ -40,6 +40,7 @@ from approxjac.tasks import (
     ImageTask,
     PlanarCamera,
     PoseTask,
+    PoseTrackerTask,
     PositionTask,
     StackedTask,
     Task,
@@ -185,7 +186,9 @@ def _tasks(truth: Robot, belief: Robot, scenario: Scenario) -> tuple[Task, Task]
         task = PositionTask(belief, axes=chosen.axes)
     tracker = scenario.true.tracker
     if tracker != Tracker():
-        return TrackerTask(truth, tracker.rotation, tracker.offset), task
+        kind: type[PoseTrackerTask] | type[TrackerTask]
+        kind = PoseTrackerTask if chosen.kind == "pose" else TrackerTask
+        return kind(truth, tracker.rotation, tracker.offset), task
     return task.on(truth), task
 
 

@@ -37,7 +37,7 @@ from approxjac.tasks import Task
 from approxjac.validation import Array
 
 Law = SetpointController | TrackingController
-_LEAST_NOISE = 1e-4  # of x that a scenario has without [m]
+_LEAST_NOISE = 1e-4  # of x that a scenario has without [m or rad]
 
 
 def controller_of(
@@ -47,10 +47,10 @@ def controller_of(
     chosen, dt, belief = scenario.controller, sampling_time(scenario), task.robot
     kinematics = None
     if chosen.unknown:
+        noise = max(scenario.sensor.noise, _LEAST_NOISE)
         kinematics = AdaptiveKinematics(
-            task, chosen.unknown, noise=max(scenario.sensor.noise, _LEAST_NOISE),
-            delay=scenario.sensor.delay, dt=dt,
-        )  # fmt: skip
+            task, chosen.unknown, noise=noise, delay=scenario.sensor.delay, dt=dt, angle_noise=noise
+        )
     law: Law
     if chosen.law == "tracking":
         learns = chosen.gravity == "learnt"

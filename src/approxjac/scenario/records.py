@@ -89,7 +89,7 @@ class CameraError:
 
 @dataclass(frozen=True)
 class Tracker:
-    """The tracker that measures positions: x = R p + b of a p in the world.
+    """The tracker that measures positions, or poses: x = R p + b of a p in the world.
 
     Attributes:
         rotation: R as a rotation vector, from the axes of the world to its own, rad.

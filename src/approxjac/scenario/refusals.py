@@ -10,6 +10,8 @@ from typing import Any
 from approxjac.errors import InvalidInputError
 from approxjac.scenario.scenario import Scenario
 
+_TRACKED = ("position", "pose")  # kinds of tasks that a tracker can be the sensor of
+
 
 def require_effect(scenario: Scenario) -> None:
     """Refuse what was given but would do nothing, or what contradicts something else."""
@@ -38,7 +40,7 @@ def _rules(scenario: Scenario) -> list[tuple[str, bool, str, str]]:
         ("task.depth", not pinhole, "is that of a pinhole camera's image", task.kind),
         ("task.spread", task.points == 1, "is for several points", "one point"),
         ("true.camera", not image, "is for task.kind image", task.kind),
-        ("true.tracker", task.kind != "position", "is for task.kind position", task.kind),
+        ("true.tracker", task.kind not in _TRACKED, "is for task.kind position or pose", task.kind),
         ("believed.camera", not image, "is for task.kind image", task.kind),
         ("true.camera.looking_at", in_hand, "is for a camera in the world", "one in hand"),
         ("controller.settling_time", gains, "is for default gains", "given ones"),
@@ -105,8 +107,8 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
     if control.law == "tracking" and control.gravity not in ("learnt", "believed"):
         wanted = 'learnt or believed with controller.law "tracking"'
         yield control.gravity, f"controller.gravity must be {wanted}, got {control.gravity}"
-    if control.unknown and task.kind not in ("position", "stacked"):
-        wanted = "is for task.kind position or stacked"
+    if control.unknown and task.kind not in (*_TRACKED, "stacked"):
+        wanted = "is for task.kind position, pose or stacked"
         yield control.unknown, f"controller.unknown {wanted}, got {task.kind}"
     tracker = scenario.true.tracker
     if tracker != type(tracker)() and task.axes not in (None, "xyz"):

@@ -15,6 +15,7 @@ from approxjac.tasks import (
     PinholeCamera,
     PlanarCamera,
     PoseTask,
+    PoseTrackerTask,
     PositionTask,
     StackedTask,
     Task,
@@ -24,7 +25,15 @@ from approxjac.validation import Array
 
 _KINDS: Mapping[str, Any] = {
     made._kind: made
-    for made in (PositionTask, TrackerTask, PoseTask, ImageTask, PinholeCamera, PlanarCamera)
+    for made in (
+        PositionTask,
+        TrackerTask,
+        PoseTask,
+        PoseTrackerTask,
+        ImageTask,
+        PinholeCamera,
+        PlanarCamera,
+    )
 }
 
 

@@ -10,7 +10,7 @@ from approxjac.tasks.pose import PoseTask
 from approxjac.tasks.position import PositionTask, best_axes
 from approxjac.tasks.stacked import StackedTask
 from approxjac.tasks.task import Task
-from approxjac.tasks.tracker import TrackerTask
+from approxjac.tasks.tracker import PoseTrackerTask, TrackerTask
 
 __all__ = [
     "Camera",
@@ -21,6 +21,7 @@ __all__ = [
     "PinholeCamera",
     "PlanarCamera",
     "PoseTask",
+    "PoseTrackerTask",
     "PositionTask",
     "StackedTask",
     "Task",

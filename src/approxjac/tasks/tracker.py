@@ -1,4 +1,4 @@
-"""The position of a frame as a tracker gives it that nobody has lined up with the robot's base."""
+"""Position or pose of a frame as a tracker gives it that nobody has lined up with the base."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from approxjac.robots import Robot
 from approxjac.tasks.frame_kinematics import FrameKinematics
+from approxjac.tasks.pose import PoseTask
 from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, as_array, require
 
@@ -65,3 +66,58 @@ class TrackerTask(Task):
     def __repr__(self) -> str:
         rotation, offset = self.rotation.tolist(), self.offset.tolist()
         return f"TrackerTask({self.robot.name!r}, {self.frame!r}, {rotation}, {offset})"
+
+
+class PoseTrackerTask(PoseTask):
+    """X = (R p + b, R R_f): the pose of a frame in the axes of a tracker; m = 6.
+
+    As a `PoseTask` in all else; targets are in the tracker's axes, too. A controller that knows
+    nothing of the tracker takes a `PoseTask` for it.
+
+    Args:
+        robot: The robot, true or believed.
+        rotation: R, from the axes of the world to those of the tracker, as a rotation vector,
+            shape (3,) [rad].
+        offset: b, the origin of the world in the axes of the tracker, shape (3,) [m].
+        frame: Frame name; the robot's `tip` by default.
+
+    Raises:
+        UnknownNameError: No such frame.
+        InvalidInputError: Fewer than six joints, or vectors of another length or not finite.
+    """
+
+    _kind = "pose tracker"
+
+    def __init__(
+        self,
+        robot: Robot,
+        rotation: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        offset: Sequence[float] | Array = (0.0, 0.0, 0.0),
+        frame: str | None = None,
+    ) -> None:
+        super().__init__(robot, frame)
+        self.rotation = as_array("rotation", rotation, (3,), "rad")
+        self.offset = as_array("offset", offset, (3,), "m")
+        self._R: Array = pin.exp3(self.rotation)
+        placed = self._R, self.offset
+        self._features = (Feature(slice(0, 7), self.frame, "xyz", placed=placed),)
+
+    def value(self, q: Array) -> Array:
+        R, p = self._frame.placement(q)
+        return np.array(pin.SE3ToXYZQUAT(pin.SE3(self._R @ R, self._R @ p + self.offset)))
+
+    def jacobian(self, q: Array, x: Array | None = None) -> Array:
+        return self._turned(self._frame.jacobian(q))
+
+    def jacobian_dot(self, q: Array, v: Array) -> Array:
+        return self._turned(self._frame.jacobian_dot(q, v))
+
+    def on(self, robot: Robot) -> PoseTrackerTask:
+        return PoseTrackerTask(robot, self.rotation, self.offset, self.frame)
+
+    def _turned(self, J: Array) -> Array:
+        return np.concatenate([self._R @ J[:3], self._R @ J[3:]])
+
+    def __repr__(self) -> str:
+        rotation, offset = self.rotation.tolist(), self.offset.tolist()
+        return f"PoseTrackerTask({self.robot.name!r}, {self.frame!r}, {rotation}, {offset})"
