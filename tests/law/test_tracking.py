@@ -98,18 +98,18 @@ def test_speeds_are_brought_within_their_limits_as_a_whole(rng):
     assert_allclose(slowly, v1[:2])
 
 
-def test_v3_of_a_servo_falls_by_the_square_of_sigma(rng):
-    """V̇₃ = −‖σ‖² for L q̈ + q̇ = q̇_r + L̂q̈_r and L̂' = −γ q̈_rᵀσ."""
-    sigma, a_r = rng.normal(size=(2, 4))
-    L, estimate, gamma = 0.04, 0.01, 2.0
-    sigma_dot = (-sigma + (estimate - L) * a_r) / L
-    rate = law.servo_lag_rate(gamma, a_r, sigma)
+def test_v3_of_a_servo_falls_by_a_square_of_sigma(rng):
+    """V̇₃ = −σᵀ(I + LD)σ for L q̈ + q̇ = q̇_r + L̂w, q̈_r = w + Dσ and L̂' = −γ wᵀσ."""
+    sigma, w = rng.normal(size=(2, 4))
+    D, L, estimate, gamma = rng.normal(size=(4, 4)), 0.04, 0.01, 2.0
+    sigma_dot = (estimate * w - sigma) / L - (w + D @ sigma)
+    rate = law.servo_lag_rate(gamma, w, sigma)
 
     def V(t):
         off, s = estimate + t * rate - L, sigma + t * sigma_dot
         return 0.5 * L * s @ s + off * off / (2.0 * gamma)
 
-    assert_allclose(rate_of(V), -sigma @ sigma, rtol=1e-7)
+    assert_allclose(rate_of(V), -sigma @ (sigma + L * D @ sigma), rtol=1e-7)
 
 
 def test_v2_falls_by_what_the_gain_dissipates(rng):

@@ -245,7 +245,8 @@ class TrackingController(ProvenLaw):
         if status is _OK and not math.isfinite(math.hypot(*e.tolist())):
             status = _PREDICTED
         if self._commands is not None:
-            lag, sent = self._commands.step(state[:1], q, v, v_r, a_r, state[self._end :])
+            _, _, w, _ = self._reference(known, q, v_r, target)
+            lag, sent = self._commands.step(state[:1], q, v, v_r, w, state[self._end :])
             after[:1], after[self._end :] = lag, sent
             return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
         a_hat = state[: self._n_dynamics]

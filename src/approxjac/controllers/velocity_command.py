@@ -19,11 +19,13 @@ _SOONEST = 0.1  # that a joint gets to its full speed in, where nothing is told 
 
 
 class VelocityCommand:
-    """The velocity nearest to q̇_r + L̂q̈_r that joints may be commanded, with a lag L̂ that is learnt.
+    """The velocity nearest to q̇_r + L̂w that joints may be commanded, with a lag L̂ that is learnt.
 
-    A servo with L q̈ + q̇ = q̇_cmd and σ = q̇ − q̇_r has Lσ̇ = −σ + (L̂ − L)q̈_r, so with
-    L̂' = −γ q̈_rᵀσ the function V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has V̇₃ = −‖σ‖². A delay counts as lag,
-    for which nothing is proven.
+    w = ∂q̇_r/∂t + Dq̇_r with D = ∂q̇_r/∂q is q̈_r = w + Dσ of joints that move as they should: it has
+    no noise of q̇, which would be in q̈_r and in σ alike and make L̂ grow. A servo with
+    L q̈ + q̇ = q̇_cmd and σ = q̇ − q̇_r has Lσ̇ = −(I + LD)σ + (L̂ − L)w, so with L̂' = −γ wᵀσ the
+    function V₃ = ½L‖σ‖² + (L̂ − L)²/2γ has V̇₃ = −σᵀ(I + LD)σ. With D near −αĴ⁺Ĵ that is negative
+    for a lag below 1/α. A delay counts as lag, for which nothing is proven.
 
     Speed is brought within its limits along q̇_r as a whole (`law.within_speeds`, before); joints
     near their position limits are slowed down each on its own, and each command differs from the
@@ -56,7 +58,7 @@ class VelocityCommand:
         self._dt, self._change = dt, dt * self.acceleration
 
     def step(
-        self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, before: Array
+        self, state: Array, q: Array, v: Array, v_r: Array, w: Array, before: Array
     ) -> tuple[Array, Array]:
         """Return L̂ a period later, shape (1,), and the command, shape (n_v,).
 
@@ -65,14 +67,14 @@ class VelocityCommand:
             q: Configuration, shape (nq,).
             v: q̇, shape (n_v,).
             v_r: q̇_r, shape (n_v,).
-            a_r: q̈_r, shape (n_v,).
+            w: q̈_r at q̇ = q̇_r, shape (n_v,).
             before: The command before, shape (n_v,).
         """
-        wanted = v_r + state[0] * a_r
+        wanted = v_r + state[0] * w
         sent = self._within(q, wanted, before)
         if sent.tolist() != wanted.tolist():
             return state, sent
-        lag = float(state[0]) + self._dt * law.servo_lag_rate(_GAIN, a_r, v - v_r)
+        lag = float(state[0]) + self._dt * law.servo_lag_rate(_GAIN, w, v - v_r)
         return np.array([min(max(lag, 0.0), _LONGEST)]), sent
 
     def _within(self, q: Array, velocity: Array, before: Array) -> Array:
