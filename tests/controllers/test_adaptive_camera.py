@@ -189,7 +189,7 @@ def test_prediction_has_exact_derivatives(case, room, hand, rng):
             (600.0, 580.0), (640, 480), CAMERA.position, CAMERA.rotation, distortion=(-0.1, 0.02)
         )
         task = aj.ImageTask(task.robot, camera, points=[(0.0, 0.0, 0.0), (0.0, 0.1, 0.05)])
-    unknown = ("points", "origins", "camera", "focal_length")
+    unknown = ("points" if case == "hand" else "tool", "origins", "camera", "focal_length")
     kinematics, m = AdaptiveCamera(task, unknown), task.m
     x = np.tile([330.0, 210.0], m // 2) + 30.0 * rng.standard_normal(m)
     state = kinematics.initial_state(aj.Measurement(0.0, q, 0.0 * q, x))
@@ -348,12 +348,12 @@ def test_points_that_are_believed_behind_the_camera_are_found(room):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"unknown": ("tool",)}, "unknown must be one or more of points, origins, camera"),
+        ({"unknown": ("points",)}, "unknown must be one or more of tool, origins, camera"),
         ({"unknown": ()}, "unknown must be one or more of"),
         ({"unknown": 3}, "unknown must be one or more of"),
         ({"noise": 0.0}, r"noise must be a finite number > 0 \[px\]"),
         ({"delay": -1.0}, r"delay must be a finite number >= 0 \[s\]"),
-        ({"sd": {"points": 0.0}}, "sd of points must be a finite number > 0"),
+        ({"sd": {"tool": 0.0}}, "sd of tool must be a finite number > 0"),
     ],
     ids=str,
 )
@@ -373,5 +373,5 @@ def test_wrong_tasks_are_told(panda, room, hand):
     robot, camera = hand[1].robot, hand[1].camera
     with pytest.raises(InvalidInputError, match="must watch points of the world"):
         AdaptiveCamera(aj.ImageTask(robot, camera, "base_link", [(0.5, 0.0, 0.0)]))
-    with pytest.raises(UnknownNameError, match="tool"):
-        AdaptiveCamera(room[1], sd={"tool": 0.1})
+    with pytest.raises(UnknownNameError, match="offset"):
+        AdaptiveCamera(room[1], sd={"offset": 0.1})

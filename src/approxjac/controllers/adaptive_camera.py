@@ -8,24 +8,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.image_estimator import Deviations, Estimate, ImageEstimator
+from approxjac.controllers.camera_unknowns import CameraUnknowns
+from approxjac.controllers.image_estimator import Estimate, ImageEstimator
 from approxjac.controllers.image_rays import ImageRays
 from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, is_seen
 from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber, TiltedAxes
 from approxjac.controllers.predicted import Kinematics, Prediction
-from approxjac.controllers.watched_points import WatchedPoints
-from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Measurement, Target
 from approxjac.robots import Robot
 from approxjac.tasks import ImageTask, PinholeCamera
 from approxjac.tasks.analysis import seen_configurations
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array, as_number
 
-USUAL_SD: Mapping[str, float] = {
-    "points": 0.2, "origins": 0.02, "position": 0.5, "rotation": 1.0, "focal_length": 0.3,
-}  # fmt: skip
-"""Plausible errors: of points, origins and position along each axis [m], rotation [rad], log f."""
-_KINDS = ("points", "origins", "camera", "focal_length")
 _SMOOTHING = 20.0  # β [1/s]
 _INTEGRAL = 1.0  # ω_b [1/s]
 _EASED_SPEED = 0.5  # of the predicted points beside their rays, by what is learnt [m/s]
@@ -58,11 +52,12 @@ class AdaptiveCamera(Kinematics):
     Args:
         task: An `ImageTask` of the believed robot with a `PinholeCamera`, as it is believed. Its
             center and distortion are taken for true.
-        unknown: What may be wrong: "points", where they are, all by one translation (of the tool,
-            or in the world); "camera", its position and rotation; "focal_length"; "origins" of the
-            joints.
-        sd: Plausible errors: "points", "origins" and "position" of the camera [m], its "rotation"
-            [rad], and of "focal_length" the logarithm; by default 0.2, 0.02, 0.5, 1.0 and 0.3.
+        unknown: What may be wrong: "tool", or "points" of the world, where what is watched is, all
+            by one translation; "origins" of the joints; "camera", its position and rotation;
+            "focal_length". By default all but the origins.
+        sd: Plausible errors: "tool", "points", "origins" and "position" of the camera [m], its
+            "rotation" [rad], and of "focal_length" the logarithm; by default 0.2, 0.2, 0.02, 0.5,
+            1.0 and 0.3.
         noise: Standard deviation of x [px].
         delay: Age of x where `Measurement.t_x` is None [s].
         dt: Sampling time of control [s].
@@ -81,44 +76,27 @@ class AdaptiveCamera(Kinematics):
     def __init__(
         self,
         task: ImageTask,
-        unknown: Sequence[str] = ("points", "camera", "focal_length"),
+        unknown: Sequence[str] | None = None,
         sd: Mapping[str, float] | None = None,
         noise: float = 0.5,
         delay: float = 0.0,
         dt: float = 1e-3,
     ) -> None:
         self._remember(locals())
-        camera = _camera(task)
-        self.task, self.unknown = task, _kinds(unknown)
+        self._unknowns = unknowns = CameraUnknowns(task, unknown, sd)
+        self.task, self.unknown, self.names = task, unknowns.kinds, unknowns.names
         self.noise = as_number("noise", noise, unit="px", above=0.0)
         self.delay = as_number("delay", delay, unit="s", minimum=0.0)
         dt = as_number("dt", dt, unit="s", above=0.0)
-        sds = _deviations(sd)
-        kinds = self.unknown
-        self._points = points = WatchedPoints(task, "points" in kinds, "origins" in kinds)
-        self._k, n = points.k, len(points.u)
-        self._camera = camera
-        R = np.asarray(camera.rotation).T
-        self._believed = Estimate(points.u, R, np.asarray(camera.position), 0.0)
-        moves, zooms = "camera" in kinds, "focal_length" in kinds
-        self._sd_u = np.where(points.is_points, sds["points"], sds["origins"])
-        sd_of = Deviations(
-            self._sd_u,
-            moves * sds["position"],
-            moves * sds["rotation"],
-            zooms * sds["focal_length"],
-        )
+        self._points, self._believed = unknowns.points, unknowns.believed
+        self._k, n = self._points.k, len(self._believed.u)
+        self._camera = camera = unknowns.camera
         self._rays, self._f = ImageRays(camera), np.asarray(camera.focal_length)
-        estimator = ImageEstimator(self._believed, sd_of, self.noise / self._f, self._k)
-        self._estimator = estimator
+        noise_of_rays = self.noise / self._f
+        estimator = ImageEstimator(self._believed, unknowns.sd, noise_of_rays, self._k)
+        self._estimator, self._told = estimator, estimator.sd > 0.0
         self._frames = Frames(task.robot, task.m, self.delay, dt)
         self._gate = Gate(task.robot, task.m)
-        self.names = (
-            *points.names,
-            *(f"camera.{each}" for each in ("x", "y", "z", "rx", "ry", "rz") if moves),
-            *(["focal_length"] if zooms else []),
-        )
-        self._told = estimator.sd > 0.0
         seen = seen_configurations(task, 20)
         self._usual_depth = float(np.median([task.depths(q) for q in seen]))
         self._scale = self._f / self._usual_depth
@@ -135,7 +113,19 @@ class AdaptiveCamera(Kinematics):
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
         self.n_state = ends[-1]
-        learnt = ("keys", "told", "integral", "u", "R", "t", "stretch", "b")
+        learnt = (
+            "keys",
+            "told",
+            "integral",
+            "averaged",
+            "left",
+            "seen",
+            "u",
+            "R",
+            "t",
+            "stretch",
+            "b",
+        )
         self._kept = tuple(self._at[name] for name in learnt)
 
     def __repr__(self) -> str:
@@ -206,7 +196,7 @@ class AdaptiveCamera(Kinematics):
         (H_0, o_0), (H, o) = self._points.at(q_0), self._points.at(q)
         u = self._believed.u
         known = np.linalg.norm(o + H.dot(u) - o_0 - H_0.dot(u), axis=1)
-        unsure = np.sqrt((((H - H_0) * self._sd_u) ** 2).sum(axis=(1, 2)))
+        unsure = self._unknowns.unsure(H - H_0)
         rays = (_MOVES * known + 4.0 * unsure) * _MOVES / self._usual_depth
         return np.asarray(np.repeat(rays, 2) + _JUMP * self.noise / self._f.min())
 
@@ -268,7 +258,7 @@ class AdaptiveCamera(Kinematics):
             _EASED_TURN / max(math.hypot(*turn.tolist()), 1e-9),
         )
         u_dot, spin = rate * (u - smooth_u), rate * turn
-        moved = H.dot(u_dot).dot(smooth_R.T) + np.cross(spin, smooth_r.dot(smooth_R.T))
+        moved = H.dot(u_dot).dot(smooth_R.T) + smooth_r.dot(law.cross_matrix(spin).dot(smooth_R).T)
         state[at["u_dot"]], state[at["spin"]] = u_dot, spin
         state[at["t_dot"]] = (rate * (c - smooth_c) - moved).mean(axis=0)
         state[at["stretch_dot"]] = rate * (stretch - smooth_stretch)
@@ -303,10 +293,10 @@ class AdaptiveCamera(Kinematics):
             float(state[at["stretch_dot"]][0]),
         )
         r, J_r, J_r_dot, drift_r = self._points.motion(q, v, u, state[at["u_dot"]])
-        turned = r.dot(R.T)
-        c, A = turned + state[at["t"]], R @ J_r
-        drift_c = drift_r.dot(R.T) + np.cross(spin, turned) + t_dot
-        A_dot = R @ J_r_dot + law.cross_matrix(spin).dot(R) @ J_r
+        R_dot = law.cross_matrix(spin).dot(R)
+        c, A = r.dot(R.T) + state[at["t"]], R @ J_r
+        drift_c = drift_r.dot(R.T) + r.dot(R_dot.T) + t_dot
+        A_dot = R @ J_r_dot + R_dot @ J_r
         # the target's rays, as the learnt focal length shows them
         y, y_dot, y_ddot = self._rays.of_target(target)
         shrink = math.exp(-stretch)
@@ -357,69 +347,18 @@ class AdaptiveCamera(Kinematics):
         P = self._estimator.covariance(keys)[np.ix_(self._told, self._told)]
         share = 1.0 - P.diagonal() / sd**2
         chi = self._estimator.chi_squared(keys)
-        scale = np.array([-1.0 if ".r" in name else 1.0 for name in self.names])
-        units = ["rad" if ".r" in name else "m" for name in self.names]
-        if self.names[-1] == "focal_length":
-            scale[-1], units[-1] = told[-1], "px"
+        units = self._unknowns.units
+        scale = np.array([-1.0 if unit == "rad" else 1.0 for unit in units])
+        if units[-1] == "px":  # of which the logarithm is learnt
+            scale[-1] = told[-1]
         P = P * max(chi, 1.0) * scale * scale[:, np.newaxis]
         numbers = np.array([believed, told, np.sqrt(P.diagonal()), share]).T.tolist()
         rows = tuple(
             LearntNumber(name, unit, *each)
             for name, unit, each in zip(self.names, units, numbers, strict=True)
         )
-        angle = math.hypot(
-            *(value for name, value in zip(self.names, told, strict=True) if ".r" in name)
-        )
+        angle = math.hypot(*told[[unit == "rad" for unit in units]].tolist())
         untested, told_seen = TiltedAxes(1.0, 0.0, "", 0.0), (noise, math.sqrt(variance))
         return KinematicReport(
             rows, P, angle, chi, untested, told_seen, seconds, int(restarts), "px"
         )
-
-
-def _camera(task: object) -> PinholeCamera:
-    """Return the camera of a task that can be learnt."""
-    require("task", task, ImageTask, "an ImageTask of the believed robot")
-    assert isinstance(task, ImageTask)
-    camera = task.camera
-    if not isinstance(camera, PinholeCamera):
-        raise InvalidInputError(
-            f"task must have a PinholeCamera, got {task!r}; AdaptivePlanarCamera is for one "
-            "that looks straight at the plane of an arm",
-            given=task,
-        )
-    if task._uses_x:
-        raise InvalidInputError(
-            f"task must have depth='believed', as depth is learnt, got {task!r}", given=task
-        )
-    if camera.mount is not None and task.frame is not None:
-        raise InvalidInputError(
-            f"task of a camera that is carried must watch points of the world, frame=None, "
-            f"got {task!r}",
-            given=task,
-        )
-    return camera
-
-
-def _kinds(unknown: object) -> tuple[str, ...]:
-    try:
-        kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)  # type: ignore[arg-type]
-    except TypeError:
-        kinds = ()
-    if not kinds or any(kind not in _KINDS for kind in kinds):
-        raise InvalidInputError(
-            f"unknown must be one or more of {', '.join(_KINDS)}, got {unknown!r}", given=unknown
-        )
-    return kinds
-
-
-def _deviations(sd: object) -> dict[str, float]:
-    given = {} if sd is None else sd
-    require("sd", given, Mapping, f"a mapping from some of {', '.join(USUAL_SD)} to numbers")
-    assert isinstance(given, Mapping)
-    for kind in given:
-        if kind not in USUAL_SD:
-            raise UnknownNameError("kind", kind, "sd", USUAL_SD)
-    return {
-        kind: as_number(f"sd of {kind}", given.get(kind, usual), above=0.0)
-        for kind, usual in USUAL_SD.items()
-    }

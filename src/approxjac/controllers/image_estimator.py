@@ -235,13 +235,16 @@ class ImageEstimator:
         shown = law.rays(c, stretch)
         A = law.ray_jacobian(c, stretch)
         AR = A @ R
-        turns = np.cross(A, c[:, np.newaxis])  # −A[c]ₓ, as a(φ × c) = (c × a)φ
-        rows = np.concatenate([AR @ H, -AR, -turns, shown[:, :, np.newaxis]], axis=2)
-        rows = rows.reshape(-1, rows.shape[2])
+        n = self._n
+        rows = np.empty((*A.shape[:2], len(self.sd)))
+        rows[:, :, :n], rows[:, :, n : n + 3] = AR @ H, -AR
+        for i, G in enumerate(law.generators(3)):  # c moves by φ × c
+            rows[:, :, n + 3 + i] = (A @ c.dot(G.T)[:, :, np.newaxis])[..., 0]
+        rows[:, :, -1] = shown
+        rows = rows.reshape(-1, len(self.sd))
         weighted = rows * weights.reshape(-1, 1)
         normal = weighted.T.dot(rows) + np.diag(self._prior)
         descent = (y - shown).ravel().dot(weighted) - self._prior * self._away(estimate)
-        n = self._n
         tangents = (law.generators(3) @ R).reshape(3, -1)
         turned = (R - self._believed.R).ravel()
         descent[n + 3 : n + 6] -= 0.5 * self._prior[-2] * tangents.dot(turned)
