@@ -153,6 +153,8 @@ class TrackingController(ProvenLaw):
         # of q, v, x, target and state
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (n_state,)
         self._scale = vanishing(task)
+        # of metres and radians at once it is usually 0.05, where nothing is singular
+        self._ratio = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
         self._continuous = robot.nq != robot.nv
         # as arrays, which NumPy multiplies with in a third of the time of numbers
         self._alpha, self._k = np.array(self.alpha), self.alpha / self.speed
@@ -270,7 +272,7 @@ class TrackingController(ProvenLaw):
         if not math.isfinite(float(u.dot(u) + u_dot.dot(u_dot) + np.vdot(J, J))):
             return J, np.zeros_like(v), np.zeros_like(v), _UNPREDICTED
         v_r, a_r, damped = law.reference(
-            J, J_dot, u, u_dot, null, null_dot, _SINGULAR_RATIO, self._scale
+            J, J_dot, u, u_dot, null, null_dot, self._ratio, self._scale
         )
         if self._has_speeds:
             v_r, a_r = law.within_speeds(v_r, a_r, self._fastest)
