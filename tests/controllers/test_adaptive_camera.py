@@ -328,6 +328,27 @@ def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(room, x):
     assert np.isfinite(kinematics.learnt(state)).all()
 
 
+@pytest.mark.parametrize("case", ["room", "hand", "known"])
+def test_nothing_that_is_seen_makes_a_prediction_that_is_not_finite(case, room, hand, rng):
+    """Images from anywhere, of arms anywhere: no estimate is right, and all are finite."""
+    task = hand[2] if case == "hand" else room[1]
+    kinematics = AdaptiveCamera(task, ("origins",) if case == "known" else None)
+    n, m, state = task.robot.nq, task.m, None
+    for k in range(150):
+        q, v = rng.uniform(-3.0, 3.0, n), rng.standard_normal(n)
+        x = rng.choice([320.0, 1e3, 1e5, np.nan], size=m, p=[0.7, 0.1, 0.1, 0.1])
+        x = x * rng.standard_normal(m)
+        measurement = aj.Measurement(0.03 * k, q, v, x, 0.03 * k)
+        if state is None:
+            state = kinematics.initial_state(measurement)
+        state = kinematics.step(state, measurement, 1e-3)
+        assert np.isfinite(state).all()
+        target = aj.Target(rng.uniform(0.0, 400.0, m), rng.standard_normal(m))
+        for each in kinematics.predict(state, q, v, target):
+            assert np.isfinite(each).all()
+    assert np.isfinite(kinematics.report(state).covariance).all()
+
+
 def test_points_that_are_believed_behind_the_camera_are_found(room):
     behind = aj.PinholeCamera.looking_at(
         (-0.5, 0.0, 0.4), (0.3, 0.0, 0.4), focal_length=600.0, size=(640, 480)

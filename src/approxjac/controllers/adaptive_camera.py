@@ -220,16 +220,18 @@ class AdaptiveCamera(Kinematics):
         u, R, p, stretch = estimate = estimator.estimate(keys)
         state[at["told"]] = self._in_order(estimate)
         c = (o + H.dot(u) - p).dot(R.T)
-        left = y - law.rays(c, math.exp(stretch))
+        seen &= c[:, 2] > self._camera.near  # others have no image, as far as is known
+        left = np.zeros_like(y)
+        left[seen] = y[seen] - law.rays(c[seen], math.exp(stretch))
         integral = state[at["integral"]].reshape(-1, 2)
         integral[seen] += -math.expm1(-_INTEGRAL * since) * (left[seen] - integral[seen])
         averaged[seen] += -math.expm1(-since / _WINDOW) * (left[seen] - averaged[seen])
         before = state[at["left"]].reshape(-1, 2)
-        change = ((left - before) * self._f)[seen]
+        change = (left - before) * self._f * seen[:, np.newaxis]
         before[seen] = left[seen]
         noted[0] += since
         share = since / min(noted[0] + 0.3, _NOISE_MEMORY)
-        noted[2] += share * (0.5 * float((change * change).mean()) - noted[2])
+        noted[2] += share * (0.25 * float((change * change).sum()) / max(seen.sum(), 1) - noted[2])
 
     # -- the smoothed estimates ----------------------------------------------------------
 

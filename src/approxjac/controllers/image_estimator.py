@@ -18,6 +18,7 @@ _PLACED = 0.5  # depth of points that are believed behind the camera [m]
 _DAMPING = (0.0, 1.0, 1e2, 1e4, 1e6)  # of Levenberg and Marquardt, in prior informations
 _TURN = 0.7  # of one step [rad]
 _DOUBT = 4.0  # χ² a degree of freedom, above which another roll is looked for
+_LARGEST_CHI = 1e9  # that is told
 _ODDS = 8.0  # of it against the one at hand, as a logarithm, before it is taken
 _BETTER = 0.7  # and its cost, as a share
 _PATIENCE = 12.0  # frames for it to become better
@@ -120,7 +121,7 @@ class ImageEstimator:
         m, e = self._m, self._e
         first = not numbers[m + 2 * e + 1] > 0.0  # of χ²: no frame was there
         best = self.estimate(numbers)
-        if first:
+        if first or not math.isfinite(self._misfit(best, terms)):
             best = self._placed(best, terms)
         best, cost = self._improved(best, terms, 8 if first else 1)
         chi = self._chi_squared(best, terms)
@@ -137,7 +138,7 @@ class ImageEstimator:
         else:
             tried = 0.0
         numbers[m : m + e] = self._packed(best)
-        numbers[m + 2 * e : m + 2 * e + 2] = tried, max(chi, 1e-12)
+        numbers[m + 2 * e : m + 2 * e + 2] = tried, min(max(chi, 1e-12), _LARGEST_CHI)
         return numbers
 
     def covariance(self, numbers: Array) -> Array:
