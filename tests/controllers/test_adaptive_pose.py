@@ -369,6 +369,30 @@ def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(belief, x):
         assert np.abs(kinematics.learnt(state)).max() < 10.0
 
 
+@pytest.mark.parametrize("unknown", [("tool", "origins", "camera"), "origins"], ids=str)
+def test_nonsense_is_answered_finitely_or_refused(panda, unknown):
+    """One number in half of the steps is absurd; the state goes on from what came before."""
+    task, rng, refused = aj.PoseTask(panda), np.random.default_rng(3), 0
+    controller = aj.TrackingController(task, kinematics=AdaptiveKinematics(task, unknown))
+    state = controller.initial_state(aj.Measurement(0.0, HOME, np.zeros(7), task.value(HOME)))
+    for k in range(200):
+        q, v = HOME + 0.1 * rng.normal(size=7), 0.3 * rng.normal(size=7)
+        told = {"q": q, "v": v, "x": task.displaced(task.value(q), 0.01 * rng.normal(size=6))}
+        if rng.random() < 0.5:
+            spoilt = told[rng.choice(list(told))]
+            spoilt[rng.integers(7)] = rng.choice([np.nan, np.inf, 5e-324, 1e16, -1e31, 1e154])
+        target = task.displaced(task.value(HOME), 3.0 * rng.normal(size=6))
+        try:
+            after, answer = controller.step(state, aj.Measurement(5e-3 * k, **told), target, 1e-3)
+        except aj.errors.ApproxJacError:
+            refused += 1
+        else:
+            assert np.isfinite(answer.torque).all()
+            assert np.isfinite(after).all()
+            state = after
+    assert 10 < refused < 90
+
+
 # -- laws ----------------------------------------------------------------------------------------
 
 
