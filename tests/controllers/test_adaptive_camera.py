@@ -139,6 +139,18 @@ def test_a_camera_on_the_hand_is_learnt(hand):
     assert run.errors.max() < 1.6 * run.errors[0]
 
 
+@pytest.mark.parametrize("around", [-90.0, pytest.param(100.0, marks=pytest.mark.study)])
+def test_a_camera_that_is_elsewhere_is_found(room, around):
+    """Believed on another side of the arm, and rolled: no turn of the image explains it."""
+    angle = math.radians(around)
+    c, s, middle = math.cos(angle), math.sin(angle), np.array([0.45, 0.0, 0.4])
+    away = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ (CAMERA.position - middle)
+    elsewhere = aj.PinholeCamera.looking_at(middle, middle + away, 600.0, (640, 480))
+    task = aj.ImageTask(room[1].robot, believed(elsewhere, 40.0))
+    run = follow(AdaptiveCamera(task), room[0], START, seconds=6.0)
+    assert late(run, 5.0, 6.0) < 3.0
+
+
 def test_what_was_learnt_is_told(room_run, room):
     kinematics, run = room_run
     report = kinematics.report(run.state)

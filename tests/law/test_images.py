@@ -30,5 +30,9 @@ def test_a_turn_of_the_image_is_found(rng, turn):
     shown, weights = rng.normal(size=(6, 2)), rng.uniform(1.0, 3.0, size=6)
     c, s = np.cos(turn), np.sin(turn)
     seen = 0.7 * shown @ np.array([[c, -s], [s, c]]).T + [0.3, -0.1]
-    assert law.image_turn(shown, seen, weights) == pytest.approx(turn)
-    assert law.image_turn(shown[:1], seen[:1], weights[:1]) == 0.0  # nothing moves
+    others = np.array([shown, rng.normal(size=(6, 2)), 0.0 * shown])  # the last does not move
+    angles, left = law.image_turn(others, seen, weights)
+    assert angles[0] == pytest.approx(turn)
+    assert left[0] == pytest.approx(0.0, abs=1e-12)
+    assert left[2] >= left[1] > 0.01
+    assert_allclose(law.image_turn(shown[:1], seen[:1], weights[:1]), 0.0)

@@ -27,7 +27,8 @@ _EASED_TURN = 2.0 * math.pi  # of the camera's estimate [rad/s]
 _LONGEST = 0.1  # time that one frame counts for [s]
 _WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
 _CHANGED = 10.0  # averaged residual, in standard deviations of x: another camera or tool
-_SETTLED = 1.0  # since learning began, before which residuals tell of nothing new [s]
+_SETTLED = 1.0  # after which what is learnt explains x, if χ² is below the next number [s]
+_EXPLAINED = 4.0
 _NOISE_MEMORY = 2.0  # of the noise that is seen [s]
 _JUMP = 8.0  # standard deviations of x
 _MOVES = 2.0  # times as far as believed, and four standard deviations: what is no jump
@@ -47,7 +48,9 @@ class AdaptiveCamera(Kinematics):
     believed behind the points. z = 0 where x̂ = x_d.
 
     Frames are paired with the configuration at which they were taken, so delay and frame rate are
-    outside the loop. Points that jump are passed over; a camera that was moved is learnt anew.
+    outside the loop. Points that jump are passed over; a camera that was moved, or a tool that
+    slipped, is learnt anew. A camera that is believed rolled, or on another side of the arm, is
+    found from how images move; nothing proves that it always is.
 
     Args:
         task: An `ImageTask` of the believed robot with a `PinholeCamera`, as it is believed. Its
@@ -103,7 +106,7 @@ class AdaptiveCamera(Kinematics):
         m = task.m
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "keys": estimator.size,
-            "told": len(self.names), "integral": m, "averaged": m, "left": m, "seen": 3, "time": 1,
+            "told": len(self.names), "integral": m, "averaged": m, "left": m, "seen": 4, "time": 1,
             "u": n, "R": 9, "t": 3, "stretch": 1, "b": m,
             "u_dot": n, "spin": 3, "t_dot": 3, "stretch_dot": 1, "b_dot": m,
         }  # fmt: skip
@@ -150,7 +153,7 @@ class AdaptiveCamera(Kinematics):
             numbers[-2] = 1e-12  # the camera was placed
         state[at["keys"]] = numbers
         state[at["time"]] = measurement.t
-        state[at["seen"]] = 0.0, 0.0, self.noise**2  # seconds, restarts, variance of x [px²]
+        state[at["seen"]] = 0.0, 0.0, self.noise**2, 0.0
         u, R, p, stretch = estimate = self._estimator.estimate(numbers)
         state[at["told"]] = self._in_order(estimate)
         state[at["u"]], state[at["R"]], state[at["t"]] = u, R.ravel(), -R.dot(p)
@@ -210,12 +213,13 @@ class AdaptiveCamera(Kinematics):
         seen = np.isfinite(y).all(axis=1)
         if not seen.any():
             return
+        # seconds, restarts, variance of x [px²], and whether it was explained
         noted, averaged = state[at["seen"]], state[at["averaged"]].reshape(-1, 2)
         unlike = bool(np.abs(averaged * self._f).max() > _CHANGED * self.noise)
-        if is_anew or (unlike and noted[0] > _SETTLED):  # what was learnt before is contradicted
+        if is_anew or (unlike and noted[3]):  # what was learnt before is contradicted
             keys = estimator.renewed(keys)
             state[at["integral"]] = averaged[:] = 0.0
-            noted[:2] = 0.0, noted[1] + 1.0
+            noted[0], noted[1], noted[3] = 0.0, noted[1] + 1.0, 0.0
         state[at["keys"]] = keys = estimator.learn(keys, H, o, y)
         u, R, p, stretch = estimate = estimator.estimate(keys)
         state[at["told"]] = self._in_order(estimate)
@@ -230,6 +234,8 @@ class AdaptiveCamera(Kinematics):
         change = (left - before) * self._f * seen[:, np.newaxis]
         before[seen] = left[seen]
         noted[0] += since
+        if noted[0] > _SETTLED and estimator.chi_squared(keys) < _EXPLAINED:
+            noted[3] = 1.0
         share = since / min(noted[0] + 0.3, _NOISE_MEMORY)
         noted[2] += share * (0.25 * float((change * change).sum()) / max(seen.sum(), 1) - noted[2])
 
@@ -345,7 +351,7 @@ class AdaptiveCamera(Kinematics):
         at, keys, noise = self._at, state[self._at["keys"]], self.noise
         told, sd = self.learnt(state).copy(), self._estimator.sd[self._told]
         believed = self._in_order(self._believed)
-        seconds, restarts, variance = state[at["seen"]].tolist()
+        seconds, restarts, variance, _ = state[at["seen"]].tolist()
         P = self._estimator.covariance(keys)[np.ix_(self._told, self._told)]
         share = 1.0 - P.diagonal() / sd**2
         chi = self._estimator.chi_squared(keys)

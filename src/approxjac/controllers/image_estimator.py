@@ -21,7 +21,8 @@ _DOUBT = 4.0  # χ² a degree of freedom, above which another roll is looked for
 _LARGEST_CHI = 1e9  # that is told
 _ODDS = 8.0  # of it against the one at hand, as a logarithm, before it is taken
 _BETTER = 0.7  # and its cost, as a share
-_PATIENCE = 12.0  # frames for it to become better
+_VIEWS = 6  # of the best ones that are tried
+_PATIENCE = 10.0  # frames for it to become better
 
 
 class Estimate(NamedTuple):
@@ -63,12 +64,13 @@ class ImageEstimator:
     frame is. As rays are no linear function, what is remembered are 40 of them. Each new frame
     brings a step of Levenberg and Marquardt from the estimate, with the prior as it was at first.
 
-    Where the estimate does not explain what is seen, the camera may be rolled: the turn of the
-    image that explains it best from what was believed, in closed form, is tried beside the
-    estimate for some frames, and taken if it is better beyond doubt.
+    Where the estimate does not explain what is seen, the camera may be rolled, or elsewhere about
+    the points: the turn of the image that explains it best from there, in closed form, is tried
+    beside the estimate for some frames, and taken if it is better beyond doubt.
 
     Its numbers: key frames (for each point its count, y, o and H), the estimate, the one that is
-    tried beside it, how long that has been tried (0: it is not), χ², and which key frame is last.
+    tried beside it, how long that has been tried (0: it is not), how many were tried before, χ²,
+    and which key frame is last.
 
     Args:
         believed: The estimate before the first frame.
@@ -86,7 +88,10 @@ class ImageEstimator:
         self._weight = noise**-2.0
         self._shape = _KEYS, k, 6 + 3 * n
         self._m, self._e = _KEYS * k * (6 + 3 * n), n + 13
-        self.size = self._m + 2 * self._e + 3
+        self.size = self._m + 2 * self._e + 4
+        everywhere = law.rotations_everywhere(3)  # of which those with the same view are one
+        _, first = np.unique(np.round(everywhere[:, 2], 6), axis=0, return_index=True)
+        self._views = everywhere[first]
 
     # -- numbers -------------------------------------------------------------------------
 
@@ -119,26 +124,31 @@ class ImageEstimator:
         self._remember(numbers, H, o, y)
         terms = self._terms(numbers)
         m, e = self._m, self._e
-        first = not numbers[m + 2 * e + 1] > 0.0  # of χ²: no frame was there
+        first = not numbers[-2] > 0.0  # of χ²: no frame was there
         best = self.estimate(numbers)
         if first or not math.isfinite(self._misfit(best, terms)):
             best = self._placed(best, terms)
         best, cost = self._improved(best, terms, 8 if first else 1)
         chi = self._chi_squared(best, terms)
         tried = numbers[m + 2 * e]
-        if chi > _DOUBT and not first:
-            other = self._unpacked(numbers[m + e : m + 2 * e]) if tried else self._turned(terms)
+        if chi > _DOUBT and not first and self._prior[-2] > 0.0:
+            if tried:
+                other = self._unpacked(numbers[m + e : m + 2 * e])
+            else:
+                other = self._another(terms, int(numbers[-3]))
             other, cost_other = self._improved(other, terms, 2)
             if cost_other < min(_BETTER * cost, cost - _ODDS):
-                best, tried = other, 0.0
+                best, tried, numbers[-3] = other, 0.0, 0.0
                 chi = self._chi_squared(best, terms)
             else:
-                tried = 0.0 if tried >= _PATIENCE else tried + 1.0
+                tried += 1.0
+                if tried > _PATIENCE:
+                    tried, numbers[-3] = 0.0, numbers[-3] + 1.0
                 numbers[m + e : m + 2 * e] = self._packed(other)
         else:
             tried = 0.0
         numbers[m : m + e] = self._packed(best)
-        numbers[m + 2 * e : m + 2 * e + 2] = tried, min(max(chi, 1e-12), _LARGEST_CHI)
+        numbers[m + 2 * e], numbers[-2] = tried, min(max(chi, 1e-12), _LARGEST_CHI)
         return numbers
 
     def covariance(self, numbers: Array) -> Array:
@@ -256,7 +266,7 @@ class ImageEstimator:
     ) -> tuple[Estimate, float]:
         """Return an estimate after some steps of Levenberg and Marquardt, and its cost."""
         cost, free = self._cost(estimate, terms), self._free
-        for _ in range(steps):
+        for _ in range(steps if math.isfinite(cost) else 0):  # nothing leads out from behind it
             normal, descent = self._normal(estimate, terms)
             normal, descent = normal[np.ix_(free, free)], descent[free]
             for damping in _DAMPING:
@@ -298,10 +308,29 @@ class ImageEstimator:
         beside = weights.dot(c[:, 2:] * terms[1] * math.exp(-stretch) - c[:, :2])
         return Estimate(u, R, p - np.append(beside, back).dot(R), stretch)
 
-    def _turned(self, terms: tuple[Array, Array, Array, Array]) -> Estimate:
-        """Return what is believed with another roll: the best one, in closed form."""
-        believed = self._placed(self._believed, terms)
-        shown = law.rays(self._places(believed, terms), math.exp(believed.stretch))
-        turn = law.image_turn(shown, terms[1], terms[0][:, 0])
-        rolled = law.rotation_exp(np.array([0.0, 0.0, turn])).dot(believed.R)
-        return self._placed(believed._replace(R=rolled), terms)
+    def _another(self, terms: tuple[Array, Array, Array, Array], rank: int) -> Estimate:
+        """Return another estimate to begin with: a camera elsewhere about the points, and rolled.
+
+        At the depth that is believed. Where it is believed is the first, and from there the best
+        roll, in closed form; of other views, the one whose images are alike but for turn and size.
+
+        Args:
+            terms: What is remembered.
+            rank: How many were tried before.
+        """
+        weights, y, o, H = terms
+        w = weights[:, 0] / weights[:, 0].sum()
+        u, _, p, stretch = believed = self._placed(self._believed, terms)
+        r = o + H.dot(u)
+        depth = max(float(w.dot((r - p).dot(believed.R[2]))), _PLACED)
+        views = np.eye(3)[np.newaxis] if rank % 2 == 0 else self._views
+        R = believed.R @ views
+        center = depth * np.append(math.exp(-stretch) * w.dot(y), 1.0)
+        c = (r - w.dot(r)) @ R.transpose(0, 2, 1) + center
+        c[..., 2] = np.maximum(c[..., 2], _NEAREST)
+        turns, left = law.image_turn(c[..., :2] / c[..., 2:], y, weights[:, 0])
+        best = np.argsort(left)[(rank // 2) % min(_VIEWS, len(left))]
+        rolled = law.rotation_exp(np.array([0.0, 0.0, turns[best]])).dot(R[best])
+        if self._prior[self._n] > 0.0:
+            p = w.dot(r) - center.dot(rolled)
+        return believed._replace(R=rolled, p=p)

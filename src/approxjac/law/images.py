@@ -6,8 +6,6 @@ focal length shows it that is wrong by the factor e^λ. Shapes: c is (k, 3), y a
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from approxjac.validation import Array
@@ -32,16 +30,23 @@ def ray_jacobian(c: Array, stretch: float) -> Array:
     return np.asarray(ray_basis(c[:, :2] / Z) * (stretch / Z)[:, :, np.newaxis])
 
 
-def image_turn(shown: Array, seen: Array, weights: Array) -> float:
-    """Return the turn of the image [rad] that leads from `shown` to `seen` best.
+def image_turn(shown: Array, seen: Array, weights: Array) -> tuple[Array, Array]:
+    """Return the turn of the image that leads from `shown` to `seen` best, and what it leaves.
 
     The planar Kabsch problem, in closed form: of rays about their means, with any size.
 
     Args:
-        shown: Rays as they are predicted, shape (k, 2).
+        shown: Rays as they are predicted, shape (…, k, 2).
         seen: As they are measured, shape (k, 2).
         weights: Of the points, shape (k,).
+
+    Returns:
+        The angle [rad], and the mean square of what is left with the best size, shape (…).
     """
     w = weights / weights.sum()
-    a, b = shown - w.dot(shown), seen - w.dot(seen)
-    return math.atan2(w.dot(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), w.dot((a * b).sum(axis=1)))
+    a, b = shown - (w @ shown)[..., np.newaxis, :], seen - w.dot(seen)
+    along = (a * b).sum(axis=-1) @ w
+    across = (a[..., 0] * b[:, 1] - a[..., 1] * b[:, 0]) @ w
+    spread = np.maximum((a * a).sum(axis=-1) @ w, np.finfo(float).tiny)
+    left = (b * b).sum(axis=-1) @ w - (along**2 + across**2) / spread
+    return np.arctan2(across, along), np.asarray(left)
