@@ -62,7 +62,8 @@ def moved(robot, q, v, h):
 def test_positions_and_jacobians_are_those_of_the_robot_with_the_translations(arm, rng):
     regressor = KinematicRegressor(arm)
     q, v, theta, _ = drawn(regressor, rng)
-    other = FrameKinematics(regressor.robot_with(theta), arm.tip)
+    robot = regressor.robot_with(theta)  # whose tip is another frame where a joint moves the arm's
+    other = FrameKinematics(robot, robot.tip)
     own = regressor.Y(q) @ regressor.theta + regressor.offset(q)
     assert_allclose(own, FrameKinematics(arm, arm.tip).position(q), atol=1e-12)
     assert_allclose(regressor.position(q, theta), other.position(q), atol=1e-12)
