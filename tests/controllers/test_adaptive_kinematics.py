@@ -337,6 +337,23 @@ def test_what_was_learnt_for_a_second_is_no_belief_once_it_is_contradicted(belie
     assert_allclose(after, alone, atol=1e-8)
 
 
+def test_what_is_not_explained_stays_so_when_learning_begins_anew(belief, panda):
+    wrong = wrong_arm(panda, np.random.default_rng(0), tilt=2.0)
+    kinematics, sensor = AdaptiveKinematics(belief), aj.PositionTask(wrong, axes="xyz")
+    state, reports, ways = None, [], np.linspace(0.18, 0.36, 7)
+    for k in range(480):
+        t, q = k / 60.0, START + ways * np.sin(k / 40.0 + np.arange(7) * k / 240.0)
+        x = sensor.value(q) + (0.5 if k > 460 else 0.0)  # the sensor is moved
+        measurement = aj.Measurement(t, q, np.zeros(7), x, t)
+        state = kinematics.initial_state(measurement) if state is None else state
+        state = kinematics.step(state, measurement, 1.0 / 60.0)
+        if k in (460, 479):
+            reports.append(kinematics.report(state))
+    assert [report.restarts for report in reports] == [0, 1]
+    assert [report.chi_squared > 2.0 for report in reports] == [True, True]
+    assert "do not explain x" in str(reports[1])
+
+
 def test_a_tool_that_slips_is_learnt_anew(turned_run, panda, truth):
     """By 3 cm, which no gate keeps out: residuals contradict what is remembered."""
     kinematics, R, _ = turned_run

@@ -28,10 +28,8 @@ _JUMP = 8.0  # standard deviations of x
 _WINDOW = 0.3  # over which residuals are averaged: noise goes, what is not explained stays [s]
 _MEMORY = 15.0  # of χ² [s]
 _NOISE_MEMORY = 2.0  # of the noise that is seen [s]
-_CHANGED = (
-    3e-3,
-    9.0,
-)  # averaged residual [m], and in its standard deviations: another sensor or tool
+_CHANGED = 3e-3, 9.0  # averaged residual [m], and in its sd: another sensor or tool
+_WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _SMALLEST_SCALE = 0.1
 
@@ -114,7 +112,7 @@ class AdaptiveKinematics(Kinematics):
         is_pose = self._orientation is not None
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "sums": self._estimator.size,
-            "told": len(self.names), "integral": m, "averaged": m, "left": m, "chi": 4, "time": 1,
+            "told": len(self.names), "integral": m, "averaged": m, "left": m, "chi": 5, "time": 1,
             "u": n, "b": n_p, "R": self._d**2 if turns else 0, "T": 9 if is_pose else 0,
             "u_dot": n, "b_dot": n_p, "spin": len(law.generators(self._d)) if turns else 0,
             "T_spin": 3 if is_pose else 0,
@@ -142,7 +140,7 @@ class AdaptiveKinematics(Kinematics):
         state[at["frames"]] = self._frames.initial(measurement)
         state[at["sums"]] = self._estimator.initial()
         state[at["told"]] = unknowns.believed
-        state[at["chi"]] = 1.0, 0.0, 0.0, self.noise**2
+        state[at["chi"]] = 1.0, 0.0, 0.0, self.noise**2, 0.0
         state[at["time"]] = measurement.t
         state[at["u"]] = unknowns.Theta[: unknowns.n_u]
         if self._turns:
@@ -199,12 +197,17 @@ class AdaptiveKinematics(Kinematics):
         kept = -math.expm1(-since / _WINDOW)
         noise = max(self.noise, math.sqrt(chi[3]))  # as told, or as seen from frame to frame
         usual = noise * math.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
-        is_anew = is_anew or bool(np.abs(averaged).max() > max(_CHANGED[0], _CHANGED[1] * usual))
+        # what was not explained all along is no news
+        unexplained = math.sqrt(min(max(chi[0], 1.0), _WORST))
+        changed = unexplained * max(_CHANGED[0], _CHANGED[1] * usual)
+        is_anew = is_anew or bool(np.abs(averaged).max() > changed)
         if is_anew:  # what was learnt before is contradicted, as by a tool that slipped
-            is_known = chi[1] > _BELIEVED
-            sums = self._estimator.renewed(sums) if is_known else self._estimator.initial()
+            if chi[1] > _BELIEVED:
+                sums = self._estimator.renewed(sums)
+            else:  # a false start, of which χ² says nothing either
+                sums, chi[0], chi[4] = self._estimator.initial(), 1.0, 0.0
             state[at["integral"]] = averaged[:] = 0.0
-            chi[:3] = 1.0, 0.0, chi[2] + 1.0
+            chi[1:3] = 0.0, chi[2] + 1.0
         H, known = self._unknowns.regression(frame.q)
         T = self._unknowns.tilts(frame.q, state[at["u"]])
         some = slice(None) if seen.all() else seen
@@ -223,9 +226,9 @@ class AdaptiveKinematics(Kinematics):
         change = left - state[at["left"]][seen]
         state[at["left"]][seen] = left
         if kept > 0.0:
-            chi[1] += since
+            chi[[1, 4]] += since
             now = averaged[seen].dot(averaged[seen]) / (len(left) * usual**2)
-            chi[0] += since / min(chi[1] + 1.0, _MEMORY) * (now - chi[0])
+            chi[0] += since / min(chi[4] + 1.0, _MEMORY) * (now - chi[0])
             seen_now = 0.5 * change.dot(change) / len(left)
             chi[3] += since / min(chi[1] + 0.3, _NOISE_MEMORY) * (seen_now - chi[3])
 
@@ -355,7 +358,7 @@ class AdaptiveKinematics(Kinematics):
         """Return what a state has learnt: values, standard deviations, and what was not seen."""
         at, unknowns = self._at, self._unknowns
         told = self.learnt(state)
-        chi, seconds, restarts, variance = state[at["chi"]].tolist()
+        chi, seconds, restarts, variance, _ = state[at["chi"]].tolist()
         Theta, _ = self._estimator.estimate(state[at["sums"]])
         P = unknowns.merged(self._estimator.covariance(state[at["sums"]]), Theta)
         share = 1.0 - P.diagonal() / unknowns.sd**2
