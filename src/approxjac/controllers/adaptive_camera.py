@@ -354,12 +354,13 @@ class AdaptiveCamera(Kinematics):
         seconds, restarts, variance, _ = state[at["seen"]].tolist()
         P = self._estimator.covariance(keys)[np.ix_(self._told, self._told)]
         share = 1.0 - P.diagonal() / sd**2
-        chi = self._estimator.chi_squared(keys)
+        beyond = max(1.0, variance / noise**2)  # noise that is seen, over what was told
+        chi = self._estimator.chi_squared(keys) / beyond
         units = self._unknowns.units
         scale = np.array([-1.0 if unit == "rad" else 1.0 for unit in units])
         if units[-1] == "px":  # of which the logarithm is learnt
             scale[-1] = told[-1]
-        P = P * max(chi, 1.0) * scale * scale[:, np.newaxis]
+        P = P * (max(chi, 1.0) * beyond) * scale * scale[:, np.newaxis]
         numbers = np.array([believed, told, np.sqrt(P.diagonal()), share]).T.tolist()
         rows = tuple(
             LearntNumber(name, unit, *each)
