@@ -105,6 +105,7 @@ def test_a_bad_file_is_one_clear_line(tmp_path, capsys, monkeypatch, text, messa
         (["panda", "--no-limits", "--controller.torque-rate", "9"], "needs controller.limits"),
         (["panda", "--path", "oval"], "'oval' not in the shapes of a path; valid are circle, line"),
         (["panda", "--path", "circle", "0.1", "--target", "0", "0", "1"], "given as at and"),
+        (["panda", "--start", "0", "-30", "0", "-120", "0", "90", "45"], "must be in radians"),
         (["panda", "--limits", "-1"], "controller.limits must be a finite number > 0"),
         (["panda", "--task.kind", "image", "--task.points", "4"], "task.points must be 1, 2 or 3"),
         (["panda", "--task.kind", "image", "--true.camera.focal-length", "0"],

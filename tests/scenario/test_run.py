@@ -13,6 +13,8 @@ import approxjac as aj
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario, report
 from approxjac.scenario.stability import prepare
+from approxjac.tasks import PlanarCamera, TrackerTask
+from approxjac.tasks.analysis import place_of
 
 NEAR = {"start": HOME, "target": {"offset": (0.05, -0.05, 0.05)}}
 FAR = {"start": HOME, "target": {"offset": (0.3, -0.4, 0.3)}}
@@ -225,7 +227,7 @@ def test_joints_that_touched_their_stops_are_reported():
         ({"run": {"target": {"at": (0.4, 0, 0.4), "offset": (0.1, 0, 0)}}}, "not both be given"),
         ({"run": {"target": (0.4, 0.0)}}, r"target must have shape \(3,\)"),
         ({"run": {"start": (0.0, 0.0)}}, r"run.start must have shape \(7,\)"),
-        ({"run": {"start": (9.0,) * 7}}, "run.start must be within the joint limits, got 9 for pa"),
+        ({"run": {"start": (5.0,) * 7}}, "run.start must be within the joint limits, got 5 for pa"),
         ({"run": {"duration": 1e-4}}, "run.duration must be a finite number >= loop.dt = 0.002"),
         ({"believed": {"camera": {"roll": 0.5}}}, "believed.camera is for task.kind image"),
         ({"task": {"kind": "pose", "axes": "xyz"}}, "task.axes are those of a position"),
@@ -494,3 +496,14 @@ def test_a_pose_is_learnt_from_a_tracker():
 def test_what_does_nothing_for_a_law_is_refused(changes, message):
     with pytest.raises(InvalidInputError, match=message):
         Scenario("panda", **changes).build()
+
+
+def test_the_target_is_drawn_where_the_tracker_means_it(panda):
+    """In the world, not in the tracker's axes; nothing of an image."""
+    tracker = TrackerTask(panda, (0.0, 0.1, 1.7), (0.1, -0.05, 0.05))
+    q = np.array(HOME)
+    place = aj.PositionTask(panda).value(q)
+    for sensor in (aj.PositionTask(panda), tracker, aj.PoseTask(panda)):
+        assert_allclose(place_of(sensor, sensor.value(q)), place, atol=1e-12)
+    for sensor in (aj.PositionTask(panda, axes="xz"), aj.ImageTask(panda, PlanarCamera(0.05, 3.0))):
+        assert place_of(sensor, sensor.value(q)) is None

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics, Robot
+from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation.plant import holdable
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.tasks import Task
@@ -69,6 +70,8 @@ def configuration_of(
 ) -> Array:
     """Return the configuration (nq,) of one number a joint, continuous joints included."""
     motion = as_array(name, joints, (robot.nv,), "rad or m")
+    if within_limits and robot.nq == robot.nv:
+        require_radians(name, robot, motion)
     low, high = robot.position_limits
     for i in np.nonzero((motion < low) | (motion > high))[0] if within_limits else ():
         raise InvalidInputError(

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,11 +19,12 @@ from approxjac.controllers import (
 )
 from approxjac.formatting import listed
 from approxjac.interface import LimitStatus, Status
-from approxjac.scenario.records import Belief
+from approxjac.scenario.records import Belief, Object
 from approxjac.scenario.result import Result
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.tables import differences, toml
 from approxjac.tasks import ImageTask
+from approxjac.tasks.analysis import place_of
 from approxjac.view import (
     new_figure,
     plot_error,
@@ -64,6 +65,7 @@ def text(result: Result) -> str:
     run, built, torque = result.run, result.built, result.peak_torque_ratio
     law = built.law
     told = {
+        "object": toml(_held(built.scenario)),
         "believed": believed(built.scenario),
         "law": _law(law),
         "joints": f"{listed(run.q[0])} -> {listed(run.q[-1])}",
@@ -97,6 +99,12 @@ def text(result: Result) -> str:
     return "\n".join([repr(built.plant.robot), *lines])
 
 
+def _held(scenario: Scenario) -> dict[str, Any]:
+    """Return the object that the arm truly holds."""
+    held = scenario.true.object
+    return {"length": held.length, "mass": held.mass} | differences(held, Object())
+
+
 def believed(scenario: Scenario) -> str:
     """Return what the controller believes that is wrong, as keys of [believed]."""
     true, belief = scenario.true, scenario.believed
@@ -116,7 +124,8 @@ def draw(result: Result) -> Figure:
     if isinstance(sensor, ImageTask):
         plot_image(run, sensor.camera, axes[2])
     else:
-        plot_path(run, built.plant.robot, ax=axes[2], believed=built.law.task.robot)
+        target = None if result.on_path else place_of(sensor, run.target)
+        plot_path(run, built.plant.robot, ax=axes[2], believed=built.law.task.robot, target=target)
     if limited:
         plot_slack(run, axes[3])
     return figure

@@ -40,6 +40,15 @@ def features(task: Task | None) -> tuple[Feature, ...]:
     return () if task is None else task._features
 
 
+def place_of(task: Task, x: Array) -> Array | None:
+    """Return where in the world a value x (n_x,) is, shape (3,) [m]; None if it does not tell."""
+    told = next((part for part in features(task) if part.axes == "xyz"), None)
+    if told is None:
+        return None
+    place: Array = x[told.entries][:3]
+    return place if told.placed is None else (place - told.placed[1]) @ told.placed[0]
+
+
 def image_feature(task: Task | None) -> Feature | None:
     """Return the first part of a task that a camera sees."""
     return next((feature for feature in features(task) if feature.camera is not None), None)
