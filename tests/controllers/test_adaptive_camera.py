@@ -172,6 +172,15 @@ def test_what_was_learnt_is_told(room_run, room):
     assert "px, told 0.5 px" in str(report)
 
 
+def test_before_the_first_frame_what_is_believed_is_told(room):
+    kinematics = AdaptiveCamera(room[1])
+    lost = aj.Measurement(0.0, START, 0.0 * START, np.full(2, np.nan))
+    report = kinematics.report(kinematics.initial_state(lost))
+    for row in report.rows:
+        assert row.value == pytest.approx(row.believed)
+        assert not row.is_seen
+
+
 def test_the_learnt_robot_and_camera_say_where_x_is(room_run, room, rng):
     kinematics, run = room_run
     camera, robot = kinematics.camera(run.state), kinematics.robot(run.state)

@@ -15,6 +15,10 @@ from approxjac.scenario import Scenario, report
 WRONG = {"camera": {"roll": 0.3, "focal_factor": 1.3, "depth_factor": 1.5}}
 NEARLY = {"camera": {"roll": 0.05, "depth_factor": 1.1}}
 BARE = {"object": {"length": 0.0, "mass": 0.0}}
+LEARNS = {
+    "law": "tracking", "unknown": ["tool", "camera"], "gravity": "learnt", "settling_time": None,
+    "unseen": None,
+}  # fmt: skip
 IN_HAND = BARE | {"camera": {"mount": "tip"}}
 
 
@@ -196,3 +200,26 @@ def test_what_does_not_fit_is_refused(robot, parts, text):
     with pytest.raises(aj.errors.ApproxJacError, match=text) as caught:
         camera(robot, **parts).build()
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("law", ["tracking", "setpoint"])
+def test_a_camera_that_is_turned_half_around_is_learnt(law):
+    believed = BARE | {"camera": {"roll": 2.6, "focal_factor": 1.3, "depth_factor": 1.5}}
+    control = LEARNS | {"law": law}
+    built = camera("panda", believed=believed, controller=control, task={"points": 2}).build()
+    kinematics = built.controller.kinematics if law == "setpoint" else built.law.kinematics
+    assert kinematics.unknown == ("tool", "camera", "focal_length")
+    assert kinematics.noise == built.scenario.sensor.noise
+
+
+def test_points_of_the_world_are_learnt_where_the_camera_is_carried():
+    built = camera("ur5", believed=NEARLY, true=IN_HAND, controller=LEARNS).build()
+    assert built.law.kinematics.unknown == ("points", "camera", "focal_length")
+
+
+@pytest.mark.study
+def test_a_camera_that_is_turned_half_around_is_no_obstacle():
+    believed = BARE | {"camera": {"roll": 2.6, "focal_factor": 1.3, "depth_factor": 1.5}}
+    done = made(believed=believed, controller=LEARNS, run={"seed": 1, "duration": 8.0})
+    assert done.converged
+    assert done.final_error["px"] < 0.5

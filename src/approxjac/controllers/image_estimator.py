@@ -199,7 +199,7 @@ class ImageEstimator:
         rows = numbers[: self._m].reshape(-1, self._shape[2])
         rows = rows[rows[:, 0] > 0.0]
         weights = rows[:, :1] * self._weight
-        return weights, rows[:, 1:3], rows[:, 3:6], rows[:, 6:].reshape(len(rows), 3, -1)
+        return weights, rows[:, 1:3], rows[:, 3:6], rows[:, 6:].reshape(len(rows), 3, self._n)
 
     def _chi_squared(self, estimate: Estimate, terms: tuple[Array, Array, Array, Array]) -> float:
         rows = 2.0 * len(terms[0])

@@ -142,7 +142,8 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
     if scenario.task.kind == "image" and scenario.true.camera.kind == "pinhole":
         (sensor, task), q0, q_goal = image_scene(truth, belief, arm.tip_or(None), scenario, rng)
         target = _target(sensor, q0, scenario, lambda: q_goal)
-        if scenario.task.points > 1 and scenario.controller.differentiator is None:
+        alike = scenario.controller.differentiator is None and not scenario.controller.unknown
+        if scenario.task.points > 1 and alike:
             x_d = target if isinstance(target, np.ndarray) else target.at(0.0).x
             task = CombinedTask.balanced(task, x_d)
         plant = _plant(truth, sensor, motors, scenario)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from approxjac.controllers import (
+    AdaptiveCamera,
     AdaptiveGravity,
     AdaptiveKinematics,
+    AdaptivePlanarCamera,
     AwayFromStops,
     DifferentiatedVelocity,
     Gains,
     Gravity,
     HeldMeasurement,
+    Kinematics,
     KnownKinematics,
     Latency,
     Limits,
@@ -33,10 +37,11 @@ from approxjac.interface import Controller
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.scenario.scenario import Scenario
-from approxjac.tasks import Task
+from approxjac.tasks import ImageTask, PlanarCamera, Task
 from approxjac.validation import Array
 
 Law = SetpointController | TrackingController
+_LEAST_PIXELS = 0.05  # of an image, likewise [px]
 _LEAST_NOISE = 1e-4  # of x that a scenario has without [m or rad]
 
 
@@ -47,10 +52,7 @@ def controller_of(
     chosen, dt, belief = scenario.controller, sampling_time(scenario), task.robot
     kinematics = None
     if chosen.unknown:
-        noise = max(scenario.sensor.noise, _LEAST_NOISE)
-        kinematics = AdaptiveKinematics(
-            task, chosen.unknown, noise=noise, delay=scenario.sensor.delay, dt=dt, angle_noise=noise
-        )
+        kinematics = _kinematics(scenario, task)
     law: Law
     if chosen.law == "tracking":
         learns = chosen.gravity == "learnt"
@@ -72,6 +74,23 @@ def controller_of(
     if chosen.unseen is not None:
         controller = HeldMeasurement(controller, chosen.unseen)
     return law, controller
+
+
+def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
+    """Return the kinematics that learn what a scenario says to be unknown."""
+    unknown, told = scenario.controller.unknown, scenario.sensor
+    rest: dict[str, Any] = {"delay": told.delay, "dt": sampling_time(scenario)}
+    if not isinstance(task, ImageTask):
+        noise = max(told.noise, _LEAST_NOISE)
+        return AdaptiveKinematics(task, unknown, noise=noise, angle_noise=noise, **rest)
+    if isinstance(task.camera, PlanarCamera):
+        least = _LEAST_NOISE * task.camera.magnification
+        return AdaptivePlanarCamera(task, unknown, noise=max(told.noise, least), **rest)
+    if "camera" in unknown:  # with its focal length
+        unknown = tuple(dict.fromkeys((*unknown, "focal_length")))
+    if task.camera.mount is not None:
+        unknown = tuple("points" if kind == "tool" else kind for kind in unknown)
+    return AdaptiveCamera(task, unknown, noise=max(told.noise, _LEAST_PIXELS), **rest)
 
 
 def _gravity(truth: Robot, belief: Robot, kind: str, integral: str | None = None) -> Gravity:

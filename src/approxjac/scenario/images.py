@@ -137,7 +137,7 @@ def _scene_in_hand(
     pattern = _points(scenario)[:, [1, 2, 0]]
     pattern = pattern - pattern.mean(axis=0) + np.array([0.0, 0.0, _WORKING_DEPTH])
     sensor = ImageTask(truth, camera, points=(pattern @ R_eye.T + p_eye) @ R_goal.T + p_goal)
-    chosen = scenario.task.depth or "constant"
+    chosen = scenario.task.depth or ("believed" if scenario.controller.unknown else "constant")
     # a constant depth is wrong by itself, and nothing else then needs to know where points are
     back = 0.0 if chosen == "constant" else (factor - 1.0) * _WORKING_DEPTH
     believed = _believed(camera, scenario, back)

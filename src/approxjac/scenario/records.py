@@ -222,7 +222,8 @@ class ControllerChoice:
     Attributes:
         law: "setpoint", the paper's; or "tracking", law T, for paths.
         unknown: Parts of the kinematics that are learnt from x (tool, origins, camera, offset,
-            scale): then x̂ is controlled (--learn-kinematics: by law T, the first three).
+            scale): then x̂ is controlled (--learn-kinematics: by law T, the first three). Of an
+            image "camera" is its pose and focal length, and "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: "learnt" (law (28)), "exact" (fitted to the true one), "believed", or "none".

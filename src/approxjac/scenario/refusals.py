@@ -107,9 +107,6 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
     if control.law == "tracking" and control.gravity not in ("learnt", "believed"):
         wanted = 'learnt or believed with controller.law "tracking"'
         yield control.gravity, f"controller.gravity must be {wanted}, got {control.gravity}"
-    if control.unknown and task.kind not in (*_TRACKED, "stacked"):
-        wanted = "is for task.kind position, pose or stacked"
-        yield control.unknown, f"controller.unknown {wanted}, got {task.kind}"
     tracker = scenario.true.tracker
     if tracker != type(tracker)() and task.axes not in (None, "xyz"):
         yield task.axes, f"task.axes must be xyz with true.tracker, got {task.axes}"
