@@ -9,8 +9,8 @@ Hz and 30 ms late. Beyond that, each by its name in --kinds:
 - velocity: commands of joint velocities at 125 Hz, to a servo of 30 ms lag and 8 ms delay; q̇ from
   differences of encoders (10 ms).
 - lost: all of "real", and x lost for 2 s in the middle of the circle.
-- class: joint axes tilted by 2°, or a tool that sags by its weight, which no parameter explains; on
-  the circle, and on a path through half of the workspace.
+- class: joint axes tilted by 2°, or a tool that sags by 1 cm, which no parameter explains; on the
+  circle, where other parameters explain most of it, and on a path through half a metre.
 - arms: arms that nobody chose defaults by, with drawn circles and trackers, and `TorqueLimited`.
 
     python examples/studies/track_hard.py --out results/track_hard
