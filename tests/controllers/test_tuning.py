@@ -13,7 +13,7 @@ from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
 from approxjac.controllers.tuning import Learning, _Arm
 from approxjac.controllers.usual_postures import usual_postures
 from approxjac.robots import Dynamics, GravityRegressor
-from approxjac.scenario.build import latency_of
+from approxjac.scenario.control import latency_of
 
 IDEAL = Latency()
 SENSORS = Latency(torque_delay=2e-3, velocity_filter=5e-3, image_period=1 / 60)

@@ -160,7 +160,8 @@ def test_what_is_learnt_of_kinematics_is_drawn_with_its_uncertainty(panda):
     run = aj.simulate(plant, controller, plant.sensor.value(q0) + 0.05, q0, 0.5, dt=1e-3)
     ax = view.plot_kinematics(run, controller, ["tool.z"], truth={"tool.z": 0.2})
     (learnt, true), (band,) = ax.lines, ax.collections
-    assert learnt.get_label() == "tool.z [m]"
+    assert learnt.get_label() == "tool.z"
+    assert ax.get_ylabel() == "learnt, ± 2 sd [m]"
     assert list(true.get_ydata()) == [0.2, 0.2]
     last = controller.kinematics_learnt(run.state[-1]).rows[
         controller.kinematics.names.index("tool.z")

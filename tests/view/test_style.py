@@ -49,6 +49,10 @@ def plots(run, image_run, arm, seen):
     """All plots that take axes, as functions of them."""
     learnt = dataclasses.replace(run, state=np.outer(run.t, [1.0, 2.0]))
     belief = aj.load_robot("panda")
+    tracking = aj.TrackingController(aj.PositionTask(belief))
+    plant = aj.Plant(arm)
+    followed = aj.simulate(plant, tracking, plant.sensor.value(HOME), HOME, 0.05, dt=1e-3)
+    learning = followed, tracking
     places, margins = rng.normal(size=(N, 3)), rng.uniform(-1.0, 1.0, N)
     x, y = np.linspace(0.1, 1.0, 5), np.linspace(1.0, 2.0, 4)
     decay = x[None, :] - 0.2 * y[:, None]
@@ -73,13 +77,14 @@ def plots(run, image_run, arm, seen):
             x, y, decay, [("test 1, Theorem 1", x, y, decay - 0.2)],
             labels=("scale of the errors [–]", "damping [N m s/rad]"), own=(0.5, 1.5), ax=ax,
         ),
+        "plot_kinematics": lambda ax: view.plot_kinematics(*learning, ax=ax),
     }  # fmt: skip
 
 
 NAMES = (
     "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
     "plot_parameters", "plot_image", "plot_camera_view", "plot_allowed_error",
-    "plot_margins", "plot_map",
+    "plot_margins", "plot_map", "plot_kinematics",
 )  # fmt: skip
 
 

@@ -53,14 +53,14 @@ def plot_kinematics(
     with styled(ax) as ax:
         for i, name in enumerate(chosen):
             j, color = known.index(name), SERIES[i % len(SERIES)]
-            unit = reports[0].rows[j].unit
             values = np.array([report.rows[j].value for report in reports])
             sd = np.array([report.rows[j].sd for report in reports])
-            ax.plot(run.t[kept], values, color=color, label=f"{name} [{unit}]")
+            ax.plot(run.t[kept], values, color=color, label=name)
             ax.fill_between(
                 run.t[kept], values - 2.0 * sd, values + 2.0 * sd, color=color, alpha=0.15, lw=0
             )
             if truth is not None and name in truth:
                 ax.axhline(truth[name], color=color, linestyle="--", linewidth=0.9)
-        ax.set(xlabel="time [s]", ylabel="learnt, ± 2 sd", title=title)
+        units = dict.fromkeys(reports[0].rows[known.index(name)].unit or "–" for name in chosen)
+        ax.set(xlabel="time [s]", ylabel=f"learnt, ± 2 sd [{' or '.join(units)}]", title=title)
     return ax
