@@ -33,7 +33,7 @@ gains = aj.Gains(kp=400.0, kv=120.0, damping=2.0)
 
 regressor = GravityRegressor(belief)
 gravities = {
-    "believed": aj.ModelGravity(belief),
+    "believed": aj.controllers.ModelGravity(belief),
     "learnt": aj.AdaptiveGravity(regressor, L=0.5, alpha=2.0),  # starts from the belief
 }
 q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])

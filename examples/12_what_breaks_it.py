@@ -68,7 +68,7 @@ def tilted(degrees, learns):
 def loaded(mass, learns):
     """A payload [kg] of which the controller knows nothing."""
     held = aj.PositionTask(arm.with_object(0.2, mass, axis="x"))
-    gravity = aj.AdaptiveGravity(Z) if learns else aj.ModelGravity(belief)
+    gravity = aj.AdaptiveGravity(Z) if learns else aj.controllers.ModelGravity(belief)
     return aj.Plant(held.robot, held), aj.SetpointController(task, gravity=gravity), 4e-3
 
 

@@ -139,3 +139,8 @@ def test_a_misspelled_name_is_told_what_was_meant():
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "module 'approxjac' has no attribute 'simulat'" in process.stderr
     assert "Did you mean: 'simulate'?" in process.stderr
+
+
+def test_few_names_stand_at_the_top():
+    """What one builds and calls; the rest is in its module."""
+    assert len(aj.__all__) <= 46

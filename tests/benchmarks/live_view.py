@@ -21,7 +21,9 @@ def main():
     arm = aj.load_robot("panda")
     truth, belief = arm.with_object(0.2, 0.5, axis="x"), arm.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
-    controller = aj.SetpointController(aj.PositionTask(belief), gravity=aj.ModelGravity(truth))
+    controller = aj.SetpointController(
+        aj.PositionTask(belief), gravity=aj.controllers.ModelGravity(truth)
+    )
     target = plant.sensor.value(START) + [0.1, -0.15, 0.16]
 
     def simulated(observer=None):

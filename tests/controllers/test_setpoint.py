@@ -491,7 +491,7 @@ def test_gravity_of_another_arm_is_refused(panda, two_link):
         aj.SetpointController(
             aj.PositionTask(panda),
             aj.Gains(400.0, 80.0, 1.0),
-            gravity=aj.ModelGravity(two_link),
+            gravity=aj.controllers.ModelGravity(two_link),
         )
 
 

@@ -25,7 +25,7 @@ def closed_loop(name, saturation, seed=0):
         rng.uniform(0.5, 3.0, arm.nv),
     )  # fmt: skip
     controller = aj.SetpointController(
-        task, gains, gravity=aj.ModelGravity(truth), saturation=saturation
+        task, gains, gravity=aj.controllers.ModelGravity(truth), saturation=saturation
     )
     return plant, controller, rng
 

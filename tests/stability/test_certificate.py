@@ -231,7 +231,9 @@ def test_a_camera_roll_costs_what_theory_says():
         arm = paper.build_arm()
         plant = aj.Plant(arm, aj.ImageTask(arm, camera))
         controller = aj.SetpointController(
-            aj.ImageTask(arm, rolled), aj.Gains(5000.0, 10000.0), gravity=aj.ModelGravity(arm)
+            aj.ImageTask(arm, rolled),
+            aj.Gains(5000.0, 10000.0),
+            gravity=aj.controllers.ModelGravity(arm),
         )
         q = np.radians([90.0, 90.0])
         region = aj.JointBox.around(arm, q, 0.0)

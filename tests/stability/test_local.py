@@ -387,7 +387,7 @@ def controllers_without_a_linearization(robot):
             aj.SetpointController(task, gains, gravity=aj.NoGravity(robot))
         ),
         r"gravity must be exact near the target .* with ModelGravity": (
-            aj.SetpointController(task, gains, gravity=aj.ModelGravity(heavier))
+            aj.SetpointController(task, gains, gravity=aj.controllers.ModelGravity(heavier))
         ),
         r"without a posture torque, got .* posture = Posture\(": (
             aj.SetpointController(

@@ -72,7 +72,7 @@ def test_sublevel_set_is_where_v_lets_the_arm_go(two_link):
     controller = aj.SetpointController(
         aj.PositionTask(two_link, axes="xz"),
         aj.Gains(100.0, 60.0),
-        gravity=aj.ModelGravity(two_link),
+        gravity=aj.controllers.ModelGravity(two_link),
     )
     start, target_posture = np.array([0.65, 1.15]), np.array([0.8, 1.0])
     target = plant.sensor.value(target_posture)

@@ -46,7 +46,7 @@ def test_every_law_has_the_same_start_and_the_gains_that_its_name_says():
 
 def test_the_velocity_servo_settles_as_its_rate_says_and_stops_without_a_measurement():
     panda = aj.load_robot("panda")
-    servo = VelocityServo(aj.PositionTask(panda), 4.0, aj.ModelGravity(panda))
+    servo = VelocityServo(aj.PositionTask(panda), 4.0, aj.controllers.ModelGravity(panda))
     plant, q0 = aj.Plant(panda), np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     x_d = plant.sensor.value(q0) + [0.1, 0.1, 0.0]
     run = aj.simulate(plant, servo, x_d, q0, 2.0, dt=1e-3)

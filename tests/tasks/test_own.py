@@ -39,7 +39,9 @@ class Distance(aj.Task):
 def loop(panda):
     truth, belief = panda.with_object(0.2, 0.5), panda.with_object(0.0, 0.5)
     sensor = Distance(truth)
-    controller = aj.SetpointController(sensor.on(belief), gravity=aj.ModelGravity(truth))
+    controller = aj.SetpointController(
+        sensor.on(belief), gravity=aj.controllers.ModelGravity(truth)
+    )
     return aj.Plant(truth, sensor), controller, sensor
 
 

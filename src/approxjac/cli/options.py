@@ -13,7 +13,8 @@ import tyro
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.scenario import Scenario
-from approxjac.scenario.records import Analysis, Goal
+from approxjac.scenario.analysis import Analysis
+from approxjac.scenario.records import Goal
 from approxjac.scenario.tables import hints
 
 # A report is about errors that are given as ranges, and takes gravity as compensated exactly.

@@ -11,11 +11,13 @@ Interval = tuple[float, float]
 Vectors = dict[str, Vector]  # joint name → vector
 
 
-def _above(default: Any, bound: float = 0.0) -> Any:
+def above(default: Any, bound: float = 0.0) -> Any:
+    """Return a field whose numbers are above a bound."""
     return field(default=default, metadata={"above": bound})
 
 
-def _at_least(default: Any, bound: float = 0.0) -> Any:
+def at_least(default: Any, bound: float = 0.0) -> Any:
+    """Return a field whose numbers are at least a bound."""
     return field(default=default, metadata={"minimum": bound})
 
 
@@ -30,10 +32,10 @@ class Object:
         radius: Of the cylinder, m; 0.01 by default, or that of the true object.
     """
 
-    length: float = _at_least(0.0)
-    mass: float = _at_least(0.0)
+    length: float = at_least(0.0)
+    mass: float = at_least(0.0)
     axis: str | None = None
-    radius: float | None = _at_least(None)
+    radius: float | None = at_least(None)
 
     def like(self, true: Object) -> Object:
         """Return a believed object, with what is not said of it as it truly is."""
@@ -61,10 +63,10 @@ class Camera:
     mount: str | None = None
     position: Vector | None = None
     looking_at: Vector | None = None
-    focal_length: float | None = _above(None)
+    focal_length: float | None = above(None)
     size: tuple[int, int] = (640, 480)
     distortion: Numbers = (-0.1, 0.02)
-    distance: float = _above(3.0)
+    distance: float = above(3.0)
     roll: float = 0.0
 
 
@@ -81,8 +83,8 @@ class CameraError:
     """
 
     roll: float = 0.0
-    focal_factor: float = _above(1.0)
-    depth_factor: float = _above(1.0)
+    focal_factor: float = above(1.0)
+    depth_factor: float = above(1.0)
     shift: Vector = (0.0, 0.0, 0.0)
     rotation: Vector = (0.0, 0.0, 0.0)
 
@@ -111,10 +113,10 @@ class Servo:
         quantum: Steps in which positions are measured, rad or m.
     """
 
-    lag: float = _above(0.03)
-    delay: float = _at_least(0.008)
-    period: float = _above(0.008)
-    quantum: float = _at_least(0.0)
+    lag: float = above(0.03)
+    delay: float = at_least(0.008)
+    period: float = above(0.008)
+    quantum: float = at_least(0.0)
 
 
 @dataclass(frozen=True)
@@ -137,8 +139,8 @@ class Truth:
     object: Object = Object(length=0.2, mass=0.5)
     shifts: Vectors = field(default_factory=dict)
     rotations: Vectors = field(default_factory=dict)
-    friction: float = _at_least(0.0)
-    coulomb: float = _at_least(0.0)
+    friction: float = at_least(0.0)
+    coulomb: float = at_least(0.0)
     camera: Camera = Camera()
     tracker: Tracker = Tracker()
     servo: Servo = Servo()
@@ -180,7 +182,7 @@ class TaskChoice:
     axes: str | None = None
     frames: tuple[str, ...] = ()
     points: int = 1
-    spread: float = _above(0.2)
+    spread: float = above(0.2)
     depth: Literal["believed", "constant", "measured"] | None = None
 
 
@@ -202,17 +204,17 @@ class Sensor:
         velocity_filter: Time constant of q̇ from differences of q, s; exact by default.
     """
 
-    noise: float = _at_least(0.0)
-    quantum: float = _at_least(0.0)
-    rate: float | None = _above(None)
-    delay: float = _at_least(0.0)
-    dropout: float = _at_least(0.0)
+    noise: float = at_least(0.0)
+    quantum: float = at_least(0.0)
+    rate: float | None = above(None)
+    delay: float = at_least(0.0)
+    dropout: float = at_least(0.0)
     lost: Interval | None = None
-    lost_part: int | None = _at_least(None, 1)
+    lost_part: int | None = at_least(None, 1)
     frozen: Interval | None = None
-    q_noise: float = _at_least(0.0)
-    q_quantum: float = _at_least(0.0)
-    velocity_filter: float | None = _at_least(None)
+    q_noise: float = at_least(0.0)
+    q_quantum: float = at_least(0.0)
+    velocity_filter: float | None = at_least(None)
 
 
 @dataclass(frozen=True)
@@ -244,18 +246,18 @@ class ControllerChoice:
     law: Literal["setpoint", "tracking"] = "setpoint"
     unknown: tuple[str, ...] = ()
     command: Literal["torque", "velocity"] = "torque"
-    differentiator: float | None = _above(None)
+    differentiator: float | None = above(None)
     gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"
     integral: Literal["learnt", "none"] | None = None
-    settling_time: float | None = _above(None)
-    kp: Numbers | None = _above(None)
-    kv: Numbers | None = _above(None)
-    damping: Numbers | None = _at_least(None)
-    gamma: float | None = _above(None)
-    posture_stiffness: float = _at_least(0.0)
-    limits: float | Literal["urdf", "none"] = _above("urdf")
-    torque_rate: float | None = _above(None)
-    unseen: float | None = _above(None)
+    settling_time: float | None = above(None)
+    kp: Numbers | None = above(None)
+    kv: Numbers | None = above(None)
+    damping: Numbers | None = at_least(None)
+    gamma: float | None = above(None)
+    posture_stiffness: float = at_least(0.0)
+    limits: float | Literal["urdf", "none"] = above("urdf")
+    torque_rate: float | None = above(None)
+    unseen: float | None = above(None)
 
 
 @dataclass(frozen=True)
@@ -267,8 +269,8 @@ class Loop:
         actuator_delay: From a torque to its effect, s.
     """
 
-    dt: float | Literal["continuous"] = _above(1e-3)
-    actuator_delay: float = _at_least(0.0)
+    dt: float | Literal["continuous"] = above(1e-3)
+    actuator_delay: float = at_least(0.0)
 
 
 @dataclass(frozen=True)
@@ -281,8 +283,8 @@ class CirclePath:
         center: In m; by default such that the circle begins where the task starts.
     """
 
-    radius: float | None = _above(None)
-    period: float = _above(4.0)
+    radius: float | None = above(None)
+    period: float = above(4.0)
     center: Numbers | None = None
 
 
@@ -296,7 +298,7 @@ class LinePath:
     """
 
     offset: Numbers | None = None
-    duration: float = _above(4.0)
+    duration: float = above(4.0)
 
 
 @dataclass(frozen=True)
@@ -310,8 +312,8 @@ class WaypointPath:
     """
 
     points: Numbers | None = None
-    speed: float = _above(0.2)
-    acceleration: float = _above(0.5)
+    speed: float = above(0.2)
+    acceleration: float = above(0.5)
 
 
 @dataclass(frozen=True)
@@ -351,51 +353,6 @@ class Run:
 
     start: Numbers | Literal["random"] | None = None
     target: Goal = Goal()
-    duration: float = _above(20.0)
-    tolerance: float | None = _above(None)
-    seed: int = _at_least(0, 0)
-
-
-@dataclass(frozen=True)
-class Analysis:
-    """Errors and region of `approxjac stability`; without ranges of errors those of the true robot.
-
-    Attributes:
-        object_length: Smallest and largest true length of the object, m.
-        object_mass: Smallest and largest true mass of the object, kg.
-        joint_shifts: Largest errors of joint origins either way, m, such as panda_joint4 0 0.01 0.
-        joint_rotations: The same of joint axes, as rotation vectors, rad.
-        focal_length: Smallest and largest true focal length of the camera, px or m.
-        distance: Smallest and largest true distance of a planar camera, or error of it, m.
-        roll: Smallest and largest true roll of the camera, of a pinhole one its error, rad.
-        around: Joint positions, one a joint, rad or m: look within `radius` of them.
-        radius: Distance of each joint from `around`, or from a run's configurations, rad or m.
-        run: File run.npz of `approxjac simulate`: look near its configurations.
-        reach_from: Joint positions of a start: look where V lets the arm get to the target.
-        sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
-        target: The one target; by default all targets within the region.
-        configurations: Count of those that are drawn.
-        runs: Rollouts of 10 s.
-        map: Two parameters of the stability map, of error, a, kv and damping.
-        map_points: Values of each parameter; 0 draws no map.
-        map_runs: Rollouts at each point of the map's coarse grid.
-    """
-
-    object_length: Interval | None = None
-    object_mass: Interval | None = None
-    joint_shifts: Vectors = field(default_factory=dict)
-    joint_rotations: Vectors = field(default_factory=dict)
-    focal_length: Interval | None = None
-    distance: Interval | None = None
-    roll: Interval | None = None
-    around: Numbers | None = None
-    radius: float = _above(0.3)
-    run: str | None = None
-    reach_from: Numbers | None = None
-    sigma_min: float | None = _at_least(None)
-    target: Numbers | None = None
-    configurations: int = _at_least(2000, 20)
-    runs: int = _at_least(20)
-    map: tuple[str, str] = ("error", "a")
-    map_points: int = _at_least(40)
-    map_runs: int = _at_least(2)
+    duration: float = above(20.0)
+    tolerance: float | None = above(None)
+    seed: int = at_least(0, 0)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from approxjac.errors import InvalidInputError
+from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.records import (
-    Analysis,
     Belief,
     ControllerChoice,
     Loop,

@@ -13,9 +13,9 @@ import numpy as np
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
+from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.build import BuiltScenario, build, loaded_arm
 from approxjac.scenario.configurations import configuration_of
-from approxjac.scenario.records import Analysis
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import Plant, Trajectory
 from approxjac.stability import (
