@@ -319,6 +319,15 @@ def test_any_numbers_give_a_bounded_torque_or_a_named_error(controller, data):
             assert np.linalg.norm(answer.torque / (1.0 + bound)) <= 1.0 + 1e-9
 
 
+def test_whatever_was_learnt_gives_a_bounded_torque_or_a_named_error(controller):
+    """What is learnt overflows at other sizes than what is measured, which chance rarely meets."""
+    robot, task = controller.task.robot, controller.task
+    seen = aj.Measurement(0.0, robot.neutral(), np.zeros(robot.nv), np.full(task.n_x, 0.7))
+    for size in 10.0 ** np.arange(0, 309, 7):
+        for state in (np.full(n_state(controller), size), np.full(n_state(controller), -size)):
+            checked(controller, state, seen, np.zeros(task.n_x))
+
+
 @FUZZ
 @given(data=st.data())
 def test_usual_numbers_are_always_answered(controller, data):

@@ -186,6 +186,7 @@ class TorqueLimited(Limiter):
             return Limited(asked.clipped, _LIMITED, math.nan, asked.memory)
         answer, (_, q, v, *_) = asked.answer, asked.measurement
         numbers = answer.torque.tolist() + answer.e.tolist() + q.tolist() + v.tolist()
+        numbers += asked.gravity.tolist() + asked.memory.tolist()  # what was learnt may be any
         if math.hypot(*numbers) < _HUGE:  # NaN where x is lost
             return self._nearest(asked)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows has a status
