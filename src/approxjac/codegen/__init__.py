@@ -1,0 +1,1 @@
+"""Code made from the equations of `law`: traced once, and emitted as NumPy, SIMD lanes or C."""

@@ -1,0 +1,77 @@
+"""sin, cos, tanh and exp of numbers that are not known yet, from arithmetic that rounds alike.
+
+Each machine's own ones differ in their last bits. These are within two units of the last place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from approxjac.codegen.graph import POWER_SHIFT, Number, Scalar, select
+
+# π/2 and ln 2 in parts of 33 bits and less, so that an integer up to 2²⁰ times each is exact
+_QUARTERS = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+_LN2 = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
+# minimax polynomials of FreeBSD's msun (k_sin.c, k_cos.c), from the lowest power
+_SIN = (
+    -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
+    2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10,
+)  # fmt: skip
+_COS = (
+    4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
+    -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
+)  # fmt: skip
+_FACTORIALS = 14  # terms of exp up to ½ ln 2, whose remainder is 4e-18
+_FLAT = 20.0  # beyond it, tanh is 1 to the last bit
+
+LARGEST_ANGLE = 1e6
+"""Angle up to which `sine_and_cosine` keeps its digits [rad]."""
+
+
+def sine_and_cosine(x: Scalar) -> tuple[Number, Number]:
+    """Return sin x and cos x, for x up to `LARGEST_ANGLE`."""
+    quarter = (x * (2.0 / 3.14159265358979323846) + 0.5).floor()  # type: ignore[union-attr]
+    r: Number = x
+    for part in _QUARTERS:
+        r = r - quarter * part
+    square = r * r
+    sine = r + r * square * _polynomial(square, _SIN)
+    cosine = (1.0 - 0.5 * square) + square * square * _polynomial(square, _COS)
+    half = (quarter * 0.5).floor()
+    odd = quarter - 2.0 * half  # whether sine and cosine change places
+    behind = half - 2.0 * (half * 0.5).floor()  # whether x is in the third or fourth quarter
+    swaps, sign = odd == 1.0, 1.0 - 2.0 * behind
+    return (
+        sign * select(swaps, cosine, sine),
+        sign * (1.0 - 2.0 * odd) * select(swaps, sine, cosine),
+    )
+
+
+def tanh(x: Scalar) -> Number:
+    """Return tanh x."""
+    size = abs(x)
+    size = select(size < _FLAT, size, _FLAT)
+    grown = expm1(size + size)  # type: ignore[arg-type]
+    value = grown / (grown + 2.0)
+    return select(x < 0.0, -value, value)
+
+
+def expm1(x: Scalar) -> Number:
+    """Return exp(x) − 1, for x from −700 to 700."""
+    k = (x * (1.0 / 0.693147180559945309417) + 0.5).floor()  # type: ignore[union-attr]
+    r: Number = x
+    for part in _LN2:
+        r = r - k * part
+    coefficient, coefficients = 1.0, []
+    for n in range(1, _FACTORIALS):
+        coefficient /= n
+        coefficients.append(coefficient)
+    power = (k + POWER_SHIFT).graph.apply("power", k + POWER_SHIFT)
+    return power * (r * _polynomial(r, coefficients)) + (power - 1.0)
+
+
+def _polynomial(x: Number, coefficients: Sequence[float]) -> Number:
+    value: Number = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        value = value * x + coefficient
+    return value

@@ -1,0 +1,100 @@
+"""Programs as NumPy: slow to none of NumPy's speed, and what the others are compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from approxjac.codegen.graph import Graph, Number
+from approxjac.codegen.program import STEP, Program, statements
+from approxjac.validation import Array
+
+_TEMPLATES = {
+    "add": "{0} + {1}",
+    "subtract": "{0} - {1}",
+    "multiply": "{0} * {1}",
+    "divide": "{0} / {1}",
+    "negative": "-{0}",
+    "absolute": "np.abs({0})",
+    "sqrt": "np.sqrt({0})",
+    "floor": "np.floor({0})",
+    "power": "(({0}).view(np.int64) << 52).view(np.float64)",
+    "less": "{0} < {1}",
+    "less_equal": "{0} <= {1}",
+    "equal": "{0} == {1}",
+    "and": "{0} & {1}",
+    "or": "{0} | {1}",
+    "not": "~{0}",
+    "select": "np.where({0}, {1}, {2})",
+}
+
+
+def numpy_function(graph: Graph, outputs: list[Number]) -> Callable[..., list[Any]]:
+    """Return a function of inputs by their names, each a list of arrays (N,), of these outputs."""
+    lines, names = statements(
+        graph,
+        outputs,
+        _TEMPLATES,
+        lambda name, text, _: f"    {name} = {text}",
+        "v",
+        lambda name, i: f"given[{name!r}][{i}]",
+        lambda value: f"np.float64({value!r})".replace("nan", "np.nan").replace("inf", "np.inf"),
+    )
+    source = "\n".join(["def function(**given):", *lines, f"    return [{', '.join(names)}]"])
+    scope: dict[str, Any] = {"np": np}
+    exec(compile(source, "<codegen>", "exec"), scope)  # noqa: S102 (our own)
+    return scope["function"]  # type: ignore[no-any-return]
+
+
+class NumpyLanes:
+    """A program that NumPy carries out, all runs at once."""
+
+    width = 1
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self._step, self._record = (
+            (list(values), numpy_function(program.graph, sum(values.values(), [])))
+            for values in (program.stepped, program.recorded)
+        )
+
+    def run(self, kept: Array, parameters: Array, first: int, steps: int, every: int) -> None:
+        """Go on by some steps, in place.
+
+        Args:
+            kept: What is kept, shape (groups, rows, width).
+            parameters: What stays, shape (groups, parameters, width).
+            first: Number of the first step.
+            steps: Number of steps.
+            every: After which steps to record.
+        """
+        state, given = (np.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in (kept, parameters))
+        state = state.copy()
+        with np.errstate(all="ignore"):
+            for k in range(first, first + steps):
+                self._carry_out(self._step, state, given, k)
+                if (k + 1) % every == 0:
+                    self._carry_out(self._record, state, given, k)
+        kept[...] = np.moveaxis(state.reshape(len(state), len(kept), -1), 0, 1)
+
+    def _carry_out(self, part: Any, state: Array, given: Array, k: int) -> None:
+        names, function = part
+        if not names:
+            return
+        program = self._program
+        places = {name: (at, size) for name, (at, size) in program.rows.items()}
+        places |= {
+            name: (at + size * (k % steps), size)
+            for name, (at, size, steps) in program.rings.items()
+        }
+        values = {name: state[at : at + size] for name, (at, size) in places.items()}
+        values |= {name: given[at : at + n] for name, (at, n) in program.parameters.items()}
+        found = [
+            np.array(np.broadcast_to(row, state.shape[1:]))
+            for row in function(**values, **{STEP: [np.float64(k)]})
+        ]  # copies, as some are rows of the state
+        for name in names:
+            at, size = places[name]
+            state[at : at + size], found = found[:size], found[size:]

@@ -1,0 +1,85 @@
+"""`Symbols`: arrays of numbers that are not known yet, which the functions of `law` take."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from approxjac.codegen import functions
+from approxjac.codegen.graph import Graph, Number, Scalar, select
+
+
+def _of_one(known: Callable[[float], float], unknown: Callable[[Scalar], Any]) -> np.ufunc:
+    """Return a function of each entry, known or not."""
+    return np.frompyfunc(lambda a: unknown(a) if isinstance(a, Scalar) else known(a), 1, 1)
+
+
+def _smaller(a: Number, b: Number) -> Number:
+    return select(a < b, a, b)
+
+
+def _larger(a: Number, b: Number) -> Number:
+    return select(a > b, a, b)
+
+
+_FUNCTIONS: dict[np.ufunc, np.ufunc] = {
+    np.sin: _of_one(np.sin, lambda a: functions.sine_and_cosine(a)[0]),
+    np.cos: _of_one(np.cos, lambda a: functions.sine_and_cosine(a)[1]),
+    np.tanh: _of_one(np.tanh, functions.tanh),
+    np.sqrt: _of_one(np.sqrt, Scalar.sqrt),
+    np.minimum: np.frompyfunc(_smaller, 2, 1),
+    np.maximum: np.frompyfunc(_larger, 2, 1),
+    np.less: np.frompyfunc(lambda a, b: a < b, 2, 1),
+    np.less_equal: np.frompyfunc(lambda a, b: a <= b, 2, 1),
+    np.greater: np.frompyfunc(lambda a, b: a > b, 2, 1),
+    np.greater_equal: np.frompyfunc(lambda a, b: a >= b, 2, 1),
+    np.equal: np.frompyfunc(lambda a, b: a == b, 2, 1),
+    np.invert: np.frompyfunc(lambda a: ~a if isinstance(a, Scalar) else not a, 1, 1),
+}
+_select = np.frompyfunc(select, 3, 1)
+
+
+class Symbols(np.ndarray):
+    """An array of `Scalar`s, and of numbers that are known.
+
+    It does what NumPy's arrays do, as far as that is arithmetic. What would have to know a value,
+    such as `if`, is a TypeError: a choice is `np.where`.
+    """
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        plain = [_plain(each) for each in inputs]
+        if "out" in options:
+            options["out"] = tuple(_plain(each) for each in options["out"])
+        result = getattr(_FUNCTIONS.get(ufunc, ufunc), method)(*plain, **options)
+        return result.view(Symbols) if isinstance(result, np.ndarray) else result
+
+    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
+        if function is np.where:
+            return _select(*map(_plain, arguments)).view(Symbols)
+        result = super().__array_function__(function, types, arguments, options)
+        return result.view(Symbols) if isinstance(result, np.ndarray) else result
+
+
+def symbols(values: Any) -> Symbols:
+    """Return numbers, known or not, as an array."""
+    return np.array(values, dtype=object).view(Symbols)
+
+
+def inputs(graph: Graph, name: str, shape: int | tuple[int, ...]) -> Symbols:
+    """Return an input of a graph as an array."""
+    size = shape if isinstance(shape, int) else int(np.prod(shape))
+    return symbols(graph.input(name, size)).reshape(shape)
+
+
+def any_of(conditions: Any) -> Scalar | bool:
+    """Return whether any of some conditions holds."""
+    return functools.reduce(lambda a, b: a | b, np.ravel(conditions).tolist(), False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Symbols):
+        return value.view(np.ndarray)
+    return np.asarray(value, dtype=object) if isinstance(value, np.ndarray) else value
