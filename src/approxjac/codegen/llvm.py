@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import re
 import struct
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from approxjac.codegen.graph import Number, Scalar
 from approxjac.codegen.program import STEP, Program, statements
 from approxjac.extras import package_of
 from approxjac.validation import Array
@@ -29,33 +34,28 @@ _TEMPLATES = {
     "not": "xor B {0}, TRUE",
     "select": "select B {0}, D {1}, D {2}",
 }
-_MODULE = """
+_DECLARED = """
 declare D @llvm.fabs.N(D)
 declare D @llvm.sqrt.N(D)
 declare D @llvm.floor.N(D)
-define internal D @power(D %a) alwaysinline {{
+define internal D @power(D %a) alwaysinline {
   %bits = bitcast D %a to I
   %moved = shl I %bits, SHIFT
   %power = bitcast I %moved to D
   ret D %power
-}}
-define void @run(ptr %kept, ptr %given, i64 %groups, i64 %first, i64 %last, i64 %every) {{
+}
+"""
+# from one step to another, or to the first unusual one
+_GO = """
+define i64 @go(ptr %s, ptr %p, i64 %first, i64 %last, i64 %every) {{
 entry:
-  br label %group
-group:
-  %g = phi i64 [ 0, %entry ], [ %g_next, %group_end ]
-  %at = mul i64 %g, {rows}
-  %s = getelementptr D, ptr %kept, i64 %at
-  %from = mul i64 %g, {parameters}
-  %p = getelementptr D, ptr %given, i64 %from
   br label %step
 step:
-  %k = phi i64 [ %first, %group ], [ %k_next, %step_end ]
+  %k = phi i64 [ %first, %entry ], [ %k_next, %step_end ]
   %k_next = add i64 %k, 1
   %number_0 = sitofp i64 %k to double
   %number_1 = insertelement D undef, double %number_0, i64 0
   %number = shufflevector D %number_1, D undef, ZERO
-{slots}
 {step}
   %left = urem i64 %k_next, %every
   %is_recorded = icmp eq i64 %left, 0
@@ -65,7 +65,51 @@ record:
   br label %step_end
 step_end:
   %goes_on = icmp slt i64 %k_next, %last
-  br i1 %goes_on, label %step, label %group_end
+  br i1 %goes_on, label %step, label %end
+end:
+  ret i64 %k_next
+unusual:
+  ret i64 %k
+}}
+"""
+_UNLESS_UNUSUAL = """  %any = bitcast B {condition} to i{width}
+  %is_unusual = icmp ne i{width} %any, 0
+  br i1 %is_unusual, label %unusual, label %usual
+usual:"""
+# all groups, each from where it is; unusual steps are left to %complete, or to who has one
+_RUN = """
+define void @run(ptr %kept, ptr %given, ptr %reached, i64 %groups, i64 %last, i64 %every,
+                 ptr %complete) {{
+entry:
+  br label %group
+group:
+  %g = phi i64 [ 0, %entry ], [ %g_next, %group_end ]
+  %at = mul i64 %g, {rows}
+  %s = getelementptr D, ptr %kept, i64 %at
+  %from = mul i64 %g, {parameters}
+  %p = getelementptr D, ptr %given, i64 %from
+  %place = getelementptr i64, ptr %reached, i64 %g
+  %first = load i64, ptr %place
+  %begins = icmp slt i64 %first, %last
+  br i1 %begins, label %usual, label %group_end
+usual:
+  %k = phi i64 [ %first, %group ], [ %k_complete, %unusual ]
+  %k_usual = call i64 @go(ptr %s, ptr %p, i64 %k, i64 %last, i64 %every)
+  %ends = icmp sge i64 %k_usual, %last
+  %has_none = icmp eq ptr %complete, null
+  %leaves = or i1 %ends, %has_none
+  br i1 %leaves, label %left, label %unusual
+unusual:
+  %soon = add i64 %k_usual, {soon}
+  %is_soon = icmp slt i64 %soon, %last
+  %stop = select i1 %is_soon, i64 %soon, i64 %last
+  %k_complete = call i64 %complete(ptr %s, ptr %p, i64 %k_usual, i64 %stop, i64 %every)
+  %ends_here = icmp sge i64 %k_complete, %last
+  br i1 %ends_here, label %left, label %usual
+left:
+  %k_left = phi i64 [ %k_usual, %usual ], [ %k_complete, %unusual ]
+  store i64 %k_left, ptr %place
+  br label %group_end
 group_end:
   %g_next = add i64 %g, 1
   %has_more = icmp slt i64 %g_next, %groups
@@ -74,101 +118,103 @@ end:
   ret void
 }}
 """
+_WIDE = "+avx512f"
+_SOON = 16  # steps, after which the usual ones are tried again
 
 
 class LlvmLanes:
     """A program compiled for vectors of this machine.
 
-    The bits are the same for any width: nothing is contracted or reordered.
+    The bits are the same for any width and any machine: nothing is contracted or reordered. Unusual
+    steps are compiled when the first one comes.
 
     Args:
         program: The program.
         width: Runs a vector; by default those that fill one of this machine.
-        cpu: The processor to compile for; this one by default.
+        features: Of the processor to compile for; those of this one by default.
 
     Raises:
         MissingPackageError: llvmlite is not installed.
     """
 
-    def __init__(self, program: Program, width: int | None = None, features: str | None = None):
+    def __init__(
+        self, program: Program, width: int | None = None, features: str | None = None
+    ) -> None:
+        self._program = program
         llvm = package_of("fast", "llvmlite.binding")
-        _initialize(llvm)
-        if features is None:
-            features = llvm.get_host_cpu_features().flatten()
-        wide = "+avx512f" in features
-        self.width = width or (8 if wide else 4)
-        if wide:  # or LLVM takes halves of such vectors, at half of the speed
-            features += ",-prefer-256-bit"
-        target = llvm.Target.from_default_triple()
-        machine = target.create_target_machine(
-            cpu=llvm.get_host_cpu_name(), features=features, opt=2, jit=True
-        )
-        module = llvm.parse_assembly(_source(program, self.width))
-        passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(1))
-        passes.getModulePassManager().run(module, passes)
-        self._engine = llvm.create_mcjit_compiler(module, machine)  # which the function lives in
-        self._engine.finalize_object()
+        llvm.initialize_native_target()
+        llvm.initialize_native_asmprinter()
+        self._features = features or llvm.get_host_cpu_features().flatten()
+        self.width = width or (8 if _WIDE in self._features else 4)
+        self._usual = _compiled(self._features, _usual_source(program, self.width))
         pointer, number = ctypes.c_void_p, ctypes.c_int64
-        self._run = ctypes.CFUNCTYPE(None, pointer, pointer, number, number, number, number)(
-            self._engine.get_function_address("run")
-        )
+        arguments = (pointer, pointer, pointer, number, number, number, pointer)
+        self._run = ctypes.CFUNCTYPE(None, *arguments)(self._usual.get_function_address("run"))
 
-    def run(self, kept: Array, parameters: Array, first: int, steps: int, every: int) -> None:
-        """Go on by some steps, in place: see `NumpyLanes.run`. Other threads go on meanwhile."""
-        if steps > 0 and len(kept) > 0:
-            self._run(
-                kept.ctypes.data, parameters.ctypes.data, len(kept), first, first + steps, every
-            )
+    @functools.cached_property
+    def _complete(self) -> Any:
+        return _compiled(self._features, _complete_source(self._program, self.width))
+
+    def run(self, kept: Array, parameters: Array, first: int, last: int, every: int) -> None:
+        """Go on from one step to another, in place: see `NumpyLanes.run`.
+
+        Other threads go on meanwhile.
+        """
+        reached = np.full(len(kept), first)
+        for complete in (lambda: None, lambda: self._complete.get_function_address("go")):
+            if reached.min(initial=last) < last:
+                self._run(
+                    kept.ctypes.data, parameters.ctypes.data, reached.ctypes.data, len(kept), last,
+                    every, complete(),
+                )  # fmt: skip
 
 
-def _initialize(llvm: Any) -> None:
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
+def _compiled(features: str, source: str) -> Any:
+    """Return LLVM's engine, in which the functions of a source live."""
+    llvm = package_of("fast", "llvmlite.binding")
+    if _WIDE in features:  # or LLVM takes two halves of each vector
+        features += ",-prefer-256-bit"
+    machine = llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=features, opt=2, jit=True
+    )
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(source), machine)
+    engine.finalize_object()
+    return engine
 
 
-def _source(program: Program, width: int) -> str:
-    """Return a program in LLVM's language."""
-    D = f"<{width} x double>"
-    words = {
-        "D": D,
-        "B": f"<{width} x i1>",
-        "I": f"<{width} x i64>",
-        "N": f"v{width}f64",
-        "TRUE": f"<{', '.join(['i1 true'] * width)}>",
-        "ZERO": f"<{width} x i32> zeroinitializer",
-        "SHIFT": f"<{', '.join(['i64 52'] * width)}>",
-    }
-    templates = {name: _filled(text, words) for name, text in _TEMPLATES.items()}
-    slots = []
-    for name, (at, size, steps) in program.rings.items():
-        slots += [
+def _usual_source(program: Program, width: int) -> str:
+    step = _part(program, width, "a", program.usual, program.unusual)
+    run = _RUN.format(rows=program.n_rows, parameters=max(program.n_parameters, 1), soon=_SOON)
+    return _source(program, width, step) + _filled(run, width)
+
+
+def _complete_source(program: Program, width: int) -> str:
+    return _source(program, width, _part(program, width, "a", program.complete, False))
+
+
+def _source(program: Program, width: int, step: list[str]) -> str:
+    slots = [
+        line
+        for name, (at, size, steps) in program.rings.items()
+        for line in (
             f"  %{name}.slot = urem i64 %k, {steps}",
             f"  %{name}.row = mul i64 %{name}.slot, {size}",
             f"  %{name}.place = add i64 %{name}.row, {at}",
-            f"  %{name}.ring = getelementptr {D}, ptr %s, i64 %{name}.place",
-        ]
-    text = _filled(_MODULE, words).format(
-        rows=program.n_rows,
-        parameters=max(program.n_parameters, 1),
-        slots="\n".join(slots),
-        step="\n".join(_part(program, program.stepped, templates, D, width, "a")),
-        record="\n".join(_part(program, program.recorded, templates, D, width, "b")),
-    )
-    return text
+            f"  %{name}.ring = getelementptr D, ptr %s, i64 %{name}.place",
+        )
+    ]
+    record = _part(program, width, "b", program.recorded, False)
+    go = _GO.format(step="\n".join(slots + step), record="\n".join(record))
+    return _filled(_DECLARED + go, width)
 
 
 def _part(
-    program: Program, values: Any, templates: Any, D: str, width: int, prefix: str
-) -> list[str]:
-    def constant(value: float) -> str:
-        bits = struct.unpack("<Q", struct.pack("<d", value))[0]
-        return f"<{', '.join([f'double 0x{bits:016X}'] * width)}>"
+    program: Program, width: int, prefix: str, values: Mapping[str, list[Number]],
+    unusual: Scalar | bool,
+) -> list[str]:  # fmt: skip
+    """Return the lines that compute some numbers and keep them, unless a step is unusual."""
 
-    aligned = "align 8"
-    lines: list[str] = []
-
-    def pointer(name: str, i: int) -> str:
-        """Return a pointer to a row, for which lines may be needed before."""
+    def place(name: str, i: int) -> str:
         base, at = "%s", i
         if name in program.rows:
             at += program.rows[name][0]
@@ -176,34 +222,47 @@ def _part(
             base = f"%{name}.ring"
         else:
             base, at = "%p", at + program.parameters[name][0]
-        variable = f"%{prefix}.{name}.{i}.{len(lines)}"
-        lines.append(f"  {variable} = getelementptr {D}, ptr {base}, i64 {at}")
-        return variable
+        pointer = f"%{prefix}.{name}.{i}.{len(pointers)}"
+        pointers.append(f"  {pointer} = getelementptr D, ptr {base}, i64 {at}")
+        return pointer
 
     def of_input(name: str, i: int) -> str:
-        if name == STEP:
-            return f"bitcast {D} %number to {D}"
-        return f"load {D}, ptr {pointer(name, i)}, {aligned}"
+        return "bitcast D %number to D" if name == STEP else f"load D, ptr {place(name, i)}, align 8"
 
+    def of_constant(value: float) -> str:
+        (bits,) = struct.unpack("<Q", struct.pack("<d", value))
+        return f"<{', '.join([f'double 0x{bits:016X}'] * width)}>"
+
+    pointers: list[str] = []
     wanted = [number for numbers in values.values() for number in numbers]
-
-    computed, names = statements(
+    is_ever = isinstance(unusual, Scalar)
+    lines, names = statements(
         program.graph,
-        wanted,
-        templates,
+        [*wanted, unusual] if isinstance(unusual, Scalar) else wanted,
+        _TEMPLATES,
         lambda name, text, _: f"  {name} = {text}",
         f"%{prefix}",
         of_input,
-        constant,
+        of_constant,
     )
+    if is_ever:
+        lines.append(_UNLESS_UNUSUAL.format(condition=names.pop(), width=width))
     found = iter(names)
-    lines += computed
     for name, numbers in values.items():
         for i in range(len(numbers)):
-            lines.append(f"  store {D} {next(found)}, ptr {pointer(name, i)}, {aligned}")
-    return lines
+            lines.append(f"  store D {next(found)}, ptr {place(name, i)}, align 8")
+    return pointers + lines
 
 
-def _filled(text: str, words: dict[str, str]) -> str:
-    """Return a text with its abbreviations, words in capitals, written out."""
+def _filled(text: str, width: int) -> str:
+    """Return a text with its types, words in capitals, written out."""
+    words = {
+        "D": f"<{width} x double>",
+        "B": f"<{width} x i1>",
+        "I": f"<{width} x i64>",
+        "N": f"v{width}f64",
+        "TRUE": f"<{', '.join(['i1 true'] * width)}>",
+        "ZERO": f"<{width} x i32> zeroinitializer",
+        "SHIFT": f"<{', '.join(['i64 52'] * width)}>",
+    }
     return re.sub(r"\b(D|B|I|N|TRUE|ZERO|SHIFT)\b", lambda found: words[found[0]], text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -56,24 +57,24 @@ class NumpyLanes:
     def __init__(self, program: Program) -> None:
         self._program = program
         self._step, self._record = (
-            (list(values), numpy_function(program.graph, sum(values.values(), [])))
-            for values in (program.stepped, program.recorded)
+            (list(values), numpy_function(program.graph, list(chain(*values.values()))))
+            for values in (program.complete, program.recorded)
         )
 
-    def run(self, kept: Array, parameters: Array, first: int, steps: int, every: int) -> None:
-        """Go on by some steps, in place.
+    def run(self, kept: Array, parameters: Array, first: int, last: int, every: int) -> None:
+        """Go on from one step to another, in place.
 
         Args:
             kept: What is kept, shape (groups, rows, width).
             parameters: What stays, shape (groups, parameters, width).
             first: Number of the first step.
-            steps: Number of steps.
-            every: After which steps to record.
+            last: Number of the step before which to stop.
+            every: After how many steps to record.
         """
         state, given = (np.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in (kept, parameters))
         state = state.copy()
         with np.errstate(all="ignore"):
-            for k in range(first, first + steps):
+            for k in range(first, last):
                 self._carry_out(self._step, state, given, k)
                 if (k + 1) % every == 0:
                     self._carry_out(self._record, state, given, k)

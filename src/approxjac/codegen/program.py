@@ -25,7 +25,9 @@ class Program:
         rows: Name → place and number of rows of what is kept.
         parameters: Name → place and number of rows of what stays.
         rings: Name → place, number of rows and number of steps of what arrives late.
-        stepped: What follows at each step: names and their numbers.
+        usual: What follows at a step: names and their numbers.
+        unusual: Whether that does not hold for a step, and `complete` has to be taken.
+        complete: What follows at any step; to the last bit what `usual` says where that holds.
         recorded: What follows at some steps, after them.
     """
 
@@ -34,7 +36,9 @@ class Program:
         self.rows: dict[str, tuple[int, int]] = {}
         self.parameters: dict[str, tuple[int, int]] = {}
         self.rings: dict[str, tuple[int, int, int]] = {}
-        self.stepped: dict[str, list[Number]] = {}
+        self.usual: dict[str, list[Number]] = {}
+        self.unusual: Scalar | bool = False
+        self.complete: dict[str, list[Number]] = {}
         self.recorded: dict[str, list[Number]] = {}
         self.n_rows = 0
         self.n_parameters = 0
@@ -74,13 +78,20 @@ class Program:
         """The number of the step, from 0."""
         return self.graph.input(STEP, 1)[0]
 
-    def step(self, **values: Any) -> None:
-        """Say what is kept after a step."""
-        self.stepped |= {name: np.ravel(value).tolist() for name, value in values.items()}
+    def step(self, unusual: Scalar | bool, usual: Kept, complete: Kept) -> None:
+        """Say what is kept after a step, and when the one that takes less time may be taken."""
+        self.unusual, self.usual, self.complete = unusual, _flat(usual), _flat(complete)
 
-    def record(self, **values: Any) -> None:
+    def record(self, values: Kept) -> None:
         """Say what else is kept after a step that is recorded, of what is kept after the step."""
-        self.recorded |= {name: np.ravel(value).tolist() for name, value in values.items()}
+        self.recorded = _flat(values)
+
+
+Kept = Mapping[str, Any]
+
+
+def _flat(values: Kept) -> dict[str, list[Number]]:
+    return {name: np.ravel(value).tolist() for name, value in values.items()}
 
 
 Templates = Mapping[str, str]
