@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Union
+from typing import Any, NamedTuple, Union
 
 Number = Union["Scalar", float]
 
@@ -234,6 +234,11 @@ class Scalar:
         raise TypeError("no branch on a number that is not known yet: choose with np.where")
 
     __float__ = __int__ = __bool__  # type: ignore[assignment]
+
+    def __array_ufunc__(self, *arguments: Any, **options: Any) -> Any:
+        from approxjac.codegen.symbols import apply  # which has arrays of these
+
+        return apply(*arguments, **options)
 
     def sqrt(self) -> Scalar:
         """Return √a."""

@@ -45,9 +45,9 @@ define internal D @power(D %a) alwaysinline {
   ret D %power
 }
 """
-# from one step to another, or to the first unusual one
+# from one step up to another, or to the first unusual one
 _GO = """
-define i64 @go(ptr %s, ptr %p, i64 %first, i64 %last, i64 %every) {{
+define i64 @go(ptr %s, ptr %p, i64 %first, i64 %last, i64 %end_of_all, i64 %every) {{
 entry:
   br label %step
 step:
@@ -57,14 +57,17 @@ step:
   %number_1 = insertelement D undef, double %number_0, i64 0
   %number = shufflevector D %number_1, D undef, ZERO
 {step}
-  %left = urem i64 %k_next, %every
-  %is_recorded = icmp eq i64 %left, 0
+  %left = urem i64 %k, %every
+  %is_due = icmp eq i64 %left, 0
+  %is_last = icmp eq i64 %k, %end_of_all
+  %is_recorded = or i1 %is_due, %is_last
   br i1 %is_recorded, label %record, label %step_end
 record:
 {record}
   br label %step_end
 step_end:
-  %goes_on = icmp slt i64 %k_next, %last
+{stores}
+  %goes_on = icmp sle i64 %k_next, %last
   br i1 %goes_on, label %step, label %end
 end:
   ret i64 %k_next
@@ -90,12 +93,12 @@ group:
   %p = getelementptr D, ptr %given, i64 %from
   %place = getelementptr i64, ptr %reached, i64 %g
   %first = load i64, ptr %place
-  %begins = icmp slt i64 %first, %last
+  %begins = icmp sle i64 %first, %last
   br i1 %begins, label %usual, label %group_end
 usual:
   %k = phi i64 [ %first, %group ], [ %k_complete, %unusual ]
-  %k_usual = call i64 @go(ptr %s, ptr %p, i64 %k, i64 %last, i64 %every)
-  %ends = icmp sge i64 %k_usual, %last
+  %k_usual = call i64 @go(ptr %s, ptr %p, i64 %k, i64 %last, i64 %last, i64 %every)
+  %ends = icmp sgt i64 %k_usual, %last
   %has_none = icmp eq ptr %complete, null
   %leaves = or i1 %ends, %has_none
   br i1 %leaves, label %left, label %unusual
@@ -103,8 +106,8 @@ unusual:
   %soon = add i64 %k_usual, {soon}
   %is_soon = icmp slt i64 %soon, %last
   %stop = select i1 %is_soon, i64 %soon, i64 %last
-  %k_complete = call i64 %complete(ptr %s, ptr %p, i64 %k_usual, i64 %stop, i64 %every)
-  %ends_here = icmp sge i64 %k_complete, %last
+  %k_complete = call i64 %complete(ptr %s, ptr %p, i64 %k_usual, i64 %stop, i64 %last, i64 %every)
+  %ends_here = icmp sgt i64 %k_complete, %last
   br i1 %ends_here, label %left, label %usual
 left:
   %k_left = phi i64 [ %k_usual, %usual ], [ %k_complete, %unusual ]
@@ -155,14 +158,11 @@ class LlvmLanes:
     def _complete(self) -> Any:
         return _compiled(self._features, _complete_source(self._program, self.width))
 
-    def run(self, kept: Array, parameters: Array, first: int, last: int, every: int) -> None:
-        """Go on from one step to another, in place: see `NumpyLanes.run`.
-
-        Other threads go on meanwhile.
-        """
-        reached = np.full(len(kept), first)
+    def run(self, kept: Array, parameters: Array, last: int, every: int) -> None:
+        """Take all steps, in place: see `NumpyLanes.run`. Other threads go on meanwhile."""
+        reached = np.zeros(len(kept), dtype=np.int64)
         for complete in (lambda: None, lambda: self._complete.get_function_address("go")):
-            if reached.min(initial=last) < last:
+            if reached.min(initial=last + 1) <= last:
                 self._run(
                     kept.ctypes.data, parameters.ctypes.data, reached.ctypes.data, len(kept), last,
                     every, complete(),
@@ -183,38 +183,23 @@ def _compiled(features: str, source: str) -> Any:
 
 
 def _usual_source(program: Program, width: int) -> str:
-    step = _part(program, width, "a", program.usual, program.unusual)
     run = _RUN.format(rows=program.n_rows, parameters=max(program.n_parameters, 1), soon=_SOON)
-    return _source(program, width, step) + _filled(run, width)
+    return _source(program, width, program.usual, program.unusual) + _filled(run, width)
 
 
 def _complete_source(program: Program, width: int) -> str:
-    return _source(program, width, _part(program, width, "a", program.complete, False))
+    return _source(program, width, program.complete, False)
 
 
-def _source(program: Program, width: int, step: list[str]) -> str:
-    slots = [
-        line
-        for name, (at, size, steps) in program.rings.items()
-        for line in (
-            f"  %{name}.slot = urem i64 %k, {steps}",
-            f"  %{name}.row = mul i64 %{name}.slot, {size}",
-            f"  %{name}.place = add i64 %{name}.row, {at}",
-            f"  %{name}.ring = getelementptr D, ptr %s, i64 %{name}.place",
-        )
-    ]
-    record = _part(program, width, "b", program.recorded, False)
-    go = _GO.format(step="\n".join(slots + step), record="\n".join(record))
-    return _filled(_DECLARED + go, width)
-
-
-def _part(
-    program: Program, width: int, prefix: str, values: Mapping[str, list[Number]],
-    unusual: Scalar | bool,
-) -> list[str]:  # fmt: skip
-    """Return the lines that compute some numbers and keep them, unless a step is unusual."""
+def _source(
+    program: Program, width: int, step: Mapping[str, list[Number]], unusual: Scalar | bool
+) -> str:
+    """Return the steps of a program, up to the first unusual one."""
+    pointers: list[str] = []
+    names: dict[int, str] = {}
 
     def place(name: str, i: int) -> str:
+        """Return a pointer to a row."""
         base, at = "%s", i
         if name in program.rows:
             at += program.rows[name][0]
@@ -222,7 +207,7 @@ def _part(
             base = f"%{name}.ring"
         else:
             base, at = "%p", at + program.parameters[name][0]
-        pointer = f"%{prefix}.{name}.{i}.{len(pointers)}"
+        pointer = f"%pointer{len(pointers)}"
         pointers.append(f"  {pointer} = getelementptr D, ptr {base}, i64 {at}")
         return pointer
 
@@ -233,25 +218,40 @@ def _part(
         (bits,) = struct.unpack("<Q", struct.pack("<d", value))
         return f"<{', '.join([f'double 0x{bits:016X}'] * width)}>"
 
-    pointers: list[str] = []
-    wanted = [number for numbers in values.values() for number in numbers]
-    is_ever = isinstance(unusual, Scalar)
-    lines, names = statements(
-        program.graph,
-        [*wanted, unusual] if isinstance(unusual, Scalar) else wanted,
-        _TEMPLATES,
-        lambda name, text, _: f"  {name} = {text}",
-        f"%{prefix}",
-        of_input,
-        of_constant,
+    def lines(wanted: list[Number]) -> tuple[list[str], list[str]]:
+        return statements(
+            program.graph, wanted, _TEMPLATES, lambda name, text, _: f"  {name} = {text}", "%v",
+            of_input, of_constant, names,
+        )  # fmt: skip
+
+    def stores(values: Mapping[str, list[Number]], found: list[str]) -> list[str]:
+        places = [(name, i) for name, numbers in values.items() for i in range(len(numbers))]
+        return [
+            f"  store D {value}, ptr {place(*at)}, align 8"
+            for at, value in zip(places, found, strict=True)
+        ]
+
+    def numbers_of(values: Mapping[str, list[Number]]) -> list[Number]:
+        return [number for numbers in values.values() for number in numbers]
+
+    wanted = numbers_of(step)
+    computed, after = lines([*wanted, unusual] if isinstance(unusual, Scalar) else wanted)
+    if isinstance(unusual, Scalar):
+        computed.append(_UNLESS_UNUSUAL.format(condition=after.pop(), width=width))
+    recorded, kept = lines(numbers_of(program.recorded))
+    recorded += stores(program.recorded, kept)
+    stored = stores(step, after)
+    for name, (at, size, steps) in program.rings.items():
+        pointers[:0] = [
+            f"  %{name}.slot = urem i64 %k, {steps}",
+            f"  %{name}.row = mul i64 %{name}.slot, {size}",
+            f"  %{name}.place = add i64 %{name}.row, {at}",
+            f"  %{name}.ring = getelementptr D, ptr %s, i64 %{name}.place",
+        ]
+    go = _GO.format(
+        step="\n".join(pointers + computed), record="\n".join(recorded), stores="\n".join(stored)
     )
-    if is_ever:
-        lines.append(_UNLESS_UNUSUAL.format(condition=names.pop(), width=width))
-    found = iter(names)
-    for name, numbers in values.items():
-        for i in range(len(numbers)):
-            lines.append(f"  store D {next(found)}, ptr {place(name, i)}, align 8")
-    return pointers + lines
+    return _filled(_DECLARED + go, width)
 
 
 def _filled(text: str, width: int) -> str:

@@ -42,6 +42,7 @@ def numpy_function(graph: Graph, outputs: list[Number]) -> Callable[..., list[An
         "v",
         lambda name, i: f"given[{name!r}][{i}]",
         lambda value: f"np.float64({value!r})".replace("nan", "np.nan").replace("inf", "np.inf"),
+        {},
     )
     source = "\n".join(["def function(**given):", *lines, f"    return [{', '.join(names)}]"])
     scope: dict[str, Any] = {"np": np}
@@ -56,46 +57,37 @@ class NumpyLanes:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        self._step, self._record = (
-            (list(values), numpy_function(program.graph, list(chain(*values.values()))))
-            for values in (program.complete, program.recorded)
-        )
+        numbers = chain(*program.complete.values(), *program.recorded.values())
+        self._function = numpy_function(program.graph, list(numbers))
 
-    def run(self, kept: Array, parameters: Array, first: int, last: int, every: int) -> None:
-        """Go on from one step to another, in place.
+    def run(self, kept: Array, parameters: Array, last: int, every: int) -> None:
+        """Take all steps, in place.
 
         Args:
             kept: What is kept, shape (groups, rows, width).
             parameters: What stays, shape (groups, parameters, width).
-            first: Number of the first step.
-            last: Number of the step before which to stop.
-            every: After how many steps to record.
+            last: Number of the last step, from 0.
+            every: Which steps to record: its multiples, and the last.
         """
         state, given = (np.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in (kept, parameters))
         state = state.copy()
         with np.errstate(all="ignore"):
-            for k in range(first, last):
-                self._carry_out(self._step, state, given, k)
-                if (k + 1) % every == 0:
-                    self._carry_out(self._record, state, given, k)
+            for k in range(last + 1):
+                self._step(state, given, k, is_recorded=k % every == 0 or k == last)
         kept[...] = np.moveaxis(state.reshape(len(state), len(kept), -1), 0, 1)
 
-    def _carry_out(self, part: Any, state: Array, given: Array, k: int) -> None:
-        names, function = part
-        if not names:
-            return
+    def _step(self, state: Array, given: Array, k: int, is_recorded: bool) -> None:
         program = self._program
-        places = {name: (at, size) for name, (at, size) in program.rows.items()}
+        places = dict(program.rows)
         places |= {
             name: (at + size * (k % steps), size)
             for name, (at, size, steps) in program.rings.items()
         }
-        values = {name: state[at : at + size] for name, (at, size) in places.items()}
+        values: dict[str, Any] = {name: state[at : at + n] for name, (at, n) in places.items()}
         values |= {name: given[at : at + n] for name, (at, n) in program.parameters.items()}
-        found = [
-            np.array(np.broadcast_to(row, state.shape[1:]))
-            for row in function(**values, **{STEP: [np.float64(k)]})
-        ]  # copies, as some are rows of the state
+        computed = self._function(**values | {STEP: [np.float64(k)]})
+        rows = [np.array(np.broadcast_to(row, state.shape[1:])) for row in computed]
+        names = [*program.complete, *(program.recorded if is_recorded else ())]
         for name in names:
             at, size = places[name]
-            state[at : at + size], found = found[:size], found[size:]
+            state[at : at + size], rows = rows[:size], rows[size:]

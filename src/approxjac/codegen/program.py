@@ -28,7 +28,7 @@ class Program:
         usual: What follows at a step: names and their numbers.
         unusual: Whether that does not hold for a step, and `complete` has to be taken.
         complete: What follows at any step; to the last bit what `usual` says where that holds.
-        recorded: What follows at some steps, after them.
+        recorded: What else is kept of steps that are recorded.
     """
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ class Program:
         self.unusual, self.usual, self.complete = unusual, _flat(usual), _flat(complete)
 
     def record(self, values: Kept) -> None:
-        """Say what else is kept after a step that is recorded, of what is kept after the step."""
+        """Say what else is kept of a step that is recorded, of what is known before it."""
         self.recorded = _flat(values)
 
 
@@ -105,6 +105,7 @@ def statements(
     variable: str,
     of_input: Callable[[str, int], str],
     of_constant: Callable[[float], str],
+    names: dict[int, str],
 ) -> tuple[list[str], list[str]]:
     """Return the lines that compute some numbers, and what they are called there.
 
@@ -116,9 +117,12 @@ def statements(
         variable: What names of variables begin with.
         of_input: How an input is read.
         of_constant: How a constant is written.
+        names: Place in the graph → what is computed already is called; the others are added.
     """
-    lines, names = [], {}
+    lines = []
     for place in graph.needed(wanted):
+        if place in names:
+            continue
         operation, arguments, value = graph.nodes[place]
         if operation == "constant":
             assert isinstance(value, float)

@@ -49,18 +49,23 @@ class Symbols(np.ndarray):
     such as `if`, is a TypeError: a choice is `np.where`.
     """
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        plain = [_plain(each) for each in inputs]
-        if "out" in options:
-            options["out"] = tuple(_plain(each) for each in options["out"])
-        result = getattr(_FUNCTIONS.get(ufunc, ufunc), method)(*plain, **options)
-        return result.view(Symbols) if isinstance(result, np.ndarray) else result
+    def __array_ufunc__(self, *arguments: Any, **options: Any) -> Any:
+        return apply(*arguments, **options)
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         if function is np.where:
             return _select(*map(_plain, arguments)).view(Symbols)
         result = super().__array_function__(function, types, arguments, options)
         return result.view(Symbols) if isinstance(result, np.ndarray) else result
+
+
+def apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
+    """Return what a function of NumPy makes of arrays, some of which hold `Scalar`s."""
+    if "out" in options:
+        options["out"] = tuple(map(_plain, options["out"]))
+    function = getattr(_FUNCTIONS.get(ufunc, ufunc), method)
+    result = function(*map(_plain, arguments), **options)
+    return result.view(Symbols) if isinstance(result, np.ndarray) else result
 
 
 def symbols(values: Any) -> Symbols:
@@ -82,4 +87,8 @@ def any_of(conditions: Any) -> Scalar | bool:
 def _plain(value: Any) -> Any:
     if isinstance(value, Symbols):
         return value.view(np.ndarray)
+    if isinstance(value, Scalar):
+        found = np.empty((), dtype=object)
+        found[()] = value
+        return found
     return np.asarray(value, dtype=object) if isinstance(value, np.ndarray) else value

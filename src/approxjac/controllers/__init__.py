@@ -7,7 +7,6 @@ from approxjac.controllers.adaptive_dynamics import (
     MotionDynamics,
 )
 from approxjac.controllers.adaptive_planar_camera import AdaptivePlanarCamera
-from approxjac.controllers.compiled import CompiledSetpointController
 from approxjac.controllers.default_gains import default_gains
 from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains import Gains
@@ -45,7 +44,6 @@ __all__ = [
     "AdaptiveKinematics",
     "AdaptivePlanarCamera",
     "AwayFromStops",
-    "CompiledSetpointController",
     "ContinuousController",
     "ControllerWrapper",
     "DifferentiatedVelocity",

@@ -37,6 +37,7 @@ class GravityRegressor:
     Attributes:
         names: Names of the parameters, such as "joint1.mx" [kg m] or "joint1.m" [kg].
         theta: Their values for `robot` itself, shape (p,).
+        columns: Their places among the ten dynamic parameters of each joint, shape (p,).
 
     Raises:
         InvalidInputError: No or doubled axes, centres of mass of `robot` that `moments` does not
@@ -64,12 +65,12 @@ class GravityRegressor:
                 f"(gravity is {robot.gravity.tolist()} m/s^2)",
                 given=robot,
             )
-        self._columns = candidates[kept]
+        self.columns = candidates[kept]
         self._held = grouping[:, candidates // 10 == self._last_mover()]
         self._usual = np.sqrt(np.mean(stacked[:, kept] ** 2, axis=0))
         labels = ["m", "mx", "my", "mz"]
         movers = list(self._model.names)[1:]
-        self.names = tuple(f"{movers[c // 10]}.{labels[c % 10]}" for c in self._columns)
+        self.names = tuple(f"{movers[c // 10]}.{labels[c % 10]}" for c in self.columns)
         parameters = np.concatenate(
             [inertia.toDynamicParameters() for inertia in list(self._model.inertias)[1:]]
         )
@@ -89,11 +90,11 @@ class GravityRegressor:
     @property
     def p(self) -> int:
         """Number of parameters."""
-        return len(self._columns)
+        return len(self.columns)
 
     def Z(self, q: Array) -> Array:
         """Gravity regressor Z(q), shape (n_v, p) [m²/s² for first moments, with g inside]."""
-        return self._full(self.robot.configuration(q)).take(self._columns, 1)
+        return self._full(self.robot.configuration(q)).take(self.columns, 1)
 
     def fit(self, robot: Robot, *, seed: int = 0) -> tuple[Array, float]:
         """Return the θ with which this Z(q) reproduces the gravity of another robot.

@@ -1,0 +1,114 @@
+"""Linear algebra of small symmetric matrices on symbols, without a branch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from approxjac import law
+from approxjac.codegen.graph import Number, Scalar, select
+from approxjac.codegen.symbols import Symbols, symbols
+
+_SWEEPS = {1: 0, 2: 1, 3: 5}
+_MANY_SWEEPS = 7  # beyond three rows
+
+
+class Factors:
+    """A = LDLᵀ of a symmetric positive definite A (n, n)."""
+
+    def __init__(self, A: Symbols) -> None:
+        n = len(A)
+        self._L: list[list[Number]] = [[0.0] * n for _ in range(n)]
+        self._inverse: list[Number] = []  # of D
+        scaled: list[list[Number]] = [[0.0] * n for _ in range(n)]  # LD
+        for i in range(n):
+            for j in range(i):
+                total: Number = A[i, j]
+                for k in range(j):
+                    total = total - scaled[i][k] * self._L[j][k]
+                scaled[i][j] = total
+                self._L[i][j] = total * self._inverse[j]
+            pivot: Number = A[i, i]
+            for k in range(i):
+                pivot = pivot - scaled[i][k] * self._L[i][k]
+            self._inverse.append(1.0 / pivot)
+
+    def solve(self, b: Symbols) -> Symbols:
+        """Return A⁻¹b, b of shape (n,) or (n, k)."""
+        if b.ndim == 2:
+            return symbols([self.solve(column) for column in b.T]).T  # type: ignore[return-value]
+        n, z = len(b), b.tolist()
+        for i in range(n):
+            for k in range(i):
+                z[i] = z[i] - self._L[i][k] * z[k]
+        z = [each * inverse for each, inverse in zip(z, self._inverse, strict=True)]
+        for i in reversed(range(n)):
+            for k in range(i + 1, n):
+                z[i] = z[i] - self._L[k][i] * z[k]
+        return symbols(z)
+
+
+def eigenvalues(A: Symbols) -> Symbols:
+    """Return the eigenvalues of a symmetric A (n, n), in no order, by Jacobi's rotations."""
+    n, a = len(A), [list(row) for row in A.tolist()]
+    for _ in range(_SWEEPS.get(n, _MANY_SWEEPS)):
+        for p in range(n):
+            for q in range(p + 1, n):
+                _rotate(a, p, q)
+    return symbols([a[i][i] for i in range(n)])
+
+
+def _rotate(a: list[list[Number]], p: int, q: int) -> None:
+    """Make a[p][q] zero."""
+    off = a[p][q]
+    if not isinstance(off, Scalar):
+        return
+    ratio = (a[q][q] - a[p][p]) / (off + off)
+    size = abs(ratio)  # type: ignore[arg-type]
+    tangent: Number = 1.0 / (size + (size * size + 1.0).sqrt())  # type: ignore[union-attr]
+    tangent = select(ratio < 0.0, -tangent, tangent)
+    tangent = select(off == 0.0, 0.0, tangent)
+    cosine = 1.0 / (tangent * tangent + 1.0).sqrt()  # type: ignore[union-attr]
+    sine = tangent * cosine
+    a[p][p], a[q][q] = a[p][p] - tangent * off, a[q][q] + tangent * off
+    a[p][q] = a[q][p] = 0.0
+    for r in range(len(a)):
+        if r not in (p, q):
+            left, right = a[r][p], a[r][q]
+            a[r][p] = a[p][r] = cosine * left - sine * right
+            a[r][q] = a[q][r] = sine * left + cosine * right
+
+
+def damped_gram_solve(
+    G: Symbols, b: Symbols, scale: float, *, complete: bool
+) -> tuple[Symbols, Scalar | bool, Scalar | bool]:
+    """Return what `law.damped_gram_solve` does, on symbols.
+
+    Args:
+        G: J Jᵀ, shape (m, m).
+        b: Shape (m,).
+        scale: As there.
+        complete: Whether to find the damping, too; else w holds where it surely is zero.
+
+    Returns:
+        w (m,); whether it is damped, False if that is not found; and whether it may be.
+    """
+    ratio = law.SINGULAR_RATIO
+    if len(b) <= 3:
+        rows, determinant, bound, trace = law.adjugate(G.tolist())
+        w = symbols(law.solution(rows, determinant, b.tolist()))
+        regular = law.is_surely_regular(bound, trace, ratio, scale)
+    else:
+        factors = Factors(G)
+        inverse, w = factors.solve(symbols(np.eye(len(b)))), factors.solve(b)
+        trace, largest = G.trace(), inverse.trace()  # of G⁻¹, at least 1 / its least eigenvalue
+        regular = (1.0 > ratio**2 * trace * largest) & (trace > len(b) * scale**2)
+        regular = regular & (largest > 0.0)
+    if not complete:
+        return w, False, ~regular
+    squares = eigenvalues(G)
+    damping = law.gram_damping(squares.min(), squares.max(), ratio, scale)
+    damping = select(regular, 0.0, damping)
+    damped = Factors(G + np.multiply(damping, np.eye(len(b)))).solve(b)
+    is_zero = (squares.max() <= 0.0) & (scale == 0.0)
+    damped = np.where(is_zero, 0.0, damped)
+    return np.where(regular, w, damped), damping > 0.0, ~regular

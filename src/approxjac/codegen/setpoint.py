@@ -1,0 +1,209 @@
+"""The set-point laws on symbols: what `SetpointController` computes in a usual step."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac import law
+from approxjac.codegen import tasks
+from approxjac.codegen.graph import Scalar
+from approxjac.codegen.linear import damped_gram_solve
+from approxjac.codegen.rigid_body import Configured
+from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.controllers import Posture
+from approxjac.controllers.gravity import Adaptation, ModelGravity, NoGravity, RegressorGravity
+from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.unknown_tool import UNKNOWN_TOOL
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Status
+from approxjac.law import Linear, Sine, Tanh
+
+STATUSES = tuple(Status)
+"""A status is its place in this."""
+
+
+class Answer(NamedTuple):
+    """What a law answers.
+
+    Attributes:
+        torque: Shape (n_v,).
+        rate: Of the state, shape (n_state,).
+        status: Place in `STATUSES`.
+        e: Task error, shape (m,); NaN where x is lost.
+        pinv_s: Ĵ⁺s(e), shape (n_v,).
+        gravity: Gravity torque in it, shape (n_v,).
+        unusual: Whether the rest holds only if it is traced as complete.
+        left: Whether it does not even hold then, and is left to Python.
+    """
+
+    torque: Symbols
+    rate: Symbols
+    status: Any
+    e: Symbols
+    pinv_s: Symbols
+    gravity: Symbols
+    unusual: Scalar | bool
+    left: Scalar | bool
+
+
+def require_covered(controller: SetpointController) -> None:
+    """Refuse a law of which no code can be made.
+
+    Raises:
+        InvalidInputError: A task, a saturation, a source of gravity or a posture of another kind
+            than those covered.
+    """
+    if type(controller) is not SetpointController:
+        raise InvalidInputError(
+            f"controller must be a SetpointController to make code of it, got {controller!r}",
+            given=controller,
+        )
+    tasks.require_covered(controller.task)
+    saturation, gravity, posture = controller.saturation, controller.gravity, controller.posture
+    if type(saturation) not in (Linear, Sine, Tanh):
+        raise InvalidInputError(
+            f"saturation must be Linear, Sine or Tanh to make code of it, got {saturation!r}",
+            given=saturation,
+        )
+    robot = controller.task.robot
+    if controller.adaptation is None and gravity.robot != robot:
+        raise InvalidInputError(
+            f"gravity must be that of the task's robot to make code of it, got {gravity!r}",
+            given=gravity,
+        )
+    if posture is not None and not (isinstance(posture, Posture) and robot.nq == robot.nv):
+        raise InvalidInputError(
+            "posture must be a Posture of an arm without continuous joints to make code of it, "
+            f"got {posture!r}",
+            given=posture,
+        )
+
+
+def answer(
+    controller: SetpointController,
+    arm: Configured,
+    q: Symbols,
+    v: Symbols,
+    x: Symbols,
+    x_d: Symbols,
+    state: Symbols,
+    *,
+    may_lose: bool,
+    complete: bool,
+) -> Answer:
+    """Return what `SetpointController.evaluate` does, for a target at rest.
+
+    Args:
+        controller: The law.
+        arm: The believed arm at q.
+        q: Configuration, shape (nq,).
+        v: Joint velocity, shape (n_v,).
+        x: Measured x, shape (n_x,).
+        x_d: Target, shape (n_x,).
+        state: State of the law.
+        may_lose: Whether x may be lost.
+        complete: Whether to compute what unusual steps need, too.
+    """
+    task, learning, scale = controller.task, controller.adaptation, controller.pinv.scale
+    (kp, kv, damping), p = controller.diagonals, controller.resting
+    e = x - x_d
+    lost: Scalar | bool = False
+    s = controller.saturation.s(e) if type(controller.saturation) is Linear else _saturated(
+        controller.saturation, e
+    )
+    if may_lose:
+        lost = ~((e * e).sum() < np.inf)
+        s = np.where(lost, 0.0, s)
+    J_hat = tasks.jacobian(task, arm)
+    G = J_hat @ J_hat.T
+    left: Scalar | bool = False
+    if learning is None:
+        g = _gravity(controller, arm)
+        Y = np.zeros((len(v), 0))
+    else:
+        Y = symbols(_regressor(learning, arm, J_hat))
+        g = law.gravity(Y, state[:p])
+    root = controller.pinv.root
+    weighted = J_hat if root is None else J_hat / root
+    w, damped, unusual = damped_gram_solve(weighted @ weighted.T, s, scale, complete=complete)
+    pinv_s = w @ weighted if root is None else (w @ weighted) / root
+    bias = g
+    if isinstance(controller.posture, Posture):
+        own = controller.posture
+        pull = np.asarray(own.stiffness) * (np.asarray(own.q) - q)
+        within, _, no = damped_gram_solve(G, J_hat @ pull, scale, complete=False)
+        bias, left = bias + (pull - within @ J_hat), left | no
+    rate = np.zeros(len(state))
+    if controller.velocity is None:
+        torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
+    else:
+        x_dot = (x - state[p:]) / controller.velocity.time_constant
+        if may_lose:
+            x_dot = np.where(lost, J_hat @ v, x_dot)
+        torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, bias)
+        rate = np.concatenate([symbols(rate[:p]), x_dot])
+    status = np.where(damped, _place(Status.NEAR_SINGULAR), _place(Status.OK))
+    if learning is not None:
+        rests = any_of(np.abs(torque / learning.torque_limits) > 1.0)
+        far = _is_far(controller, arm, e)
+        y = law.passive_output(v, pinv_s, learning.alpha)
+        theta_rate, no = _bounded(learning, law.theta_hat_rate(learning.L, Y, y), state[:p], g)
+        still = lost | rests | far
+        theta_rate = np.where(still, 0.0, theta_rate)
+        left = left | (no & ~symbols(still)[()])
+        rate = np.concatenate([theta_rate, rate[p:]])
+        status = np.where(far, _place(Status.OUT_OF_REACH), status)
+        status = np.where(rests, _place(Status.TORQUE_SATURATED), status)
+    status = np.where(lost, _place(Status.MEASUREMENT_LOST), status)
+    return Answer(torque, rate, status, e, pinv_s, g, unusual, left)
+
+
+def _place(status: Status) -> float:
+    return float(STATUSES.index(status))
+
+
+def _saturated(saturation: Sine | Tanh, e: Symbols) -> Symbols:
+    gamma = np.broadcast_to(saturation.gamma, e.shape)
+    return (law.sine if isinstance(saturation, Sine) else law.tanh)(e / gamma, gamma)
+
+
+def _gravity(controller: SetpointController, arm: Configured) -> Symbols:
+    gravity = controller.gravity
+    if isinstance(gravity, RegressorGravity):
+        return law.gravity(arm.Z(gravity.regressor), gravity.theta)
+    return arm.gravity() if isinstance(gravity, ModelGravity) else symbols(np.zeros(arm.nv))
+
+
+def _regressor(learning: Adaptation, arm: Configured, J_hat: Symbols) -> Symbols:
+    """Return what `Adaptation.Y` does."""
+    _, forces, torques = learning.sizes
+    parts = [arm.Z(learning.regressor), *([J_hat.T] if forces else [])]
+    return np.concatenate([*parts, symbols(np.eye(torques))] if torques else parts, axis=1)
+
+
+def _is_far(controller: SetpointController, arm: Configured, e: Symbols) -> Scalar | bool:
+    """Return what `Reach.is_exceeded` does."""
+    origin, most = controller.reach
+    if most == np.inf:
+        return False
+    k = len(origin)
+    offset = tasks.value(controller.task, arm)[:k] - e[:k] - origin
+    farthest = (1.0 + UNKNOWN_TOOL) * most
+    is_far = (e[:k] * e[:k]).sum() > (UNKNOWN_TOOL * most) ** 2
+    return is_far & ((offset * offset).sum() > farthest**2)
+
+
+def _bounded(
+    learning: Adaptation, rate: Symbols, theta_hat: Symbols, g: Symbols
+) -> tuple[Symbols, Scalar | bool]:
+    """Return what `Adaptation.bounded` does, and whether that is left to Python."""
+    if learning.bounds is None:
+        return rate, False
+    lower, upper = learning.bounds
+    outward = ((theta_hat <= lower) & (rate < 0.0)) | ((theta_hat >= upper) & (rate > 0.0))
+    beyond = any_of(np.abs(g) > learning.motors)
+    if learning.L.ndim == 2:
+        return rate, any_of(outward) | beyond
+    return np.where(outward, 0.0, rate), beyond
