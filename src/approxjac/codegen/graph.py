@@ -12,6 +12,8 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Union
 
+import numpy as np
+
 Number = Union["Scalar", float]
 
 
@@ -130,11 +132,6 @@ class Scalar:
         self.graph = graph
         self.place = place
 
-    @property
-    def is_condition(self) -> bool:
-        """Return whether it is true or false."""
-        return self.graph.nodes[self.place].operation in CONDITIONS
-
     def __add__(self, other: Number) -> Number:
         if not isinstance(other, Scalar):
             return self if other == 0.0 else self.graph.apply("add", self, other)
@@ -240,6 +237,11 @@ class Scalar:
 
         return apply(*arguments, **options)
 
+    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
+        from approxjac.codegen.symbols import choose
+
+        return choose(*arguments) if function is np.where else NotImplemented
+
     def sqrt(self) -> Scalar:
         """Return √a."""
         return self.graph.apply("sqrt", self)
@@ -258,7 +260,15 @@ def select(condition: Scalar | bool, a: Number, b: Number) -> Number:
         return a if condition else b
     if a is b:
         return a
+    if _is_condition(a) or _is_condition(b):
+        return (condition & a) | (~condition & b)  # type: ignore[return-value,operator]
     return condition.graph.apply("select", condition, a, b)
+
+
+def _is_condition(number: Number) -> bool:
+    if isinstance(number, Scalar):
+        return number.graph.nodes[number.place].operation in CONDITIONS
+    return isinstance(number, bool | np.bool_)
 
 
 def _negated(number: Scalar) -> Scalar | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
+from approxjac.validation import Array
 
 from approxjac.codegen.graph import CONDITIONS, Graph, Number, Scalar
 from approxjac.codegen.symbols import Symbols, inputs, symbols
@@ -55,7 +55,7 @@ class Program:
         self.n_rows += size * steps
         return inputs(self.graph, name, size)
 
-    def given(self, name: str, values: np.ndarray) -> Symbols:
+    def given(self, name: str, values: Array) -> Symbols:
         """Return numbers that stay as they are in a run.
 
         Those that are the same in all runs are constants of the program, and cost nothing.
@@ -91,7 +91,7 @@ Kept = Mapping[str, Any]
 
 
 def _flat(values: Kept) -> dict[str, list[Number]]:
-    return {name: np.ravel(value).tolist() for name, value in values.items()}
+    return {name: symbols(value).ravel().tolist() for name, value in values.items()}
 
 
 Templates = Mapping[str, str]

@@ -19,6 +19,7 @@ from approxjac.controllers.unknown_tool import UNKNOWN_TOOL
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Status
 from approxjac.law import Linear, Sine, Tanh
+from approxjac.law.saturation import sine, tanh
 
 STATUSES = tuple(Status)
 """A status is its place in this."""
@@ -110,9 +111,7 @@ def answer(
     (kp, kv, damping), p = controller.diagonals, controller.resting
     e = x - x_d
     lost: Scalar | bool = False
-    s = controller.saturation.s(e) if type(controller.saturation) is Linear else _saturated(
-        controller.saturation, e
-    )
+    s = _saturated(controller.saturation, e)
     if may_lose:
         lost = ~((e * e).sum() < np.inf)
         s = np.where(lost, 0.0, s)
@@ -149,7 +148,7 @@ def answer(
         rests = any_of(np.abs(torque / learning.torque_limits) > 1.0)
         far = _is_far(controller, arm, e)
         y = law.passive_output(v, pinv_s, learning.alpha)
-        theta_rate, no = _bounded(learning, law.theta_hat_rate(learning.L, Y, y), state[:p], g)
+        theta_rate, no = _bounded(learning, law.theta_hat_rate(symbols(learning.L), Y, y), state[:p], g)
         still = lost | rests | far
         theta_rate = np.where(still, 0.0, theta_rate)
         left = left | (no & ~symbols(still)[()])
@@ -164,9 +163,11 @@ def _place(status: Status) -> float:
     return float(STATUSES.index(status))
 
 
-def _saturated(saturation: Sine | Tanh, e: Symbols) -> Symbols:
+def _saturated(saturation: Linear | Sine | Tanh, e: Symbols) -> Symbols:
+    if isinstance(saturation, Linear):
+        return e
     gamma = np.broadcast_to(saturation.gamma, e.shape)
-    return (law.sine if isinstance(saturation, Sine) else law.tanh)(e / gamma, gamma)
+    return (sine if isinstance(saturation, Sine) else tanh)(e / gamma, gamma)
 
 
 def _gravity(controller: SetpointController, arm: Configured) -> Symbols:
@@ -185,7 +186,7 @@ def _regressor(learning: Adaptation, arm: Configured, J_hat: Symbols) -> Symbols
 
 def _is_far(controller: SetpointController, arm: Configured, e: Symbols) -> Scalar | bool:
     """Return what `Reach.is_exceeded` does."""
-    origin, most = controller.reach
+    origin, most = controller.reach.origin, controller.reach.most
     if most == np.inf:
         return False
     k = len(origin)

@@ -37,6 +37,8 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.greater: np.frompyfunc(lambda a, b: a > b, 2, 1),
     np.greater_equal: np.frompyfunc(lambda a, b: a >= b, 2, 1),
     np.equal: np.frompyfunc(lambda a, b: a == b, 2, 1),
+    np.bitwise_and: np.frompyfunc(lambda a, b: a & b, 2, 1),
+    np.bitwise_or: np.frompyfunc(lambda a, b: a | b, 2, 1),
     np.invert: np.frompyfunc(lambda a: ~a if isinstance(a, Scalar) else not a, 1, 1),
 }
 _select = np.frompyfunc(select, 3, 1)
@@ -54,7 +56,7 @@ class Symbols(np.ndarray):
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         if function is np.where:
-            return _select(*map(_plain, arguments)).view(Symbols)
+            return choose(*arguments)
         result = super().__array_function__(function, types, arguments, options)
         return result.view(Symbols) if isinstance(result, np.ndarray) else result
 
@@ -65,6 +67,12 @@ def apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
         options["out"] = tuple(map(_plain, options["out"]))
     function = getattr(_FUNCTIONS.get(ufunc, ufunc), method)
     result = function(*map(_plain, arguments), **options)
+    return result.view(Symbols) if isinstance(result, np.ndarray) else result
+
+
+def choose(condition: Any, a: Any, b: Any) -> Any:
+    """Return what `numpy.where` does."""
+    result = _select(*map(_plain, (condition, a, b)))
     return result.view(Symbols) if isinstance(result, np.ndarray) else result
 
 

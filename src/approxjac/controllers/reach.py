@@ -13,23 +13,27 @@ from approxjac.validation import Array
 class Reach:
     """Bound on the reach of the believed arm; infinite for other tasks than positions and poses.
 
+    Attributes:
+        origin: Where the arm begins [unit of the task].
+        most: How far it reaches from there.
+
     Args:
         task: The task of the believed robot.
     """
 
     def __init__(self, task: Task) -> None:
-        self._task, self._origin, self._most = task, [0.0], math.inf
+        self._task, self.origin, self.most = task, [0.0], math.inf
         if isinstance(task, PositionTask | PoseTask):
-            origin, self._most = reach_bound(task.robot, task.frame)
-            self._origin = origin[["xyz".index(axis) for axis in task.labels[:3]]].tolist()
+            origin, self.most = reach_bound(task.robot, task.frame)
+            self.origin = origin[["xyz".index(axis) for axis in task.labels[:3]]].tolist()
 
     def is_exceeded(self, q: Array, e: Array) -> bool:
         """Return whether a target is too far away for the arm, and a tool that nobody told of.
 
         It is e (m,) away from where the believed arm is at q: who measures x may stand anywhere.
         """
-        k = len(self._origin)
-        if math.hypot(*e[:k].tolist()) <= UNKNOWN_TOOL * self._most:
+        k = len(self.origin)
+        if math.hypot(*e[:k].tolist()) <= UNKNOWN_TOOL * self.most:
             return False
         there = self._task.value(q)[:k] - e[:k]
-        return math.dist(there.tolist(), self._origin) > (1.0 + UNKNOWN_TOOL) * self._most
+        return math.dist(there.tolist(), self.origin) > (1.0 + UNKNOWN_TOOL) * self.most

@@ -149,7 +149,7 @@ class SetpointController(ProvenLaw):
         self._pull = None
         if posture is not None:
             self._pull = posture.torque(task, self.diagonals, slow_rate(task, self.diagonals))
-        self._reach = Reach(task)
+        self.reach = Reach(task)
         self._subtracts = task._subtracts  # as most do
         back = uncombined(task)  # a target moves in the coordinates of what is measured
         self._combination = np.eye(task.m) if back is None else np.linalg.inv(back)
@@ -378,7 +378,7 @@ class SetpointController(ProvenLaw):
             status = _LOST
         elif learning is not None and learning.rests(torque):
             status = _SATURATED
-        elif learning is not None and self._reach.is_exceeded(q, e):
+        elif learning is not None and self.reach.is_exceeded(q, e):
             status = _FAR
         elif singular:
             status = _SINGULAR

@@ -30,10 +30,10 @@ class JointStops:
     def __init__(self, robot: Robot) -> None:
         self._robot, self._limits = robot, robot.position_limits
         # of each coordinate of q, infinite of continuous joints
-        self._ends = [(-math.inf, math.inf)] * robot.nq
+        self.ends = [(-math.inf, math.inf)] * robot.nq
         for name, low, high in zip(robot.joint_names, *self._limits, strict=True):
             joint = robot.model.joints[robot.model.getJointId(name)]
-            self._ends[joint.idx_q] = float(low), float(high)
+            self.ends[joint.idx_q] = float(low), float(high)
 
     @cached_property
     def stiffness(self) -> Array:
@@ -51,7 +51,7 @@ class JointStops:
 
     def touched(self, q: Array) -> bool:
         """Return whether a joint is beyond its limits; quick, as it is asked at every step."""
-        for value, (low, high) in zip(q.tolist(), self._ends):  # noqa: B905 (as many, and quick)
+        for value, (low, high) in zip(q.tolist(), self.ends):  # noqa: B905 (as many, and quick)
             if value < low or value > high:  # one that is NaN is not
                 return True
         return False

@@ -53,7 +53,7 @@ class MujocoPlant(Plant):
         UrdfError: MuJoCo cannot open the URDF, such as for collision meshes that are missing.
     """
 
-    _stops = None  # MuJoCo has its own
+    stops = None  # MuJoCo has its own
 
     def __init__(
         self,

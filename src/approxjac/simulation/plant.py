@@ -120,9 +120,10 @@ class Plant(Immutable):
     def _of(self, robot: Robot, sensor: Task) -> Self:
         """Return this plant of another robot with the same joints, in a fifth of the time."""
         _require_own(robot, sensor)
+        _ = self.stops  # those of the arm, whatever it holds
         plant, arguments = object.__new__(type(self)), {"robot": robot, "sensor": sensor}
         vars(plant).update(vars(self), **arguments, _arguments=self._arguments | arguments)
-        for name in ("dynamics", "_data", "_stops"):
+        for name in ("dynamics", "_data"):
             vars(plant).pop(name, None)
         return plant
 
@@ -137,7 +138,8 @@ class Plant(Immutable):
         return self.robot.effort_limits if self.torque_limits is None else self.torque_limits
 
     @cached_property
-    def _stops(self) -> JointStops | None:
+    def stops(self) -> JointStops | None:
+        """The stops of its joints, or None."""
         return JointStops(self.robot) if self.joint_limits else None
 
     @cached_property
@@ -251,8 +253,8 @@ class Plant(Immutable):
         nv = self.robot.nv
         q, v = self.robot.configuration(q), as_vector("v", v, nv)
         tau = self._delivered(as_vector("tau", tau, nv))
-        if self._stops is not None and self._stops.touched(q):
-            tau = tau + self._stops.torque(q, v)
+        if self.stops is not None and self.stops.touched(q):
+            tau = tau + self.stops.torque(q, v)
         return self._acceleration(q, v, tau).copy()
 
     def advance(
@@ -266,11 +268,11 @@ class Plant(Immutable):
         if self.servo is None:
             accelerate, tau = self._acceleration, self._delivered(tau)
         q_end, v_end = integrate(accelerate, self._moved, q, v, tau, dt)
-        if self._stops is None or not self._stops.touched(q_end):
+        if self.stops is None or not self.stops.touched(q_end):
             return q_end, v_end
         free = v + dt * accelerate(q, v, tau)
         M_inv = self.dynamics.M_inv(q)
-        v_end = free + dt * M_inv @ self._stops.held_torque(q, free, M_inv, dt)
+        v_end = free + dt * M_inv @ self.stops.held_torque(q, free, M_inv, dt)
         return self._moved(q, dt * v_end), v_end
 
     def _moved(self, q: Array, motion: Array) -> Array:
@@ -288,10 +290,15 @@ class Plant(Immutable):
     def _acceleration(self, q: Array, v: Array, tau: Array) -> Array:
         """Return q̈ under a torque that the motors deliver, for arguments that are checked."""
         if self._has_friction:
-            tau = tau - self.friction * v
-        if self._has_coulomb:
-            tau = tau - self.coulomb * np.tanh(v / self.coulomb_velocity)
+            tau = tau - self.friction_torque(v)
         return self._forward(q, v, tau)
+
+    def friction_torque(self, v: Array) -> Array:
+        """Return Bq̇ + τ_c tanh(q̇/v_c), shape (n_v,)."""
+        viscous: Array = self.friction * v
+        if not self._has_coulomb:
+            return viscous
+        return viscous + self.coulomb * np.tanh(v / self.coulomb_velocity)
 
     def applied(self, q: Array, v: Array, command: Array) -> Array:
         """Return the torque for a command: itself, or that of the servo for a velocity, (n_v,)."""
@@ -300,7 +307,7 @@ class Plant(Immutable):
         a = (command - v) / self.servo.lag
         tau: Array = np.array(pin.rnea(self.robot.model, self._data, q, v, a))
         if self._has_friction:
-            tau += self.friction * v + self.coulomb * np.tanh(v / self.coulomb_velocity)
+            tau += self.friction_torque(v)
         limits = self.motor_limits
         return np.asarray(np.minimum(np.maximum(tau, -limits), limits))
 

@@ -1,0 +1,228 @@
+"""The sampled closed loop on symbols: plant, law, and what is told of each run."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from approxjac.codegen import setpoint, tasks
+from approxjac.codegen.functions import LARGEST_ANGLE
+from approxjac.codegen.graph import Number, Scalar, select
+from approxjac.codegen.linear import Factors
+from approxjac.codegen.program import Program
+from approxjac.codegen.rigid_body import Arm, ArmNumbers, Configured, moved
+from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.controllers.setpoint import SetpointController
+from approxjac.simulation import Plant
+from approxjac.simulation.integrators import INTEGRATORS
+from approxjac.validation import Array
+
+_GUESSES = 4
+_FINITE = 1e200  # sum of squares, beyond which a run has diverged
+
+
+class Told(NamedTuple):
+    """Names of what is told of each run, one number each."""
+
+    last_bad: str = "last_bad"  # record at which the error was last not below the tolerance
+    error: str = "error"  # ‖e‖ at the last record
+    torque: str = "peak_torque"  # largest share of a motor's limit, over all steps
+    speed: str = "peak_speed"  # largest share of a limit of speed, over all steps
+    outside: str = "outside"  # whether a recorded configuration was outside the region
+    diverged: str = "diverged"
+    left: str = "left"  # whether it is left to Python
+
+
+TOLD = Told()
+
+
+class Box(NamedTuple):
+    """Configurations between bounds, from a center.
+
+    Attributes:
+        center: Shape (nq,).
+        lower: Smallest motion from it, shape (n_v,).
+        upper: Largest motion from it, shape (n_v,).
+    """
+
+    center: Array
+    lower: Array
+    upper: Array
+
+
+def closed_loop(
+    controller: SetpointController,
+    plant: Plant,
+    numbers: ArmNumbers,
+    targets: Array,
+    dt: float,
+    tolerance: float,
+    box: Box | None,
+    integrator: str = "semi_implicit_euler",
+) -> Program:
+    """Return the program of a sampled closed loop.
+
+    Args:
+        controller: The law.
+        plant: One of the true robots, with its sensor and friction.
+        numbers: Of all true robots, stacked.
+        targets: x_d of each run, shape (N, n_x).
+        dt: Sampling time [s].
+        tolerance: Error below which a task counts as done.
+        box: The region that runs are to stay in; None asks for none.
+        integrator: One of `INTEGRATORS`.
+    """
+    program, robot = Program(), plant.robot
+    truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
+    belief = Arm(
+        program.given, "belief", controller.task.robot, tasks.frames(controller.task)
+    )
+    x_d = program.given("target", targets)
+    q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
+    n_state = len(controller.initial_state(plant.measure(0.0, robot.neutral(), np.zeros(robot.nv))))
+    state = program.kept("state", n_state)
+    told = {name: program.kept(name, 1)[0] for name in TOLD}
+
+    here, believed = truth.at(q), belief.at(q)
+    x = tasks.value(plant.sensor, here)
+
+    def stepped(complete: bool) -> tuple[dict[str, object], Scalar | bool, setpoint.Answer]:
+        answer = setpoint.answer(
+            controller, believed, q, v, x, x_d, state, may_lose=False, complete=complete
+        )
+        q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
+        touched, left = _touched(plant, q_end), answer.left
+        if complete and touched is not False:
+            q_held, v_held, no = _held(plant, here, q, v, answer.torque, dt)
+            q_end, v_end = np.where(touched, q_held, q_end), np.where(touched, v_held, v_end)
+            left = left | (touched & no)
+        large = any_of(np.abs(q_end) > LARGEST_ANGLE)
+        finite = sum(((each * each).sum() for each in (q_end, v_end, answer.torque)), 0.0)
+        if n_state:
+            finite = finite + (state * state).sum()
+        diverged = ~(finite < _FINITE)  # type: ignore[operator]
+        motors, speeds = plant.motor_limits, robot.velocity_limits
+        after: dict[str, object] = {
+            "q": q_end,
+            "v": v_end,
+            "state": state + dt * answer.rate,
+            TOLD.torque: _larger(told[TOLD.torque], answer.torque / motors),
+            TOLD.speed: _larger(told[TOLD.speed], v / speeds),
+            TOLD.diverged: select(diverged, 1.0, told[TOLD.diverged]),
+            TOLD.left: select(left | large, 1.0, told[TOLD.left]),
+        }
+        return after, answer.unusual | touched, answer
+
+    usual, unusual, answer = stepped(False)
+    complete, _, _ = stepped(True)
+    program.step(unusual, usual, complete)
+    error = np.sqrt((answer.e * answer.e).sum())
+    record = told[TOLD.last_bad]
+    program.record({
+        TOLD.last_bad: select(error < tolerance, record, program.k),
+        TOLD.error: error,
+        TOLD.outside: select(_outside(robot, q, box), 1.0, told[TOLD.outside]),
+    })  # fmt: skip
+    return program
+
+
+def _larger(known: Number, shares: Symbols) -> Number:
+    for share in np.abs(shares).tolist():
+        if isinstance(share, Scalar):
+            known = select(share > known, share, known)
+    return known
+
+
+def _advanced(
+    plant: Plant,
+    truth: Arm,
+    here: Configured,
+    q: Symbols,
+    v: Symbols,
+    torque: Symbols,
+    dt: float,
+    integrator: str,
+) -> tuple[Symbols, Symbols]:
+    """Return what `Plant.advance` does without stops."""
+
+    def acceleration(at: Symbols, v: Symbols, torque: Symbols) -> Symbols:
+        arm = here if at is q else truth.at(at)
+        return arm.forward(v, torque - plant.friction_torque(v))
+
+    def motion(q: Symbols, by: Symbols) -> Symbols:
+        return moved(plant.robot, q, by)
+
+    return INTEGRATORS[integrator](acceleration, motion, q, v, torque, dt)  # type: ignore
+
+
+def _touched(plant: Plant, q: Symbols) -> Scalar | bool:
+    """Return what `JointStops.touched` does."""
+    if plant.stops is None:
+        return False
+    beyond = [
+        (value < low) | (value > high)
+        for value, (low, high) in zip(q.tolist(), plant.stops.ends, strict=True)
+        if math.isfinite(low) or math.isfinite(high)
+    ]
+    return any_of(np.array(beyond, dtype=object))
+
+
+def _held(
+    plant: Plant, here: Configured, q: Symbols, v: Symbols, torque: Symbols, dt: float
+) -> tuple[Symbols, Symbols, Scalar | bool]:
+    """Return what `Plant.advance` does at stops, as `JointStops.held_torque` has it.
+
+    Which joints press on their stops is found in a few guesses, each from the last one. Returns q
+    and v, and whether the last guess was wrong.
+    """
+    stops, nv = plant.stops, plant.robot.nv
+    assert stops is not None
+    free = v + dt * here.forward(v, torque - plant.friction_torque(v))
+    M_inv = here.factors.solve(symbols(np.eye(nv)))
+    depth, side, limited = _depth(plant, q)
+    outward = side * free
+    slowed = dt * side[:, np.newaxis] * M_inv * side
+    per_speed = stops.stiffness * dt + stops.damping
+    b = stops.stiffness / per_speed * depth + outward
+    push, left = symbols(np.zeros(nv)), b  # what is left of b without a push of its own
+    touches = symbols([False] * nv)
+    presses = symbols([False] * nv)
+    wrong: Scalar | bool = False
+    for _ in range(_GUESSES):
+        touches = touches | (limited & (depth + dt * (outward - slowed @ push) > 0.0))
+        presses = touches & np.where(presses, push > 0.0, left > 0.0)
+        A = np.where(presses[:, np.newaxis] & presses, slowed, 0.0)
+        A = A + np.diag(np.where(presses, 1.0 / per_speed, 1.0))
+        push = np.where(presses, Factors(A).solve(np.where(presses, b, 0.0)), 0.0)
+        left = b - slowed @ push
+        newly = limited & ~touches & (depth + dt * (outward - slowed @ push) > 0.0)
+        wrong = any_of(newly | (presses & (push < 0.0)) | (touches & ~presses & (left > 0.0)))
+    v_end = free - dt * (M_inv @ (side * push))
+    return moved(plant.robot, q, dt * v_end), v_end, wrong
+
+
+def _depth(plant: Plant, q: Symbols) -> tuple[Symbols, Symbols, Array]:
+    """Return what `JointStops.depth` does, and of which joints: 0 and 1 of others."""
+    robot = plant.robot
+    depth, side = symbols(np.zeros(robot.nv)), symbols(np.ones(robot.nv))
+    limited = np.zeros(robot.nv, dtype=bool)
+    for i, (name, low, high) in enumerate(
+        zip(robot.joint_names, *robot.position_limits, strict=True)
+    ):
+        joint = robot.model.joints[robot.model.getJointId(name)]
+        if joint.nq == 2 or not (math.isfinite(low) or math.isfinite(high)):
+            continue
+        above, below = q[joint.idx_q] - high, low - q[joint.idx_q]
+        depth[i] = select(above > below, above, below)
+        side[i] = select(above > below, 1.0, -1.0)
+        limited[i] = True
+    return depth, side, limited
+
+
+def _outside(robot: object, q: Symbols, box: Box | None) -> Scalar | bool:
+    if box is None:
+        return False
+    motion = q - box.center
+    return any_of((motion < box.lower - 1e-12) | (motion > box.upper + 1e-12))
