@@ -88,36 +88,27 @@ def closed_loop(
     here, believed = truth.at(q), belief.at(q)
     x = tasks.value(plant.sensor, here)
 
-    def stepped(complete: bool) -> tuple[dict[str, object], Scalar | bool, setpoint.Answer]:
-        answer = setpoint.answer(
-            controller, believed, q, v, x, x_d, state, may_lose=False, complete=complete
-        )
-        q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
-        touched, left = _touched(plant, q_end), answer.left
-        if complete and touched is not False:
-            q_held, v_held, no = _held(plant, here, q, v, answer.torque, dt)
-            q_end, v_end = np.where(touched, q_held, q_end), np.where(touched, v_held, v_end)
-            left = left | (touched & no)
-        large = any_of(np.abs(q_end) > LARGEST_ANGLE)
-        finite = sum(((each * each).sum() for each in (q_end, v_end, answer.torque)), 0.0)
-        if n_state:
-            finite = finite + (state * state).sum()
-        diverged = ~(finite < _FINITE)  # type: ignore[operator]
-        motors, speeds = plant.motor_limits, robot.velocity_limits
-        after: dict[str, object] = {
-            "q": q_end,
-            "v": v_end,
-            "state": state + dt * answer.rate,
-            TOLD.torque: _larger(told[TOLD.torque], answer.torque / motors),
-            TOLD.speed: _larger(told[TOLD.speed], v / speeds),
-            TOLD.diverged: select(diverged, 1.0, told[TOLD.diverged]),
-            TOLD.left: select(left | large, 1.0, told[TOLD.left]),
-        }
-        return after, answer.unusual | touched, answer
-
-    usual, unusual, answer = stepped(False)
-    complete, _, _ = stepped(True)
-    program.step(unusual, usual, complete)
+    answer = setpoint.answer(controller, believed, q, v, x, x_d, state, may_lose=False)
+    q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
+    touched, left = _touched(plant, q_end), answer.left
+    if isinstance(touched, Scalar):
+        q_held, v_held, wrong = _held(plant, here, q, v, answer.torque, dt)
+        n, ends = len(q), [*q_end.tolist(), *v_end.tolist(), 0.0]
+        held = [*q_held.tolist(), *v_held.tolist(), select(wrong, 1.0, 0.0)]
+        *ends, is_wrong = program.graph.rare(touched, held, ends)
+        q_end, v_end, left = symbols(ends[:n]), symbols(ends[n:]), left | (is_wrong > 0.0)
+    large = any_of(np.abs(q_end) > LARGEST_ANGLE)
+    squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state)]
+    diverged = ~(sum(squares, 0.0) < _FINITE)
+    program.step({
+        "q": q_end,
+        "v": v_end,
+        "state": state + dt * answer.rate,
+        TOLD.torque: _larger(told[TOLD.torque], answer.torque / plant.motor_limits),
+        TOLD.speed: _larger(told[TOLD.speed], v / robot.velocity_limits),
+        TOLD.diverged: select(diverged, 1.0, told[TOLD.diverged]),
+        TOLD.left: select(left | large, 1.0, told[TOLD.left]),
+    })  # fmt: skip
     error = np.sqrt((answer.e * answer.e).sum())
     record = told[TOLD.last_bad]
     program.record({

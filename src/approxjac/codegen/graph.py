@@ -21,14 +21,14 @@ class Node(NamedTuple):
     """One operation.
 
     Attributes:
-        operation: One of `OPERATIONS`, "input" or "constant".
+        operation: One of `OPERATIONS`, "input", "constant" or "rare".
         arguments: Places of its arguments in the graph.
-        value: The constant, or the name and the place of an input.
+        value: The constant; the name and the place of an input; the number of a rare block.
     """
 
     operation: str
     arguments: tuple[int, ...] = ()
-    value: float | tuple[str, int] | None = None
+    value: float | tuple[str, int] | int | None = None
 
 
 def _select(condition: bool, a: float, b: float) -> float:
@@ -83,6 +83,7 @@ class Graph:
     def __init__(self) -> None:
         self.nodes: list[Node] = []
         self._known: dict[object, int] = {}
+        self._blocks = 0
 
     def input(self, name: str, size: int) -> list[Scalar]:
         """Return the numbers of an input."""
@@ -102,6 +103,22 @@ class Graph:
         if operation in _COMMUTES:
             places = tuple(sorted(places))
         return self._scalar(Node(operation, places))
+
+    def rare(
+        self, condition: Scalar | bool, values: Sequence[Number], others: Sequence[Number]
+    ) -> list[Number]:
+        """Return values where a condition holds, others elsewhere, as `select` does.
+
+        What only the values need is computed where the condition holds in at least one run of a
+        vector: so it costs nothing where it never does.
+        """
+        if not isinstance(condition, Scalar):
+            return list(values if condition else others)
+        self._blocks += 1
+        places = [(self.place(a), self.place(b)) for a, b in zip(values, others, strict=True)]
+        return [
+            self._scalar(Node("rare", (condition.place, *each), self._blocks)) for each in places
+        ]
 
     def needed(self, numbers: Sequence[Number]) -> list[int]:
         """Return the places of all that some numbers depend on, in order."""

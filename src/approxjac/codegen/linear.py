@@ -79,18 +79,18 @@ def _rotate(a: list[list[Number]], p: int, q: int) -> None:
 
 
 def damped_gram_solve(
-    G: Symbols, b: Symbols, scale: float, *, complete: bool
-) -> tuple[Symbols, Scalar | bool, Scalar | bool]:
+    G: Symbols, b: Symbols, scale: float
+) -> tuple[Symbols, Number, Scalar | bool, Number]:
     """Return what `law.damped_gram_solve` does, on symbols.
 
     Args:
         G: J Jᵀ, shape (m, m).
         b: Shape (m,).
         scale: As there.
-        complete: Whether to find the damping, too; else w holds where it surely is zero.
 
     Returns:
-        w (m,); whether it is damped, False if that is not found; and whether it may be.
+        w (m,); λ², 0 away from singular poses; whether it may be damped; and the smallest
+        eigenvalue of G where it may be, 0 elsewhere.
     """
     ratio = law.SINGULAR_RATIO
     if len(b) <= 3:
@@ -103,12 +103,14 @@ def damped_gram_solve(
         trace, largest = G.trace(), inverse.trace()  # of G⁻¹, at least 1 / its least eigenvalue
         regular = (1.0 > ratio**2 * trace * largest) & (trace > len(b) * scale**2)
         regular = regular & (largest > 0.0)
-    if not complete:
-        return w, False, ~regular
+    if not isinstance(regular, Scalar):
+        raise TypeError("a matrix that is known needs no symbols")
     squares = eigenvalues(G)
-    damping = law.gram_damping(squares.min(), squares.max(), ratio, scale)
-    damping = select(regular, 0.0, damping)
+    least, most = squares.min(), squares.max()
+    damping = law.gram_damping(least, most, ratio, scale)
     damped = Factors(G + np.multiply(damping, np.eye(len(b)))).solve(b)
-    is_zero = (squares.max() <= 0.0) & (scale == 0.0)
-    damped = np.where(is_zero, 0.0, damped)
-    return np.where(regular, w, damped), damping > 0.0, ~regular
+    damped = np.where((most <= 0.0) & (scale == 0.0), 0.0, damped)
+    *found, damping, least = regular.graph.rare(
+        ~regular, [*damped.tolist(), damping, least], [*w.tolist(), 0.0, 0.0]
+    )
+    return symbols(found), damping, ~regular, least

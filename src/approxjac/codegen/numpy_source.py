@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.graph import Graph, Number
-from approxjac.codegen.program import STEP, Program, statements
+from approxjac.codegen.program import STEP, Language, Program, Writer
 from approxjac.validation import Array
 
 _TEMPLATES = {
@@ -32,18 +32,22 @@ _TEMPLATES = {
 }
 
 
+_LANGUAGE = Language(
+    _TEMPLATES,
+    "v",
+    lambda name, text, _: f"    {name} = {text}",
+    lambda name, i: f"given[{name!r}][{i}]",
+    lambda value: f"np.float64({value!r})".replace("nan", "np.nan").replace("inf", "np.inf"),
+    lambda _, condition, lines, results: [
+        *lines,
+        *(f"    {name} = np.where({condition}, {a}, {b})" for name, a, b in results),
+    ],
+)
+
+
 def numpy_function(graph: Graph, outputs: list[Number]) -> Callable[..., list[Any]]:
     """Return a function of inputs by their names, each a list of arrays (N,), of these outputs."""
-    lines, names = statements(
-        graph,
-        outputs,
-        _TEMPLATES,
-        lambda name, text, _: f"    {name} = {text}",
-        "v",
-        lambda name, i: f"given[{name!r}][{i}]",
-        lambda value: f"np.float64({value!r})".replace("nan", "np.nan").replace("inf", "np.inf"),
-        {},
-    )
+    lines, names = Writer(graph, _LANGUAGE).lines(outputs)
     source = "\n".join(["def function(**given):", *lines, f"    return [{', '.join(names)}]"])
     scope: dict[str, Any] = {"np": np}
     exec(compile(source, "<codegen>", "exec"), scope)  # noqa: S102 (our own)
@@ -57,7 +61,7 @@ class NumpyLanes:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        numbers = chain(*program.complete.values(), *program.recorded.values())
+        numbers = chain(*program.stepped.values(), *program.recorded.values())
         self._function = numpy_function(program.graph, list(numbers))
 
     def run(self, kept: Array, parameters: Array, last: int, every: int) -> None:
@@ -87,7 +91,7 @@ class NumpyLanes:
         values |= {name: given[at : at + n] for name, (at, n) in program.parameters.items()}
         computed = self._function(**values | {STEP: [np.float64(k)]})
         rows = [np.array(np.broadcast_to(row, state.shape[1:])) for row in computed]
-        names = [*program.complete, *(program.recorded if is_recorded else ())]
+        names = [*program.stepped, *(program.recorded if is_recorded else ())]
         for name in names:
             at, size = places[name]
             state[at : at + size], rows = rows[:size], rows[size:]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from approxjac.validation import Array
 
@@ -25,9 +25,7 @@ class Program:
         rows: Name → place and number of rows of what is kept.
         parameters: Name → place and number of rows of what stays.
         rings: Name → place, number of rows and number of steps of what arrives late.
-        usual: What follows at a step: names and their numbers.
-        unusual: Whether that does not hold for a step, and `complete` has to be taken.
-        complete: What follows at any step; to the last bit what `usual` says where that holds.
+        stepped: What follows at a step: names and their numbers.
         recorded: What else is kept of steps that are recorded.
     """
 
@@ -36,9 +34,7 @@ class Program:
         self.rows: dict[str, tuple[int, int]] = {}
         self.parameters: dict[str, tuple[int, int]] = {}
         self.rings: dict[str, tuple[int, int, int]] = {}
-        self.usual: dict[str, list[Number]] = {}
-        self.unusual: Scalar | bool = False
-        self.complete: dict[str, list[Number]] = {}
+        self.stepped: dict[str, list[Number]] = {}
         self.recorded: dict[str, list[Number]] = {}
         self.n_rows = 0
         self.n_parameters = 0
@@ -78,9 +74,9 @@ class Program:
         """The number of the step, from 0."""
         return self.graph.input(STEP, 1)[0]
 
-    def step(self, unusual: Scalar | bool, usual: Kept, complete: Kept) -> None:
-        """Say what is kept after a step, and when the one that takes less time may be taken."""
-        self.unusual, self.usual, self.complete = unusual, _flat(usual), _flat(complete)
+    def step(self, values: Kept) -> None:
+        """Say what is kept after a step."""
+        self.stepped = _flat(values)
 
     def record(self, values: Kept) -> None:
         """Say what else is kept of a step that is recorded, of what is known before it."""
@@ -94,45 +90,103 @@ def _flat(values: Kept) -> dict[str, list[Number]]:
     return {name: symbols(value).ravel().tolist() for name, value in values.items()}
 
 
-Templates = Mapping[str, str]
+class Language(NamedTuple):
+    """How straight-line code is written.
 
-
-def statements(
-    graph: Graph,
-    wanted: list[Number],
-    templates: Templates,
-    assignment: Callable[[str, str, bool], str],
-    variable: str,
-    of_input: Callable[[str, int], str],
-    of_constant: Callable[[float], str],
-    names: dict[int, str],
-) -> tuple[list[str], list[str]]:
-    """Return the lines that compute some numbers, and what they are called there.
-
-    Args:
-        graph: What to compute.
-        wanted: The numbers.
+    Attributes:
         templates: Operation → how it is written, with its arguments as {0}, {1} and {2}.
-        assignment: Of a name, what is assigned to it, and whether that is a condition.
         variable: What names of variables begin with.
-        of_input: How an input is read.
-        of_constant: How a constant is written.
-        names: Place in the graph → what is computed already is called; the others are added.
+        assigned: The line that assigns a text to a name, which is a condition or is not.
+        read: The text that reads an input, of its name and its place.
+        constant: The text of a number.
+        rare: Of a number of the block, its condition, its lines, and for each result its name, what
+            it is in the block and what it is elsewhere: the lines of both.
     """
-    lines = []
-    for place in graph.needed(wanted):
-        if place in names:
-            continue
-        operation, arguments, value = graph.nodes[place]
+
+    templates: Mapping[str, str]
+    variable: str
+    assigned: Callable[[str, str, bool], str]
+    read: Callable[[str, int], str]
+    constant: Callable[[float], str]
+    rare: Callable[[int, str, list[str], list[tuple[str, str, str]]], list[str]]
+
+
+class Writer:
+    """Writes the operations of a graph in a language, each once."""
+
+    def __init__(self, graph: Graph, language: Language) -> None:
+        self._graph, self._language = graph, language
+        self._names: dict[int, str] = {}
+
+    def lines(self, wanted: Sequence[Number]) -> tuple[list[str], list[str]]:
+        """Return the lines that compute some numbers, and what they are called there."""
+        graph, rare = self._graph, self._language.rare
+        places = [place for place in graph.needed(wanted) if place not in self._names]
+        inside = self._inside(places, wanted)
+        lines: list[str] = []
+        blocks: dict[int, list[int]] = {}
+        for place in places:
+            node = graph.nodes[place]
+            if place in inside:
+                blocks.setdefault(inside[place], []).append(place)
+            elif node.operation != "rare":
+                lines += self._line(place)
+            elif place not in self._names:
+                number = node.value
+                assert isinstance(number, int)
+                own = [each for each in blocks.pop(number, [])]
+                results = [
+                    each
+                    for each in places
+                    if graph.nodes[each].operation == "rare" and graph.nodes[each].value == number
+                ]
+                body = [line for each in own for line in self._line(each)]
+                for each in results:
+                    self._names[each] = f"{self._language.variable}{each}"
+                told = []
+                for each in results:
+                    _, a, b = graph.nodes[each].arguments
+                    told.append((self._names[each], self._name(a), self._name(b)))
+                lines += rare(number, self._name(node.arguments[0]), body, told)
+        return lines, [self._name(graph.place(number)) for number in wanted]
+
+    def _inside(self, places: list[int], wanted: Sequence[Number]) -> dict[int, int]:
+        """Return of what only a rare block needs the number of that block."""
+        graph = self._graph
+        needed_by: dict[int, set[int]] = {place: set() for place in places}
+        for number in wanted:
+            needed_by.get(graph.place(number), set()).add(0)
+        for place in reversed(places):
+            operation, arguments, value = graph.nodes[place]
+            by = needed_by[place]
+            for i, argument in enumerate(arguments):
+                if argument in needed_by:
+                    if operation == "rare":
+                        needed_by[argument].add(value if i == 1 else 0)  # type: ignore[arg-type]
+                    else:
+                        needed_by[argument] |= by if len(by) == 1 else {0}
+        return {
+            place: by.pop()
+            for place, by in needed_by.items()
+            if len(by) == 1 and 0 not in by and graph.nodes[place].operation != "rare"
+        }
+
+    def _name(self, place: int) -> str:
+        operation, _, value = self._graph.nodes[place]
         if operation == "constant":
             assert isinstance(value, float)
-            names[place] = of_constant(value)
-            continue
-        names[place] = f"{variable}{place}"
+            return self._language.constant(value)
+        return self._names[place]
+
+    def _line(self, place: int) -> list[str]:
+        operation, arguments, value = self._graph.nodes[place]
+        if operation == "constant":
+            return []
+        language = self._language
+        self._names[place] = f"{language.variable}{place}"
         if operation == "input":
             assert isinstance(value, tuple)
-            text = of_input(*value)
+            text = language.read(*value)
         else:
-            text = templates[operation].format(*(names[each] for each in arguments))
-        lines.append(assignment(names[place], text, operation in CONDITIONS))
-    return lines, [names[graph.place(number)] for number in wanted]
+            text = language.templates[operation].format(*map(self._name, arguments))
+        return [language.assigned(self._names[place], text, operation in CONDITIONS)]

@@ -35,8 +35,7 @@ class Answer(NamedTuple):
         e: Task error, shape (m,); NaN where x is lost.
         pinv_s: Ĵ⁺s(e), shape (n_v,).
         gravity: Gravity torque in it, shape (n_v,).
-        unusual: Whether the rest holds only if it is traced as complete.
-        left: Whether it does not even hold then, and is left to Python.
+        left: Whether the rest does not hold, and is left to Python.
     """
 
     torque: Symbols
@@ -45,7 +44,6 @@ class Answer(NamedTuple):
     e: Symbols
     pinv_s: Symbols
     gravity: Symbols
-    unusual: Scalar | bool
     left: Scalar | bool
 
 
@@ -92,7 +90,6 @@ def answer(
     state: Symbols,
     *,
     may_lose: bool,
-    complete: bool,
 ) -> Answer:
     """Return what `SetpointController.evaluate` does, for a target at rest.
 
@@ -105,7 +102,6 @@ def answer(
         x_d: Target, shape (n_x,).
         state: State of the law.
         may_lose: Whether x may be lost.
-        complete: Whether to compute what unusual steps need, too.
     """
     task, learning, scale = controller.task, controller.adaptation, controller.pinv.scale
     (kp, kv, damping), p = controller.diagonals, controller.resting
@@ -126,13 +122,13 @@ def answer(
         g = law.gravity(Y, state[:p])
     root = controller.pinv.root
     weighted = J_hat if root is None else J_hat / root
-    w, damped, unusual = damped_gram_solve(weighted @ weighted.T, s, scale, complete=complete)
+    w, damped, _, _ = damped_gram_solve(weighted @ weighted.T, s, scale)
     pinv_s = w @ weighted if root is None else (w @ weighted) / root
     bias = g
     if isinstance(controller.posture, Posture):
         own = controller.posture
         pull = np.asarray(own.stiffness) * (np.asarray(own.q) - q)
-        within, _, no = damped_gram_solve(G, J_hat @ pull, scale, complete=False)
+        within, _, no, _ = damped_gram_solve(G, J_hat @ pull, scale)
         bias, left = bias + (pull - within @ J_hat), left | no
     rate = np.zeros(len(state))
     if controller.velocity is None:
@@ -143,7 +139,7 @@ def answer(
             x_dot = np.where(lost, J_hat @ v, x_dot)
         torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, bias)
         rate = np.concatenate([symbols(rate[:p]), x_dot])
-    status = np.where(damped, _place(Status.NEAR_SINGULAR), _place(Status.OK))
+    status = np.where(damped > 0.0, _place(Status.NEAR_SINGULAR), _place(Status.OK))
     if learning is not None:
         rests = any_of(np.abs(torque / learning.torque_limits) > 1.0)
         far = _is_far(controller, arm, e)
@@ -156,7 +152,7 @@ def answer(
         status = np.where(far, _place(Status.OUT_OF_REACH), status)
         status = np.where(rests, _place(Status.TORQUE_SATURATED), status)
     status = np.where(lost, _place(Status.MEASUREMENT_LOST), status)
-    return Answer(torque, rate, status, e, pinv_s, g, unusual, left)
+    return Answer(torque, rate, status, e, pinv_s, g, left)
 
 
 def _place(status: Status) -> float:
