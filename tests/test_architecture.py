@@ -21,6 +21,10 @@ ALLOWED = {
     "paths": {"interface", "formatting", "validation", "errors"},
     "robots": {"validation", "errors"},
     "law": {"validation", "errors"},
+    "codegen": {
+        "simulation", "controllers", "law", "tasks", "robots", "interface", "validation", "errors",
+        "extras",
+    },
     "tasks": {"robots", "formatting", "validation", "errors"},
     "controllers": {
         "law", "tasks", "robots", "interface", "formatting", "validation", "errors", "extras",

@@ -1,71 +1,36 @@
-"""Kinematics and dynamics of arms on symbols, by the recursions of Luh, Walker and Paul.
+"""`Arm`: kinematics and dynamics of arms on symbols, by the recursions of Luh, Walker and Paul.
 
-All is computed in the frames of the joints, whose constant zeros and ones then fold away. With
-mimic joints all joints move on their own, and q̇_all = G q̇ brings them back.
+All is computed in axes of each link whose z is that of its joint. So every joint turns two of three
+components, and the constant zeros and ones of placements, and of what the links weigh (`Reduced`),
+fold away. With mimic joints all joints move on their own, and q̇_all = G q̇ brings them back.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen.functions import sine_and_cosine
-from approxjac.codegen.graph import Number, Scalar
+from approxjac.codegen.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
+from approxjac.codegen.graph import Number
 from approxjac.codegen.linear import Factors
-from approxjac.codegen.symbols import Symbols, symbols
+from approxjac.codegen.symbols import symbols
 from approxjac.robots import GravityRegressor, Robot
+from approxjac.robots.model import own_joints
 from approxjac.validation import Array
 
+__all__ = ["Arm", "ArmNumbers", "Configured", "arm_numbers", "moved"]
+
+Symbols = Any  # NumPy's stubs take what is computed with them for arrays of floats
 Given = Callable[[str, Array], Symbols]
-_ROUND_OFF = 1e-15  # what a URDF's angles of π/2 leave of zeros and ones
-
-
-class ArmNumbers(NamedTuple):
-    """What a model of a robot holds, for its n joints and some frames; or stacked, of many.
-
-    Attributes:
-        rotations: Of each joint's placement in its parent, shape (n, 3, 3).
-        translations: Of it, shape (n, 3) [m].
-        inertias: m, m c, and I about the joint's origin, shape (n, 10), in Pinocchio's order.
-        gravity: Shape (3,) [m/s²].
-        frame_rotations: Of each frame in its joint, shape (k, 3, 3).
-        frame_translations: Of it, shape (k, 3) [m].
-    """
-
-    rotations: Array
-    translations: Array
-    inertias: Array
-    gravity: Array
-    frame_rotations: Array
-    frame_translations: Array
-
-
-def arm_numbers(robot: Robot, frames: Sequence[str] = ()) -> ArmNumbers:
-    """Return what a robot's model holds."""
-    model = robot.mimic_joints.model
-    placements, inertias = list(model.jointPlacements)[1:], list(model.inertias)[1:]
-    of_frames = [model.frames[model.getFrameId(frame)].placement for frame in frames]
-    return ArmNumbers(
-        _exact(np.array([placement.rotation for placement in placements])),
-        np.array([placement.translation for placement in placements]),
-        np.array([inertia.toDynamicParameters() for inertia in inertias]),
-        np.array(robot.gravity),
-        _exact(np.array([placement.rotation for placement in of_frames]).reshape(-1, 3, 3)),
-        np.array([placement.translation for placement in of_frames]).reshape(-1, 3),
-    )
-
-
-def _exact(rotations: Array) -> Array:
-    """Return rotations without the round-off about 0 and ±1."""
-    near = np.round(rotations)
-    return np.where(np.abs(rotations - near) < _ROUND_OFF, near, rotations)
+_Z = symbols([0.0, 0.0, 1.0])
+_NOTHING = symbols([0.0, 0.0, 0.0])
 
 
 class Arm:
-    """Arms with the same joints, whose numbers may differ from run to run.
+    """Arms with the same joints, whose numbers may differ from run to run: lengths, axes, masses.
 
     Args:
         given: `Program.given`.
@@ -73,6 +38,9 @@ class Arm:
         robot: One of them.
         frames: Frames that are asked for.
         numbers: Of all of them, stacked; of that robot alone by default.
+
+    Raises:
+        UnknownNameError: No such frame.
     """
 
     def __init__(
@@ -83,270 +51,315 @@ class Arm:
         frames: Sequence[str],
         numbers: ArmNumbers | None = None,
     ) -> None:
-        if numbers is None:
-            numbers = ArmNumbers(*(each[np.newaxis] for each in arm_numbers(robot, frames)))
-        self.numbers = ArmNumbers(
-            *(given(f"{name}.{part}", each) for part, each in numbers._asdict().items())
-        )
         self.robot, self.frames = robot, tuple(frames)
-        model = robot.mimic_joints.model
-        self.parents = [int(parent) - 1 for parent in list(model.parents)[1:]]
-        joints = list(model.joints)[1:]
-        self.places = [int(joint.idx_q) for joint in joints]
-        self.wraps = [joint.nq == 2 for joint in joints]
-        self.slides = [joint.shortname().startswith("JointModelP") for joint in joints]
-        axes = np.array([robot.tree.joints[each].axis for each in list(model.names)[1:]], float)
-        self.axes = _exact(axes / np.linalg.norm(axes, axis=1)[:, np.newaxis])
-        self.of_frames = {
-            frame: int(model.frames[model.getFrameId(frame)].parentJoint) - 1 for frame in frames
-        }
+        self.structure = Structure.of(robot, frames)
+        if numbers is None:
+            numbers = ArmNumbers.stacked([arm_numbers(robot, frames)])
+        few = reduced(numbers, self.structure)
+        self.numbers = Reduced(
+            *(given(f"{name}.{part}", values) for part, values in few._asdict().items())
+        )
 
     def at(self, q: Symbols) -> Configured:
-        """Return these arms at a configuration, shape (nq,)."""
+        """Return these arms at a configuration.
+
+        Args:
+            q: As Pinocchio has it, shape (nq,) [rad or m]: pairs (cos, sin) of continuous joints
+                on the unit circle, and no mimic joints.
+        """
         return Configured(self, q)
 
 
-class Configured:
-    """Arms at a configuration.
+class Motion(NamedTuple):
+    """How a link moves, in its own axes.
 
-    Args:
-        arm: The arms.
-        q: The configuration, shape (nq,).
+    Attributes:
+        omega: Its angular velocity, shape (3,) [rad/s].
+        omega_dot: Its angular acceleration, shape (3,) [rad/s²].
+        a: Acceleration of the joint's origin, shape (3,) [m/s²].
     """
 
-    def __init__(self, arm: Arm, q: Symbols) -> None:
-        self._arm = arm
-        self.nv = arm.robot.nv
-        mimic_joints, numbers = arm.robot.mimic_joints, arm.numbers
-        if mimic_joints.A is not None and mimic_joints.b is not None:
-            q = symbols(mimic_joints.A) @ q + mimic_joints.b
-        self._G = mimic_joints.G
-        self._R: list[Symbols] = []  # from each joint's frame to its parent's
-        self._p: list[Symbols] = []
-        for i, (place, axis) in enumerate(zip(arm.places, arm.axes, strict=True)):
-            rotation, translation = numbers.rotations[i], numbers.translations[i]
-            if arm.slides[i]:
-                self._R.append(rotation)
-                self._p.append(translation + rotation @ (axis * q[place]))
-                continue
-            sine, cosine = (q[place + 1], q[place]) if arm.wraps[i] else _angle(q[place])
-            along = np.outer(axis, axis)
-            turned = along + np.multiply(cosine, np.eye(3) - along) + np.multiply(sine, skew(axis))
-            self._R.append(rotation @ symbols(turned))
-            self._p.append(translation)
+    omega: Symbols
+    omega_dot: Symbols
+    a: Symbols
 
-    # -- in the world ---------------------------------------------------------------------
-
-    @cached_property
-    def _placements(self) -> list[tuple[Symbols, Symbols]]:
-        placed: list[tuple[Symbols, Symbols]] = []
-        for parent, R, p in zip(self._arm.parents, self._R, self._p, strict=True):
-            if parent < 0:
-                placed.append((R, p))
-            else:
-                R_0, p_0 = placed[parent]
-                placed.append((R_0 @ R, p_0 + R_0 @ p))
-        return placed
-
-    def frame(self, name: str) -> tuple[Symbols, Symbols]:
-        """Return the rotation (3, 3) and the position (3,) [m] of a frame in the world."""
-        arm, k = self._arm, self._arm.frames.index(name)
-        R, p = arm.numbers.frame_rotations[k], arm.numbers.frame_translations[k]
-        joint = arm.of_frames[name]
-        if joint < 0:
-            return R, p
-        R_0, p_0 = self._placements[joint]
-        return R_0 @ R, p_0 + R_0 @ p
-
-    def jacobian(self, name: str) -> Symbols:
-        """Return the Jacobian (6, n_v) of (velocity, angular velocity), in the world's axes."""
-        arm, (_, p) = self._arm, self.frame(name)
-        J, joint = symbols(np.zeros((6, len(arm.parents)))), arm.of_frames[name]
-        while joint >= 0:
-            R, origin = self._placements[joint]
-            axis = R @ arm.axes[joint]
-            if arm.slides[joint]:
-                J[:3, joint] = axis
-            else:
-                J[:3, joint], J[3:, joint] = cross(axis, p - origin), axis
-            joint = arm.parents[joint]
-        return J if self._G is None else J @ symbols(self._G)
-
-    # -- in the frames of the joints --------------------------------------------------------
-
-    def M(self) -> Symbols:
-        """Return the inertia matrix M(q), shape (n_v, n_v)."""
-        arm, n = self._arm, len(self._R)
-        composite = [_Inertia.of(each) for each in arm.numbers.inertias]
-        M = symbols(np.zeros((n, n)))
-        for i in reversed(range(n)):
-            axis = arm.axes[i]
-            if arm.slides[i]:
-                f, moment = np.multiply(composite[i].m, axis), cross(composite[i].h, axis)
-            else:
-                f, moment = cross(axis, composite[i].h), composite[i].I @ axis
-            j = i
-            while True:
-                M[i, j] = M[j, i] = arm.axes[j] @ (f if arm.slides[j] else moment)
-                if arm.parents[j] < 0:
-                    break
-                f = self._R[j] @ f
-                moment = self._R[j] @ moment + cross(self._p[j], f)
-                j = arm.parents[j]
-            if arm.parents[i] >= 0:
-                moved = composite[i].moved(self._R[i], self._p[i])
-                composite[arm.parents[i]] = composite[arm.parents[i]] + moved
-        return M if self._G is None else symbols(self._G.T) @ M @ symbols(self._G)
-
-    @cached_property
-    def _gravities(self) -> list[Symbols]:
-        """Gravity in the frame of each joint."""
-        found: list[Symbols] = []
-        for parent, R in zip(self._arm.parents, self._R, strict=True):
-            found.append(R.T @ (self._arm.numbers.gravity if parent < 0 else found[parent]))
-        return found
-
-    def gravity(self) -> Symbols:
-        """Return g(q), shape (n_v,)."""
-        arm, n = self._arm, len(self._R)
-        m = [each[0] for each in arm.numbers.inertias]
-        h = [each[1:4] for each in arm.numbers.inertias]
-        torque = symbols(np.zeros(n))
-        for i in reversed(range(n)):
-            g, parent = self._gravities[i], arm.parents[i]
-            torque[i] = -(arm.axes[i] @ (np.multiply(m[i], g) if arm.slides[i] else cross(h[i], g)))
-            if parent >= 0:
-                h[parent] = h[parent] + self._R[i] @ h[i] + np.multiply(m[i], self._p[i])
-                m[parent] = m[parent] + m[i]
-        return self._rows(torque)
-
-    def bias(self, v: Symbols) -> Symbols:
-        """Return C(q, q̇)q̇ + g(q), shape (n_v,)."""
-        arm, n = self._arm, len(self._R)
-        v = v if self._G is None else symbols(self._G) @ v
-        still = symbols(np.zeros(3))
-        motion: list[tuple[Symbols, Symbols, Symbols]] = []  # ω, its rate, the origin's acceleration
-        f: list[Symbols] = []
-        moment: list[Symbols] = []
-        for i, (parent, axis) in enumerate(zip(arm.parents, arm.axes, strict=True)):
-            w, rate, a = motion[parent] if parent >= 0 else (still, still, -arm.numbers.gravity)
-            R, p, along = self._R[i], self._p[i], np.multiply(v[i], axis)
-            a = R.T @ (a + cross(rate, p) + cross(w, cross(w, p)))
-            w, rate = R.T @ w, R.T @ rate
-            if arm.slides[i]:
-                a = a + 2.0 * cross(w, along)
-            else:
-                rate = rate + cross(w, along)
-                w = w + along
-            motion.append((w, rate, a))
-            body = _Inertia.of(arm.numbers.inertias[i])
-            f.append(np.multiply(body.m, a) + cross(rate, body.h) + cross(w, cross(w, body.h)))
-            moment.append(body.I @ rate + cross(w, body.I @ w) + cross(body.h, a))
-        torque = symbols(np.zeros(n))
-        for i in reversed(range(n)):
-            parent = arm.parents[i]
-            torque[i] = arm.axes[i] @ (f[i] if arm.slides[i] else moment[i])
-            if parent >= 0:
-                force = self._R[i] @ f[i]
-                f[parent] = f[parent] + force
-                moment[parent] = moment[parent] + self._R[i] @ moment[i] + cross(self._p[i], force)
-        return self._rows(torque)
-
-    def forward(self, v: Symbols, torque: Symbols) -> Symbols:
-        """Return q̈ = M⁻¹(τ − C q̇ − g), shape (n_v,)."""
-        return self.factors.solve(torque - self.bias(v))
-
-    @cached_property
-    def factors(self) -> Factors:
-        """M(q), factored."""
-        return Factors(self.M())
-
-    def Z(self, regressor: GravityRegressor) -> Symbols:
-        """Return the gravity regressor, shape (n_v, p)."""
-        arm, n = self._arm, len(self._R)
-        Z = symbols(np.zeros((n, regressor.p)))
-        for column, of in enumerate(regressor.columns.tolist()):
-            j, k = divmod(of, 10)
-            g = self._gravities[j]
-            f = -g if k == 0 else symbols(np.zeros(3))
-            moment = symbols(np.zeros(3)) if k == 0 else -cross(np.eye(3)[k - 1], g)
-            while True:
-                Z[j, column] = arm.axes[j] @ (f if arm.slides[j] else moment)
-                if arm.parents[j] < 0:
-                    break
-                f = self._R[j] @ f
-                moment = self._R[j] @ moment + cross(self._p[j], f)
-                j = arm.parents[j]
-        return self._rows(Z)
-
-    def _rows(self, torque: Symbols) -> Symbols:
-        return torque if self._G is None else symbols(self._G.T) @ torque
+    def gradient(self) -> Symbols:
+        """Return U (3, 3), so that what is at r in the link's axes has acceleration a + U r."""
+        (x, y, z), (dx, dy, dz) = self.omega, self.omega_dot
+        xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
+        return symbols([
+            [-(yy + zz), xy - dz, xz + dy],
+            [xy + dz, -(xx + zz), yz - dx],
+            [xz - dy, yz + dx, -(xx + yy)],
+        ])  # fmt: skip
 
 
-class _Inertia(NamedTuple):
-    """Mass, first moment and inertia of a body about the origin of a frame."""
+class Body(NamedTuple):
+    """Mass [kg], first moments (3,) [kg m] and second moments (3, 3) [kg m²] about an origin."""
 
     m: Number
     h: Symbols
-    I: Symbols  # noqa: E741 (as everyone calls it)
+    S: Symbols
 
-    @classmethod
-    def of(cls, parameters: Symbols) -> _Inertia:
-        m, x, y, z, xx, xy, yy, xz, yz, zz = parameters.tolist()
-        return cls(m, symbols([x, y, z]), symbols([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
-    def moved(self, R: Symbols, p: Symbols) -> _Inertia:
-        """Return this about another origin, from which R and p lead to its own."""
-        h = R @ self.h
-        shifted = h + np.multiply(self.m, p)
-        turned = R @ self.I @ R.T
-        # −[h]ₓ[p]ₓ − [p]ₓ[h + mp]ₓ, the theorem of Steiner
-        both = symbols(np.zeros((3, 3)))
-        total = p @ h + p @ shifted
+class Configured:
+    """An arm at a configuration. What terms have in common is computed once.
+
+    Each link has axes of its own, whose z is that of its joint. Bodies are those of `Reduced`.
+    """
+
+    def __init__(self, arm: Arm, q: Symbols) -> None:
+        self.nv = arm.robot.nv
+        self._arm, self._numbers, self._structure = arm, arm.numbers, arm.structure
+        mimic = arm.robot.mimic_joints
+        q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
+        self._n, numbers = len(self._structure.parents), arm.numbers
+        spreads = numbers.spreads[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        each = zip(numbers.masses, numbers.moments, spreads, strict=True)
+        self._bodies = [Body(*body) for body in each]
+        self._turns: list[tuple[Number, Number]] = []  # cos and sin
+        self._origins = list(numbers.translations)
+        for j in range(self._n):
+            at = self._structure.places[j]
+            if self._structure.slides[j]:
+                self._turns.append((1.0, 0.0))
+                self._origins[j] = self._origins[j] + numbers.rotations[j][:, 2] * q[at]
+            elif self._structure.pairs[j]:
+                self._turns.append((q[at], q[at + 1]))
+            else:
+                angle = q[at : at + 1]
+                self._turns.append((np.cos(angle)[0], np.sin(angle)[0]))
+
+    # -- kinematics -------------------------------------------------------------------------
+
+    def frame(self, name: str) -> tuple[Symbols, Symbols]:
+        """Return the rotation (3, 3) of a frame's axes in the world's, and its origin (3,) [m]."""
+        i, carrier = self._frame(name)
+        R, p = self._numbers.frame_rotations[i], self._numbers.frame_translations[i]
+        if carrier < 0:
+            return R, p
+        R_joint, p_joint = self._placements[carrier]
+        return R_joint @ R, p_joint + R_joint @ p
+
+    def jacobian(self, name: str) -> Symbols:
+        """Return the Jacobian of a frame's velocity and angular velocity in the world, (6, n_v)."""
+        _, carrier = self._frame(name)
+        p = self.frame(name)[1]
+        J = _zeros(6, self._n)
+        for j in self._path(carrier):
+            R, origin = self._placements[j]
+            z = R[:, 2]
+            if self._structure.slides[j]:
+                J[:3, j] = z
+            else:
+                J[:3, j], J[3:, j] = _cross(z, p - origin), z
+        return self._arm.robot.mimic_joints.columns(J)
+
+    @cached_property
+    def _placements(self) -> list[tuple[Symbols, Symbols]]:
+        """Rotation and origin of each joint's axes in the world."""
+        placed: list[tuple[Symbols, Symbols]] = []
+        for j, parent in enumerate(self._structure.parents):
+            R, p = self._numbers.rotations[j], self._origins[j]
+            if parent >= 0:
+                R_parent, p_parent = placed[parent]
+                R, p = R_parent @ R, p_parent + R_parent @ p
+            c, s = self._turns[j]
+            turned = [R[:, 0] * c + R[:, 1] * s, R[:, 1] * c - R[:, 0] * s, R[:, 2]]
+            placed.append((np.stack(turned, axis=1), p))
+        return placed
+
+    # -- dynamics ---------------------------------------------------------------------------
+
+    def M(self) -> Symbols:
+        """Return the inertia matrix, shape (n_v, n_v) [kg m², kg m or kg]."""
+        mimic = self._arm.robot.mimic_joints
+        return mimic.rows(mimic.columns(self._M_all))
+
+    def gravity(self) -> Symbols:
+        """Return the gravity torque, shape (n_v,) [N m or N]."""
+        tau = _zeros(self._n)
+        for j, body in enumerate(self._outwards):
+            g = self._numbers.gravity @ self._placements[j][0]
+            tau[j] = -body.m * g[2] if self._structure.slides[j] else _cross_z(g, body.h)
+        return self._arm.robot.mimic_joints.rows(tau)
+
+    def bias(self, v: Symbols) -> Symbols:
+        """Return C(q, q̇) q̇ + g(q) of velocities (n_v,), shape (n_v,) [N m or N]."""
+        v = self._arm.robot.mimic_joints.v(v)
+        base = Motion(_NOTHING, _NOTHING, -self._numbers.gravity)
+        motions: list[Motion] = []
+        gradients: list[Symbols] = []
+        forces: list[tuple[Symbols, Symbols]] = []
+        for j, parent in enumerate(self._structure.parents):
+            motion, U = (motions[parent], gradients[parent]) if parent >= 0 else (base, None)
+            a = motion.a if U is None else motion.a + U @ self._origins[j]
+            motion = Motion(*(self._in(j, each) for each in (*motion[:2], a)))
+            omega, omega_dot, a = motion
+            across = symbols([omega[1] * v[j], -(omega[0] * v[j]), 0.0])  # ω × z q̇
+            if self._structure.slides[j]:
+                motion = Motion(omega, omega_dot, a + 2.0 * across)
+            else:
+                motion = Motion(omega + _Z * v[j], omega_dot + across, a)
+            motions.append(motion)
+            gradients.append(motion.gradient())
+            forces.append(self._force(j, motion.a, gradients[j]))
+        tau = _zeros(self._n)
+        for j in reversed(range(self._n)):
+            f, moment = forces[j]
+            tau[j] = f[2] if self._structure.slides[j] else moment[2]
+            parent = self._structure.parents[j]
+            if parent >= 0:
+                f, moment = self._out(j, f), self._out(j, moment)
+                held = forces[parent]
+                moment = moment + _cross(self._origins[j], f)
+                forces[parent] = held[0] + f, held[1] + moment
+        return self._arm.robot.mimic_joints.rows(tau)
+
+    def forward(self, v: Symbols, tau: Symbols) -> Symbols:
+        """Return q̈ from q̇ and τ (n_v,), shape (n_v,) [rad/s² or m/s²]."""
+        return self.factors.solve(tau - self.bias(v))
+
+    @cached_property
+    def factors(self) -> Factors:
+        """M, factored."""
+        return Factors(self.M())
+
+    def Z(self, regressor: GravityRegressor) -> Symbols:
+        """Return the gravity regressor, shape (n_v, p) [m²/s² for first moments]."""
+        Z = _zeros(self._n, regressor.p)
+        # a joint that turns feels g at r with r · (z × g)
+        feels = [_cross(R[:, 2], self._numbers.gravity) for R, _ in self._placements]
+        for column, place in enumerate(regressor.columns.tolist()):
+            link, what = divmod(place, 10)  # m, mx, my or mz
+            R, p = self._placements[link]
+            direction = None if what == 0 else R @ self._structure.turns[link][what - 1]
+            for j in self._path(link):
+                origin = self._placements[j][1]
+                if not self._structure.slides[j]:
+                    lever = p - origin if direction is None else direction
+                    Z[j, column] = lever @ feels[j]
+                elif direction is None:
+                    Z[j, column] = -(self._numbers.gravity @ self._placements[j][0][:, 2])
+        return self._arm.robot.mimic_joints.rows(Z)
+
+    @cached_property
+    def _M_all(self) -> Symbols:
+        M = _zeros(self._n, self._n)
+        for j, (m, h, S) in enumerate(self._outwards):
+            # what moves with the joint, at one unit of its acceleration
+            if self._structure.slides[j]:
+                M[j, j] = m
+                f, moment = _Z * m, symbols([h[1], -h[0], 0.0])
+            else:
+                M[j, j] = S[0, 0] + S[1, 1]
+                f, moment = symbols([-h[1], h[0], 0.0]), symbols([-S[0, 2], -S[1, 2], M[j, j]])
+            k = j
+            while (parent := self._structure.parents[k]) >= 0:
+                f, moment = self._out(k, f), self._out(k, moment)
+                moment = moment + _cross(self._origins[k], f)
+                k = parent
+                M[j, k] = M[k, j] = f[2] if self._structure.slides[k] else moment[2]
+        return M
+
+    @cached_property
+    def _outwards(self) -> list[Body]:
+        """Each joint's link and all that it carries."""
+        bodies = self._bodies.copy()
+        for j in reversed(range(self._n)):
+            parent = self._structure.parents[j]
+            if parent < 0:
+                continue
+            m, h, S = bodies[j]
+            h, S, t = self._out(j, h), self._second_out(j, S), self._origins[j]
+            half = h + t * (0.5 * m)
+            S = S + (np.outer(t, half) + np.outer(half, t))
+            held = bodies[parent]
+            bodies[parent] = Body(held.m + m, held.h + (h + t * m), held.S + S)
+        return bodies
+
+    def _force(self, j: int, a: Symbols, U: Symbols) -> tuple[Symbols, Symbols]:
+        """Return the force on a link alone, and its moment about the joint's origin."""
+        m, h, S = self._bodies[j]
+        # ∫ r × U r dm
+        turning = symbols([
+            S[0, 1] * U[2, 0] - S[0, 2] * U[1, 0] + S[1, 1] * U[2, 1] - S[2, 2] * U[1, 2]
+            + S[1, 2] * (U[2, 2] - U[1, 1]),
+            S[1, 2] * U[0, 1] - S[0, 1] * U[2, 1] + S[2, 2] * U[0, 2] - S[0, 0] * U[2, 0]
+            + S[0, 2] * (U[0, 0] - U[2, 2]),
+            S[0, 2] * U[1, 2] - S[1, 2] * U[0, 2] + S[0, 0] * U[1, 0] - S[1, 1] * U[0, 1]
+            + S[0, 1] * (U[1, 1] - U[0, 0]),
+        ])  # fmt: skip
+        return a * m + U @ h, turning + _cross(h, a)
+
+    # -- from link to link ------------------------------------------------------------------
+
+    def _in(self, j: int, vector: Symbols) -> Symbols:
+        """Return a vector in the axes of a link, from those of the link that carries it."""
+        x, y, z = vector @ self._numbers.rotations[j]
+        c, s = self._turns[j]
+        return symbols([c * x + s * y, c * y - s * x, z])
+
+    def _out(self, j: int, vector: Symbols) -> Symbols:
+        """Return a vector in the axes of the link that carries a link."""
+        x, y, z = vector
+        c, s = self._turns[j]
+        return self._numbers.rotations[j] @ symbols([c * x - s * y, s * x + c * y, z])
+
+    def _second_out(self, j: int, S: Symbols) -> Symbols:
+        """Return second moments in the axes of the link that carries a link."""
+        c, s = self._turns[j]
+        # with c² + s² = 1
+        half = s * (S[0, 0] - S[1, 1]) + c * (S[0, 1] + S[0, 1])
+        xx, xy, yy = S[0, 0] - s * half, c * half - S[0, 1], S[1, 1] + s * half
+        xz, yz = c * S[0, 2] - s * S[1, 2], s * S[0, 2] + c * S[1, 2]
+        if not self._structure.slides[j]:
+            S = symbols([[xx, xy, xz], [xy, yy, yz], [xz, yz, S[2, 2]]])
+        R, turned = self._numbers.rotations[j], _zeros(3, 3)
+        half_turned = R @ S
         for i in range(3):
-            for j in range(i + 1):
-                both[i, j] = both[j, i] = (
-                    turned[i, j] + (total if i == j else 0.0) - p[i] * h[j] - shifted[i] * p[j]
-                )
-        return _Inertia(self.m, shifted, both)
+            for k in range(i, 3):
+                turned[i, k] = turned[k, i] = half_turned[i] @ R[k]
+        return turned
 
-    def __add__(self, other: _Inertia) -> _Inertia:  # type: ignore[override]
-        return _Inertia(*(a + b for a, b in zip(self, other, strict=True)))
+    def _path(self, joint: int) -> list[int]:
+        """Return the joints that move a link."""
+        path = []
+        while joint >= 0:
+            path.append(joint)
+            joint = self._structure.parents[joint]
+        return path
 
-
-def cross(a: Symbols, b: Symbols) -> Symbols:
-    """Return a × b."""
-    return symbols([
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ])  # fmt: skip
-
-
-def skew(a: Array) -> Array:
-    """Return [a]ₓ with [a]ₓb = a × b."""
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+    def _frame(self, name: str) -> tuple[int, int]:
+        i = self._arm.frames.index(name)
+        return i, self._structure.carriers[i]
 
 
 def moved(robot: Robot, q: Symbols, motion: Symbols) -> Symbols:
-    """Return the configuration (nq,) after a motion (n_v,) from q (nq,)."""
-    if robot.nq == robot.nv:
-        return q + motion
-    found = q.copy()
-    for name in robot.joint_names:
-        joint = robot.model.joints[robot.model.getJointId(name)]
-        place, by = joint.idx_q, motion[joint.idx_v]
+    """Return the configuration (nq,) that a motion (n_v,) leads to, as `pin.integrate` does."""
+    found: list[Any] = []
+    for joint, step in zip(own_joints(robot.model).values(), motion, strict=True):
+        at = joint.idx_q
         if joint.nq == 1:
-            found[place] = q[place] + by
+            found.append(q[at] + step)
             continue
-        sine, cosine = _angle(by)
-        c = q[place] * cosine - q[place + 1] * sine
-        s = q[place] * sine + q[place + 1] * cosine
-        # as Pinocchio keeps them on the unit circle
-        size = 0.5 * (3.0 - (c * c + s * s))
-        found[place], found[place + 1] = c * size, s * size
-    return found
+        (c,), (s,) = np.cos(symbols([step])), np.sin(symbols([step]))
+        x, y = c * q[at] - s * q[at + 1], s * q[at] + c * q[at + 1]
+        # the first step of Newton's method to the unit circle
+        scale = 0.5 * (3.0 - (x * x + y * y))
+        found += [x * scale, y * scale]
+    return symbols(found)
 
 
-def _angle(x: Number) -> tuple[Number, Number]:
-    return sine_and_cosine(x) if isinstance(x, Scalar) else (np.sin(x), np.cos(x))
+def _zeros(*shape: int) -> Symbols:
+    return symbols(np.zeros(shape))
+
+
+def _cross(a: Symbols, b: Symbols) -> Symbols:
+    return symbols([
+        a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    ])  # fmt: skip
+
+
+def _cross_z(a: Symbols, b: Symbols) -> Number:
+    return a[0] * b[1] - a[1] * b[0]  # type: ignore[no-any-return]

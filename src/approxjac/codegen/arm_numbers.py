@@ -1,0 +1,243 @@
+"""`ArmNumbers`: what a robot's model holds, as plain arrays, and with as many zeros as it can."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac.robots import Robot
+from approxjac.validation import Array
+
+_ROUND_OFF = 1e-15
+
+
+class ArmNumbers(NamedTuple):
+    """Numbers of an arm with n joints, each on its own; of several arms with an axis N in front.
+
+    Attributes:
+        rotations: Axes of each joint's frame in those of its parent joint, shape (n, 3, 3).
+        translations: Its origin there, shape (n, 3) [m].
+        inertias: Of the links that each joint moves m, m c, and I about the joint's origin, as xx,
+            xy, yy, xz, yz, zz, shape (n, 10) [kg, kg m, kg m²].
+        gravity: In the world, shape (3,) [m/s²].
+        frame_rotations: Axes of k frames in those of the joint that moves them, shape (k, 3, 3).
+        frame_translations: Their origins there, shape (k, 3) [m].
+    """
+
+    rotations: Array
+    translations: Array
+    inertias: Array
+    gravity: Array
+    frame_rotations: Array
+    frame_translations: Array
+
+    @classmethod
+    def stacked(cls, each: Sequence[ArmNumbers]) -> ArmNumbers:
+        """Return the numbers of several arms, with an axis in front."""
+        return cls(*map(np.array, zip(*each, strict=True)))
+
+
+def arm_numbers(robot: Robot, frames: Sequence[str] = ()) -> ArmNumbers:
+    """Return the numbers of a robot, with some of its frames.
+
+    Raises:
+        UnknownNameError: No such frame.
+    """
+    model = robot.mimic_joints.model
+    joints = list(model.jointPlacements)[1:]
+    placed = [model.frames[all_frame_id(robot, frame)].placement for frame in frames]
+    inertias = list(model.inertias)[1:]
+    return ArmNumbers(
+        np.array([each.rotation for each in joints]),
+        np.array([each.translation for each in joints]),
+        np.array([each.toDynamicParameters() for each in inertias]),
+        np.array(model.gravity.linear),
+        np.array([each.rotation for each in placed]).reshape(-1, 3, 3),
+        np.array([each.translation for each in placed]).reshape(-1, 3),
+    )
+
+
+def all_frame_id(robot: Robot, frame: str) -> int:
+    """Return the index of a frame in the model in which mimic joints move on their own."""
+    kind = robot.model.frames[robot.frame_id(frame)].type
+    return int(robot.mimic_joints.model.getFrameId(frame, kind))
+
+
+class Structure(NamedTuple):
+    """What arms must have in common; all lists are by joint.
+
+    Attributes:
+        parents: Number of the joint that carries each; -1 for the base.
+        slides: Whether it is prismatic.
+        turns: Rotation from axes whose z is that of the joint to the axes of its frame, (3, 3).
+        places: Where in q of all joints its coordinate begins.
+        pairs: Whether that is a pair (cos, sin).
+        carriers: For each frame, the number of the joint that moves it, -1 for the base.
+    """
+
+    parents: tuple[int, ...]
+    slides: tuple[bool, ...]
+    turns: tuple[Array, ...]
+    places: tuple[int, ...]
+    pairs: tuple[bool, ...]
+    carriers: tuple[int, ...]
+
+    @classmethod
+    def of(cls, robot: Robot, frames: Sequence[str]) -> Structure:
+        """Return that of a robot with some of its frames.
+
+        Raises:
+            UnknownNameError: No such frame.
+        """
+        model = robot.mimic_joints.model
+        joints, data = list(model.joints)[1:], model.createData()
+        pin.forwardKinematics(model, data, pin.neutral(model))  # fills the motion subspaces
+        axes = [np.array(each.S).reshape(6) for each in list(data.joints)[1:]]
+        slides = tuple(bool(axis[:3].any()) for axis in axes)
+        return cls(
+            tuple(parent - 1 for parent in list(model.parents)[1:]),
+            slides,
+            tuple(
+                _with_z(S[:3] if slide else S[3:]) for S, slide in zip(axes, slides, strict=True)
+            ),
+            tuple(joint.idx_q for joint in joints),
+            tuple(joint.nq == 2 for joint in joints),
+            tuple(model.frames[all_frame_id(robot, f)].parentJoint - 1 for f in frames),
+        )
+
+
+class Reduced(NamedTuple):
+    """The numbers of N arms in axes whose z is that of each joint, with bodies that act alike.
+
+    What lies on the axis that a joint turns about is the same for the link that carries the joint,
+    wherever the joint is, and the joint itself does not feel it. So it is moved to that link, and
+    the base takes all the mass of an arm whose joints turn. Links that slide keep their mass and
+    its moments, and pass on what resists turns. What is left has zeros that fold away.
+
+    Attributes:
+        rotations: As of `ArmNumbers`, shape (N, n, 3, 3).
+        translations: The same, shape (N, n, 3) [m].
+        masses: Masses, shape (N, n) [kg].
+        moments: First moments, shape (N, n, 3) [kg m].
+        spreads: Second moments ∫ r rᵀ dm, as xx, xy, xz, yy, yz, zz, shape (N, n, 6) [kg m²].
+        gravity: Shape (N, 3) [m/s²].
+        frame_rotations: As of `ArmNumbers`, shape (N, k, 3, 3).
+        frame_translations: The same, shape (N, k, 3) [m].
+    """
+
+    rotations: Array
+    translations: Array
+    masses: Array
+    moments: Array
+    spreads: Array
+    gravity: Array
+    frame_rotations: Array
+    frame_translations: Array
+
+
+def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:
+    """Return numbers of N arms with as many zeros as they can have.
+
+    Each arm's depend on itself alone, to the last bit.
+    """
+    turns = np.array(structure.turns)
+    carrying = np.array([_turn(structure, j) for j in structure.parents])
+    backwards = np.swapaxes(carrying, -1, -2)
+    R = _tidy(_product(_product(backwards, numbers.rotations), turns))
+    t = _tidy(_applied(backwards, numbers.translations))
+    back = np.swapaxes(turns, -1, -2)
+    m, h = numbers.inertias[..., 0].copy(), _applied(back, numbers.inertias[..., 1:4])
+    inertias = numbers.inertias[..., [[4, 5, 7], [5, 6, 8], [7, 8, 9]]]
+    trace = inertias[..., 0, 0] + inertias[..., 1, 1] + inertias[..., 2, 2]
+    spreads = 0.5 * trace[..., np.newaxis, np.newaxis] * np.eye(3) - inertias
+    spreads = _product(_product(back, spreads), turns)
+
+    for j in reversed(range(len(structure.parents))):
+        passed_m, passed_h, passed_S = (
+            np.zeros_like(m[:, j]),
+            np.zeros_like(h[:, j]),
+            spreads[:, j].copy(),
+        )
+        if not structure.slides[j]:
+            passed_m = m[:, j].copy()
+            passed_h[:, 2] = h[:, j, 2]
+            passed_S = np.zeros_like(passed_S)
+            passed_S[:, 2, 2] = spreads[:, j, 2, 2]
+        m[:, j] -= passed_m
+        h[:, j] -= passed_h
+        spreads[:, j] -= passed_S
+        parent = structure.parents[j]
+        if parent < 0:
+            continue
+        across, shift = R[:, j], t[:, j]
+        passed_h = _applied(across, passed_h)
+        lever = _outer(shift, passed_h)
+        mass = passed_m[:, np.newaxis]
+        m[:, parent] += passed_m
+        h[:, parent] += passed_h + mass * shift
+        spreads[:, parent] += (
+            _product(_product(across, passed_S), np.swapaxes(across, -1, -2))
+            + (lever + np.swapaxes(lever, -1, -2))
+            + mass[..., np.newaxis] * _outer(shift, shift)
+        )
+    spreads = spreads[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+
+    ends = np.array([_turn(structure, j) for j in structure.carriers]).reshape(-1, 3, 3)
+    ends = np.swapaxes(ends, -1, -2)
+    return Reduced(
+        R,
+        t,
+        m,
+        _without_dust(h),
+        _without_dust(spreads),
+        numbers.gravity,
+        _tidy(_product(ends, numbers.frame_rotations)),
+        _tidy(_applied(ends, numbers.frame_translations)),
+    )
+
+
+def _turn(structure: Structure, joint: int) -> Array:
+    return np.eye(3) if joint < 0 else structure.turns[joint]
+
+
+def _with_z(axis: Array) -> Array:
+    """Return a rotation whose third column is an axis: of the axes x, y and z a permutation."""
+    beside = np.eye(3)[(int(np.abs(axis).argmax()) + 1) % 3]
+    x = beside - (beside @ axis) * axis
+    x = x / np.sqrt(x @ x)
+    return np.stack([x, np.cross(axis, x), axis], axis=1) + 0.0
+
+
+def _product(A: Array, B: Array) -> Array:
+    """Return A B of stacked matrices, in an order of sums that no library chooses."""
+    total: Array = A[..., :, 0, np.newaxis] * B[..., np.newaxis, 0, :]
+    for k in (1, 2):
+        total = total + A[..., :, k, np.newaxis] * B[..., np.newaxis, k, :]
+    return total
+
+
+def _applied(A: Array, a: Array) -> Array:
+    return _product(A, a[..., np.newaxis])[..., 0]
+
+
+def _outer(a: Array, b: Array) -> Array:
+    return a[..., :, np.newaxis] * b[..., np.newaxis, :]
+
+
+def _tidy(numbers: Array) -> Array:
+    """Return entries of placements with 0 and ±1 where round-off is beside them.
+
+    Such as cos(π/2) = 6e-17, of which hundreds of operations of a Panda would come; what is
+    computed stays within 1e-13.
+    """
+    nearest = np.clip(np.round(numbers), -1.0, 1.0)
+    return np.where(np.abs(numbers - nearest) <= _ROUND_OFF, nearest, numbers) + 0.0
+
+
+def _without_dust(numbers: Array) -> Array:
+    """Return numbers of each arm with 0 for what is nothing but round-off beside its largest."""
+    largest = np.abs(numbers).max(axis=tuple(range(1, numbers.ndim)), keepdims=True)
+    return np.where(np.abs(numbers) <= _ROUND_OFF * largest, 0.0, numbers)
