@@ -52,8 +52,8 @@ def evaluated(program, terms, q, v, tau, **parameters):
 def expected(robot, frames, regressor, q, v, tau):
     """Return the same of Pinocchio at one q, v and tau."""
     dynamics, model = Dynamics(robot), robot.model
-    # with two joints that mimic one on different branches, Pinocchio's CRBA of the coupled model is
-    # wrong; and its articulated bodies keep 11 digits only where masses differ much
+    # Pinocchio's CRBA of the coupled model is wrong where branches leave what a mimic joint moves;
+    # and its articulated bodies keep 11 digits only where masses differ much
     mimic = robot.mimic_joints
     M = mass_matrix(mimic.model, mimic.model.createData(), mimic.q(q))
     terms = {"M": mimic.rows(mimic.columns(M)), "g": dynamics.g(q)}
