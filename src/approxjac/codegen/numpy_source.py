@@ -94,4 +94,5 @@ class NumpyLanes:
         names = [*program.stepped, *(program.recorded if is_recorded else ())]
         for name in names:
             at, size = places[name]
-            state[at : at + size], rows = rows[:size], rows[size:]
+            if size:
+                state[at : at + size], rows = rows[:size], rows[size:]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from approxjac.validation import Array
 
 from approxjac.codegen.graph import CONDITIONS, Graph, Number, Scalar
@@ -23,7 +25,7 @@ class Program:
     Attributes:
         graph: All that is computed.
         rows: Name → place and number of rows of what is kept.
-        parameters: Name → place and number of rows of what stays.
+        parameters: Name → place and number of rows of what stays, and differs from run to run.
         rings: Name → place, number of rows and number of steps of what arrives late.
         stepped: What follows at a step: names and their numbers.
         recorded: What else is kept of steps that are recorded.
@@ -36,6 +38,7 @@ class Program:
         self.rings: dict[str, tuple[int, int, int]] = {}
         self.stepped: dict[str, list[Number]] = {}
         self.recorded: dict[str, list[Number]] = {}
+        self._given: dict[str, tuple[Array, Array]] = {}  # which differ, and the others
         self.n_rows = 0
         self.n_parameters = 0
 
@@ -62,12 +65,35 @@ class Program:
         """
         flat = values.reshape(len(values), -1)
         differs = (flat != flat[:1]).any(axis=0)
+        self._given[name] = differs, flat[0]
         found = symbols(flat[0].tolist())
         if differs.any():
             self.parameters[name] = self.n_parameters, int(differs.sum())
             self.n_parameters += int(differs.sum())
             found[differs] = inputs(self.graph, name, int(differs.sum()))
         return found.reshape(values.shape[1:])
+
+    def filled(self, values: Mapping[str, Array]) -> Array:
+        """Return the parameters of some runs, shape (N, n_parameters).
+
+        Args:
+            values: Name → what `given` has been given of the runs that it was built for, now of
+                these, shape (N, …).
+
+        Raises:
+            ValueError: A number differs that was the same in all of those.
+        """
+        n = len(next(iter(values.values())))
+        found = np.empty((n, self.n_parameters))
+        for name, each in values.items():
+            differs, constants = self._given[name]
+            flat = each.reshape(n, -1)
+            if (flat[:, ~differs] != constants[~differs]).any():
+                raise ValueError(f"{name} differs from run to run where it did not")
+            if name in self.parameters:
+                at, size = self.parameters[name]
+                found[:, at : at + size] = flat[:, differs]
+        return found
 
     @property
     def k(self) -> Scalar:

@@ -51,14 +51,17 @@ class Arm:
         frames: Sequence[str],
         numbers: ArmNumbers | None = None,
     ) -> None:
-        self.robot, self.frames = robot, tuple(frames)
+        self.name, self.robot, self.frames = name, robot, tuple(frames)
         self.structure = Structure.of(robot, frames)
         if numbers is None:
             numbers = ArmNumbers.stacked([arm_numbers(robot, frames)])
+        named = self.named(numbers)
+        self.numbers = Reduced(*(given(part, values) for part, values in named.items()))
+
+    def named(self, numbers: ArmNumbers) -> dict[str, Array]:
+        """Return the numbers of such arms, stacked, as the program knows them."""
         few = reduced(numbers, self.structure)
-        self.numbers = Reduced(
-            *(given(f"{name}.{part}", values) for part, values in few._asdict().items())
-        )
+        return {f"{self.name}.{part}": values for part, values in few._asdict().items()}
 
     def at(self, q: Symbols) -> Configured:
         """Return these arms at a configuration.

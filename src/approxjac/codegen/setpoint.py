@@ -8,7 +8,7 @@ import numpy as np
 
 from approxjac import law
 from approxjac.codegen import tasks
-from approxjac.codegen.graph import Scalar
+from approxjac.codegen.graph import Scalar, select
 from approxjac.codegen.linear import damped_gram_solve
 from approxjac.codegen.rigid_body import Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
@@ -21,6 +21,8 @@ from approxjac.interface import Status
 from approxjac.law import Linear, Sine, Tanh
 from approxjac.law.saturation import sine, tanh
 
+_SWEEPS = 5
+_ROUND_OFF = 1e-12  # of what led out of bounds
 STATUSES = tuple(Status)
 """A status is its place in this."""
 
@@ -144,7 +146,8 @@ def answer(
         rests = any_of(np.abs(torque / learning.torque_limits) > 1.0)
         far = _is_far(controller, arm, e)
         y = law.passive_output(v, pinv_s, learning.alpha)
-        theta_rate, no = _bounded(learning, law.theta_hat_rate(symbols(learning.L), Y, y), state[:p], g)
+        theta_rate = law.theta_hat_rate(symbols(learning.L), Y, y)
+        theta_rate, no = _bounded(learning, theta_rate, state[:p], Y, g)
         still = lost | rests | far
         theta_rate = np.where(still, 0.0, theta_rate)
         left = left | (no & ~symbols(still)[()])
@@ -193,14 +196,34 @@ def _is_far(controller: SetpointController, arm: Configured, e: Symbols) -> Scal
 
 
 def _bounded(
-    learning: Adaptation, rate: Symbols, theta_hat: Symbols, g: Symbols
+    learning: Adaptation, rate: Symbols, theta_hat: Symbols, Y: Symbols, g: Symbols
 ) -> tuple[Symbols, Scalar | bool]:
-    """Return what `Adaptation.bounded` does, and whether that is left to Python."""
+    """Return what `Adaptation.bounded` does, and whether that is left to Python.
+
+    The multipliers of `law.within_bounds` come from a few sweeps of C. Hildreth's method ("A
+    quadratic programming procedure", Naval Research Logistics 4(1), 1957), which mostly ends there.
+    """
     if learning.bounds is None:
         return rate, False
     lower, upper = learning.bounds
-    outward = ((theta_hat <= lower) & (rate < 0.0)) | ((theta_hat >= upper) & (rate > 0.0))
-    beyond = any_of(np.abs(g) > learning.motors)
-    if learning.L.ndim == 2:
-        return rate, any_of(outward) | beyond
-    return np.where(outward, 0.0, rate), beyond
+    high, low = theta_hat >= upper, theta_hat <= lower
+    side = np.where(high, 1.0, np.where(low, -1.0, 0.0))
+    beyond = np.where(np.abs(g) > learning.motors, np.where(g > 0.0, 1.0, -1.0), 0.0)
+    outward = any_of([*(side * rate > 0.0), *(beyond * (Y @ rate) > 0.0)])
+    L = learning.L if learning.L.ndim == 2 else np.diag(learning.L)
+    N = np.concatenate([np.diag(side), np.multiply(beyond[:, np.newaxis], Y)])
+    NL = N @ symbols(L)
+    sizes = (N * NL).sum(axis=1)
+    inverse = np.where(sizes > 0.0, 1.0 / sizes, 0.0)
+    found, multipliers = rate, [0.0] * len(N)
+    for _ in range(_SWEEPS):
+        for i, before in enumerate(multipliers):
+            after = before + (N[i] @ found) * inverse[i]
+            multipliers[i] = after = select(after > 0.0, after, 0.0)
+            found = found - np.multiply(after - before, NL[i])
+    least = _ROUND_OFF * np.abs(N @ rate).max()
+    wrong = any_of(N @ found > least)
+    *kept, is_wrong = rate[0].graph.rare(
+        outward, [*found.tolist(), select(wrong, 1.0, 0.0)], [*rate.tolist(), 0.0]
+    )
+    return symbols(kept), is_wrong > 0.0
