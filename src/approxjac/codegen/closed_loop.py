@@ -12,11 +12,15 @@ from approxjac.codegen.functions import LARGEST_ANGLE
 from approxjac.codegen.graph import Number, Scalar, select
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.program import Program
-from approxjac.codegen.rigid_body import Arm, ArmNumbers, Configured, moved
+from approxjac.codegen.arm_numbers import ArmNumbers
+from approxjac.codegen.rigid_body import Arm, Configured, moved
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers.setpoint import SetpointController
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Controller
 from approxjac.simulation import Plant
 from approxjac.simulation.integrators import INTEGRATORS
+from approxjac.stability.region import JointBox, Region
 from approxjac.validation import Array
 
 _GUESSES = 4
@@ -24,32 +28,63 @@ _FINITE = 1e200  # sum of squares, beyond which a run has diverged
 
 
 class Told(NamedTuple):
-    """Names of what is told of each run, one number each."""
+    """Names of what is told of each run, a number each; all but the last two of what is recorded.
 
-    last_bad: str = "last_bad"  # record at which the error was last not below the tolerance
-    error: str = "error"  # ‖e‖ at the last record
-    torque: str = "peak_torque"  # largest share of a motor's limit, over all steps
-    speed: str = "peak_speed"  # largest share of a limit of speed, over all steps
-    outside: str = "outside"  # whether a recorded configuration was outside the region
+    Attributes:
+        last_bad: Number of the step at which the error was last not below the tolerance, or −1.
+        error: ‖e‖ at the end.
+        torque: Largest share of a motor's limit.
+        speed: Largest share of a limit of speed.
+        outside: Whether a configuration was outside the region.
+        diverged: Whether numbers became too large.
+        left: Whether the run is left to Python, as it came to what is not covered.
+    """
+
+    last_bad: str = "last_bad"
+    error: str = "error"
+    torque: str = "torque"
+    speed: str = "speed"
+    outside: str = "outside"
     diverged: str = "diverged"
-    left: str = "left"  # whether it is left to Python
+    left: str = "left"
 
 
 TOLD = Told()
 
 
-class Box(NamedTuple):
-    """Configurations between bounds, from a center.
+class ClosedLoop(NamedTuple):
+    """The program of a closed loop, and what gives it its parameters.
 
     Attributes:
-        center: Shape (nq,).
-        lower: Smallest motion from it, shape (n_v,).
-        upper: Largest motion from it, shape (n_v,).
+        program: The program.
+        truth: The true arms.
+        n_state: Length of the controller's state.
     """
 
-    center: Array
-    lower: Array
-    upper: Array
+    program: Program
+    truth: Arm
+    n_state: int
+
+
+def require_covered(controller: Controller, plant: Plant, region: Region) -> None:
+    """Refuse a closed loop of which no code can be made.
+
+    Raises:
+        InvalidInputError: Another law, task, plant or region than those covered.
+    """
+    setpoint.require_covered(controller)
+    tasks.require_covered(plant.sensor)
+    if plant.needs_sampling or plant.torque_limits is not None:
+        raise InvalidInputError(
+            f"plant must have ideal sensors and motors to make code of it, got {plant!r}",
+            given=plant,
+        )
+    if type(region) is not JointBox or region.robot.nq != region.robot.nv:
+        raise InvalidInputError(
+            "region must be a JointBox of an arm without continuous joints to make code of it, "
+            f"got {region!r}",
+            given=region,
+        )
 
 
 def closed_loop(
@@ -57,31 +92,30 @@ def closed_loop(
     plant: Plant,
     numbers: ArmNumbers,
     targets: Array,
+    region: JointBox,
     dt: float,
     tolerance: float,
-    box: Box | None,
     integrator: str = "semi_implicit_euler",
-) -> Program:
+) -> ClosedLoop:
     """Return the program of a sampled closed loop.
 
     Args:
         controller: The law.
         plant: One of the true robots, with its sensor and friction.
-        numbers: Of all true robots, stacked.
-        targets: x_d of each run, shape (N, n_x).
+        numbers: Of true robots, stacked, such that all differ in what ever differs.
+        targets: x_d of each of them, shape (N, n_x).
+        region: Where runs are to stay.
         dt: Sampling time [s].
         tolerance: Error below which a task counts as done.
-        box: The region that runs are to stay in; None asks for none.
         integrator: One of `INTEGRATORS`.
     """
-    program, robot = Program(), plant.robot
+    program, robot, task = Program(), plant.robot, controller.task
     truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
-    belief = Arm(
-        program.given, "belief", controller.task.robot, tasks.frames(controller.task)
-    )
+    belief = Arm(program.given, "belief", task.robot, tasks.frames(task))
     x_d = program.given("target", targets)
     q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
-    n_state = len(controller.initial_state(plant.measure(0.0, robot.neutral(), np.zeros(robot.nv))))
+    rest = plant.measure(0.0, robot.neutral(), np.zeros(robot.nv))
+    n_state = len(controller.initial_state(rest))
     state = program.kept("state", n_state)
     told = {name: program.kept(name, 1)[0] for name in TOLD}
 
@@ -104,8 +138,6 @@ def closed_loop(
         "q": q_end,
         "v": v_end,
         "state": state + dt * answer.rate,
-        TOLD.torque: _larger(told[TOLD.torque], answer.torque / plant.motor_limits),
-        TOLD.speed: _larger(told[TOLD.speed], v / robot.velocity_limits),
         TOLD.diverged: select(diverged, 1.0, told[TOLD.diverged]),
         TOLD.left: select(left | large, 1.0, told[TOLD.left]),
     })  # fmt: skip
@@ -114,9 +146,11 @@ def closed_loop(
     program.record({
         TOLD.last_bad: select(error < tolerance, record, program.k),
         TOLD.error: error,
-        TOLD.outside: select(_outside(robot, q, box), 1.0, told[TOLD.outside]),
+        TOLD.torque: _larger(told[TOLD.torque], answer.torque / plant.motor_limits),
+        TOLD.speed: _larger(told[TOLD.speed], v / robot.velocity_limits),
+        TOLD.outside: select(_outside(q, region), 1.0, told[TOLD.outside]),
     })  # fmt: skip
-    return program
+    return ClosedLoop(program, truth, n_state)
 
 
 def _larger(known: Number, shares: Symbols) -> Number:
@@ -212,8 +246,7 @@ def _depth(plant: Plant, q: Symbols) -> tuple[Symbols, Symbols, Array]:
     return depth, side, limited
 
 
-def _outside(robot: object, q: Symbols, box: Box | None) -> Scalar | bool:
-    if box is None:
-        return False
-    motion = q - box.center
-    return any_of((motion < box.lower - 1e-12) | (motion > box.upper + 1e-12))
+def _outside(q: Symbols, region: JointBox) -> Scalar | bool:
+    """Return whether `JointBox.contains` does not."""
+    motion = q - region.center
+    return any_of((motion < region.lower - 1e-12) | (motion > region.upper + 1e-12))

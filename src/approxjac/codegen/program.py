@@ -12,6 +12,7 @@ from approxjac.validation import Array
 from approxjac.codegen.graph import CONDITIONS, Graph, Number, Scalar
 from approxjac.codegen.symbols import Symbols, inputs, symbols
 
+_DUST = 1e-14  # of the largest number, which round-off may leave of one that does not differ
 STEP = "k"
 """Name of the input that is the number of the step."""
 
@@ -88,7 +89,8 @@ class Program:
         for name, each in values.items():
             differs, constants = self._given[name]
             flat = each.reshape(n, -1)
-            if (flat[:, ~differs] != constants[~differs]).any():
+            size = np.abs(constants).max(initial=0.0)
+            if (np.abs(flat - constants)[:, ~differs] > _DUST * size).any():
                 raise ValueError(f"{name} differs from run to run where it did not")
             if name in self.parameters:
                 at, size = self.parameters[name]

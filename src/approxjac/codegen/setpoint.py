@@ -17,7 +17,7 @@ from approxjac.controllers.gravity import Adaptation, ModelGravity, NoGravity, R
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.unknown_tool import UNKNOWN_TOOL
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Status
+from approxjac.interface import Controller, Status
 from approxjac.law import Linear, Sine, Tanh
 from approxjac.law.saturation import sine, tanh
 
@@ -49,7 +49,7 @@ class Answer(NamedTuple):
     left: Scalar | bool
 
 
-def require_covered(controller: SetpointController) -> None:
+def require_covered(controller: Controller) -> None:
     """Refuse a law of which no code can be made.
 
     Raises:

@@ -112,12 +112,12 @@ def simulate(
             if state is not None:
                 raise InvalidInputError("dt must be given for a state, got None", given=None)
             law = _continuous_law(plant, controller, observer)
-            count = 1000 if record_every is None else _whole("record_every", record_every, duration)
+            count = 1000 if record_every is None else whole("record_every", record_every, duration)
             return _continuous(plant, law, wanted, q, v, duration, count, rtol, atol, progress)
-        steps, stride = _whole("dt", dt, duration), 1
+        steps, stride = whole("dt", dt, duration), 1
         if record_every is not None:
             record_every = as_number("record_every", record_every, unit="s", above=0.0)
-            stride = _whole("dt", dt, record_every, whole="record_every")
+            stride = whole("dt", dt, record_every, of="record_every")
         loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed, state)
         return _sampled(loop, stride, observer, progress)
 
@@ -137,17 +137,17 @@ def _continuous_law(
     raise InvalidInputError(f"dt must be given for {why}", given=None)
 
 
-def _whole(name: str, part: float, total: float, *, whole: str = "duration") -> int:
+def whole(name: str, part: float, total: float, *, of: str = "duration") -> int:
     """Return how often a time fits into another; refuse one that does not fit evenly."""
     part = as_number(name, part, unit="s", above=0.0)
     if part < 1e-9 * total:
         raise InvalidInputError(
-            f"{name} must be at least 1e-9 of {whole} = {total:g} [s], got {part:g}", given=part
+            f"{name} must be at least 1e-9 of {of} = {total:g} [s], got {part:g}", given=part
         )
     count = round(total / part)
     if count < 1 or abs(count * part - total) > 1e-9 * total:
         raise InvalidInputError(
-            f"{whole} must be a whole number of {name} = {part:g} [s], got {total:g}", given=total
+            f"{of} must be a whole number of {name} = {part:g} [s], got {total:g}", given=total
         )
     return count
 

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import pickle
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, fields
+from functools import cached_property
+from os import PathLike
 from types import NoneType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from approxjac.errors import InvalidInputError, SimulationError
+from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Controller
-from approxjac.simulation import simulate
+from approxjac.simulation import Trajectory
 from approxjac.simulation.sampled_loop import require_fit
 from approxjac.stability.region import Region
+from approxjac.stability.rollout_study import COLUMNS, Study
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.validation import Array, as_integer, as_number, require
 
-_RECORDS = 500  # of a run: 50 in its last tenth
-_CHUNKS = 64  # that runs are handed to an executor in, at most
 _EXECUTOR: Any = (Executor, NoneType)
 _FUNCTION: Any = (Callable, NoneType)
+
+Engine = Literal["lanes", "python"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,6 +42,9 @@ class Rollout:
             behind the camera, where there is no image.
         settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
             recorded instant [s]; NaN if it is not at the end.
+        peak_torque: Largest torque asked for at a recorded instant, as a share of its motor's limit;
+            NaN if the run diverged.
+        peak_speed: Largest speed of a joint there, as a share of its limit; NaN if it diverged.
         converged: Whether it is at every recorded instant of the last tenth.
         diverged: Whether the simulation could not be carried to its end.
         stayed: Whether all recorded configurations are in the region; False if the run diverged.
@@ -54,6 +56,8 @@ class Rollout:
     target: Array
     final_error: float
     settling_time: float
+    peak_torque: float
+    peak_speed: float
     converged: bool
     diverged: bool
     stayed: bool
@@ -69,36 +73,73 @@ class Rollouts:
     """Outcome of all runs. Its text is a sentence that says so.
 
     Attributes:
-        runs: The runs, in the order of their index.
-        uncertainty: What the true robots were drawn from.
-        tolerance: Error below which a task counts as done [unit of the task].
-        duration: Of each run [s].
+        columns: Field of `Rollout` → its values in all runs, shape (N, …), in the order of the
+            index. `numpy.savez(file, **columns)` keeps them.
+        study: What all runs share: `study.uncertainty`, `study.tolerance`, `study.duration` …
     """
 
-    runs: tuple[Rollout, ...]
-    uncertainty: Uncertainty
-    tolerance: float
-    duration: float
+    columns: dict[str, Array]
+    study: Study
+
+    @cached_property
+    def runs(self) -> tuple[Rollout, ...]:
+        """The runs, in the order of their index."""
+        each = (self.columns[field.name] for field in fields(Rollout))
+        return tuple(
+            Rollout(*(value.item() if value.ndim == 0 else value for value in row))
+            for row in zip(*each, strict=True)
+        )
+
+    @property
+    def table(self) -> dict[str, Array]:
+        """The columns with a number each, as `pandas.DataFrame` takes them."""
+        robot = self.study.controller.task.robot
+        labels = {
+            "values": [f"true {name}" for name in self.study.uncertainty.names],
+            "q0": [f"q0[{i}]" for i in range(robot.nq)],
+            "target": [f"target[{i}]" for i in range(self.study.controller.task.n_x)],
+        }
+        found = {}
+        for name, column in self.columns.items():
+            if name not in labels:
+                found[name] = column
+                continue
+            found |= {label: column[:, i] for i, label in enumerate(labels[name])}
+        return found
+
+    def replay(self, index: int) -> Trajectory:
+        """Simulate a run again, in Python, with all that it records.
+
+        Raises:
+            InvalidInputError: No such run.
+            SimulationError: It diverges.
+        """
+        if not 0 <= as_integer("index", index, 0) < self.n:
+            raise InvalidInputError(
+                f"index must be one of the {self.n} runs, 0 to {self.n - 1}, got {index}",
+                given=index,
+            )
+        return self.study.simulated(self.study.start(int(self.columns["index"][index])))
 
     @property
     def n(self) -> int:
         """Number of runs."""
-        return len(self.runs)
+        return len(self.columns["index"])
 
     @property
     def n_converged(self) -> int:
         """Number of runs that converged."""
-        return sum(run.converged for run in self.runs)
+        return int(self.columns["converged"].sum())
 
     @property
     def n_diverged(self) -> int:
         """Number of runs that could not be simulated to their end."""
-        return sum(run.diverged for run in self.runs)
+        return int(self.columns["diverged"].sum())
 
     @property
     def n_left(self) -> int:
         """Number of runs that left the region and did not diverge."""
-        return sum(not (run.stayed or run.diverged) for run in self.runs)
+        return int((~(self.columns["stayed"] | self.columns["diverged"])).sum())
 
     @property
     def share(self) -> float:
@@ -113,19 +154,20 @@ class Rollouts:
     @property
     def worst(self) -> Rollout:
         """The run with the largest final error, which is one that diverged if any did."""
-        return max(self.runs, key=lambda run: run.final_error)
+        return self.runs[int(self.columns["final_error"].argmax())]
 
     def __repr__(self) -> str:
         low, high = self.interval
-        worst, unit = self.worst, joined(self.uncertainty.believed_task().units)
+        worst, study = self.worst, self.study
+        unit = joined(study.controller.task.units)
         ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
         return (
-            f"{self.n_converged} of {self.n} runs converged to within {self.tolerance:g} {unit} "
-            f"throughout the last tenth of their {self.duration:g} s: "
+            f"{self.n_converged} of {self.n} runs converged to within {study.tolerance:g} {unit} "
+            f"throughout the last tenth of their {study.duration:g} s: "
             f"{100 * self.share:.1f} %, with 95 % confidence "
             f"{100 * low:.1f} to {100 * high:.1f} %; {self.n_diverged} diverged, {self.n_left} "
             f"went outside the region without diverging; the worst, run {worst.index}, {ended} "
-            f"with {self.uncertainty.describe(worst.values)}"
+            f"with {study.uncertainty.describe(worst.values)}"
         )
 
 
@@ -140,7 +182,9 @@ def rollouts(
     dt: float = 1e-3,
     tolerance: float = 1e-3,
     seed: int = 0,
+    engine: Engine | None = None,
     executor: Executor | None = None,
+    folder: str | PathLike[str] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Rollouts:
     """Simulate the sampled closed loop from random starts, with random true robots.
@@ -163,13 +207,21 @@ def rollouts(
         tolerance: > 0; a run converged if ‖e‖ is below it at every recorded instant of the last
             tenth [unit of the task].
         seed: ≥ 0.
-        executor: What carries out the runs, such as a `ProcessPoolExecutor` (the user's to shut
-            down); one after the other here by default. Each portion of runs has its own copies.
-            Threads are no faster than none: a run is mostly Python.
+        engine: "lanes" traces the closed loop and carries out many runs at once in the machine's
+            vectors, some hundred times as fast; "python" runs `simulate`, with anything. By default
+            lanes where they cover the loop and llvmlite is there (the extra `fast`); the study of
+            the answer says which, and why. They differ by rounding.
+        executor: What carries out portions of the runs, such as a `ThreadPoolExecutor` (for lanes),
+            a `ProcessPoolExecutor` or Dask's `client.get_executor()`, the user's to shut down; this
+            thread by default. Each portion has its own copies.
+        folder: Where portions that are done are kept, a file each. The same call goes on from them.
         progress: Called with the number of runs that are done, in the calling process.
 
     Raises:
-        InvalidInputError: Numbers out of range, a controller of another task than the sensor's, a
+        UnknownNameError: No such engine.
+        MissingPackageError: Lanes are asked for, and llvmlite is not there.
+        InvalidInputError: Numbers out of range, lanes asked for where they do not cover the loop, a
+            controller of another task than the sensor's, a
             region of which a true camera sees nothing, or something that cannot be sent to the
             processes of an executor.
     """
@@ -183,14 +235,14 @@ def rollouts(
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)
     x_d = None if target is None else uncertainty.believed_task().target(target)
-    run = partial(_run, controller, uncertainty, region, x_d, duration, dt, tolerance, seed)
-    done: list[Rollout] = []
-    here = ([run(index)] for index in range(runs))
-    for portion in here if executor is None else _elsewhere(run, runs, executor):
-        done += portion
+    study = Study(controller, uncertainty, region, x_d, duration, dt, tolerance, seed)
+    study = study.with_engine(engine, runs)
+    parts: list[dict[str, Array]] = []
+    for part in study.parts(runs, executor, folder):
+        parts.append(part)
         if progress is not None:
-            progress(len(done))
-    return Rollouts(tuple(done), uncertainty, tolerance, duration)
+            progress(sum(len(part["index"]) for part in parts))
+    return Rollouts({name: np.concatenate([p[name] for p in parts]) for name in COLUMNS}, study)
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
@@ -205,75 +257,3 @@ def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tupl
     low = 0.0 if successes == 0 else float(betaincinv(successes, failures + 1, tail))
     high = 1.0 if failures == 0 else float(betaincinv(successes + 1, failures, 1.0 - tail))
     return low, high
-
-
-def _run(
-    controller: Controller,
-    uncertainty: Uncertainty,
-    region: Region,
-    target: Array | None,
-    duration: float,
-    dt: float,
-    tolerance: float,
-    seed: int,
-    index: int,
-) -> Rollout:
-    """Carry out one run."""
-    rng = np.random.default_rng([seed, index])
-    values = uncertainty.sample(rng)
-    plant = uncertainty.plant(values)
-    seen = VisiblePart(region, plant.sensor)
-    try:
-        q0 = plant.robot.configuration(region.sample(1, rng)[0], "q0")
-        q0 = seen.replace_unseen(q0[None], rng)[0]
-        if target is None:
-            target = plant.sensor.value(seen.sample(1, rng)[0])
-    except UnattainedError as error:
-        raise UnattainedError(
-            f"{error}, with {uncertainty.describe(values)}", given=values, truth=index
-        ) from error
-    every = max(1, round(duration / dt / _RECORDS)) * dt
-    try:
-        record = simulate(
-            plant, controller, target, q0, duration, dt=dt, record_every=every,
-            integrator="semi_implicit_euler",
-        )  # fmt: skip
-    except SimulationError:
-        return Rollout(index, values, q0, target, math.inf, math.nan, False, True, False)
-    settling, converged = _judged(record.t, record.error_norm, tolerance)
-    final = float(record.error_norm[-1])
-    final = math.inf if math.isnan(final) else final
-    stayed = all(bool(region.contains(q)) for q in record.q)
-    return Rollout(index, values, q0, target, final, settling, converged, False, stayed)
-
-
-def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
-    """Settling time, and whether the error was below the tolerance in all of the last tenth."""
-    below = error < tolerance
-    last_tenth = t >= (0.9 - 1e-9) * t[-1]
-    first = int(np.flatnonzero(~below).max(initial=-1)) + 1
-    settling = float(t[first]) if first < len(t) else math.nan
-    return settling, bool(below[last_tenth].all())
-
-
-def _elsewhere(
-    run: Callable[[int], Rollout], runs: int, executor: Executor
-) -> Iterator[list[Rollout]]:
-    """Portions of runs as an executor is done with them."""
-    if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
-        try:
-            pickle.dumps(run)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise InvalidInputError(
-                "controller, uncertainty and region must be picklable to go to other processes "
-                f"(functools.partial(PositionTask, axes='xz') is, a lambda is not): {error}",
-                given=executor,
-            ) from error
-    indices, size = range(runs), math.ceil(runs / _CHUNKS)
-    portions = [indices[start : start + size] for start in indices[::size]]
-    return executor.map(partial(_portion, run), portions)  # cancels the others where one fails
-
-
-def _portion(run: Callable[[int], Rollout], indices: range) -> list[Rollout]:
-    own = copy.deepcopy(run)  # tasks and controllers have scratch memory: one instance a thread
-    return [own(index) for index in indices]

@@ -1,0 +1,110 @@
+"""`Lanes`: many runs of a closed loop at once, each in a lane of the machine's vectors."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Literal, Protocol
+
+import numpy as np
+
+from approxjac.codegen import tasks
+from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
+from approxjac.codegen.closed_loop import TOLD, ClosedLoop, closed_loop
+from approxjac.codegen.llvm import LlvmLanes
+from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.controllers.setpoint import SetpointController
+from approxjac.simulation import Plant
+from approxjac.stability.region import JointBox
+from approxjac.validation import Array
+
+Engine = Literal["llvm", "numpy"]
+
+
+class Start(Protocol):
+    """How a run begins.
+
+    Attributes:
+        plant: The true robot.
+        q: Configuration, at rest, shape (nq,).
+        target: x_d, shape (n_x,).
+    """
+
+    plant: Plant
+    q: Array
+    target: Array
+
+
+class Lanes:
+    """Closed loops that differ in their true robots, starts and targets.
+
+    Args:
+        controller: The law.
+        examples: Starts that differ in all that will ever differ.
+        region: Where runs are to stay.
+        dt: Sampling time [s].
+        tolerance: Error below which a task counts as done.
+        engine: What carries them out.
+    """
+
+    def __init__(
+        self,
+        controller: SetpointController,
+        examples: Sequence[Start],
+        region: JointBox,
+        dt: float,
+        tolerance: float,
+        engine: Engine = "llvm",
+    ) -> None:
+        self._controller = controller
+        targets = np.array([start.target for start in examples])
+        self._loop: ClosedLoop = closed_loop(
+            controller, examples[0].plant, _numbers(examples), targets, region, dt, tolerance
+        )
+        self._engine = engine
+
+    @functools.cached_property
+    def _compiled(self) -> LlvmLanes | NumpyLanes:
+        program = self._loop.program
+        return LlvmLanes(program) if self._engine == "llvm" else NumpyLanes(program)
+
+    def run(self, starts: Sequence[Start], steps: int, every: int) -> dict[str, Array]:
+        """Return what is told of some runs: the names of `TOLD`, each with an array (N,).
+
+        Args:
+            starts: How they begin.
+            steps: Number of steps.
+            every: Which instants are recorded: each so many steps, and the last.
+        """
+        program, n, width = self._loop.program, len(starts), self._compiled.width
+        kept = np.zeros((n, program.n_rows))
+        columns = {name: kept[:, at : at + size] for name, (at, size) in program.rows.items()}
+        columns["q"][:] = [start.q for start in starts]
+        columns["state"][:] = self._states(starts)
+        columns[TOLD.last_bad][:] = -1.0
+        named = self._loop.truth.named(_numbers(starts))
+        named["target"] = np.array([start.target for start in starts])
+        packed = _packed(kept, width)
+        self._compiled.run(packed, _packed(program.filled(named), width), steps, every)
+        kept = packed.swapaxes(1, 2).reshape(-1, program.n_rows)[:n]
+        return {name: kept[:, program.rows[name][0]] for name in TOLD}
+
+    def _states(self, starts: Sequence[Start]) -> Array:
+        controller = self._controller
+        each = starts if controller.velocity is not None else starts[:1]
+        still = np.zeros(controller.task.robot.nv)
+        return np.array([
+            controller.initial_state(start.plant.measure(0.0, start.q, still)) for start in each
+        ])  # fmt: skip
+
+
+def _numbers(starts: Sequence[Start]) -> ArmNumbers:
+    frames = tasks.frames(starts[0].plant.sensor)
+    return ArmNumbers.stacked([arm_numbers(start.plant.robot, frames) for start in starts])
+
+
+def _packed(columns: Array, width: int) -> Array:
+    """Return columns (N, rows) as vectors (groups, rows, width); the last one fills the rest."""
+    rest = -len(columns) % width
+    filled = np.concatenate([columns, np.repeat(columns[-1:], rest, axis=0)])
+    return np.array(filled.reshape(-1, width, columns.shape[1]).swapaxes(1, 2), order="C")

@@ -1,0 +1,282 @@
+"""`Study`: what all rollouts share, and how a portion of them is carried out."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import importlib.util
+import math
+import os
+import pickle
+import threading
+import uuid
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
+from approxjac.extras import package_of
+from approxjac.interface import Controller
+from approxjac.simulation import Plant, Trajectory, simulate
+from approxjac.simulation.simulate import whole
+from approxjac.stability.region import Region
+from approxjac.stability.uncertainty import Uncertainty
+from approxjac.stability.visibility import UnattainedError, VisiblePart
+from approxjac.validation import Array
+
+if TYPE_CHECKING:
+    from approxjac.codegen.lanes import Lanes
+
+COLUMNS = (
+    "index", "values", "q0", "target", "final_error", "settling_time", "peak_torque", "peak_speed",
+    "converged", "diverged", "stayed",
+)  # fmt: skip
+"""What is told of each run: the fields of `Rollout`."""
+
+_RECORDS = 500  # of a run: 50 in its last tenth
+_CHUNKS = 64  # that runs are handed to an executor in, at least
+_PORTION = 1024  # runs in lanes at once, at most
+_EXAMPLES = 16  # runs that show what differs from run to run
+_ENGINES = ("lanes", "python")
+_COMPILED = 4  # loops that a process keeps
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """How a run begins.
+
+    Attributes:
+        index: Its number.
+        values: True values of the uncertain coordinates, shape (d,).
+        plant: The true robot.
+        q: Configuration, at rest, shape (nq,).
+        target: x_d, shape (n_x,).
+    """
+
+    index: int
+    values: Array
+    plant: Plant
+    q: Array
+    target: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What all runs share.
+
+    Attributes:
+        controller: The controller.
+        uncertainty: What the true robots are drawn from.
+        region: Where starts and targets are drawn.
+        target: x_d of all, shape (n_x,), or None.
+        duration: Of each run [s].
+        dt: Sampling time [s].
+        tolerance: Error below which a task counts as done [unit of the task].
+        seed: Of the drawing.
+        engine: "lanes" or "python".
+        reason: Why it is not lanes; empty where it is, or where Python was asked for.
+        examples: Number of runs that show what differs.
+        key: What the compiled loop is known by.
+    """
+
+    controller: Controller
+    uncertainty: Uncertainty
+    region: Region
+    target: Array | None
+    duration: float
+    dt: float
+    tolerance: float
+    seed: int
+    engine: str = "python"
+    reason: str = ""
+    examples: int = 0
+    key: str = ""
+
+    def with_engine(self, engine: str | None, runs: int) -> Study:
+        """Return this with an engine: the one that is asked for, or the fastest that covers it."""
+        if engine is not None and engine not in _ENGINES:
+            raise UnknownNameError("engine", engine, "rollouts", _ENGINES)
+        if engine == "python":
+            return self
+        try:
+            from approxjac.codegen.closed_loop import require_covered
+
+            plant = self.uncertainty.plant(self.uncertainty.believed)
+            require_covered(self.controller, plant, self.region)
+        except InvalidInputError as error:
+            if engine is not None:
+                raise
+            return replace(self, reason=str(error))
+        if engine is not None:
+            package_of("fast", "llvmlite")
+        elif importlib.util.find_spec("llvmlite") is None:
+            return replace(self, reason="llvmlite is not installed")
+        try:
+            key = hashlib.sha256(pickle.dumps(self)).hexdigest()
+        except (pickle.PicklingError, AttributeError, TypeError):
+            key = uuid.uuid4().hex  # for the threads of this process
+        return replace(self, engine="lanes", examples=min(runs, _EXAMPLES), key=key)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of a run."""
+        return whole("dt", self.dt, self.duration)
+
+    @property
+    def every(self) -> int:
+        """Number of steps from one recorded instant to the next."""
+        return max(1, round(self.duration / self.dt / _RECORDS))
+
+    def start(self, index: int) -> Start:
+        """Return how a run begins, drawn from a generator of its own."""
+        rng = np.random.default_rng([self.seed, index])
+        values = self.uncertainty.sample(rng)
+        plant = self.uncertainty.plant(values)
+        seen = VisiblePart(self.region, plant.sensor)
+        try:
+            q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
+            q0 = seen.replace_unseen(q0[None], rng)[0]
+            target = self.target
+            if target is None:
+                target = plant.sensor.value(seen.sample(1, rng)[0])
+        except UnattainedError as error:
+            told = f"{error}, with {self.uncertainty.describe(values)}"
+            raise UnattainedError(told, given=values, truth=index) from error
+        return Start(index, values, plant, q0, target)
+
+    def simulated(self, start: Start) -> Trajectory:
+        """Return a run in Python."""
+        return simulate(
+            start.plant, self.controller, start.target, start.q, self.duration, dt=self.dt,
+            record_every=self.every * self.dt, integrator="semi_implicit_euler",
+        )  # fmt: skip
+
+    # -- portions ---------------------------------------------------------------------------
+
+    def parts(
+        self, runs: int, executor: Executor | None, folder: str | os.PathLike[str] | None
+    ) -> Iterator[dict[str, Array]]:
+        """Return the columns of portions of runs, in order, as they are done."""
+        size = _PORTION if self.engine == "lanes" else 1
+        if executor is not None or folder is not None:
+            size = max(1, min(_PORTION, math.ceil(runs / _CHUNKS)))
+        indices = range(runs)
+        portions = [indices[at : at + size] for at in indices[::size]]
+        part = partial(_part, self)
+        if folder is not None:
+            part = partial(_kept_part, self, Path(folder))
+        if executor is None:
+            return map(part, portions)
+        if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
+            try:
+                pickle.dumps(part)
+            except (pickle.PicklingError, AttributeError, TypeError) as error:
+                raise InvalidInputError(
+                    "controller, uncertainty and region must be picklable to go to other processes "
+                    "(functools.partial(PositionTask, axes='xz') is, a lambda is not): "
+                    f"{error}",
+                    given=executor,
+                ) from error
+        return executor.map(part, portions)  # cancels the others where one fails
+
+    def _of_python(self, start: Start) -> tuple[Any, ...]:
+        """Return a run in Python, as its row."""
+        begins = start.index, start.values, start.q, start.target
+        try:
+            record = self.simulated(start)
+        except SimulationError:
+            return (*begins, math.inf, math.nan, math.nan, math.nan, False, True, False)
+        settling, converged = _judged(record.t, record.error_norm, self.tolerance)
+        final = float(record.error_norm[-1])
+        final = math.inf if math.isnan(final) else final
+        robot = start.plant.robot
+        torque = float(np.abs(record.tau / start.plant.motor_limits).max())
+        speed = float(np.abs(record.v / robot.velocity_limits).max())
+        stayed = all(bool(self.region.contains(q)) for q in record.q)
+        return (*begins, final, settling, torque, speed, converged, False, stayed)
+
+    def _of_lanes(self, starts: list[Start]) -> dict[str, Array]:
+        """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
+        told = _lanes_of(self).run(starts, self.steps, self.every)
+        found = _columns([
+            (start.index, start.values, start.q, start.target, *([math.nan] * 4), *([False] * 3))
+            for start in starts
+        ])  # fmt: skip
+        diverged, last_bad = told["diverged"] > 0.0, told["last_bad"]
+        found["diverged"] = diverged
+        found["final_error"] = np.where(diverged, math.inf, told["error"])
+        after = np.where(last_bad < 0.0, 0.0, (last_bad // self.every + 1) * self.every)
+        after = np.minimum(after, self.steps)  # the last instant is recorded, too
+        settled = (last_bad < self.steps) & ~diverged
+        found["settling_time"] = np.where(settled, after * self.dt, math.nan)
+        tenth = np.ceil((0.9 - 1e-9) * self.steps)
+        found["converged"] = settled & (last_bad < tenth)
+        found["stayed"] = (told["outside"] == 0.0) & ~diverged
+        for name, of in (("peak_torque", "torque"), ("peak_speed", "speed")):
+            found[name] = np.where(diverged, math.nan, told[of])
+        for k in np.flatnonzero(told["left"]):
+            for name, value in zip(COLUMNS, self._of_python(starts[k]), strict=True):
+                found[name][k] = value
+        return found
+
+
+def _part(study: Study, indices: range) -> dict[str, Array]:
+    """Return the columns of some runs."""
+    study = copy.deepcopy(study)  # tasks and controllers have scratch memory: one instance a thread
+    starts = [study.start(index) for index in indices]
+    if study.engine == "lanes":
+        return study._of_lanes(starts)
+    return _columns([study._of_python(start) for start in starts])
+
+
+def _kept_part(study: Study, folder: Path, indices: range) -> dict[str, Array]:
+    """Return the columns of some runs, from their file if there is one."""
+    name = hashlib.sha256(pickle.dumps((study, indices))).hexdigest()[:20]
+    file = folder / f"{name}.npz"
+    if file.exists():
+        with np.load(file) as columns:
+            return dict(columns)
+    part = _part(study, indices)
+    folder.mkdir(parents=True, exist_ok=True)
+    unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
+    with unfinished.open("wb") as stream:
+        np.savez(stream, **part)  # type: ignore[arg-type]
+    unfinished.replace(file)  # at once, so that a file that is there is whole
+    return part
+
+
+def _columns(rows: list[tuple[Any, ...]]) -> dict[str, Array]:
+    return {name: np.array(each) for name, each in zip(COLUMNS, zip(*rows), strict=True)}  # noqa: B905
+
+
+def _judged(t: Array, error: Array, tolerance: float) -> tuple[float, bool]:
+    """Settling time, and whether the error was below the tolerance in all of the last tenth."""
+    below = error < tolerance
+    last_tenth = t >= (0.9 - 1e-9) * t[-1]
+    first = int(np.flatnonzero(~below).max(initial=-1)) + 1
+    settling = float(t[first]) if first < len(t) else math.nan
+    return settling, bool(below[last_tenth].all())
+
+
+_lanes: dict[str, Lanes] = {}
+_compiling = threading.Lock()
+
+
+def _lanes_of(study: Study) -> Lanes:
+    """Return the compiled loop of a study, compiled once in each process."""
+    from approxjac.codegen.lanes import Lanes
+
+    with _compiling:
+        if study.key not in _lanes:
+            while len(_lanes) >= _COMPILED:
+                del _lanes[next(iter(_lanes))]
+            examples = [study.start(index) for index in range(study.examples)]
+            _lanes[study.key] = Lanes(
+                study.controller, examples, study.region, study.dt, study.tolerance
+            )
+        return _lanes[study.key]
