@@ -23,7 +23,7 @@ from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.stability.region import JointBox, Region
 from approxjac.validation import Array
 
-_GUESSES = 4
+_GUESSES = 3
 _FINITE = 1e200  # sum of squares, beyond which a run has diverged
 
 

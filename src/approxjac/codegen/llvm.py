@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import chain
 from approxjac.codegen.graph import Number
 from approxjac.codegen.program import STEP, Language, Program, Writer
@@ -121,6 +121,16 @@ class LlvmLanes:
         """Take all steps, in place: see `NumpyLanes.run`. Other threads go on meanwhile."""
         if len(kept):
             self._run(kept.ctypes.data, parameters.ctypes.data, len(kept), last, every)
+
+
+    def bound(self, kept: Array, parameters: Array) -> Callable[[], None]:
+        """Return a function that takes one step of these arrays, in place."""
+        run, arguments = self._run, (kept.ctypes.data, parameters.ctypes.data, 1, 0, 1)
+
+        def step(_: object = (self, kept, parameters)) -> None:  # which have to stay
+            run(*arguments)
+
+        return step
 
 
 def _source(program: Program, width: int) -> str:

@@ -21,7 +21,7 @@ from approxjac.interface import Controller, Status
 from approxjac.law import Linear, Sine, Tanh
 from approxjac.law.saturation import sine, tanh
 
-_SWEEPS = 5
+_SWEEPS = 10
 _ROUND_OFF = 1e-12  # of what led out of bounds
 STATUSES = tuple(Status)
 """A status is its place in this."""
@@ -35,6 +35,7 @@ class Answer(NamedTuple):
         rate: Of the state, shape (n_state,).
         status: Place in `STATUSES`.
         e: Task error, shape (m,); NaN where x is lost.
+        J_hat: Ĵ, shape (m, n_v).
         pinv_s: Ĵ⁺s(e), shape (n_v,).
         gravity: Gravity torque in it, shape (n_v,).
         left: Whether the rest does not hold, and is left to Python.
@@ -44,6 +45,7 @@ class Answer(NamedTuple):
     rate: Symbols
     status: Any
     e: Symbols
+    J_hat: Symbols
     pinv_s: Symbols
     gravity: Symbols
     left: Scalar | bool
@@ -155,7 +157,7 @@ def answer(
         status = np.where(far, _place(Status.OUT_OF_REACH), status)
         status = np.where(rests, _place(Status.TORQUE_SATURATED), status)
     status = np.where(lost, _place(Status.MEASUREMENT_LOST), status)
-    return Answer(torque, rate, status, e, pinv_s, g, left)
+    return Answer(torque, rate, status, e, J_hat, pinv_s, g, left)
 
 
 def _place(status: Status) -> float:
