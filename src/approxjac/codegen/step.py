@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from approxjac.codegen import setpoint, tasks
-from approxjac.codegen.graph import select
+from approxjac.codegen.graph import Scalar, select
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.program import Program
 from approxjac.codegen.rigid_body import Arm
@@ -19,15 +19,17 @@ from approxjac.controllers.setpoint import SetpointController
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array
 
-_OK = setpoint.STATUSES.index(Status.OK)
+_ROUND_OFF = 1e-12
+_OK = float(setpoint.STATUSES.index(Status.OK))
 
 
 def step_program(controller: SetpointController, *, may_lose: bool) -> Program:
     """Return the program of one evaluation of a law, for a target at rest.
 
     What is kept are its arguments "q", "v", "x", "target" and "state", and its answer "torque",
-    "rate", "e", "gravity", "J_hat", "status" (its place in `setpoint.STATUSES`) and "left"
-    (whether all that does not hold).
+    "rate", "e", "gravity", "J_hat", "status" (its place in `setpoint.STATUSES`), "left" (whether
+    all that does not hold) and "usual" (whether it holds, all numbers are small, and the status is
+    OK).
 
     Args:
         controller: The law, one that `setpoint.require_covered` takes.
@@ -44,9 +46,18 @@ def step_program(controller: SetpointController, *, may_lose: bool) -> Program:
     answer = setpoint.answer(
         controller, arm.at(q), q, v, x, target, state, may_lose=may_lose
     )
+    numbers = (q, v, x, target, state, answer.torque, answer.rate)
+    size = sum(((each * each).sum() for each in numbers), 0.0)
+    usual = (answer.status == _OK) & (size < HUGE**2)
+    for joint in list(robot.model.joints)[1:]:
+        if joint.nq == 2:  # a (cos, sin) pair off the unit circle is for Python to judge
+            cosine, sine = q[joint.idx_q], q[joint.idx_q + 1]
+            usual = usual & (abs(cosine * cosine + sine * sine - 1.0) < _ROUND_OFF)
+    usual = usual & ~answer.left if isinstance(answer.left, Scalar) else usual
     found = {
         "torque": answer.torque, "rate": answer.rate, "e": answer.e, "gravity": answer.gravity,
         "J_hat": answer.J_hat, "status": answer.status, "left": select(answer.left, 1.0, 0.0),
+        "usual": select(usual, 1.0, 0.0),
     }  # fmt: skip
     for name, value in found.items():
         program.kept(name, symbols(value).size)
@@ -87,43 +98,47 @@ class _Compiled(SetpointController):
     def __init_subclass__(cls) -> NoReturn:
         raise TypeError(f"{cls.__name__} cannot be derived from a law that is compiled")
 
+    @property
+    def ordinary(self) -> SetpointController:
+        """The law without machine code."""
+        plain = object.__new__(SetpointController)
+        own = ("evaluate", "step")
+        vars(plain).update({name: each for name, each in vars(self).items() if name not in own})
+        return plain
+
     def __reduce__(self) -> tuple[Any, ...]:
-        plain = copy.copy(self)
-        vars(plain).pop("evaluate")
-        plain.__class__ = SetpointController
-        return compiled, (plain,)
+        return compiled, (self.ordinary,)
 
     def _rebuilt(self, **changes: Any) -> Any:
-        _, (plain,) = self.__reduce__()
-        return compiled(plain._rebuilt(**changes))
+        return compiled(self.ordinary._rebuilt(**changes))
 
     def _build(self) -> None:
-        """Make `evaluate`, as a variable: one that looked attributes up would take twice as long."""
-        ordinary = super().evaluate
+        """Make `evaluate` and `step` of this.
+
+        They are variables: methods that looked attributes up would take twice as long.
+        """
+        ordinary, ordinary_step = super().evaluate, super().step
         program = step_program(self, may_lose=False)
-        lanes = LlvmLanes(program, width=1)
         buffer = np.zeros((1, program.n_rows, 1))
-        flat, run = buffer[0, :, 0], lanes.bound(buffer, np.zeros((1, 1, 1)))
+        flat = buffer[0, :, 0]
+        run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
-        given = place["q"].start, place["state"].stop
         q_in, v_in, x_in, target_in, state_in = (
             flat[place[name]] for name in ("q", "v", "x", "target", "state")
         )
         first = place["torque"].start
+        answered = flat[first:]
         torque_at, rate_at, e_at, gravity_at, J_at = (
             slice(place[name].start - first, place[name].stop - first)
             for name in ("torque", "rate", "e", "gravity", "J_hat")
         )
-        answered = flat[first : place["left"].stop]
-        shape, m = (self.task.m, self.task.robot.nv), self.task.m
-        shapes = self._shapes
-        pairs = [  # (cos, sin) of continuous joints
-            joint.idx_q for joint in list(self.task.robot.model.joints)[1:] if joint.nq == 2
-        ]
-        float64, huge, hypot, made = FLOAT64, HUGE, math.hypot, tuple.__new__
-        ok, unlimited, usual_status = Status.OK, LimitStatus.UNLIMITED, float(_OK)
+        usual_at = place["usual"].start - first
+        J_shape, shapes, no_rate = (self.task.m, self.task.robot.nv), self._shapes, self._no_rate
+        float64, made = FLOAT64, tuple.__new__
+        ok, unlimited = Status.OK, LimitStatus.UNLIMITED
 
-        def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Evaluation:
+        def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
+            """Return the answer of a usual step, or None."""
             try:
                 _, q, v, x, _ = measurement
                 if (
@@ -131,20 +146,32 @@ class _Compiled(SetpointController):
                     and q.dtype is v.dtype is x.dtype is float64
                     and target.dtype is state.dtype is float64  # type: ignore[union-attr]
                 ):
-                    q_in[:], v_in[:], x_in[:], target_in[:], state_in[:] = q, v, x, target, state  # type: ignore[assignment]
-                    if hypot(*flat[given[0] : given[1]].tolist()) < huge and not pairs:
-                        run()
-                        found = answered.copy()
-                        if found[-2] == usual_status and not found[-1]:
-                            torque = found[torque_at]
-                            if hypot(*torque.tolist()) < huge:
-                                return made(Evaluation, (
-                                    torque, found[rate_at], ok, found[e_at],
-                                    found[J_at].reshape(shape), found[gravity_at], unlimited, 0.0,
-                                    None,
-                                ))  # fmt: skip
+                    q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, target  # type: ignore[assignment]
+                    rate = no_rate
+                    if state.size:
+                        state_in[:] = state
+                    run()
+                    found = answered.copy()
+                    if found[usual_at]:
+                        if state.size:
+                            rate = found[rate_at]
+                        return made(Evaluation, (
+                            found[torque_at], rate, ok, found[e_at], found[J_at].reshape(J_shape),
+                            found[gravity_at], unlimited, 0.0, None,
+                        ))  # fmt: skip
             except (AttributeError, TypeError, ValueError):
                 pass
-            return ordinary(state, measurement, target)
+            return None
 
-        vars(self)["evaluate"] = evaluate
+        def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Evaluation:
+            return answer(state, measurement, target) or ordinary(state, measurement, target)
+
+        def step(
+            state: Array, measurement: Measurement, target: Target | Array, dt: float
+        ) -> tuple[Array, Evaluation]:
+            found = answer(state, measurement, target)
+            if found is None or not (isinstance(dt, float) and 0.0 < dt < math.inf):
+                return ordinary_step(state, measurement, target, dt)
+            return (state + dt * found.state_rate if state.size else state.copy()), found
+
+        vars(self).update(evaluate=evaluate, step=step)
