@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from approxjac.codegen.functions import LARGEST_ANGLE
 from approxjac.codegen.graph import Number, Scalar, select
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.program import Program
-from approxjac.codegen.arm_numbers import ArmNumbers
+from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.rigid_body import Arm, Configured, moved
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers.setpoint import SetpointController
@@ -20,7 +20,6 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.simulation import Plant
 from approxjac.simulation.integrators import INTEGRATORS
-from approxjac.stability.region import JointBox, Region
 from approxjac.validation import Array
 
 _GUESSES = 3
@@ -52,25 +51,37 @@ class Told(NamedTuple):
 TOLD = Told()
 
 
+class Box(NamedTuple):
+    """Configurations between bounds, of an arm without continuous joints.
+
+    Attributes:
+        center: Shape (n_v,).
+        lower: Smallest motion from it, shape (n_v,).
+        upper: Largest motion from it, shape (n_v,).
+    """
+
+    center: Array
+    lower: Array
+    upper: Array
+
+
 class ClosedLoop(NamedTuple):
     """The program of a closed loop, and what gives it its parameters.
 
     Attributes:
         program: The program.
         truth: The true arms.
-        n_state: Length of the controller's state.
     """
 
     program: Program
     truth: Arm
-    n_state: int
 
 
-def require_covered(controller: Controller, plant: Plant, region: Region) -> None:
+def require_covered(controller: Controller, plant: Plant) -> None:
     """Refuse a closed loop of which no code can be made.
 
     Raises:
-        InvalidInputError: Another law, task, plant or region than those covered.
+        InvalidInputError: Another law, task or plant than those covered.
     """
     setpoint.require_covered(controller)
     tasks.require_covered(plant.sensor)
@@ -79,12 +90,6 @@ def require_covered(controller: Controller, plant: Plant, region: Region) -> Non
             f"plant must have ideal sensors and motors to make code of it, got {plant!r}",
             given=plant,
         )
-    if type(region) is not JointBox or region.robot.nq != region.robot.nv:
-        raise InvalidInputError(
-            "region must be a JointBox of an arm without continuous joints to make code of it, "
-            f"got {region!r}",
-            given=region,
-        )
 
 
 def closed_loop(
@@ -92,7 +97,7 @@ def closed_loop(
     plant: Plant,
     numbers: ArmNumbers,
     targets: Array,
-    region: JointBox,
+    region: Box,
     dt: float,
     tolerance: float,
     integrator: str = "semi_implicit_euler",
@@ -109,37 +114,14 @@ def closed_loop(
         tolerance: Error below which a task counts as done.
         integrator: One of `INTEGRATORS`.
     """
-    program, robot, task = Program(), plant.robot, controller.task
-    truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
-    belief = Arm(program.given, "belief", task.robot, tasks.frames(task))
+    program = Program()
     x_d = program.given("target", targets)
-    q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
-    rest = plant.measure(0.0, robot.neutral(), np.zeros(robot.nv))
-    n_state = len(controller.initial_state(rest))
-    state = program.kept("state", n_state)
+    loop = _Loop.of(program, controller, plant, numbers, x_d, dt, integrator)
+    answer, robot = loop.answer, plant.robot
     told = {name: program.kept(name, 1)[0] for name in TOLD}
-
-    here, believed = truth.at(q), belief.at(q)
-    x = tasks.value(plant.sensor, here)
-
-    answer = setpoint.answer(controller, believed, q, v, x, x_d, state, may_lose=False)
-    q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
-    touched, left = _touched(plant, q_end), answer.left
-    if isinstance(touched, Scalar):
-        q_held, v_held, wrong = _held(plant, here, q, v, answer.torque, dt)
-        n, ends = len(q), [*q_end.tolist(), *v_end.tolist(), 0.0]
-        held = [*q_held.tolist(), *v_held.tolist(), select(wrong, 1.0, 0.0)]
-        *ends, is_wrong = program.graph.rare(touched, held, ends)
-        q_end, v_end, left = symbols(ends[:n]), symbols(ends[n:]), left | (is_wrong > 0.0)
-    large = any_of(np.abs(q_end) > LARGEST_ANGLE)
-    squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state)]
-    diverged = ~(sum(squares, 0.0) < _FINITE)
-    program.step({
-        "q": q_end,
-        "v": v_end,
-        "state": state + dt * answer.rate,
-        TOLD.diverged: select(diverged, 1.0, told[TOLD.diverged]),
-        TOLD.left: select(left | large, 1.0, told[TOLD.left]),
+    program.step(loop.after | {
+        TOLD.diverged: select(loop.diverged, 1.0, told[TOLD.diverged]),
+        TOLD.left: select(loop.left, 1.0, told[TOLD.left]),
     })  # fmt: skip
     error = np.sqrt((answer.e * answer.e).sum())
     record = told[TOLD.last_bad]
@@ -147,10 +129,83 @@ def closed_loop(
         TOLD.last_bad: select(error < tolerance, record, program.k),
         TOLD.error: error,
         TOLD.torque: _larger(told[TOLD.torque], answer.torque / plant.motor_limits),
-        TOLD.speed: _larger(told[TOLD.speed], v / robot.velocity_limits),
-        TOLD.outside: select(_outside(q, region), 1.0, told[TOLD.outside]),
+        TOLD.speed: _larger(told[TOLD.speed], loop.v / robot.velocity_limits),
+        TOLD.outside: select(_outside(loop.q, region), 1.0, told[TOLD.outside]),
     })  # fmt: skip
-    return ClosedLoop(program, truth, n_state)
+    return ClosedLoop(program, loop.truth)
+
+
+def recorded_loop(
+    controller: SetpointController, plant: Plant, dt: float, integrator: str
+) -> Program:
+    """Return the program of one run that is recorded: "x", "torque", "e", "J_hat" and "status".
+
+    Its target is kept as "target"; "rate" is that of the state.
+    """
+    program = Program()
+    x_d = program.kept("target", plant.sensor.n_x)
+    numbers = ArmNumbers.stacked([arm_numbers(plant.robot, tasks.frames(plant.sensor))])
+    loop = _Loop.of(program, controller, plant, numbers, x_d, dt, integrator)
+    answer = loop.answer
+    flags = {
+        name: (select(condition, 1.0, program.kept(name, 1)[0]))
+        for name, condition in ((TOLD.diverged, loop.diverged), (TOLD.left, loop.left))
+    }
+    found = {
+        "x": loop.x, "torque": answer.torque, "e": answer.e, "J_hat": answer.J_hat,
+        "status": answer.status, "rate": answer.rate,
+    }  # fmt: skip
+    for name, value in found.items():
+        program.kept(name, symbols(value).size)
+    program.step(loop.after | flags | found)
+    return program
+
+
+class _Loop(NamedTuple):
+    """A step of the loop: before it, what the law answers, and after it."""
+
+    truth: Arm
+    q: Symbols
+    v: Symbols
+    x: Symbols
+    answer: setpoint.Answer
+    after: dict[str, Any]
+    diverged: Scalar | bool
+    left: Scalar | bool
+
+    @classmethod
+    def of(
+        cls,
+        program: Program,
+        controller: SetpointController,
+        plant: Plant,
+        numbers: ArmNumbers,
+        x_d: Symbols,
+        dt: float,
+        integrator: str,
+    ) -> _Loop:
+        robot, task = plant.robot, controller.task
+        truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
+        belief = Arm(program.given, "belief", task.robot, tasks.frames(task))
+        rest = plant.measure(0.0, robot.neutral(), np.zeros(robot.nv))
+        q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
+        state = program.kept("state", len(controller.initial_state(rest)))
+        here = truth.at(q)
+        x = tasks.value(plant.sensor, here)
+        answer = setpoint.answer(controller, belief.at(q), q, v, x, x_d, state, may_lose=False)
+        q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
+        touched, left = _touched(plant, q_end), answer.left
+        if isinstance(touched, Scalar):
+            q_held, v_held, wrong = _held(plant, here, q, v, answer.torque, dt)
+            n, ends = len(q), [*q_end.tolist(), *v_end.tolist(), 0.0]
+            held = [*q_held.tolist(), *v_held.tolist(), select(wrong, 1.0, 0.0)]
+            *ends, is_wrong = program.graph.rare(touched, held, ends)
+            q_end, v_end, left = symbols(ends[:n]), symbols(ends[n:]), left | (is_wrong > 0.0)
+        left = left | any_of(np.abs(q_end) > LARGEST_ANGLE)
+        squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state)]
+        after = {"q": q_end, "v": v_end, "state": state + dt * answer.rate}
+        diverged = ~(sum(squares, 0.0) < _FINITE)
+        return cls(truth, q, v, x, answer, after, diverged, left)
 
 
 def _larger(known: Number, shares: Symbols) -> Number:
@@ -246,7 +301,7 @@ def _depth(plant: Plant, q: Symbols) -> tuple[Symbols, Symbols, Array]:
     return depth, side, limited
 
 
-def _outside(q: Symbols, region: JointBox) -> Scalar | bool:
-    """Return whether `JointBox.contains` does not."""
+def _outside(q: Symbols, region: Box) -> Scalar | bool:
+    """Return whether a configuration is not in a box."""
     motion = q - region.center
     return any_of((motion < region.lower - 1e-12) | (motion > region.upper + 1e-12))

@@ -10,12 +10,11 @@ import numpy as np
 
 from approxjac.codegen import tasks
 from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
-from approxjac.codegen.closed_loop import TOLD, ClosedLoop, closed_loop
+from approxjac.codegen.closed_loop import TOLD, Box, ClosedLoop, closed_loop
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.simulation import Plant
-from approxjac.stability.region import JointBox
 from approxjac.validation import Array
 
 Engine = Literal["llvm", "numpy"]
@@ -51,7 +50,7 @@ class Lanes:
         self,
         controller: SetpointController,
         examples: Sequence[Start],
-        region: JointBox,
+        region: Box,
         dt: float,
         tolerance: float,
         engine: Engine = "llvm",

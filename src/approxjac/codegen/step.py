@@ -13,6 +13,7 @@ from approxjac.codegen.graph import Scalar, select
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.program import Program
 from approxjac.codegen.rigid_body import Arm
+from approxjac.codegen.run import WholeLoops
 from approxjac.codegen.symbols import symbols
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.setpoint import SetpointController
@@ -102,7 +103,7 @@ class _Compiled(SetpointController):
     def ordinary(self) -> SetpointController:
         """The law without machine code."""
         plain = object.__new__(SetpointController)
-        own = ("evaluate", "step")
+        own = ("evaluate", "step", "whole_run")
         vars(plain).update({name: each for name, each in vars(self).items() if name not in own})
         return plain
 
@@ -174,4 +175,5 @@ class _Compiled(SetpointController):
                 return ordinary_step(state, measurement, target, dt)
             return (state + dt * found.state_rate if state.size else state.copy()), found
 
-        vars(self).update(evaluate=evaluate, step=step)
+        loops = WholeLoops(self.ordinary)
+        vars(self).update(evaluate=evaluate, step=step, whole_run=loops.run)

@@ -21,6 +21,7 @@ from approxjac.robots import GravityRegressor, Robot
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.scene import Scene
 from approxjac.simulation.trajectory import Trajectory
+from approxjac.tasks import Task
 from approxjac.validation import Array
 
 _NO_RATE = np.zeros(0)
@@ -69,6 +70,14 @@ class Record:
             column[self._count] = value
         self._count += 1
 
+    @classmethod
+    def of(cls, plant: Plant, controller: Controller, columns: Sequence[Array]) -> Record:
+        """Return a whole run of one controller: `_RECORDED`, e, Ĵ and the rate of the state."""
+        record = cls(plant, len(columns[0]))
+        record._columns, record._count = tuple(columns), len(columns[0])
+        record._controllers = [(0, controller)]
+        return record
+
     def trajectory(self) -> Trajectory:
         """Return all that was kept, as arrays with time as their first axis."""
         plant = self._plant
@@ -82,7 +91,7 @@ class Record:
             x[k] = sensor.value(q[k])
         return Trajectory(
             **run,
-            error=np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)]),
+            error=_errors(sensor, x, x_d),
             robot_name=robot.name,
             joint_names=robot.joint_names,
             joint_units=robot.joint_units,
@@ -126,6 +135,13 @@ class Record:
             )
             for x, x_d, q, v, J, off in zip(*columns, strict=True)
         ]
+
+
+def _errors(sensor: Task, x: Array, x_d: Array) -> Array:
+    """Return the task errors of values (N, n_x), shape (N, m)."""
+    if sensor._subtracts:
+        return np.asarray(x - x_d)
+    return np.array([sensor.error(*pair) for pair in zip(x, x_d, strict=True)])
 
 
 def _sigma_min(J_hat: Array) -> Array:

@@ -34,7 +34,9 @@ class SampledLoop:
     Attributes:
         plant: The true robot.
         controller: The controller.
+        path: What the target is now and later: an array at rest, a `Target` or a path.
         target: x_d, shape (n_x,).
+        integrator: Of the plant.
         dt: Sampling time [s].
         step: Number of the step.
         steps: Number of the last one.
@@ -65,7 +67,8 @@ class SampledLoop:
         self.step = 0
         self.steps = steps
         self.stopped = False
-        self._path = path
+        self.path = path
+        self.integrator = integrator
         self._integrate = INTEGRATORS[integrator]
         self._readings = None
         if plant.sensing is not None:
@@ -116,7 +119,7 @@ class SampledLoop:
                 f"overflow, got {_x_of(wanted).tolist()}",
                 given=target,
             ) from error
-        self._path = path
+        self.path = path
         self.target = _x_of(wanted)
 
     def exchange(self, controller: Controller) -> None:
@@ -143,7 +146,7 @@ class SampledLoop:
         self.stopped = True
 
     def _aim(self) -> None:
-        self._wanted = target_at(self._path, self.step * self.dt)
+        self._wanted = target_at(self.path, self.step * self.dt)
         self.target = _x_of(self._wanted)
 
     def _sense(self, q: Array, v: Array) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
 from approxjac.interface import ContinuousController, Controller, Target, TargetPath
 from approxjac.robots.joint_limits import require_radians
@@ -119,6 +120,10 @@ def simulate(
             record_every = as_number("record_every", record_every, unit="s", above=0.0)
             stride = whole("dt", dt, record_every, of="record_every")
         loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed, state)
+        if observer is None and isinstance(controller, SetpointController):
+            run = controller.whole_run(loop, stride, progress)
+            if run is not None:
+                return run
         return _sampled(loop, stride, observer, progress)
 
 

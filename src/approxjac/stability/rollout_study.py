@@ -24,12 +24,13 @@ from approxjac.extras import package_of
 from approxjac.interface import Controller
 from approxjac.simulation import Plant, Trajectory, simulate
 from approxjac.simulation.simulate import whole
-from approxjac.stability.region import Region
+from approxjac.stability.region import JointBox, Region
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.validation import Array
 
 if TYPE_CHECKING:
+    from approxjac.codegen.closed_loop import Box
     from approxjac.codegen.lanes import Lanes
 
 COLUMNS = (
@@ -107,7 +108,8 @@ class Study:
             from approxjac.codegen.closed_loop import require_covered
 
             plant = self.uncertainty.plant(self.uncertainty.believed)
-            require_covered(self.controller, plant, self.region)
+            require_covered(self.controller, plant)
+            self._box()
         except InvalidInputError as error:
             if engine is not None:
                 raise
@@ -121,6 +123,19 @@ class Study:
         except (pickle.PicklingError, AttributeError, TypeError):
             key = uuid.uuid4().hex  # for the threads of this process
         return replace(self, engine="lanes", examples=min(runs, _EXAMPLES), key=key)
+
+    def _box(self) -> Box:
+        """Return the region as lanes take it, or refuse it."""
+        from approxjac.codegen.closed_loop import Box
+
+        region = self.region
+        if type(region) is not JointBox or region.robot.nq != region.robot.nv:
+            raise InvalidInputError(
+                "region must be a JointBox of an arm without continuous joints for lanes, got "
+                f"{region!r}",
+                given=region,
+            )
+        return Box(region.center, region.lower, region.upper)
 
     @property
     def steps(self) -> int:
@@ -277,6 +292,6 @@ def _lanes_of(study: Study) -> Lanes:
                 del _lanes[next(iter(_lanes))]
             examples = [study.start(index) for index in range(study.examples)]
             _lanes[study.key] = Lanes(
-                study.controller, examples, study.region, study.dt, study.tolerance
+                study.controller, examples, study._box(), study.dt, study.tolerance
             )
         return _lanes[study.key]
