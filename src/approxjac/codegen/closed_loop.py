@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.codegen import setpoint, tasks
+from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.functions import LARGEST_ANGLE
-from approxjac.codegen.graph import Number, Scalar, select
+from approxjac.codegen.graph import Condition, Number, Scalar, select
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.program import Program
-from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.rigid_body import Arm, Configured, moved
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers.setpoint import SetpointController
@@ -170,8 +170,8 @@ class _Loop(NamedTuple):
     x: Symbols
     answer: setpoint.Answer
     after: dict[str, Any]
-    diverged: Scalar | bool
-    left: Scalar | bool
+    diverged: Condition
+    left: Condition
 
     @classmethod
     def of(
@@ -234,10 +234,10 @@ def _advanced(
     def motion(q: Symbols, by: Symbols) -> Symbols:
         return moved(plant.robot, q, by)
 
-    return INTEGRATORS[integrator](acceleration, motion, q, v, torque, dt)  # type: ignore
+    return INTEGRATORS[integrator](acceleration, motion, q, v, torque, dt)
 
 
-def _touched(plant: Plant, q: Symbols) -> Scalar | bool:
+def _touched(plant: Plant, q: Symbols) -> Condition:
     """Return what `JointStops.touched` does."""
     if plant.stops is None:
         return False
@@ -251,7 +251,7 @@ def _touched(plant: Plant, q: Symbols) -> Scalar | bool:
 
 def _held(
     plant: Plant, here: Configured, q: Symbols, v: Symbols, torque: Symbols, dt: float
-) -> tuple[Symbols, Symbols, Scalar | bool]:
+) -> tuple[Symbols, Symbols, Condition]:
     """Return what `Plant.advance` does at stops, as `JointStops.held_torque` has it.
 
     Which joints press on their stops is found in a few guesses, each from the last one. Returns q
@@ -269,7 +269,7 @@ def _held(
     push, left = symbols(np.zeros(nv)), b  # what is left of b without a push of its own
     touches = symbols([False] * nv)
     presses = symbols([False] * nv)
-    wrong: Scalar | bool = False
+    wrong: Condition = False
     for _ in range(_GUESSES):
         touches = touches | (limited & (depth + dt * (outward - slowed @ push) > 0.0))
         presses = touches & np.where(presses, push > 0.0, left > 0.0)
@@ -301,7 +301,7 @@ def _depth(plant: Plant, q: Symbols) -> tuple[Symbols, Symbols, Array]:
     return depth, side, limited
 
 
-def _outside(q: Symbols, region: Box) -> Scalar | bool:
+def _outside(q: Symbols, region: Box) -> Condition:
     """Return whether a configuration is not in a box."""
     motion = q - region.center
     return any_of((motion < region.lower - 1e-12) | (motion > region.upper + 1e-12))

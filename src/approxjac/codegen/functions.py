@@ -30,7 +30,7 @@ LARGEST_ANGLE = 1e6
 
 def sine_and_cosine(x: Scalar) -> tuple[Number, Number]:
     """Return sin x and cos x, for x up to `LARGEST_ANGLE`."""
-    quarter = (x * (2.0 / 3.14159265358979323846) + 0.5).floor()  # type: ignore[union-attr]
+    quarter = (x * (2.0 / 3.14159265358979323846) + 0.5).floor()
     r: Number = x
     for part in _QUARTERS:
         r = r - quarter * part
@@ -51,14 +51,14 @@ def tanh(x: Scalar) -> Number:
     """Return tanh x."""
     size = abs(x)
     size = select(size < _FLAT, size, _FLAT)
-    grown = expm1(size + size)  # type: ignore[arg-type]
+    grown = expm1(size + size)
     value = grown / (grown + 2.0)
     return select(x < 0.0, -value, value)
 
 
 def expm1(x: Scalar) -> Number:
     """Return exp(x) − 1, for x from −700 to 700."""
-    k = (x * (1.0 / 0.693147180559945309417) + 0.5).floor()  # type: ignore[union-attr]
+    k = (x * (1.0 / 0.693147180559945309417) + 0.5).floor()
     r: Number = x
     for part in _LN2:
         r = r - k * part

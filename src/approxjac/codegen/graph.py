@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Union
+from typing import Any, NamedTuple
 
 import numpy as np
 
-Number = Union["Scalar", float]
+Number = Any
+"""A `Scalar`, or a float: mypy cannot tell which are folded to a float."""
+Condition = Any
+"""A `Scalar` that is true or false, or a bool."""
 
 
 class Node(NamedTuple):
@@ -105,7 +108,7 @@ class Graph:
         return self._scalar(Node(operation, places))
 
     def rare(
-        self, condition: Scalar | bool, values: Sequence[Number], others: Sequence[Number]
+        self, condition: Condition, values: Sequence[Number], others: Sequence[Number]
     ) -> list[Number]:
         """Return values where a condition holds, others elsewhere, as `select` does.
 
@@ -223,18 +226,18 @@ class Scalar:
         return self.graph.apply("less_equal", other, self)
 
     def __eq__(self, other: object) -> Scalar:  # type: ignore[override]
-        return self.graph.apply("equal", self, other)  # type: ignore[arg-type]
+        return self.graph.apply("equal", self, other)
 
     __hash__ = None  # type: ignore[assignment]
 
-    def __and__(self, other: Scalar | bool) -> Scalar | bool:
+    def __and__(self, other: Condition) -> Condition:
         if isinstance(other, Scalar):
             return self.graph.apply("and", self, other)
         return self if other else False
 
     __rand__ = __and__
 
-    def __or__(self, other: Scalar | bool) -> Scalar | bool:
+    def __or__(self, other: Condition) -> Condition:
         if isinstance(other, Scalar):
             return self.graph.apply("or", self, other)
         return True if other else self
@@ -247,7 +250,7 @@ class Scalar:
     def __bool__(self) -> bool:
         raise TypeError("no branch on a number that is not known yet: choose with np.where")
 
-    __float__ = __int__ = __bool__  # type: ignore[assignment]
+    __float__ = __int__ = __bool__
 
     def __array_ufunc__(self, *arguments: Any, **options: Any) -> Any:
         from approxjac.codegen.symbols import apply  # which has arrays of these
@@ -271,14 +274,14 @@ class Scalar:
         return f"Scalar({self.place}: {self.graph.nodes[self.place]})"
 
 
-def select(condition: Scalar | bool, a: Number, b: Number) -> Number:
+def select(condition: Condition, a: Number, b: Number) -> Number:
     """Return a where a condition holds, b elsewhere."""
     if not isinstance(condition, Scalar):
         return a if condition else b
     if a is b:
         return a
     if _is_condition(a) or _is_condition(b):
-        return (condition & a) | (~condition & b)  # type: ignore[return-value,operator]
+        return (condition & a) | (~condition & b)
     return condition.graph.apply("select", condition, a, b)
 
 

@@ -14,6 +14,7 @@ from approxjac.codegen.closed_loop import TOLD, Box, ClosedLoop, closed_loop
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.controllers.setpoint import SetpointController
+from approxjac.interface import Controller
 from approxjac.simulation import Plant
 from approxjac.validation import Array
 
@@ -29,9 +30,12 @@ class Start(Protocol):
         target: x_d, shape (n_x,).
     """
 
-    plant: Plant
-    q: Array
-    target: Array
+    @property
+    def plant(self) -> Plant: ...  # noqa: D102
+    @property
+    def q(self) -> Array: ...  # noqa: D102
+    @property
+    def target(self) -> Array: ...  # noqa: D102
 
 
 class Lanes:
@@ -48,13 +52,14 @@ class Lanes:
 
     def __init__(
         self,
-        controller: SetpointController,
+        controller: Controller,
         examples: Sequence[Start],
         region: Box,
         dt: float,
         tolerance: float,
         engine: Engine = "llvm",
     ) -> None:
+        assert isinstance(controller, SetpointController)
         self._controller = controller
         targets = np.array([start.target for start in examples])
         self._loop: ClosedLoop = closed_loop(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from approxjac import law
-from approxjac.codegen.graph import Number, Scalar, select
+from approxjac.codegen.graph import Condition, Number, Scalar, select
 from approxjac.codegen.symbols import Symbols, symbols
 
 _SWEEPS = {1: 0, 2: 1, 3: 5}
@@ -35,7 +35,7 @@ class Factors:
     def solve(self, b: Symbols) -> Symbols:
         """Return A⁻¹b, b of shape (n,) or (n, k)."""
         if b.ndim == 2:
-            return symbols([self.solve(column) for column in b.T]).T  # type: ignore[return-value]
+            return symbols([self.solve(column) for column in b.T]).T
         n, z = len(b), b.tolist()
         for i in range(n):
             for k in range(i):
@@ -63,11 +63,11 @@ def _rotate(a: list[list[Number]], p: int, q: int) -> None:
     if not isinstance(off, Scalar):
         return
     ratio = (a[q][q] - a[p][p]) / (off + off)
-    size = abs(ratio)  # type: ignore[arg-type]
-    tangent: Number = 1.0 / (size + (size * size + 1.0).sqrt())  # type: ignore[union-attr]
+    size = abs(ratio)
+    tangent: Number = 1.0 / (size + (size * size + 1.0).sqrt())
     tangent = select(ratio < 0.0, -tangent, tangent)
     tangent = select(off == 0.0, 0.0, tangent)
-    cosine = 1.0 / (tangent * tangent + 1.0).sqrt()  # type: ignore[union-attr]
+    cosine = 1.0 / (tangent * tangent + 1.0).sqrt()
     sine = tangent * cosine
     a[p][p], a[q][q] = a[p][p] - tangent * off, a[q][q] + tangent * off
     a[p][q] = a[q][p] = 0.0
@@ -80,7 +80,7 @@ def _rotate(a: list[list[Number]], p: int, q: int) -> None:
 
 def damped_gram_solve(
     G: Symbols, b: Symbols, scale: float
-) -> tuple[Symbols, Number, Scalar | bool, Number]:
+) -> tuple[Symbols, Number, Condition, Number]:
     """Return what `law.damped_gram_solve` does, on symbols.
 
     Args:
@@ -101,7 +101,7 @@ def damped_gram_solve(
         factors = Factors(G)
         inverse, w = factors.solve(symbols(np.eye(len(b)))), factors.solve(b)
         trace, largest = G.trace(), inverse.trace()  # of G⁻¹, at least 1 / its least eigenvalue
-        regular = (1.0 > ratio**2 * trace * largest) & (trace > len(b) * scale**2)
+        regular = (ratio**2 * trace * largest < 1.0) & (trace > len(b) * scale**2)
         regular = regular & (largest > 0.0)
     if not isinstance(regular, Scalar):
         raise TypeError("a matrix that is known needs no symbols")

@@ -7,6 +7,7 @@ import re
 import struct
 from collections.abc import Callable, Mapping
 from itertools import chain
+
 from approxjac.codegen.graph import Number
 from approxjac.codegen.program import STEP, Language, Program, Writer
 from approxjac.extras import package_of
@@ -122,7 +123,6 @@ class LlvmLanes:
         if len(kept):
             self._run(kept.ctypes.data, parameters.ctypes.data, len(kept), last, every)
 
-
     def bound(self, kept: Array, parameters: Array) -> Callable[[], None]:
         """Return a function that takes one step of these arrays, in place."""
         run, arguments = self._run, (kept.ctypes.data, parameters.ctypes.data, 1, 0, 1)
@@ -151,7 +151,9 @@ def _source(program: Program, width: int) -> str:
         return pointer
 
     def read(name: str, i: int) -> str:
-        return "bitcast D %number to D" if name == STEP else f"load D, ptr {place(name, i)}, align 8"
+        return (
+            "bitcast D %number to D" if name == STEP else f"load D, ptr {place(name, i)}, align 8"
+        )
 
     def constant(value: float) -> str:
         (bits,) = struct.unpack("<Q", struct.pack("<d", value))

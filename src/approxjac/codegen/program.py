@@ -7,10 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.validation import Array
-
 from approxjac.codegen.graph import CONDITIONS, Graph, Number, Scalar
 from approxjac.codegen.symbols import Symbols, inputs, symbols
+from approxjac.validation import Array
 
 _DUST = 1e-14  # of the largest number, which round-off may leave of one that does not differ
 STEP = "k"
@@ -39,7 +38,7 @@ class Program:
         self.rings: dict[str, tuple[int, int, int]] = {}
         self.stepped: dict[str, list[Number]] = {}
         self.recorded: dict[str, list[Number]] = {}
-        self._given: dict[str, tuple[Array, Array]] = {}  # which differ, and the others
+        self._given: dict[str, tuple[Any, Array]] = {}  # which differ, and the others
         self.n_rows = 0
         self.n_parameters = 0
 
@@ -88,9 +87,10 @@ class Program:
         found = np.empty((n, self.n_parameters))
         for name, each in values.items():
             differs, constants = self._given[name]
+            same = np.logical_not(differs)
             flat = each.reshape(n, -1)
             size = np.abs(constants).max(initial=0.0)
-            if (np.abs(flat - constants)[:, ~differs] > _DUST * size).any():
+            if (np.abs(flat - constants)[:, same] > _DUST * size).any():
                 raise ValueError(f"{name} differs from run to run where it did not")
             if name in self.parameters:
                 at, size = self.parameters[name]
@@ -162,7 +162,7 @@ class Writer:
             elif place not in self._names:
                 number = node.value
                 assert isinstance(number, int)
-                own = [each for each in blocks.pop(number, [])]
+                own = blocks.pop(number, [])
                 results = [
                     each
                     for each in places

@@ -16,14 +16,13 @@ import numpy as np
 from approxjac.codegen.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
 from approxjac.codegen.graph import Number
 from approxjac.codegen.linear import Factors
-from approxjac.codegen.symbols import symbols
+from approxjac.codegen.symbols import Symbols, symbols
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.robots.model import own_joints
 from approxjac.validation import Array
 
 __all__ = ["Arm", "ArmNumbers", "Configured", "arm_numbers", "moved"]
 
-Symbols = Any  # NumPy's stubs take what is computed with them for arrays of floats
 Given = Callable[[str, Array], Symbols]
 _Z = symbols([0.0, 0.0, 1.0])
 _NOTHING = symbols([0.0, 0.0, 0.0])
@@ -365,4 +364,4 @@ def _cross(a: Symbols, b: Symbols) -> Symbols:
 
 
 def _cross_z(a: Symbols, b: Symbols) -> Number:
-    return a[0] * b[1] - a[1] * b[0]  # type: ignore[no-any-return]
+    return a[0] * b[1] - a[1] * b[0]

@@ -58,18 +58,14 @@ class WholeLoops:
 class _Loop:
     """A compiled loop."""
 
-    def __init__(
-        self, law: SetpointController, plant: Plant, dt: float, integrator: str
-    ) -> None:
+    def __init__(self, law: SetpointController, plant: Plant, dt: float, integrator: str) -> None:
         program = recorded_loop(law, plant, dt, integrator)
         buffer = np.zeros((1, program.n_rows, 1))
         lanes, nothing = LlvmLanes(program, width=1), np.zeros((1, 1, 1))
         self._flat = buffer[0, :, 0]
         self._first = lanes.bound(buffer, nothing)
-        self._rest = lambda last: lanes.run(buffer, nothing, last, 1)
-        self._place = {
-            name: slice(at, at + size) for name, (at, size) in program.rows.items()
-        }
+        self._lanes, self._arrays = lanes, (buffer, nothing)
+        self._place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
         self._n_before = self._place["state"].stop  # rows of what is known before a step
         self._shape = plant.sensor.m, plant.robot.nv
 
@@ -88,12 +84,14 @@ class _Loop:
         n_before, first = self._n_before, self._first
         before, answered = flat[:n_before], flat[n_before:]
         table = np.empty((len(at), len(flat)))
-        for row, (k, following) in zip(table, zip(at, [*at[1:], steps + 1], strict=True), strict=True):
+        for row, (k, following) in zip(
+            table, zip(at, [*at[1:], steps + 1], strict=True), strict=True
+        ):
             row[:n_before] = before
             first()
             row[n_before:] = answered
             if following - k > 1:
-                self._rest(following - k - 2)
+                self._lanes.run(*self._arrays, following - k - 2, 1)
             if progress is not None:
                 progress(k * loop.dt)
         if flat[place[TOLD.left]].any() or flat[place[TOLD.diverged]].any():
@@ -107,4 +105,19 @@ class _Loop:
         status = table[:, place["status"]][:, 0]
         unlimited = np.full(n, float(LimitStatus.UNLIMITED))
         t = np.array(at) * loop.dt
-        return [t, q, v, x, x.copy(), x_d, tau, state, status, unlimited, np.zeros(n), e, J_hat, rate]
+        return [
+            t,
+            q,
+            v,
+            x,
+            x.copy(),
+            x_d,
+            tau,
+            state,
+            status,
+            unlimited,
+            np.zeros(n),
+            e,
+            J_hat,
+            rate,
+        ]

@@ -8,17 +8,17 @@ import numpy as np
 
 from approxjac import law
 from approxjac.codegen import tasks
-from approxjac.codegen.graph import Scalar, select
+from approxjac.codegen.graph import Condition, select
 from approxjac.codegen.linear import damped_gram_solve
 from approxjac.codegen.rigid_body import Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers import Posture
-from approxjac.controllers.gravity import Adaptation, ModelGravity, NoGravity, RegressorGravity
+from approxjac.controllers.gravity import Adaptation, ModelGravity, RegressorGravity
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.unknown_tool import UNKNOWN_TOOL
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, Status
-from approxjac.law import Linear, Sine, Tanh
+from approxjac.law import Linear, Saturation, Sine, Tanh
 from approxjac.law.saturation import sine, tanh
 
 _SWEEPS = 10
@@ -48,7 +48,7 @@ class Answer(NamedTuple):
     J_hat: Symbols
     pinv_s: Symbols
     gravity: Symbols
-    left: Scalar | bool
+    left: Condition
 
 
 def require_covered(controller: Controller) -> None:
@@ -110,14 +110,14 @@ def answer(
     task, learning, scale = controller.task, controller.adaptation, controller.pinv.scale
     (kp, kv, damping), p = controller.diagonals, controller.resting
     e = x - x_d
-    lost: Scalar | bool = False
+    lost: Condition = False
     s = _saturated(controller.saturation, e)
     if may_lose:
         lost = ~((e * e).sum() < np.inf)
         s = np.where(lost, 0.0, s)
     J_hat = tasks.jacobian(task, arm)
     G = J_hat @ J_hat.T
-    left: Scalar | bool = False
+    left: Condition = False
     if learning is None:
         g = _gravity(controller, arm)
         Y = np.zeros((len(v), 0))
@@ -164,9 +164,10 @@ def _place(status: Status) -> float:
     return float(STATUSES.index(status))
 
 
-def _saturated(saturation: Linear | Sine | Tanh, e: Symbols) -> Symbols:
+def _saturated(saturation: Saturation, e: Symbols) -> Symbols:
     if isinstance(saturation, Linear):
         return e
+    assert isinstance(saturation, Sine | Tanh)
     gamma = np.broadcast_to(saturation.gamma, e.shape)
     return (sine if isinstance(saturation, Sine) else tanh)(e / gamma, gamma)
 
@@ -185,7 +186,7 @@ def _regressor(learning: Adaptation, arm: Configured, J_hat: Symbols) -> Symbols
     return np.concatenate([*parts, symbols(np.eye(torques))] if torques else parts, axis=1)
 
 
-def _is_far(controller: SetpointController, arm: Configured, e: Symbols) -> Scalar | bool:
+def _is_far(controller: SetpointController, arm: Configured, e: Symbols) -> Condition:
     """Return what `Reach.is_exceeded` does."""
     origin, most = controller.reach.origin, controller.reach.most
     if most == np.inf:
@@ -199,7 +200,7 @@ def _is_far(controller: SetpointController, arm: Configured, e: Symbols) -> Scal
 
 def _bounded(
     learning: Adaptation, rate: Symbols, theta_hat: Symbols, Y: Symbols, g: Symbols
-) -> tuple[Symbols, Scalar | bool]:
+) -> tuple[Symbols, Condition]:
     """Return what `Adaptation.bounded` does, and whether that is left to Python.
 
     The multipliers of `law.within_bounds` come from a few sweeps of C. Hildreth's method ("A

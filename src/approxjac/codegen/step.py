@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import Any, NoReturn
 
@@ -44,9 +43,7 @@ def step_program(controller: SetpointController, *, may_lose: bool) -> Program:
     q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
     x, target = program.kept("x", task.n_x), program.kept("target", task.n_x)
     state = program.kept("state", n_state)
-    answer = setpoint.answer(
-        controller, arm.at(q), q, v, x, target, state, may_lose=may_lose
-    )
+    answer = setpoint.answer(controller, arm.at(q), q, v, x, target, state, may_lose=may_lose)
     numbers = (q, v, x, target, state, answer.torque, answer.rate)
     size = sum(((each * each).sum() for each in numbers), 0.0)
     usual = (answer.status == _OK) & (size < HUGE**2)
@@ -87,8 +84,8 @@ def compiled(controller: SetpointController) -> SetpointController:
     if isinstance(controller, _Compiled):
         return controller
     setpoint.require_covered(controller)
-    found = copy.copy(controller)
-    found.__class__ = _Compiled
+    found = object.__new__(_Compiled)
+    vars(found).update(vars(controller))
     found._build()
     return found
 
@@ -147,7 +144,7 @@ class _Compiled(SetpointController):
                     and q.dtype is v.dtype is x.dtype is float64
                     and target.dtype is state.dtype is float64  # type: ignore[union-attr]
                 ):
-                    q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, target  # type: ignore[assignment]
+                    q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, target
                     rate = no_rate
                     if state.size:
                         state_in[:] = state

@@ -1,4 +1,4 @@
-"""`Symbols`: arrays of numbers that are not known yet, which the functions of `law` take."""
+"""`SymbolArray`: arrays of numbers that are not known yet, which the functions of `law` take."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen import functions
-from approxjac.codegen.graph import Graph, Number, Scalar, select
+from approxjac.codegen.graph import Condition, Graph, Number, Scalar, select
 
 
 def _of_one(known: Callable[[float], float], unknown: Callable[[Scalar], Any]) -> np.ufunc:
     """Return a function of each entry, known or not."""
-    return np.frompyfunc(lambda a: unknown(a) if isinstance(a, Scalar) else known(a), 1, 1)
+    function: np.ufunc = np.frompyfunc(
+        lambda a: unknown(a) if isinstance(a, Scalar) else known(a), 1, 1
+    )
+    return function
 
 
 def _smaller(a: Number, b: Number) -> Number:
@@ -24,6 +27,9 @@ def _smaller(a: Number, b: Number) -> Number:
 def _larger(a: Number, b: Number) -> Number:
     return select(a > b, a, b)
 
+
+Symbols = Any
+"""A `SymbolArray`, which NumPy's stubs take for an array of floats."""
 
 _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.sin: _of_one(np.sin, lambda a: functions.sine_and_cosine(a)[0]),
@@ -44,7 +50,7 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
 _select = np.frompyfunc(select, 3, 1)
 
 
-class Symbols(np.ndarray):
+class SymbolArray(np.ndarray):
     """An array of `Scalar`s, and of numbers that are known.
 
     It does what NumPy's arrays do, as far as that is arithmetic. What would have to know a value,
@@ -58,7 +64,7 @@ class Symbols(np.ndarray):
         if function is np.where:
             return choose(*arguments)
         result = super().__array_function__(function, types, arguments, options)
-        return result.view(Symbols) if isinstance(result, np.ndarray) else result
+        return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
 
 def apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
@@ -67,18 +73,18 @@ def apply(ufunc: np.ufunc, method: str, *arguments: Any, **options: Any) -> Any:
         options["out"] = tuple(map(_plain, options["out"]))
     function = getattr(_FUNCTIONS.get(ufunc, ufunc), method)
     result = function(*map(_plain, arguments), **options)
-    return result.view(Symbols) if isinstance(result, np.ndarray) else result
+    return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
 
 def choose(condition: Any, a: Any, b: Any) -> Any:
     """Return what `numpy.where` does."""
     result = _select(*map(_plain, (condition, a, b)))
-    return result.view(Symbols) if isinstance(result, np.ndarray) else result
+    return result.view(SymbolArray) if isinstance(result, np.ndarray) else result
 
 
 def symbols(values: Any) -> Symbols:
     """Return numbers, known or not, as an array."""
-    return np.array(values, dtype=object).view(Symbols)
+    return np.array(values, dtype=object).view(SymbolArray)
 
 
 def inputs(graph: Graph, name: str, shape: int | tuple[int, ...]) -> Symbols:
@@ -87,13 +93,13 @@ def inputs(graph: Graph, name: str, shape: int | tuple[int, ...]) -> Symbols:
     return symbols(graph.input(name, size)).reshape(shape)
 
 
-def any_of(conditions: Any) -> Scalar | bool:
+def any_of(conditions: Any) -> Condition:
     """Return whether any of some conditions holds."""
     return functools.reduce(lambda a, b: a | b, np.ravel(conditions).tolist(), False)
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Symbols):
+    if isinstance(value, SymbolArray):
         return value.view(np.ndarray)
     if isinstance(value, Scalar):
         found = np.empty((), dtype=object)

@@ -51,7 +51,7 @@ class JointStops:
 
     def touched(self, q: Array) -> bool:
         """Return whether a joint is beyond its limits; quick, as it is asked at every step."""
-        for value, (low, high) in zip(q.tolist(), self.ends):  # noqa: B905 (as many, and quick)
+        for value, (low, high) in zip(q.tolist(), self.ends):  # noqa: B905, SIM110 (it is quick)
             if value < low or value > high:  # one that is NaN is not
                 return True
         return False

@@ -121,7 +121,7 @@ def simulate(
             stride = whole("dt", dt, record_every, of="record_every")
         loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed, state)
         if observer is None and isinstance(controller, SetpointController):
-            run = controller.whole_run(loop, stride, progress)
+            run: Trajectory | None = controller.whole_run(loop, stride, progress)
             if run is not None:
                 return run
         return _sampled(loop, stride, observer, progress)

@@ -217,8 +217,8 @@ class Study:
 
     def _of_lanes(self, starts: list[Start]) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
-        told = _lanes_of(self).run(starts, self.steps, self.every)
-        found = _columns([
+        told: dict[str, Any] = _lanes_of(self).run(starts, self.steps, self.every)
+        found: dict[str, Any] = _columns([
             (start.index, start.values, start.q, start.target, *([math.nan] * 4), *([False] * 3))
             for start in starts
         ])  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
@@ -42,8 +41,8 @@ class Rollout:
             behind the camera, where there is no image.
         settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
             recorded instant [s]; NaN if it is not at the end.
-        peak_torque: Largest torque asked for at a recorded instant, as a share of its motor's limit;
-            NaN if the run diverged.
+        peak_torque: Largest torque asked for at a recorded instant, as a share of its motor's
+            limit; NaN if the run diverged.
         peak_speed: Largest speed of a joint there, as a share of its limit; NaN if it diverged.
         converged: Whether it is at every recorded instant of the last tenth.
         diverged: Whether the simulation could not be carried to its end.
@@ -139,7 +138,7 @@ class Rollouts:
     @property
     def n_left(self) -> int:
         """Number of runs that left the region and did not diverge."""
-        return int((~(self.columns["stayed"] | self.columns["diverged"])).sum())
+        return int((~np.logical_or(self.columns["stayed"], self.columns["diverged"])).sum())
 
     @property
     def share(self) -> float:
