@@ -34,8 +34,8 @@ ALLOWED = {
         "extras",
     },
     "stability": {
-        "controllers", "simulation", "law", "tasks", "robots", "interface", "formatting",
-        "validation", "errors",
+        "codegen", "controllers", "simulation", "law", "tasks", "robots", "interface",
+        "formatting", "validation", "errors", "extras",
     },
     "view": {
         "simulation", "controllers", "law", "tasks", "robots", "interface", "validation", "errors",

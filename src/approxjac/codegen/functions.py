@@ -1,6 +1,7 @@
 """sin, cos, tanh and exp of numbers that are not known yet, from arithmetic that rounds alike.
 
-Each machine's own ones differ in their last bits. These are within two units of the last place.
+Each machine's own ones differ in their last bits. Sine and cosine are within two units
+of the last place, tanh within four.
 """
 
 from __future__ import annotations

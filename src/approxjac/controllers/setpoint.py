@@ -67,6 +67,7 @@ class SetpointController(ProvenLaw):
         tuning: What `tuned` chose, and why; None if gains and learning are given.
         adaptation: What learns gravity, with its defaults filled in; None if it is not learnt.
         pinv: Ĵ⁺ of y.
+        whole_run: What `simulate` runs where code is made of the whole loop; None.
 
     Args:
         task: The task of the believed robot.
@@ -92,7 +93,7 @@ class SetpointController(ProvenLaw):
 
     command: Literal["torque", "velocity"] = "torque"
     dt: None = None
-    step = ContinuousController.step
+    step, whole_run = ContinuousController.step, None
 
     def __init__(
         self,
@@ -210,10 +211,6 @@ class SetpointController(ProvenLaw):
         if J_hat is None or not math.isfinite(s.dot(s)):
             return v
         return law.passive_output(v, self.pinv.times(J_hat, s)[0], alpha)
-
-    def whole_run(self, *arguments: Any) -> Any:
-        """Return a run that `simulate` was asked for, where code is made of its whole loop."""
-        return None
 
     @property
     def resting(self) -> int:

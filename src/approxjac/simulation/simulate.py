@@ -120,11 +120,10 @@ def simulate(
             record_every = as_number("record_every", record_every, unit="s", above=0.0)
             stride = whole("dt", dt, record_every, of="record_every")
         loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed, state)
-        if observer is None and isinstance(controller, SetpointController):
-            run: Trajectory | None = controller.whole_run(loop, stride, progress)
-            if run is not None:
-                return run
-        return _sampled(loop, stride, observer, progress)
+        run: Trajectory | None = None
+        if observer is None and isinstance(controller, SetpointController) and controller.whole_run:
+            run = controller.whole_run(loop, stride, progress)
+        return run or _sampled(loop, stride, observer, progress)
 
 
 def _continuous_law(

@@ -1,0 +1,186 @@
+"""Arithmetic on numbers that are not known yet, and what carries it out."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from approxjac import law
+from approxjac.codegen.graph import Graph, select
+from approxjac.codegen.linear import Factors, damped_gram_solve, eigenvalues
+from approxjac.codegen.llvm import LlvmLanes
+from approxjac.codegen.numpy_source import NumpyLanes, numpy_function
+from approxjac.codegen.program import Program
+from approxjac.codegen.symbols import any_of, inputs, symbols
+
+
+@pytest.fixture
+def graph():
+    return Graph()
+
+
+def outcome(graph, numbers, **values):
+    with np.errstate(all="ignore"):
+        return [float(each) for each in numpy_function(graph, list(numbers))(**values)]
+
+
+def test_constants_fold_and_equal_operations_stand_once(graph):
+    a, b = graph.input("x", 2)
+    assert (a * 0.0, a * 1.0 is a, a + 0.0 is a, a / 1.0 is a) == (0.0, True, True, True)
+    assert (a * b).place == (b * a).place
+    assert (a - b).place == (a + -b).place
+    assert (-(-a)).place == a.place
+    assert ((-a) * b).place == (-(a * b)).place
+    size = len(graph.nodes)
+    _ = a * b - (a * b)
+    assert len(graph.nodes) == size + 1
+
+
+@given(x=st.floats(-1e3, 1e3), y=st.floats(-1e3, 1e3))
+def test_arithmetic_is_that_of_numbers(x, y):
+    graph = Graph()
+    a, b = graph.input("x", 2)
+
+    def terms(a, b, root, c):
+        return [
+            a + b,
+            a - b,
+            2.0 - a,
+            a * b,
+            -a * b - b,
+            c(a),
+            root(a * a + 1.0),
+            1.0 / (b * b + 1),
+        ]
+
+    found = outcome(
+        graph, [*terms(a, b, lambda c: c.sqrt(), lambda c: c**3), abs(a), a.floor()], x=[x, y]
+    )
+    assert found == [*terms(x, y, math.sqrt, lambda c: c * c * c), abs(x), math.floor(x)]
+
+
+def test_no_branch_on_what_is_not_known(graph):
+    (a,) = graph.input("x", 1)
+    for branch in (bool, float, int, lambda a: max(a, 0.0)):
+        with pytest.raises(TypeError, match=r"choose with np\.where"):
+            branch(a)
+    with pytest.raises(ValueError, match="of another graph"):
+        _ = a + Graph().input("x", 1)[0]
+
+
+def test_conditions(graph):
+    a, b = graph.input("x", 2)
+    chosen = select((a < b) & ~(a == 0.0) | (a >= 2.0), a < 1.0, b < 1.0)
+    found = [outcome(graph, [select(chosen, 1.0, 0.0)], x=x)[0] for x in ([-1.0, 0.0], [3.0, 0.0])]
+    assert found == [1.0, 0.0]
+
+
+def test_functions_are_within_some_units_of_the_last_place(graph):
+    x = inputs(graph, "x", 1)
+    function = numpy_function(graph, [np.sin(x)[0], np.cos(x)[0], np.tanh(x)[0]])
+    for values in (np.linspace(-30.0, 30.0, 100_001), np.geomspace(1e-300, 1.0, 1001)):
+        for ours, known, units in zip(
+            function(x=[values]), (np.sin, np.cos, np.tanh), (2.0, 2.0, 4.0), strict=True
+        ):
+            expected = known(values)
+            assert (np.abs(ours - expected) <= units * np.spacing(np.abs(expected))).all()
+    far = np.linspace(-1e6, 1e6, 10_001)
+    for ours, known in zip(function(x=[far])[:2], (np.sin, np.cos), strict=True):
+        assert np.abs(ours - known(far)).max() <= 1.2e-16
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 4, 6])
+def test_damped_solutions_are_those_of_the_law(graph, m, rng):
+    """Far from singular, near to it and at it."""
+    G, b = inputs(graph, "G", (m, m)), inputs(graph, "b", m)
+    w, damping, may_be, _ = damped_gram_solve(G, b, 0.01)
+    function = numpy_function(graph, [*w, damping, select(may_be, 1.0, 0.0)])
+    seen = set()
+    for i in range(200):
+        J = rng.standard_normal((m, 7)) * 10.0 ** rng.uniform(-3, 1)
+        if i % 2:
+            J[-1] = J[0] * rng.standard_normal() + J[-1] * 10.0 ** rng.uniform(-4, 0)
+        if i % 20 == 19:
+            J[-1] = 0.0
+        right, matrix = rng.standard_normal(m), J @ J.T
+        expected, rate = law.damped_gram_solve(matrix, right, scale=0.01)
+        with np.errstate(all="ignore"):
+            *found, square, unsure = map(float, function(G=matrix.ravel(), b=right))
+        condition = np.linalg.cond(matrix + rate**2 * np.eye(m))
+        assert (
+            np.abs(np.array(found) - expected).max() <= 1e-14 * condition * np.abs(expected).max()
+        )
+        assert abs(square - rate**2) <= 1e-13 * np.trace(matrix) + 1e-20
+        assert unsure or rate == 0.0
+        seen.add((bool(unsure), rate > 0.0))
+    assert seen >= {(False, False), (True, True)}
+
+
+def test_factors_and_eigenvalues(graph, rng):
+    A = inputs(graph, "A", (5, 5))
+    b = inputs(graph, "b", 5)
+    function = numpy_function(graph, [*Factors(A).solve(b), *eigenvalues(A)])
+    for _ in range(20):
+        root = rng.standard_normal((5, 5))
+        matrix, right = root @ root.T + 0.1 * np.eye(5), rng.standard_normal(5)
+        with np.errstate(all="ignore"):
+            found = np.array(function(A=matrix.ravel(), b=right), dtype=float)
+        np.testing.assert_allclose(matrix @ found[:5], right, atol=1e-10)
+        np.testing.assert_allclose(
+            np.sort(found[5:]), np.linalg.eigvalsh(matrix), rtol=1e-12, atol=1e-13
+        )
+
+
+def program():
+    """Pendulums with a ring, a record and two rare blocks, one of which needs the other."""
+    p = Program()
+    q, v, late, n = p.kept("q", 3), p.kept("v", 3), p.ring("late", 3, 4), p.kept("n", 1)
+    stiffness = p.given("stiffness", np.linspace(0.5, 2.0, 48).reshape(16, 3))
+    same = p.given("same", np.full((16, 3), 0.1))
+    v_end = v + 0.01 * (-stiffness * np.sin(q) - same * np.tanh(v) - 0.1 * late)
+    q_end = q + 0.01 * v_end
+    far = any_of(np.abs(q_end) > 0.5)
+    held = np.where(np.abs(q_end) > 0.5, 0.5 * np.cos(q_end), q_end)
+    first = symbols(p.graph.rare(far, held.tolist(), q_end.tolist()))
+    fast = any_of(np.abs(v_end) > 0.6)
+    second = p.graph.rare(fast, (first * np.sqrt(np.abs(v_end))).tolist(), v_end.tolist())
+    p.step({"q": first, "v": second, "late": v})
+    p.record({"n": n + np.abs(v).max() + 1e-3 * p.k})
+    return p
+
+
+def kept_after(lanes, program, steps=300):
+    rng = np.random.default_rng(0)
+    state = np.zeros((16, program.n_rows))
+    state[:, :6] = rng.standard_normal((16, 6))
+    given = program.filled(
+        {"stiffness": np.linspace(0.5, 2.0, 48).reshape(16, 3), "same": np.full((16, 3), 0.1)}
+    )
+
+    def packed(columns):
+        return np.array(
+            columns.reshape(-1, lanes.width, columns.shape[1]).swapaxes(1, 2), order="C"
+        )
+
+    kept = packed(state)
+    lanes.run(kept, packed(given), steps, 7)
+    return kept.swapaxes(1, 2).reshape(16, -1)
+
+
+@pytest.mark.parametrize(
+    ("width", "features"), [(1, None), (2, "+sse2"), (4, None), (8, None), (8, "+sse2"), (16, None)]
+)
+def test_the_same_bits_on_vectors_of_any_width(width, features):
+    p = program()
+    expected = kept_after(NumpyLanes(p), p)
+    assert np.isfinite(expected).all()
+    np.testing.assert_array_equal(kept_after(LlvmLanes(p, width, features), p), expected)
+
+
+def test_what_does_not_differ_is_a_constant():
+    p = program()
+    assert list(p.parameters) == ["stiffness"]
+    with pytest.raises(ValueError, match="same differs from run to run where it did not"):
+        p.filled({"same": np.full((2, 3), 0.2)})

@@ -1,0 +1,186 @@
+"""Closed loops in lanes, compared with the same runs in Python."""
+
+import functools
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac.codegen.closed_loop import TOLD, Box
+from approxjac.codegen.lanes import Lanes
+from approxjac.errors import MissingPackageError, UnknownNameError
+from approxjac.law import Sine
+from approxjac.stability import rollout_study
+
+SHORT = {"runs": 24, "duration": 1.0, "dt": 2e-3}
+
+
+def study(arm, axes="xyz", *, learns=False, **options):
+    """A controller, its errors, and a region that starts next to the joint limits."""
+    errors = aj.Uncertainty(
+        aj.load_robot(arm),
+        functools.partial(aj.PositionTask, axes=axes),
+        object_length=(0.0, 0.2),
+        object_mass=(0.0, 0.5),
+        friction=0.1,
+    )
+    task = errors.believed_task()
+    gravity = aj.AdaptiveGravity(task.robot) if learns else None
+    controller = aj.SetpointController(task, gravity=gravity, **options)
+    low, high = task.robot.usual_range()
+    half = 0.48 * (high - low)
+    return controller, errors, aj.JointBox(task.robot, -half, half, 0.5 * (low + high))
+
+
+STUDIES = {
+    "known gravity": lambda: study("panda"),
+    "learnt gravity": lambda: study("panda", learns=True),
+    "a plane, sine": lambda: study("ur5", "xz", learns=True, saturation=Sine(0.1)),
+    "given gains": lambda: study("ur5", gains=aj.Gains(100.0, 20.0, 1.0)),
+}
+
+
+def require_agreement(ours, python):
+    """Equal but for rounding."""
+    for name, expected in python.columns.items():
+        found = ours.columns[name]
+        if found.dtype == bool:
+            assert_array_equal(found, expected, err_msg=name)
+        else:
+            assert_allclose(found, expected, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_runs_are_those_of_python(name):
+    """Also at joint stops, near singular configurations, and outside of the region."""
+    loop = STUDIES[name]()
+    ours = aj.rollouts(*loop, **SHORT)
+    assert (ours.study.engine, ours.study.reason) == ("lanes", "")
+    python = aj.rollouts(*loop, engine="python", **SHORT)
+    assert python.study.engine == "python"
+    require_agreement(ours, python)
+    assert not ours.columns["stayed"].all()
+    run = ours.replay(5)
+    assert run.error_norm[-1] == pytest.approx(ours.runs[5].final_error, abs=1e-9)
+    assert run.t[-1] == 1.0
+
+
+def starts_of(loop, n):
+    controller, errors, region = loop
+    whole = rollout_study.Study(controller, errors, region, None, 1.0, 1e-3, 1e-3, 0)
+    return [whole.start(index) for index in range(n)]
+
+
+@pytest.mark.parametrize("name", ["known gravity", "learnt gravity"])
+def test_the_same_bits_in_numpy(name):
+    """The oracle; with what is rare."""
+    loop = STUDIES[name]()
+    region = loop[2]
+    starts = starts_of(loop, 16)
+    box = Box(region.center, region.lower, region.upper)
+    found = [
+        Lanes(loop[0], starts, box, 1e-3, 1e-3, engine).run(starts, 250, 10)
+        for engine in ("llvm", "numpy")
+    ]
+    for told in TOLD:
+        assert_array_equal(found[0][told], found[1][told], err_msg=told)
+    assert found[0][TOLD.outside].any()
+
+
+def digest(runs):
+    return b"".join(column.tobytes() for column in runs.columns.values())
+
+
+def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
+    """Threads, processes, portions of other sizes, stopped and gone on with."""
+    loop = study("ur5", learns=True)
+    options = {"runs": 70, "duration": 0.2, "dt": 2e-3}
+    expected = digest(aj.rollouts(*loop, **options))
+    done = []
+    with ThreadPoolExecutor(2) as pool:
+        ours = aj.rollouts(*loop, executor=pool, progress=done.append, **options)
+        assert digest(ours) == expected
+    assert done[-1] == 70
+    assert len(done) == 35
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        assert digest(aj.rollouts(*loop, executor=pool, **options)) == expected
+
+    def stop(done):
+        if done >= 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        aj.rollouts(*loop, folder=tmp_path, progress=stop, **options)
+    kept = sorted(tmp_path.iterdir())
+    assert len(kept) == 10
+    times = [file.stat().st_mtime_ns for file in kept]
+    assert digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
+    assert [file.stat().st_mtime_ns for file in kept] == times
+    assert len(list(tmp_path.iterdir())) == 35
+    monkeypatch.setattr(rollout_study, "_PORTION", 16)
+    assert digest(aj.rollouts(*loop, **options)) == expected
+    few = aj.rollouts(*loop, **options | {"runs": 9})
+    for name, column in few.columns.items():
+        assert_array_equal(column, ours.columns[name][:9], err_msg=name)
+
+
+def test_divergence():
+    loop = study("panda", gains=aj.Gains(1e8, 1e6, 1.0))
+    ours, python = (aj.rollouts(*loop, engine=engine, **SHORT) for engine in ("lanes", "python"))
+    assert ours.n_diverged == python.n_diverged == 24
+    require_agreement(ours, python)
+
+
+def test_what_lanes_leave_is_run_in_python(monkeypatch):
+    """As if the sweeps had not ended."""
+    loop = study("panda", learns=True)
+    run = Lanes.run
+
+    def leaving(lanes, starts, *options):
+        told = run(lanes, starts, *options)
+        told[TOLD.left][3] = 1.0
+        told[TOLD.error][3] = 99.0
+        return told
+
+    monkeypatch.setattr(Lanes, "run", leaving)
+    require_agreement(aj.rollouts(*loop, **SHORT), aj.rollouts(*loop, engine="python", **SHORT))
+
+
+def test_columns_and_table():
+    many = aj.rollouts(*study("ur5"), runs=5, duration=0.2, dt=2e-3)
+    table = many.table
+    assert all(column.shape == (5,) for column in table.values())
+    assert {"true object_length", "q0[5]", "target[2]", "settling_time", "peak_torque"} <= {*table}
+    assert table["q0[1]"][3] == many.runs[3].q0[1]
+    assert many.runs[2].index == 2
+    with pytest.raises(
+        aj.InvalidInputError, match=r"index must be one of the 5 runs, 0 to 4, got 5"
+    ):
+        many.replay(5)
+
+
+def test_what_is_not_covered_runs_in_python_and_says_so(panda):
+    controller, errors, region = study("panda")
+    held = aj.HeldMeasurement(controller, 0.01)
+    many = aj.rollouts(held, errors, region, runs=1, duration=0.01)
+    assert many.study.engine == "python"
+    assert many.study.reason.startswith("controller must be a SetpointController to make code of")
+    with pytest.raises(aj.InvalidInputError, match="must be a SetpointController to make code"):
+        aj.rollouts(held, errors, region, runs=1, duration=0.01, engine="lanes")
+    with pytest.raises(UnknownNameError, match="engine"):
+        aj.rollouts(controller, errors, region, engine="cuda")
+
+
+def test_without_llvmlite(monkeypatch):
+    loop = study("ur5")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert aj.rollouts(*loop, runs=1, duration=0.01).study.reason == "llvmlite is not installed"
+
+    def missing(extra, name):
+        raise MissingPackageError("no", given=name)
+
+    monkeypatch.setattr(rollout_study, "package_of", missing)
+    with pytest.raises(MissingPackageError):
+        aj.rollouts(*loop, runs=1, duration=0.01, engine="lanes")
