@@ -22,6 +22,20 @@ _COS = (
     4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
     -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
 )  # fmt: skip
+# of atan (s_atan.c), and the angles that it is reduced by, in two parts
+_ATAN = (
+    3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01,
+    -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02,
+    6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02,
+    -3.65315727442169155270e-02, 1.62858201153657823623e-02,
+)  # fmt: skip
+_ANGLES = (  # up to a tangent of, the tangent and the angle
+    (7 / 16, 0.0, 0.0, 0.0),
+    (11 / 16, 0.5, 4.63647609000806093515e-01, 2.26987774529616870924e-17),
+    (19 / 16, 1.0, 7.85398163397448278999e-01, 3.06161699786838301793e-17),
+    (39 / 16, 1.5, 9.82793723247329054082e-01, 1.39033110312309984516e-17),
+)  # fmt: skip
+_RIGHT = (1.57079632679489655800e00, 6.12323399573676603587e-17)
 _FACTORIALS = 14  # terms of exp up to ½ ln 2, whose remainder is 4e-18
 _FLAT = 20.0  # beyond it, tanh is 1 to the last bit
 
@@ -55,6 +69,20 @@ def tanh(x: Scalar) -> Number:
     grown = expm1(size + size)
     value = grown / (grown + 2.0)
     return select(x < 0.0, -value, value)
+
+
+def arctangent(y: Number, x: Number) -> Number:
+    """Return the angle of (x, y), from 0 to π/2 [rad]; neither is negative, nor both 0."""
+    top, bottom, (high, low) = -x, y, _RIGHT
+    for end, tangent, *angle in reversed(_ANGLES):
+        within = y < end * x
+        # tan(α − β) = (y − x tan β) / (x + y tan β)
+        top = select(within, y - x * tangent, top)
+        bottom = select(within, x + y * tangent, bottom)
+        high, low = (select(within, *each) for each in zip(angle, (high, low), strict=True))
+    t = top / bottom
+    square = t * t
+    return high - ((t * (square * _polynomial(square, _ATAN)) - low) - t)
 
 
 def expm1(x: Scalar) -> Number:

@@ -112,7 +112,8 @@ class Configured:
 
     def __init__(self, arm: Arm, q: Symbols) -> None:
         self.nv = arm.robot.nv
-        self._arm, self._numbers, self._structure = arm, arm.numbers, arm.structure
+        self.arm, self.q = arm, q
+        self._numbers, self._structure = arm.numbers, arm.structure
         mimic = arm.robot.mimic_joints
         q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
         self._n, numbers = len(self._structure.parents), arm.numbers
@@ -155,7 +156,7 @@ class Configured:
                 J[:3, j] = z
             else:
                 J[:3, j], J[3:, j] = _cross(z, p - origin), z
-        return self._arm.robot.mimic_joints.columns(J)
+        return self.arm.robot.mimic_joints.columns(J)
 
     @cached_property
     def _placements(self) -> list[tuple[Symbols, Symbols]]:
@@ -175,7 +176,7 @@ class Configured:
 
     def M(self) -> Symbols:
         """Return the inertia matrix, shape (n_v, n_v) [kg m², kg m or kg]."""
-        mimic = self._arm.robot.mimic_joints
+        mimic = self.arm.robot.mimic_joints
         return mimic.rows(mimic.columns(self._M_all))
 
     def gravity(self) -> Symbols:
@@ -184,11 +185,11 @@ class Configured:
         for j, body in enumerate(self._outwards):
             g = self._numbers.gravity @ self._placements[j][0]
             tau[j] = -body.m * g[2] if self._structure.slides[j] else _cross_z(g, body.h)
-        return self._arm.robot.mimic_joints.rows(tau)
+        return self.arm.robot.mimic_joints.rows(tau)
 
     def bias(self, v: Symbols) -> Symbols:
         """Return C(q, q̇) q̇ + g(q) of velocities (n_v,), shape (n_v,) [N m or N]."""
-        v = self._arm.robot.mimic_joints.v(v)
+        v = self.arm.robot.mimic_joints.v(v)
         base = Motion(_NOTHING, _NOTHING, -self._numbers.gravity)
         motions: list[Motion] = []
         gradients: list[Symbols] = []
@@ -216,7 +217,7 @@ class Configured:
                 held = forces[parent]
                 moment = moment + _cross(self._origins[j], f)
                 forces[parent] = held[0] + f, held[1] + moment
-        return self._arm.robot.mimic_joints.rows(tau)
+        return self.arm.robot.mimic_joints.rows(tau)
 
     def forward(self, v: Symbols, tau: Symbols) -> Symbols:
         """Return q̈ from q̇ and τ (n_v,), shape (n_v,) [rad/s² or m/s²]."""
@@ -243,7 +244,7 @@ class Configured:
                     Z[j, column] = lever @ feels[j]
                 elif direction is None:
                     Z[j, column] = -(self._numbers.gravity @ self._placements[j][0][:, 2])
-        return self._arm.robot.mimic_joints.rows(Z)
+        return self.arm.robot.mimic_joints.rows(Z)
 
     @cached_property
     def _M_all(self) -> Symbols:
@@ -333,7 +334,7 @@ class Configured:
         return path
 
     def _frame(self, name: str) -> tuple[int, int]:
-        i = self._arm.frames.index(name)
+        i = self.arm.frames.index(name)
         return i, self._structure.carriers[i]
 
 

@@ -38,6 +38,7 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.sqrt: _of_one(np.sqrt, Scalar.sqrt),
     np.minimum: np.frompyfunc(_smaller, 2, 1),
     np.maximum: np.frompyfunc(_larger, 2, 1),
+    np.isfinite: np.frompyfunc(lambda a: abs(a) < np.inf, 1, 1),
     np.less: np.frompyfunc(lambda a, b: a < b, 2, 1),
     np.less_equal: np.frompyfunc(lambda a, b: a <= b, 2, 1),
     np.greater: np.frompyfunc(lambda a, b: a > b, 2, 1),

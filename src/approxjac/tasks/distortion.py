@@ -9,9 +9,11 @@ import numpy as np
 
 from approxjac.validation import Array
 
-_HALVINGS = 55
+HALVINGS = 55
+"""Of an interval that a radius is in."""
 _TINY = 1e-15  # a coefficient below it folds nothing
-_LONGEST = 10.0  # times what it shows: no ray of a lens that never folds is longer
+LONGEST = 10.0
+"""Times what it shows: no ray of a lens that never folds is longer."""
 _FAR = 1e12  # a fold beyond this ρ is none
 
 
@@ -47,7 +49,11 @@ class RadialDistortion:
 
     def distorted(self, p: Array) -> Array:
         """Return where the lens shows a ray p (2,), shape (2,)."""
-        return p if self._none else p * self._factors(float(p @ p))[0]
+        return p if self._none else p * self._factors(p @ p)[0]
+
+    def radius(self, length: float) -> float:
+        """Return how far from the middle the lens shows a ray of a length."""
+        return length * self._factors(length * length)[0]
 
     def slopes(self, x: float, y: float) -> tuple[float, float, float]:
         """Return ∂(distorted)/∂p at p = (x, y), a symmetric matrix: its entries 11, 12 and 22."""
@@ -65,12 +71,12 @@ class RadialDistortion:
         # the radius grows up to the fold: bisection cannot fail, and nothing here is in a hurry
         low, high = 0.0, self.largest_radius
         if math.isinf(high):
-            high, most = 1.0, _LONGEST * wanted
-            while high < most and high * self._factors(high * high)[0] < wanted:
+            high, most = 1.0, LONGEST * wanted
+            while high < most and self.radius(high) < wanted:
                 high *= 2.0
-        for _ in range(_HALVINGS):
+        for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            if middle * self._factors(middle * middle)[0] < wanted:
+            if self.radius(middle) < wanted:
                 low = middle
             else:
                 high = middle

@@ -80,9 +80,13 @@ class NonsingularTask(WrappedTask):
         weights = self._weights(squares)
         if not weights.any():
             return J
-        P = (U * weights) @ U.T
         bent = pin.integrate(self.robot.model, self.robot.configuration(q), self._bend)
-        return np.asarray(J + P @ (self.task.jacobian(bent, x) - J))
+        return self._designed(J, self.task.jacobian(bent, x), weights, U)
+
+    def _designed(self, J: Array, bent: Array, weights: Array, U: Array) -> Array:
+        """Return Ĵ_d from Ĵ here and where it is bent."""
+        P = (U * weights) @ U.T
+        return np.asarray(J + P @ (bent - J))
 
     def design_error(self, q: Array) -> float:
         """Return ‖Ĵ_d − Ĵ‖, what the design adds to (7)'s p; 0 away from singular."""
@@ -95,7 +99,7 @@ class NonsingularTask(WrappedTask):
 
     def _weights(self, squares: Array) -> Array:
         """Return the weight of each left singular vector, 1 where its singular value is 0."""
-        threshold = self._ratio**2 * max(float(squares[-1]), self._scale**2, _TINY)
+        threshold = self._ratio**2 * np.maximum(squares.max(), max(self._scale**2, _TINY))
         return np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / threshold)
 
     def on(self, robot: Robot) -> Task:

@@ -200,8 +200,12 @@ class PinholeCamera(Camera):
         if self.near <= Z < math.inf:
             p = np.array([X / Z, Y / Z])
             if math.hypot(*p) < self._lens.largest_radius:
-                return np.asarray(self._f * self._lens.distorted(p) + self._c)
+                return self.shown(p)
         return np.full(2, np.nan)
+
+    def shown(self, p: Array) -> Array:
+        """Return the image (2,) [px] of a ray (X/Z, Y/Z); shape (2,)."""
+        return np.asarray(self._f * self._lens.distorted(p) + self._c)
 
     def seen(self, x: Array) -> Array:
         (u, v), (width, height) = x.tolist(), self.size
