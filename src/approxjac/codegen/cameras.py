@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.graph import Number, select
-from approxjac.codegen.symbols import any_of, symbols
+from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.tasks import Camera, PinholeCamera, PlanarCamera
 from approxjac.tasks.distortion import HALVINGS, LONGEST, RadialDistortion
 from approxjac.validation import Array
 
-Symbols = Any  # NumPy's stubs take what is computed with them for arrays of floats
 _DOUBLINGS = 12  # of a radius of 1, which no ray within an image is longer than
 
 
@@ -41,7 +40,7 @@ class _Pinhole(PinholeCamera):
     def project(self, r: Symbols) -> Symbols:
         own = symbols(self.in_camera(r))
         p, Z = own[:2] / own[2], own[2]
-        is_seen = (self.near <= Z) & (Z < math.inf)
+        is_seen = (self.near <= Z) & (math.inf > Z)
         if math.isfinite(self._lens.largest_radius):
             is_seen = is_seen & ((p * p).sum() < self._lens.largest_radius**2)
         return np.where(is_seen, symbols(self.shown(p)), math.nan)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,6 +97,7 @@ def closed_loop(
     controller: SetpointController,
     plant: Plant,
     numbers: ArmNumbers,
+    sensors: Mapping[str, Array],
     targets: Array,
     region: Box,
     dt: float,
@@ -108,6 +110,7 @@ def closed_loop(
         controller: The law.
         plant: One of the true robots, with its sensor and friction.
         numbers: Of true robots, stacked, such that all differ in what ever differs.
+        sensors: Numbers of their sensors, as `tasks.numbers` has them.
         targets: x_d of each of them, shape (N, n_x).
         region: Where runs are to stay.
         dt: Sampling time [s].
@@ -116,7 +119,8 @@ def closed_loop(
     """
     program = Program()
     x_d = program.given("target", targets)
-    loop = _Loop.of(program, controller, plant, numbers, x_d, dt, integrator)
+    sensor = {name: program.given(name, values) for name, values in sensors.items()}
+    loop = _Loop.of(program, controller, plant, numbers, sensor, x_d, dt, integrator)
     answer, robot = loop.answer, plant.robot
     told = {name: program.kept(name, 1)[0] for name in TOLD}
     program.step(loop.after | {
@@ -145,7 +149,7 @@ def recorded_loop(
     program = Program()
     x_d = program.kept("target", plant.sensor.n_x)
     numbers = ArmNumbers.stacked([arm_numbers(plant.robot, tasks.frames(plant.sensor))])
-    loop = _Loop.of(program, controller, plant, numbers, x_d, dt, integrator)
+    loop = _Loop.of(program, controller, plant, numbers, {}, x_d, dt, integrator)
     answer = loop.answer
     flags = {
         name: (select(condition, 1.0, program.kept(name, 1)[0]))
@@ -180,6 +184,7 @@ class _Loop(NamedTuple):
         controller: SetpointController,
         plant: Plant,
         numbers: ArmNumbers,
+        sensor: Mapping[str, Symbols],
         x_d: Symbols,
         dt: float,
         integrator: str,
@@ -187,12 +192,12 @@ class _Loop(NamedTuple):
         robot, task = plant.robot, controller.task
         truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         belief = Arm(program.given, "belief", task.robot, tasks.frames(task))
-        rest = plant.measure(0.0, robot.neutral(), np.zeros(robot.nv))
         q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
-        state = program.kept("state", len(controller.initial_state(rest)))
+        state = program.kept("state", setpoint.n_state(controller))
         here = truth.at(q)
-        x = tasks.value(plant.sensor, here)
-        answer = setpoint.answer(controller, belief.at(q), q, v, x, x_d, state, may_lose=False)
+        x = tasks.measured(plant.sensor, here, sensor)
+        may_lose = tasks.may_lose(plant.sensor)
+        answer = setpoint.answer(controller, belief.at(q), q, v, x, x_d, state, may_lose=may_lose)
         q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
         touched, left = _touched(plant, q_end), answer.left
         if isinstance(touched, Scalar):

@@ -63,7 +63,14 @@ class Lanes:
         self._controller = controller
         targets = np.array([start.target for start in examples])
         self._loop: ClosedLoop = closed_loop(
-            controller, examples[0].plant, _numbers(examples), targets, region, dt, tolerance
+            controller,
+            examples[0].plant,
+            _numbers(examples),
+            _sensors(examples),
+            targets,
+            region,
+            dt,
+            tolerance,
         )
         self._engine = engine
 
@@ -87,6 +94,7 @@ class Lanes:
         columns["state"][:] = self._states(starts)
         columns[TOLD.last_bad][:] = -1.0
         named = self._loop.truth.named(_numbers(starts))
+        named |= _sensors(starts)
         named["target"] = np.array([start.target for start in starts])
         packed = _packed(kept, width)
         self._compiled.run(packed, _packed(program.filled(named), width), steps, every)
@@ -105,6 +113,10 @@ class Lanes:
 def _numbers(starts: Sequence[Start]) -> ArmNumbers:
     frames = tasks.frames(starts[0].plant.sensor)
     return ArmNumbers.stacked([arm_numbers(start.plant.robot, frames) for start in starts])
+
+
+def _sensors(starts: Sequence[Start]) -> dict[str, Array]:
+    return tasks.numbers([start.plant.sensor for start in starts])
 
 
 def _packed(columns: Array, width: int) -> Array:

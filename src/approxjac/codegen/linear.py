@@ -47,17 +47,21 @@ class Factors:
         return symbols(z)
 
 
-def eigenvalues(A: Symbols) -> Symbols:
-    """Return the eigenvalues of a symmetric A (n, n), in no order, by Jacobi's rotations."""
+def eigensystem(A: Symbols) -> tuple[Symbols, Symbols]:
+    """Return eigenvalues (n,), in no order, and -vectors (n, n) of a symmetric A (n, n).
+
+    By Jacobi's rotations.
+    """
     n, a = len(A), [list(row) for row in A.tolist()]
+    vectors: list[list[Number]] = np.eye(n).tolist()
     for _ in range(_SWEEPS.get(n, _MANY_SWEEPS)):
         for p in range(n):
             for q in range(p + 1, n):
-                _rotate(a, p, q)
-    return symbols([a[i][i] for i in range(n)])
+                _rotate(a, vectors, p, q)
+    return symbols([a[i][i] for i in range(n)]), symbols(vectors)
 
 
-def _rotate(a: list[list[Number]], p: int, q: int) -> None:
+def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) -> None:
     """Make a[p][q] zero."""
     off = a[p][q]
     if not isinstance(off, Scalar):
@@ -71,11 +75,24 @@ def _rotate(a: list[list[Number]], p: int, q: int) -> None:
     sine = tangent * cosine
     a[p][p], a[q][q] = a[p][p] - tangent * off, a[q][q] + tangent * off
     a[p][q] = a[q][p] = 0.0
+    for row in vectors:
+        row[p], row[q] = cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]
     for r in range(len(a)):
         if r not in (p, q):
             left, right = a[r][p], a[r][q]
             a[r][p] = a[p][r] = cosine * left - sine * right
             a[r][q] = a[q][r] = sine * left + cosine * right
+
+
+def is_regular(G: Symbols, ratio: float, scale: float) -> Condition:
+    """Return whether σ_min of J is surely above a share of σ_max and of a scale, from G = J Jᵀ."""
+    if len(G) <= 3:
+        _, _, bound, trace = law.adjugate(G.tolist())
+        return law.is_surely_regular(bound, trace, ratio, scale)
+    trace = G.trace()
+    largest = Factors(G).solve(symbols(np.eye(len(G)))).trace()  # at least 1 / least eigenvalue
+    regular = (ratio**2 * trace * largest < 1.0) & (trace > len(G) * scale**2)
+    return regular & (largest > 0.0)
 
 
 def damped_gram_solve(
@@ -94,18 +111,14 @@ def damped_gram_solve(
     """
     ratio = law.SINGULAR_RATIO
     if len(b) <= 3:
-        rows, determinant, bound, trace = law.adjugate(G.tolist())
+        rows, determinant, _, _ = law.adjugate(G.tolist())
         w = symbols(law.solution(rows, determinant, b.tolist()))
-        regular = law.is_surely_regular(bound, trace, ratio, scale)
     else:
-        factors = Factors(G)
-        inverse, w = factors.solve(symbols(np.eye(len(b)))), factors.solve(b)
-        trace, largest = G.trace(), inverse.trace()  # of G⁻¹, at least 1 / its least eigenvalue
-        regular = (ratio**2 * trace * largest < 1.0) & (trace > len(b) * scale**2)
-        regular = regular & (largest > 0.0)
+        w = Factors(G).solve(b)
+    regular = is_regular(G, ratio, scale)
     if not isinstance(regular, Scalar):
         raise TypeError("a matrix that is known needs no symbols")
-    squares = eigenvalues(G)
+    squares, _ = eigensystem(G)
     least, most = squares.min(), squares.max()
     damping = law.gram_damping(least, most, ratio, scale)
     damped = Factors(G + np.multiply(damping, np.eye(len(b)))).solve(b)

@@ -84,6 +84,12 @@ def require_covered(controller: Controller) -> None:
         )
 
 
+def n_state(controller: SetpointController) -> int:
+    """Return the length of a law's state."""
+    followed = 0 if controller.velocity is None else controller.task.m
+    return controller.resting + followed
+
+
 def answer(
     controller: SetpointController,
     arm: Configured,
@@ -109,13 +115,13 @@ def answer(
     """
     task, learning, scale = controller.task, controller.adaptation, controller.pinv.scale
     (kp, kv, damping), p = controller.diagonals, controller.resting
-    e = x - x_d
+    e = tasks.error(task, x, x_d)
     lost: Condition = False
     s = _saturated(controller.saturation, e)
     if may_lose:
         lost = ~((e * e).sum() < np.inf)
         s = np.where(lost, 0.0, s)
-    J_hat = tasks.jacobian(task, arm)
+    J_hat = tasks.jacobian(task, arm, x)
     G = J_hat @ J_hat.T
     left: Condition = False
     if learning is None:

@@ -38,11 +38,9 @@ def step_program(controller: SetpointController, *, may_lose: bool) -> Program:
     task, robot = controller.task, controller.task.robot
     program = Program()
     arm = Arm(program.given, "belief", robot, tasks.frames(task))
-    rest = Measurement(0.0, robot.neutral(), np.zeros(robot.nv), task.value(robot.neutral()))
-    n_state = len(controller.initial_state(rest))
     q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
     x, target = program.kept("x", task.n_x), program.kept("target", task.n_x)
-    state = program.kept("state", n_state)
+    state = program.kept("state", setpoint.n_state(controller))
     answer = setpoint.answer(controller, arm.at(q), q, v, x, target, state, may_lose=may_lose)
     numbers = (q, v, x, target, state, answer.torque, answer.rate)
     size = sum(((each * each).sum() for each in numbers), 0.0)

@@ -1,10 +1,9 @@
-"""Tasks on symbols: those of `tasks`, with frames of an arm on symbols, and a choice where they
-branch."""
+"""Tasks on symbols: those of `tasks` with frames on symbols, and a choice where they branch."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from approxjac.codegen.functions import arctangent
 from approxjac.codegen.graph import Scalar, select
 from approxjac.codegen.linear import eigensystem, is_regular
 from approxjac.codegen.rigid_body import Configured, moved
-from approxjac.codegen.symbols import symbols
+from approxjac.codegen.symbols import Symbols, symbols
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import (
     CombinedTask,
@@ -29,8 +28,6 @@ from approxjac.tasks import (
 from approxjac.tasks.pose import NO_ROTATION, quaternion_between
 from approxjac.tasks.task import WrappedTask
 from approxjac.validation import Array
-
-Symbols = Any  # NumPy's stubs take what is computed with them for arrays of floats
 
 
 class _Frame:
@@ -85,16 +82,14 @@ class _Pose(PoseTask):
 def _rotation_between(a: Symbols, b: Symbols) -> Symbols:
     """Return what that of `tasks.pose` does."""
     lengths = [np.sqrt((each * each).sum()) for each in (a, b)]
-    is_none = np.logical_not(True)
-    for length in lengths:
-        is_none = is_none | ~((length > NO_ROTATION) & (length < math.inf))
+    told = [(length > NO_ROTATION) & (length < math.inf) for length in lengths]
     *turn, w = quaternion_between((a / lengths[0]).tolist(), (b / lengths[1]).tolist())
     xyz = symbols(turn)
     sine = np.sqrt((xyz * xyz).sum())
     angle: Any = 2.0 * arctangent(sine, abs(w))
     sign = select(w < 0.0, -1.0, 1.0)
     factor = sign * select(sine > 1e-150, angle / sine, 2.0)
-    return np.where(is_none, math.nan, factor * xyz)
+    return np.where(told[0] & told[1], xyz * factor, math.nan)
 
 
 class _Image(ImageTask):
@@ -113,7 +108,7 @@ class _Image(ImageTask):
         images = x.reshape(-1, self._stride)
         depths = images[:, 2] if self._stride == 3 else self.depth
         found = []
-        for image, Z in zip(images, depths, strict=True):  # type: ignore[arg-type]
+        for image, Z in zip(images, depths, strict=True):
             place = symbols(self._pinhole.locate(self._pinhole.nearest(image[:2]), Z))
             found.append(np.where(Z > 0.0, place, math.nan))
         return symbols(found)
@@ -165,12 +160,16 @@ def require_covered(task: Task) -> None:
         if type(part) not in COVERED:
             names = ", ".join(each.__name__ for each in COVERED)
             raise InvalidInputError(
-                f"task must be one of {names} to make code of it, got {part!r}", given=task
+                f"task must be one of {names} to make code of it, got "
+                f"{type(part).__name__}: {part!r}",
+                given=task,
             )
         if isinstance(part, ImageTask) and type(part.camera) not in cameras.COVERED:
             names = " or a ".join(each.__name__ for each in cameras.COVERED)
             raise InvalidInputError(
-                f"camera must be a {names} to make code of it, got {part.camera!r}", given=task
+                f"camera must be a {names} to make code of it, got "
+                f"{type(part.camera).__name__}: {part.camera!r}",
+                given=task,
             )
 
 
@@ -194,14 +193,14 @@ def numbers(sensors: Sequence[Task]) -> dict[str, Array]:
     found: dict[str, Array] = {}
     for i, parts in enumerate(zip(*map(_all, sensors), strict=True)):
         if isinstance(parts[0], ImageTask):
-            each = [cameras.numbers(part.camera) for part in parts]  # type: ignore[attr-defined]
+            each = [cameras.numbers(part.camera) for part in parts]
             for name in each[0]:
                 found[f"sensor.{i}{name}"] = np.array([one[name] for one in each])
     return found
 
 
 def on_symbols(
-    task: Task, here: Configured | None = None, given: Callable[[str], Symbols] | None = None
+    task: Task, here: Configured | None = None, given: Mapping[str, Symbols] | None = None
 ) -> Any:
     """Return a task whose functions take symbols.
 
@@ -219,8 +218,8 @@ def on_symbols(
             own["_frame"] = _Frame(here, own["frame"])
         if isinstance(task, ImageTask):
             prefix = f"sensor.{places[id(task)]}"
-            names = cameras.numbers(task.camera) if given is not None else ()
-            values = {name: given(prefix + name) for name in names}  # type: ignore[misc]
+            named = {name: prefix + name for name in cameras.numbers(task.camera)}
+            values = {name: given[at] for name, at in named.items() if given and at in given}
             own["camera"] = cameras.on_symbols(task.camera, values)
             if here is not None:
                 own["_kinematics"] = _points(task, here)
@@ -253,7 +252,7 @@ def value(task: Task, here: Configured) -> Symbols:
     return symbols(on_symbols(task, here).value(here.q))
 
 
-def measured(sensor: Task, here: Configured, given: Callable[[str], Symbols]) -> Symbols:
+def measured(sensor: Task, here: Configured, given: Mapping[str, Symbols]) -> Symbols:
     """Return what a sensor with given numbers delivers, shape (n_x,); NaN what it cannot see."""
     found = on_symbols(sensor, here, given)
     return symbols(found._seen(symbols(found.value(here.q))))

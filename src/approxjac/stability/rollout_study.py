@@ -224,7 +224,8 @@ class Study:
         ])  # fmt: skip
         diverged, last_bad = told["diverged"] > 0.0, told["last_bad"]
         found["diverged"] = diverged
-        found["final_error"] = np.where(diverged, math.inf, told["error"])
+        lost = np.isnan(told["error"])
+        found["final_error"] = np.where(diverged | lost, math.inf, told["error"])
         after = np.where(last_bad < 0.0, 0.0, (last_bad // self.every + 1) * self.every)
         after = np.minimum(after, self.steps)  # the last instant is recorded, too
         settled = (last_bad < self.steps) & ~diverged

@@ -49,7 +49,7 @@ class RadialDistortion:
 
     def distorted(self, p: Array) -> Array:
         """Return where the lens shows a ray p (2,), shape (2,)."""
-        return p if self._none else p * self._factors(p @ p)[0]
+        return p if self._none else p * self._factors(p @ p)[0]  # type: ignore[arg-type]
 
     def radius(self, length: float) -> float:
         """Return how far from the middle the lens shows a ray of a length."""

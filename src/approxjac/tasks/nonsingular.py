@@ -100,7 +100,8 @@ class NonsingularTask(WrappedTask):
     def _weights(self, squares: Array) -> Array:
         """Return the weight of each left singular vector, 1 where its singular value is 0."""
         threshold = self._ratio**2 * np.maximum(squares.max(), max(self._scale**2, _TINY))
-        return np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / threshold)
+        weights: Array = np.maximum(0.0, 1.0 - np.maximum(squares, 0.0) / threshold)
+        return weights
 
     def on(self, robot: Robot) -> Task:
         """Return the task that was designed around, of another robot."""
