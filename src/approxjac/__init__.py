@@ -48,6 +48,7 @@ from approxjac.tasks import (
 )
 
 if TYPE_CHECKING:
+    from approxjac import codegen as codegen
     from approxjac import stability, view
     from approxjac.scenario import Scenario
 
@@ -63,7 +64,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_LAZY = ("stability", "view")  # modules that many programs never need
+_LAZY = ("codegen", "stability", "view")  # modules that many programs never need
 _MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [

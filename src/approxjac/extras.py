@@ -8,7 +8,7 @@ from typing import Any
 from approxjac.errors import MissingPackageError
 
 _NEEDED_BY = {
-    "fast": "CompiledSetpointController",
+    "fast": "compiled code",
     "mujoco": "MujocoPlant",
     "view": "the browser view",
 }

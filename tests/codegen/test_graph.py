@@ -31,7 +31,8 @@ def test_constants_fold_and_equal_operations_stand_once(graph):
     assert (a * 0.0, a * 1.0 is a, a + 0.0 is a, a / 1.0 is a) == (0.0, True, True, True)
     assert (a * b).place == (b * a).place
     assert (a - b).place == (a + -b).place
-    assert (-(-a)).place == a.place
+    opposite = -a
+    assert (-opposite).place == a.place
     assert ((-a) * b).place == (-(a * b)).place
     size = len(graph.nodes)
     _ = a * b - (a * b)

@@ -1,1 +1,5 @@
 """Code made from the equations of `law`: traced once, and emitted as NumPy, SIMD lanes or C."""
+
+from approxjac.codegen.step import compiled
+
+__all__ = ["compiled"]

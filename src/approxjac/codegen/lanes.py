@@ -121,6 +121,7 @@ def _sensors(starts: Sequence[Start]) -> dict[str, Array]:
 
 def _packed(columns: Array, width: int) -> Array:
     """Return columns (N, rows) as vectors (groups, rows, width); the last one fills the rest."""
-    rest = -len(columns) % width
-    filled = np.concatenate([columns, np.repeat(columns[-1:], rest, axis=0)])
-    return np.array(filled.reshape(-1, width, columns.shape[1]).swapaxes(1, 2), order="C")
+    n, rows = columns.shape
+    groups = -(-n // width)
+    filled = columns[np.minimum(np.arange(groups * width), n - 1)]
+    return np.array(filled.reshape(groups, width, rows).swapaxes(1, 2), order="C")

@@ -5,6 +5,7 @@ from approxjac.stability.lyapunov import LyapunovValue, lyapunov
 from approxjac.stability.map import StabilityMap, stability_map
 from approxjac.stability.region import JointBox, Region, RegularPart, SublevelSet, Tube
 from approxjac.stability.report import StabilityReport, stability_report
+from approxjac.stability.rollout_study import Study
 from approxjac.stability.rollouts import Rollout, Rollouts, rollouts
 from approxjac.stability.suggestion import (
     Suggestion,
@@ -25,6 +26,7 @@ __all__ = [
     "Rollouts",
     "StabilityMap",
     "StabilityReport",
+    "Study",
     "SublevelSet",
     "Suggestion",
     "Tolerance",
