@@ -540,6 +540,23 @@ def test_several_points_and_some_of_their_axes(belief, truth, rng):
             assert np.isfinite(kinematics.step(state, seen, DT)).all()
 
 
+def test_a_point_that_is_lost_while_the_arm_moves_on_has_not_jumped(belief, rng):
+    names = ("panda_link5", "object_tip")
+    sensor = StackedTask(*(aj.PositionTask(belief, name) for name in names))
+    kinematics, state = AdaptiveKinematics(sensor, ("tool", "origins"), {"tool": 0.02}), None
+    for k in range(60):
+        q = START + 0.02 * k
+        x = sensor.value(q) + 1e-3 * rng.standard_normal(6)
+        if 10 < k < 50:
+            x[3:] = np.nan
+        seen = aj.Measurement(k / 60.0, q, np.zeros(7), x, k / 60.0)
+        state = kinematics.initial_state(seen) if state is None else state
+        state = kinematics.step(state, seen, DT)
+    report = kinematics.report(state)
+    assert report.restarts == 0
+    assert_allclose(report.seconds, 59 / 60.0)  # of frames that are all believed
+
+
 @pytest.mark.parametrize("unknown", [("tool", "origins", "offset"), ("tool", "origins", "camera")])
 def test_axes_that_are_tilted_are_said_to_be(panda, belief, unknown):
     """By 2° each, which is 0.3 mm that no origin explains, in noise of 2 mm."""

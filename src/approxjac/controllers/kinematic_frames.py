@@ -132,7 +132,7 @@ class Gate:
     with each other, the sensor is believed: it was moved.
 
     Its numbers: frames passed over in a row, then of the last frame that was believed and of the
-    last one that was not: configuration, x, and 1 for each entry of x that was ever seen.
+    last one that was not: configuration, x, and 1 for each entry of x that was seen at it.
 
     Args:
         robot: The believed robot.
@@ -187,4 +187,4 @@ class Gate:
         n, seen = self._nq, np.isfinite(frame.x)
         where[:n] = frame.q
         where[n : n + self._n_x][seen] = frame.x[seen]
-        where[n + self._n_x :][seen] = 1.0
+        where[n + self._n_x :] = seen
