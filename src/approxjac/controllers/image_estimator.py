@@ -179,9 +179,10 @@ class ImageEstimator:
         keys = numbers[: self._m].reshape(self._shape)
         last = int(numbers[-1])
         key = keys[last]
-        if key[:, 0].any():
-            away = np.abs(key[:, 3:6] - o).max() / _NEW[0]
-            away += np.linalg.norm(key[:, 6:] - H.reshape(self._k, -1)) / _NEW[1]
+        has = key[:, 0] > 0.0
+        if has.any():
+            away = np.abs(key[has, 3:6] - o[has]).max() / _NEW[0]
+            away += np.linalg.norm(key[has, 6:] - H.reshape(self._k, -1)[has]) / _NEW[1]
             if away > 1.0:
                 last = (last + 1) % _KEYS
                 numbers[-1] = last
