@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.interface import Measurement
+from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number
+from approxjac.validation import Array, as_number, as_vector
 
 FLOAT64 = np.dtype(np.float64)
 HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
@@ -49,6 +49,16 @@ def require_array(name: str, value: Array, size: int, task: Task) -> None:
             f"{name}.astype(float) makes one of numbers",
             given=value,
         )
+
+
+def with_rates(target: Target, m: int) -> Target:
+    """Return a target whose ẋ_d and ẍ_d are finite vectors (m,) where it has them, or refuse."""
+    x_d, v_d, a_d = target
+    if v_d is not None:
+        v_d = as_vector("v of the target", v_d, m)
+    if a_d is not None:
+        a_d = as_vector("a of the target", a_d, m)
+    return Target(x_d, v_d, a_d)
 
 
 def is_lost(

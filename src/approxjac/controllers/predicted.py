@@ -10,7 +10,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.robots import Robot
 from approxjac.tasks import Task
-from approxjac.validation import Array, Immutable
+from approxjac.validation import Array, Immutable, as_vector
 
 
 class Prediction(NamedTuple):
@@ -64,7 +64,11 @@ class Kinematics(Immutable, ABC):
         """Return a state before a first step that knows what another state has learnt.
 
         Times, configurations and frames of the other one are forgotten.
+
+        Raises:
+            InvalidInputError: A state that is not of such kinematics.
         """
+        state = as_vector("state", state, self.n_state)
         fresh = self.initial_state(measurement)
         for part in self._kept:
             fresh[part] = state[part]

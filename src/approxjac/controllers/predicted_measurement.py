@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from approxjac.controllers.arguments import require_arrays, require_finite, with_rates
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.predicted import Kinematics
 from approxjac.controllers.tracking import TrackingController
@@ -15,7 +16,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import Task
-from approxjac.validation import Array, require
+from approxjac.validation import Array, as_vector, require
 
 _OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
 
@@ -94,6 +95,7 @@ class PredictedMeasurement(ControllerWrapper):
         Raises:
             InvalidInputError: A measurement of the wrong shapes.
         """
+        require_arrays(np.zeros(0), measurement, self._task._origin, self._task, 0)
         known = self.kinematics.initial_state(measurement)
         target = Target(self._task._origin)
         seen, _ = self._predicted(known, measurement, target)
@@ -103,8 +105,12 @@ class PredictedMeasurement(ControllerWrapper):
         """Return a state before a first step that knows what another state has learnt.
 
         Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+
+        Raises:
+            InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
         """
-        inner, known = self._split(state)
+        fresh = self.initial_state(measurement)
+        inner, known = self._split(as_vector("state", state, len(fresh)))
         known = self.kinematics.resumed(known, measurement)
         seen, _ = self._predicted(known, measurement, Target(self._task._origin))
         fresh = self.controller.initial_state(seen)
@@ -125,7 +131,11 @@ class PredictedMeasurement(ControllerWrapper):
         """
         inner, known = self._split(state)
         target = target if isinstance(target, Target) else Target(target)
-        e = self._task.error(measurement.x, self._task.target(target.x))
+        x_d = self._task.target(target.x)
+        q, v, x = require_arrays(state, measurement, x_d, self._task, len(state))
+        if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
+            require_finite(q, v, x_d, state, self._task)
+        target, e = with_rates(target._replace(x=x_d), self._task.m), self._task.error(x, x_d)
         seen, origin = self._predicted(known, measurement, target)
         after, answer = self.controller.step(inner, seen, origin, dt)
         known = self.kinematics.step(known, measurement, dt)

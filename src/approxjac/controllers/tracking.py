@@ -17,6 +17,7 @@ from approxjac.controllers.arguments import (
     require_arrays,
     require_dt,
     require_finite,
+    with_rates,
 )
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.limits import Limits
@@ -202,7 +203,11 @@ class TrackingController(ProvenLaw):
         """Return a state before a first step that knows what another state (…) has learnt.
 
         Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+
+        Raises:
+            InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
         """
+        state = as_vector("state", state, self._n_state)
         fresh, (p, end) = self.initial_state(measurement), (self._n_dynamics, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
@@ -285,10 +290,8 @@ class TrackingController(ProvenLaw):
         task = self.task
         if not isinstance(target, Target):
             target = Target(target)
-        x_d, v_d, a_d = target
-        if v_d is not None:
-            v_d = as_vector("v of the target", v_d, task.m)
-            target = Target(x_d, v_d, None if a_d is None else as_vector("a of it", a_d, task.m))
+        target = with_rates(target, task.m)
+        x_d = target.x
         try:
             _, q, v, x, _ = measurement
             usual = (
