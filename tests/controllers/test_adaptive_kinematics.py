@@ -404,6 +404,23 @@ def test_the_age_of_x_is_told_by_the_delay_where_x_does_not_tell_it(belief, trut
     assert late(wrong, 2.0, 3.0) > 1.5 * late(told, 2.0, 3.0)
 
 
+def test_a_frame_is_learnt_once_where_the_clock_of_x_is_ahead(belief):
+    """By 20 ms: it would be new again and again, and paired with where the arm is by now."""
+    kinematics, sensor, states = AdaptiveKinematics(belief), aj.PositionTask(belief), []
+    for ahead in (None, 0.02):
+        state = None
+        for k in range(100):
+            t, taken = k * 1e-3, k // 20 * 0.02
+            t_x = None if ahead is None else taken + ahead
+            measurement = aj.Measurement(
+                t, START + t, np.ones(7), sensor.value(START + taken) + 0.01 * taken, t_x
+            )
+            state = kinematics.initial_state(measurement) if state is None else state
+            state = kinematics.step(state, measurement, 1e-3)
+        states.append(state)
+    assert_allclose(*states)
+
+
 @pytest.mark.parametrize("x", [np.full(3, np.nan), np.full(3, 1e30), [np.inf, 0.0, 0.0]], ids=str)
 def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(belief, x):
     kinematics = AdaptiveKinematics(belief)

@@ -16,6 +16,7 @@ from approxjac.validation import Array
 _SPACING = 10e-3  # between remembered configurations, from which others are interpolated [s]
 _HORIZON = 0.25  # age up to which a frame finds its configuration [s]
 _LONG_AGO = -1e6  # [s]
+_AHEAD = 1e-9  # by which a clock is on time [s]
 _CLOSEST = 4e-3  # between frames, below which there is nothing to learn from the second one [s]
 _FARTHEST = 1e3  # that anything is from the sensor [m]
 
@@ -37,9 +38,9 @@ class Frames:
     """Which x is new, and at which configuration it was taken.
 
     Its numbers: the last x, when it was taken, where the ring was written last, and the ring of
-    (t, q). A frame is new by `Measurement.t_x`, or where that is None by a change of x, and was
-    taken then, or `delay` ago. One taken before all that the ring remembers is passed over, and so
-    are those that come faster than at 250 Hz.
+    (t, q). A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of
+    now, it is new by a change of x, and was taken `delay` ago. One taken before all that the ring
+    remembers is passed over, and so are those that come faster than at 250 Hz.
 
     Args:
         robot: The believed robot.
@@ -90,10 +91,10 @@ class Frames:
         """Return the frame if it is new, and note it; `remember` comes first."""
         n = self._n_x
         t, _, _, x, t_x = measurement
-        is_told = t_x is not None and math.isfinite(t_x)
-        if t_x is not None and is_told:  # a clock that is ahead is wrong
+        is_told = t_x is not None and math.isfinite(t_x) and t_x <= t + _AHEAD
+        if t_x is not None and is_told:
             taken, is_old = min(t_x, t), t_x <= numbers[n]
-        else:
+        else:  # a clock that is ahead is wrong, and would say of one frame that it is always new
             taken, is_old = t - self._delay, x.tolist() == numbers[:n].tolist()
         if (is_old and numbers[n] > _LONG_AGO) or 0.0 < taken - numbers[n] < _CLOSEST - 1e-9:
             return None
