@@ -62,7 +62,8 @@ class AdaptiveCamera(Kinematics):
             "rotation" [rad], and of "focal_length" the logarithm; by default 0.2, 0.2, 0.02, 0.5,
             1.0 and 0.3.
         noise: Standard deviation of x [px].
-        delay: Age of x where `Measurement.t_x` is None [s].
+        delay: Age of x where `Measurement.t_x` is None [s]. No frame that is older than 0.25 s, or
+            than twice the delay, is learnt from.
         dt: Sampling time of control [s].
 
     Attributes:

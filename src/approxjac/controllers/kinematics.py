@@ -64,7 +64,8 @@ class AdaptiveKinematics(Kinematics):
         sd: Plausible errors: "tool", "origins" and "offset" [m], "orientation" of the tool and
             "camera" [rad], "scale"; by default 0.2, 0.02, 0.2, 1.0, 1.0 and 0.2.
         noise: Standard deviation of x [m].
-        delay: Age of x where `Measurement.t_x` is None [s].
+        delay: Age of x where `Measurement.t_x` is None [s]. No frame that is older than 0.25 s, or
+            than twice the delay, is learnt from.
         dt: Sampling time of control [s].
         angle_noise: Standard deviation of the orientation of a pose [rad].
 
