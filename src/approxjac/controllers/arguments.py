@@ -1,15 +1,17 @@
-"""Checks of what a law is given in a step."""
+"""Checks of what a law is given in a step, and of what kinematics are told to learn."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from approxjac.errors import InvalidInputError, MeasurementError
+from approxjac.errors import InvalidInputError, MeasurementError, UnknownNameError
 from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number, as_vector
+from approxjac.validation import Array, as_number, as_vector, require
 
 FLOAT64 = np.dtype(np.float64)
 HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
@@ -107,3 +109,29 @@ def require_dt(dt: float, sampling_time: float) -> None:
     if not math.isclose(dt, sampling_time):
         wanted = f"that of the controller, {sampling_time:g} [s]"
         raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)
+
+
+def chosen_kinds(unknown: Any, valid: Sequence[str]) -> tuple[str, ...]:
+    """Return what may be wrong in words, one or more of those that are valid, or refuse."""
+    try:
+        kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)
+    except TypeError:
+        kinds = ()
+    if not kinds or any(kind not in valid for kind in kinds):
+        raise InvalidInputError(
+            f"unknown must be one or more of {', '.join(valid)}, got {unknown!r}", given=unknown
+        )
+    return kinds
+
+
+def chosen_deviations(sd: Any, usual: Mapping[str, float]) -> dict[str, float]:
+    """Return plausible errors by kind, those that are given in place of the usual, or refuse."""
+    given = {} if sd is None else sd
+    require("sd", given, Mapping, f"a mapping from some of {', '.join(usual)} to numbers")
+    for kind in given:
+        if kind not in usual:
+            raise UnknownNameError("kind", kind, "sd", usual)
+    return {
+        kind: as_number(f"sd of {kind}", given.get(kind, value), above=0.0)
+        for kind, value in usual.items()
+    }

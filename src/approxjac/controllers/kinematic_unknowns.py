@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
 from approxjac.controllers.kinematic_orientation import Orientation
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError
 from approxjac.robots import KinematicRegressor
 from approxjac.tasks import (
     PoseTask,
@@ -20,7 +21,7 @@ from approxjac.tasks import (
     Task,
     TrackerTask,
 )
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array
 
 KINDS = ("tool", "origins", "camera", "offset", "scale")
 """What may be unknown."""
@@ -63,7 +64,7 @@ class Unknowns:
     """
 
     def __init__(self, task: Task, unknown: Any, sd: Any, length: float) -> None:
-        kinds, sds = _kinds(unknown), _deviations(sd)
+        kinds, sds = chosen_kinds(unknown, KINDS), chosen_deviations(sd, USUAL_SD)
         points = _points(task)
         self.turns, self.has_scale = "camera" in kinds, "scale" in kinds
         axes, self.R, b = self._axes(task, points)
@@ -283,29 +284,6 @@ def _points(task: Task) -> list[_Point]:
             f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
         )
     return points
-
-
-def _kinds(unknown: Any) -> tuple[str, ...]:
-    wanted = f"unknown must be one or more of {', '.join(KINDS)}, got {unknown!r}"
-    try:
-        kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)
-    except TypeError:
-        kinds = ()
-    if not kinds or any(kind not in KINDS for kind in kinds):
-        raise InvalidInputError(wanted, given=unknown)
-    return kinds
-
-
-def _deviations(sd: Any) -> dict[str, float]:
-    given = {} if sd is None else sd
-    require("sd", given, Mapping, f"a mapping from some of {', '.join(USUAL_SD)} to numbers")
-    for kind in given:
-        if kind not in USUAL_SD:
-            raise UnknownNameError("kind", kind, "sd", USUAL_SD)
-    return {
-        kind: as_number(f"sd of {kind}", given.get(kind, usual), above=0.0)
-        for kind, usual in USUAL_SD.items()
-    }
 
 
 def _unit(name: str) -> str:
