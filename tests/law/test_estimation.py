@@ -48,6 +48,16 @@ def test_a_rotation_vector_comes_back(direction, angle):
         assert_allclose(again, phi, atol=1e-6)
 
 
+@pytest.mark.parametrize("angle", [1e-9, 1e-7, 1e-4, 3.0, 3.05, np.pi - 1e-5, np.pi - 1e-8, np.pi])
+@pytest.mark.parametrize("axis", [(1, 0.2, -0.1), (-0.3, -1, 0.1), (0.2, 0.1, -1), (0, 0, 1)])
+def test_the_smallest_and_largest_rotation_vectors_come_back(angle, axis):
+    phi = angle * np.array(axis) / np.linalg.norm(axis)
+    again = law.rotation_log(law.rotation_exp(phi))
+    if angle == np.pi:  # either of the two
+        again = again * np.sign(again @ phi)
+    assert_allclose(again, phi, rtol=1e-7, atol=1e-14)
+
+
 @given(st.floats(-3.1, 3.1))
 def test_an_angle_in_the_plane_comes_back(angle):
     R = law.rotation_exp(np.array([angle]))
@@ -79,6 +89,8 @@ def test_the_best_rotation_is_a_maximum(d, rng):
     for _ in range(5):
         root, h = rng.standard_normal((d * d, 5)), rng.standard_normal(d * d)
         M, A = root @ root.T, law.nearest_rotation(rng.standard_normal((d, d)))
+        curved = law.rotation_information(M, h, A)
+        assert_allclose(curved, curved.T, atol=1e-12 * np.abs(curved).max())
         best = A
         for _ in range(10):
             best = law.best_rotation(M, h, best)
