@@ -48,7 +48,7 @@ class TrackingController(ProvenLaw):
 
     τ = Y_d(q, q̇, q̇_r, q̈_r) â − κM̂σ with σ = q̇ − q̇_r, where the reference velocity
 
-        q̇_r = Ĵ⁺(u − Ĵn₀) + n₀,   u = ẋ_d − αs(z),   n₀ = −k_n (q ⊖ q_rest)
+        q̇_r = Ĵ⁺(u − Ĵn₀) + n₀,   u = ẋ_d − αs(z),   n₀ = −k_n s(q ⊖ q_rest)
 
     leads the predicted error z to zero and q̈_r is its exact derivative. The measured x only
     teaches the kinematics; where it is lost, control goes on with what is predicted.
