@@ -408,7 +408,7 @@ def test_points_that_are_believed_behind_the_camera_are_found(room):
         ({"unknown": ()}, "unknown must be one or more of"),
         ({"unknown": 3}, "unknown must be one or more of"),
         ({"noise": 0.0}, r"noise must be a finite number > 0 \[px\]"),
-        ({"delay": -1.0}, r"delay must be a finite number >= 0 \[s\]"),
+        ({"delay": -1.0}, r"delay must be a finite number >= 0 and <= 1 \[s\]"),
         ({"sd": {"tool": 0.0}}, "sd of tool must be a finite number > 0"),
     ],
     ids=str,

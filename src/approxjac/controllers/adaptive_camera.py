@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers.arguments import LONGEST_DELAY, is_rotation
 from approxjac.controllers.camera_unknowns import CameraUnknowns
 from approxjac.controllers.image_estimator import Estimate, ImageEstimator
 from approxjac.controllers.image_rays import ImageRays
@@ -90,7 +91,7 @@ class AdaptiveCamera(Kinematics):
         self._unknowns = unknowns = CameraUnknowns(task, unknown, sd)
         self.task, self.unknown, self.names = task, unknowns.kinds, unknowns.names
         self.noise = as_number("noise", noise, unit="px", above=0.0)
-        self.delay = as_number("delay", delay, unit="s", minimum=0.0)
+        self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
         dt = as_number("dt", dt, unit="s", above=0.0)
         self._points, self._believed = unknowns.points, unknowns.believed
         self._k, n = self._points.k, len(self._believed.u)
@@ -117,20 +118,8 @@ class AdaptiveCamera(Kinematics):
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
         self.n_state = ends[-1]
-        learnt = (
-            "keys",
-            "told",
-            "integral",
-            "averaged",
-            "left",
-            "seen",
-            "u",
-            "R",
-            "t",
-            "stretch",
-            "b",
-        )
-        self._kept = tuple(self._at[name] for name in learnt)
+        learnt = "keys told integral averaged left seen u R t stretch b"
+        self._kept = tuple(self._at[name] for name in learnt.split())
 
     def __repr__(self) -> str:
         return f"AdaptiveCamera({self.task!r}, unknown={self.unknown})"
@@ -330,8 +319,13 @@ class AdaptiveCamera(Kinematics):
 
     # -- what was learnt -----------------------------------------------------------------
 
+    def _is_state(self, state: Array) -> bool:
+        _, R, _, _ = self._estimator.estimate(state[self._at["keys"]])
+        return is_rotation(R)
+
     def camera(self, state: Array) -> PinholeCamera:
         """Return the camera as a state has learnt it."""
+        state = self._required(state)
         _, R, p, stretch = self._estimator.estimate(state[self._at["keys"]])
         return self._camera.with_error(
             shift=self._believed.R.dot(p - self._believed.p),
@@ -341,7 +335,7 @@ class AdaptiveCamera(Kinematics):
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the translations that a state has learnt."""
-        u, *_ = self._estimator.estimate(state[self._at["keys"]])
+        u, *_ = self._estimator.estimate(self._required(state)[self._at["keys"]])
         return self._points.regressor.robot_with(self._points.theta(u))
 
     def report(self, state: Array) -> KinematicReport:
@@ -349,7 +343,8 @@ class AdaptiveCamera(Kinematics):
 
         The covariance is of the rotation in the learnt camera's own axes.
         """
-        at, keys, noise = self._at, state[self._at["keys"]], self.noise
+        at, noise, state = self._at, self.noise, self._required(state)
+        keys = state[at["keys"]]
         told, sd = self.learnt(state).copy(), self._estimator.sd[self._told]
         believed = self._in_order(self._believed)
         seconds, restarts, variance, _ = state[at["seen"]].tolist()

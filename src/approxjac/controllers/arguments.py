@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from approxjac.validation import Array, as_number, as_vector, require
 
 FLOAT64 = np.dtype(np.float64)
 HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
+LONGEST_DELAY = 1.0  # of a sensor [s]: one that is longer is in milliseconds
+_NEARLY = 1e-3  # of a rotation, with the round-off of days
 _NUMBERS = (list, tuple, int, float)
 
 
@@ -124,14 +126,31 @@ def chosen_kinds(unknown: Any, valid: Sequence[str]) -> tuple[str, ...]:
     return kinds
 
 
-def chosen_deviations(sd: Any, usual: Mapping[str, float]) -> dict[str, float]:
-    """Return plausible errors by kind, those that are given in place of the usual, or refuse."""
+def chosen_deviations(
+    sd: Any, usual: Mapping[str, float], used: Collection[str]
+) -> dict[str, float]:
+    """Return plausible errors by kind, those that are given in place of the usual, or refuse.
+
+    One that is not used is refused: who gives it believes that it has an effect.
+    """
     given = {} if sd is None else sd
     require("sd", given, Mapping, f"a mapping from some of {', '.join(usual)} to numbers")
     for kind in given:
         if kind not in usual:
             raise UnknownNameError("kind", kind, "sd", usual)
+        if kind not in used:
+            some = ", ".join(each for each in usual if each in used)
+            raise InvalidInputError(
+                f"sd must be of what is unknown, {some}, got one of {kind}, which is taken for "
+                "true; say in unknown what may be wrong",
+                given=sd,
+            )
     return {
         kind: as_number(f"sd of {kind}", given.get(kind, value), above=0.0)
         for kind, value in usual.items()
     }
+
+
+def is_rotation(R: Array) -> bool:
+    """Return whether R (d, d) is a rotation."""
+    return bool(np.abs(R.dot(R.T) - np.eye(len(R))).max() < _NEARLY)

@@ -46,7 +46,8 @@ class CameraUnknowns:
         self.kinds = kinds = chosen_kinds(
             (where, *valid[2:]) if unknown is None else unknown, valid
         )
-        sds = chosen_deviations(sd, USUAL_SD)
+        used = {*kinds, *(("position", "rotation") if "camera" in kinds else ())}
+        sds = chosen_deviations(sd, USUAL_SD, used)
         self.points = points = WatchedPoints(task, where in kinds, "origins" in kinds)
         R, p = np.asarray(camera.rotation).T, np.asarray(camera.position)
         self.believed = Estimate(points.u, R, p, 0.0)

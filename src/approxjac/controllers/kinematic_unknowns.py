@@ -13,6 +13,7 @@ from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
 from approxjac.controllers.kinematic_orientation import Orientation
 from approxjac.errors import InvalidInputError
 from approxjac.robots import KinematicRegressor
+from approxjac.robots.joint_limits import reach_bound
 from approxjac.tasks import (
     PoseTask,
     PoseTrackerTask,
@@ -29,6 +30,7 @@ USUAL_SD: Mapping[str, float] = {
     "tool": 0.2, "orientation": 1.0, "origins": 0.02, "camera": 1.0, "offset": 0.2, "scale": 0.2,
 }  # fmt: skip
 """Plausible errors: of translations and offset along each axis [m], rotations [rad], and scale."""
+_NOISY = 0.3  # of the arm's reach, or of a metre, above which noise is in millimetres
 _TURNABLE = ("xyz", "xy", "yx", "xz", "zx", "yz", "zy")
 
 
@@ -60,11 +62,15 @@ class Unknowns:
         is_turned: Whether x is in other axes than the base's.
         constant: What is to be added to p, as the offset is known, in the base's axes.
         has_scale: Whether a scale is learnt, the last entry of u.
+        largest_noise: Of x that could be meant [m].
         n_t: How many numbers of u the tool's rotation are, its last: 9 or 0.
     """
 
     def __init__(self, task: Task, unknown: Any, sd: Any, length: float) -> None:
-        kinds, sds = chosen_kinds(unknown, KINDS), chosen_deviations(sd, USUAL_SD)
+        kinds = chosen_kinds(unknown, KINDS)
+        used = {*kinds, *(("offset",) if "camera" in kinds else ())}
+        used |= {"orientation"} if isinstance(task, PoseTask) and "tool" in kinds else set()
+        sds = chosen_deviations(sd, USUAL_SD, used)
         points = _points(task)
         self.turns, self.has_scale = "camera" in kinds, "scale" in kinds
         axes, self.R, b = self._axes(task, points)
@@ -73,6 +79,8 @@ class Unknowns:
         self.regressor = regressor = KinematicRegressor(task.robot, frames)
         self.n_tilts = 0 if isinstance(task, PoseTask) else 2 * len(regressor.turning)
         entries = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
+        reaches = [reach_bound(task.robot, frame)[1] for frame in frames]
+        self.largest_noise = _NOISY * max(1.0, *reaches)
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
         in_order = rows == list(range(3 * regressor.k))
         self.rows: slice | Array = slice(None) if in_order else np.array(rows)

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.kinematic_estimators import KnownCamera, Tilts, UnknownCamera
+from approxjac.controllers.arguments import LONGEST_DELAY, is_rotation
+from approxjac.controllers.kinematic_estimators import KnownCamera, UnknownCamera, tilted_axes
 from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, is_seen
-from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber, TiltedAxes
+from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber
 from approxjac.controllers.kinematic_unknowns import Unknowns
 from approxjac.controllers.predicted import Kinematics, Prediction
 from approxjac.interface import Measurement, Target
@@ -77,7 +78,8 @@ class AdaptiveKinematics(Kinematics):
 
     Raises:
         InvalidInputError: Another task, nothing unknown or something else than that, a scale
-            beside unknown origins or joints that slide, or numbers that make no sense.
+            beside unknown origins or joints that slide, an sd of what is not unknown, or numbers
+            that make no sense, such as milliseconds.
         UnknownNameError: An sd of something else.
     """
 
@@ -95,11 +97,12 @@ class AdaptiveKinematics(Kinematics):
         task = PositionTask(task) if isinstance(task, Robot) else task
         self.task, self.unknown = task, unknown
         self.noise = as_number("noise", noise, unit="m", above=0.0)
-        angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0)
-        self.delay = as_number("delay", delay, unit="s", minimum=0.0)
+        angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0, most=1.0)
+        self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
         dt = as_number("dt", dt, unit="s", above=0.0)
         length = self.noise / angle_noise
         self._unknowns = unknowns = Unknowns(task, unknown, sd, length)
+        as_number("noise", noise, unit="m", above=0.0, most=unknowns.largest_noise)
         self.regressor, self.names = unknowns.regressor, unknowns.names
         self._orientation = unknowns.orientation
         self._frames = Frames(task.robot, task.n_x, self.delay, dt)
@@ -355,9 +358,13 @@ class AdaptiveKinematics(Kinematics):
 
     # -- what was learnt -----------------------------------------------------------------
 
+    def _is_state(self, state: Array) -> bool:
+        sums = state[self._at["sums"]]
+        return is_rotation(self._rotation(state)) and self._estimator.are_numbers(sums)
+
     def report(self, state: Array) -> KinematicReport:
         """Return what a state has learnt: values, standard deviations, and what was not seen."""
-        at, unknowns = self._at, self._unknowns
+        at, unknowns, state = self._at, self._unknowns, self._required(state)
         told = self.learnt(state)
         chi, seconds, restarts, variance, _ = state[at["chi"]].tolist()
         Theta, _ = self._estimator.estimate(state[at["sums"]])
@@ -377,22 +384,13 @@ class AdaptiveKinematics(Kinematics):
         )
         turn = told[len(P) - len(state[at["spin"]]) :]
         angle, noise = math.hypot(*turn.tolist()), (self.noise, math.sqrt(variance))
-        axes = self._axes(self._estimator.tilts(state[at["sums"]]), max(noise))
+        found, scale = self._estimator.tilts(state[at["sums"]]), (self.noise / max(noise)) ** 2
+        axes = tilted_axes(found, self.regressor.turning, scale)
         return KinematicReport(rows, P, angle, chi, axes, noise, seconds, int(restarts))
-
-    def _axes(self, found: Tilts, noise: float) -> TiltedAxes:
-        """Return what tilts of axes would explain, with noise as it is seen [m]."""
-        if not len(found.tilts):
-            return TiltedAxes(1.0, 0.0, "", 0.0)
-        tilts = np.array([found.tilts, found.tilts / found.sd]).reshape(2, -1, 2)
-        joint = int(np.linalg.norm(tilts[1], axis=1).argmax())
-        angle = float(np.linalg.norm(tilts[0, joint]))
-        chi = found.chi_squared / max(found.freedom, 1e-9) * (self.noise / noise) ** 2
-        return TiltedAxes(chi, found.freedom, self.regressor.turning[joint], angle)
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and origins."""
-        theta, told = self.regressor.theta.copy(), self.learnt(state)
+        theta, told = self.regressor.theta.copy(), self.learnt(self._required(state))
         n = len(self._unknowns.of_theta)
         theta[self._unknowns.of_theta] = told[:n]
         turn = told[n : n + 3] if self._unknowns.n_t else None

@@ -68,7 +68,7 @@ class Kinematics(Immutable, ABC):
         Raises:
             InvalidInputError: A state that is not of such kinematics.
         """
-        state = as_vector("state", state, self.n_state)
+        state = self._required(state)
         fresh = self.initial_state(measurement)
         for part in self._kept:
             fresh[part] = state[part]
@@ -89,11 +89,26 @@ class Kinematics(Immutable, ABC):
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
 
+    def _required(self, state: Array) -> Array:
+        """Return a state of such kinematics, or refuse what is none."""
+        state = as_vector("state", state, self.n_state)
+        if not self._is_state(state):
+            raise InvalidInputError(
+                f"state must be one of {self!r}, as initial_state and step return it, got numbers "
+                "that are not",
+                given=state,
+            )
+        return state
+
+    def _is_state(self, state: Array) -> bool:
+        """Return whether finite numbers (n_state,) can be a state, as far as can be told."""
+        return True
+
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the translations that a state has learnt.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of others.
         """
         raise InvalidInputError(
             f"kinematics must learn to change a robot, got {self!r}", given=self
@@ -103,6 +118,6 @@ class Kinematics(Immutable, ABC):
         """Return what a state has learnt: values, standard deviations, and what was not seen.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of others.
         """
         raise InvalidInputError(f"kinematics must learn to report, got {self!r}", given=self)

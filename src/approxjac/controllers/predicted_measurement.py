@@ -56,10 +56,16 @@ class PredictedMeasurement(ControllerWrapper):
                 given=controller,
             )
         task = kinematics.task
-        if controller.task.labels != task.labels or controller.task.robot is not task.robot:
+        if (controller.task.labels, controller.task.units) != (task.labels, task.units):
             raise InvalidInputError(
                 f"kinematics must be of the controller's task {controller.task!r}, got "
                 f"{kinematics!r}",
+                given=kinematics,
+            )
+        if controller.task.robot != task.robot:
+            raise InvalidInputError(
+                f"kinematics must be of the controller's robot, got {kinematics!r}, whose robot "
+                "has another URDF or gravity",
                 given=kinematics,
             )
         self.controller = with_task(controller, _WithJacobian(task))
@@ -149,7 +155,7 @@ class PredictedMeasurement(ControllerWrapper):
         """Return what a state has learnt of the kinematics.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
         """
         return self.kinematics.report(self._split(state)[1])
 
@@ -157,7 +163,7 @@ class PredictedMeasurement(ControllerWrapper):
         """Return the believed robot with the translations that a state has learnt.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
         """
         return self.kinematics.robot(self._split(state)[1])
 

@@ -321,21 +321,25 @@ class TrackingController(ProvenLaw):
         known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
         return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
 
+    def _of_kinematics(self, state: Array) -> Array:
+        """Return the kinematics' part of a state, or refuse one of another controller."""
+        return as_vector("state", state, self._n_state)[self._n_dynamics : self._end]
+
     def kinematics_learnt(self, state: Array) -> KinematicReport:
         """Return what a state has learnt of the kinematics.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
         """
-        return self.kinematics.report(state[self._n_dynamics : self._end])
+        return self.kinematics.report(self._of_kinematics(state))
 
     def learnt_robot(self, state: Array) -> Robot:
         """Return the believed robot with the translations that a state has learnt.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
         """
-        return self.kinematics.robot(state[self._n_dynamics : self._end])
+        return self.kinematics.robot(self._of_kinematics(state))
 
     def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.
