@@ -334,7 +334,9 @@ class TrackingController(ProvenLaw):
         return self.kinematics.report(self._of_kinematics(state))
 
     def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with the translations that a state has learnt.
+        """Return the believed robot with what a state has learnt of its tool and joint origins.
+
+        Masses, friction and the tracker are not in it; a state that is saved has them all.
 
         Raises:
             InvalidInputError: Kinematics that learn nothing, or a state of another controller.

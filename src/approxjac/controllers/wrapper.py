@@ -82,7 +82,9 @@ class ControllerWrapper(Immutable, Controller):
         return report
 
     def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with the translations that a state has learnt.
+        """Return the believed robot with what a state has learnt of its tool and joint origins.
+
+        Masses, friction and the tracker are not in it; a state that is saved has them all.
 
         Raises:
             InvalidInputError: A controller that learns no kinematics, or a state of another one.
