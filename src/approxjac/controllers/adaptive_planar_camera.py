@@ -12,7 +12,7 @@ from approxjac.controllers.kinematic_unknowns import KINDS
 from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.predicted import Kinematics, Prediction
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Measurement, Target
+from approxjac.interface import Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import ImageTask, PlanarCamera, PositionTask
 from approxjac.validation import Array, as_number, require
@@ -86,6 +86,10 @@ class AdaptivePlanarCamera(Kinematics):
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
         """Return the state after learning from a measurement, and dt [s] later."""
         return self.kinematics.step(state, self._located(measurement), dt)
+
+    def status(self, state: Array, measurement: Measurement) -> Status:
+        """Return what may be done by a state; see `Kinematics`."""
+        return self.kinematics.status(state, measurement)
 
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> Prediction:
         """Return the predicted error at q (nq,) and q̇ (n_v,), turned into the base's axes.

@@ -94,6 +94,18 @@ def require_finite(q: Array, v: Array, target: Array, state: Array, task: Task) 
     task.target(target)
 
 
+def time_of_x(t_x: Any) -> float | None:
+    """Return when x was taken [s], or refuse it; None where it is not known, or no x is there yet.
+
+    The latter is -inf.
+    """
+    if t_x is None or (isinstance(t_x, float) and -math.inf < t_x < math.inf):
+        return t_x
+    if isinstance(t_x, float) and t_x == -math.inf:
+        return None
+    return as_number("t_x of a measurement", t_x, unit="s")
+
+
 def overflow(measurement: Measurement) -> MeasurementError:
     """Return the error of a law whose torque is no number."""
     _, q, v, x, _ = measurement

@@ -248,6 +248,30 @@ class Unknowns:
         turn = law.rotation_log(R) if self.turns else np.zeros(0)
         return np.concatenate([u, tool, R.dot(c) if len(c) else c, turn])
 
+    def tool(self, told: Array) -> Array:
+        """Return the rotation of the tool from what is believed, of what is told (p,), (3, 3)."""
+        if not self.n_t:
+            return np.eye(3)
+        start = len(self.of_theta)
+        return law.rotation_exp(told[start : start + 3])
+
+    def left(self, x: Array, predicted: Array) -> Array:
+        """Return what is left of x, of a pose as position and rotation vector, (m,) [m]."""
+        if self.orientation is None:
+            return x - predicted
+        turn = self.orientation.left(x[3:], predicted[3:])
+        return np.concatenate([x[:3] - predicted[:3], turn])
+
+    def unscaled(self, P: Array, told: Array) -> Array:
+        """Return a covariance, of translations that were learnt times the scale, as without it."""
+        if not self.has_scale:
+            return P
+        n = self.n_u - 1
+        T = np.eye(len(P))
+        T[:n, :n] /= told[n]
+        T[:n, n] = -told[:n] / told[n]
+        return np.asarray(T.dot(P).dot(T.T))
+
     def merged(self, P: Array, Theta: Array) -> Array:
         """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
         if not self.n_t:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Measurement, Target
+from approxjac.interface import Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable, as_vector
@@ -80,6 +80,14 @@ class Kinematics(Immutable, ABC):
 
         A measurement whose x is lost, or has been seen before, teaches nothing.
         """
+
+    def status(self, state: Array, measurement: Measurement) -> Status:
+        """Return what may be done by a state, if any, of kinematics that learn from x.
+
+        `MEASUREMENT_LOST` before x was ever seen, so that what is predicted is as believed;
+        `PREDICTED` where x is too old to be learnt from, for a second; else `OK`.
+        """
+        return Status.OK
 
     @abstractmethod
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> Prediction:

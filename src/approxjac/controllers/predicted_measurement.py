@@ -19,6 +19,7 @@ from approxjac.tasks import Task
 from approxjac.validation import Array, as_vector, require
 
 _OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
+_LOST = Status.MEASUREMENT_LOST
 
 
 class PredictedMeasurement(ControllerWrapper):
@@ -28,7 +29,8 @@ class PredictedMeasurement(ControllerWrapper):
     believed Jacobian: for it J = Ĵ, so p = 0 of the paper's Theorem 1, whatever the true arm is.
     With kinematics whose estimates move by θ̂' ∈ L², as those of Theorem A do, s(z) and q̇ go to
     zero, and e with z: docs/learning_kinematics.md. Noise, delay and frames of the sensor are
-    outside the loop.
+    outside the loop. Until x was seen once there is none to predict, and the law does what it does
+    where x is lost; later it goes on with what is predicted.
 
     Its state is that of the controller, followed by that of the kinematics.
 
@@ -143,11 +145,14 @@ class PredictedMeasurement(ControllerWrapper):
         if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
             require_finite(q, v, x_d, state, self._task)
         target, e = with_rates(target._replace(x=x_d), self._task.m), self._task.error(x, x_d)
+        now = self.kinematics.status(known, measurement)
         seen, origin = self._predicted(known, measurement, target)
+        if now is _LOST:  # nothing is predicted before x was seen once
+            seen.x[: self._task.m] = math.nan
         after, answer = self.controller.step(inner, seen, origin, dt)
         known = self.kinematics.step(known, measurement, dt)
         status = answer.status
-        if status is _OK and not math.isfinite(math.hypot(*e.tolist())):
+        if status is _OK and (now is _PREDICTED or not math.isfinite(math.hypot(*e.tolist()))):
             status = _PREDICTED
         return np.concatenate([after, known]), answer._replace(e=e, status=status)
 
