@@ -42,8 +42,9 @@ class Status(_Outcome):
         "and its pseudo-inverse is damped"
     )
     MEASUREMENT_LOST = (
-        "the task measurement is not finite: no position force, damping and gravity compensation "
-        "only, adaptation frozen"
+        "the task measurement is not finite, or none was seen yet that can be learnt from: no "
+        "position force, damping and gravity compensation only, adaptation frozen (law T goes on "
+        "learning what holds the arm)"
     )
     TORQUE_SATURATED = (
         "the law asks for more than the robot's effort limits: what it learns stands still"
@@ -56,8 +57,8 @@ class Status(_Outcome):
         "of: what it learns stands still"
     )
     PREDICTED = (
-        "the task measurement is not finite: the law goes on with the predicted value, of which "
-        "nothing is learnt meanwhile"
+        "the task measurement is not finite, or too old to be learnt from: the law goes on with "
+        "the predicted value, of which nothing is learnt meanwhile"
     )
     NOT_PREDICTED = (
         "there is no prediction to go by, such as of a point that the believed camera does not "

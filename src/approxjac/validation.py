@@ -19,6 +19,7 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 Array = NDArray[np.float64]
 _FLOAT64 = np.dtype(np.float64)
 _LARGEST = 1e60
+_MANY = 50  # numbers, of which the wrong ones are counted in a message
 _CHANGEABLE = (list, dict, np.ndarray)
 
 
@@ -45,7 +46,9 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
             f"{name} must have shape {wanted}{suffix}, got shape {array.shape}", given=value
         )
     if not np.isfinite(array).all():
-        raise InvalidInputError(f"{name} must be finite{suffix}, got {array.tolist()}", given=value)
+        wrong = array.size - int(np.isfinite(array).sum())
+        told = array.tolist() if array.size <= _MANY else f"{wrong} of {array.size} that are not"
+        raise InvalidInputError(f"{name} must be finite{suffix}, got {told}", given=value)
     array.flags.writeable = False
     return array
 
@@ -77,9 +80,10 @@ def as_number(
     unit: str = "",
     minimum: float = -math.inf,
     above: float = -math.inf,
+    most: float = math.inf,
 ) -> float:
-    """Return `value` as a finite float that is >= `minimum` and > `above`."""
-    if type(value) is float and value >= minimum and value > above and math.isfinite(value):
+    """Return `value` as a finite float that is >= `minimum`, > `above` and <= `most`."""
+    if type(value) is float and minimum <= value <= most and value > above and math.isfinite(value):
         return value  # the quick way
     suffix = f" [{unit}]" if unit else ""
     bound = ""
@@ -87,12 +91,14 @@ def as_number(
         bound = f" >= {minimum:g}"
     elif above > -math.inf:
         bound = f" > {above:g}"
+    if most < math.inf:
+        bound += f"{' and' if bound else ''} <= {most:g}"
     try:
         number = float(value) if np.ndim(value) == 0 else math.nan
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if isinstance(value, bool | str | bytes) or not (
-        math.isfinite(number) and number >= minimum and number > above
+        math.isfinite(number) and minimum <= number <= most and number > above
     ):
         raise InvalidInputError(
             f"{name} must be a finite number{bound}{suffix}, got {value!r}", given=value

@@ -312,6 +312,20 @@ def test_points_that_jump_or_are_lost_do_not_spoil_what_was_learnt(room_run, roo
     assert late(run, 2.5, 4.0) < late(clean, 2.5, 4.0) + 2.0
 
 
+def test_a_point_that_is_never_seen_does_not_cost_the_memory(hand):
+    """Frames at one place are one key frame, whichever points they show."""
+    goal, sensor, task = hand
+    kinematics, estimator = AdaptiveCamera(task), AdaptiveCamera(task)._estimator
+    H, o = kinematics._points.at(goal)
+    y = kinematics._rays.at(sensor.value(goal) / 600.0)
+    y[1] = np.nan
+    numbers = estimator.initial()
+    for _ in range(5):
+        numbers = estimator.learn(numbers, H, o, y)
+    (weights, *_) = estimator._terms(numbers)
+    assert_allclose(weights, 5.0 * estimator._weight[np.newaxis])
+
+
 def test_a_camera_that_was_moved_is_learnt_anew(room_run, room):
     """Rolled by 90°, all of a sudden."""
     kinematics, _ = room_run
@@ -394,7 +408,7 @@ def test_points_that_are_believed_behind_the_camera_are_found(room):
         ({"unknown": ()}, "unknown must be one or more of"),
         ({"unknown": 3}, "unknown must be one or more of"),
         ({"noise": 0.0}, r"noise must be a finite number > 0 \[px\]"),
-        ({"delay": -1.0}, r"delay must be a finite number >= 0 \[s\]"),
+        ({"delay": -1.0}, r"delay must be a finite number >= 0 and <= 1 \[s\]"),
         ({"sd": {"tool": 0.0}}, "sd of tool must be a finite number > 0"),
     ],
     ids=str,

@@ -155,8 +155,9 @@ def test_what_was_learnt_is_the_next_belief(turned_run, truth):
     kinematics, R, run = turned_run
     turn, offset = camera(kinematics, run.state)
     tracker = TrackerTask(kinematics.robot(run.state), rotation_log(turn), offset)
-    for unknown in (("tool",), ("tool", "offset"), ("tool", "origins", "camera")):
-        again = AdaptiveKinematics(tracker, unknown, {"tool": 0.02, "offset": 0.02, "camera": 0.1})
+    sd = {"tool": 0.02, "offset": 0.02, "camera": 0.1}
+    for unknown, n in ((("tool",), 1), (("tool", "offset"), 2), (("tool", "origins", "camera"), 3)):
+        again = AdaptiveKinematics(tracker, unknown, dict(list(sd.items())[:n]))
         assert late(follow(again, truth, R, seconds=2.0), 1.0, 2.0) < 6e-3
 
 
@@ -211,8 +212,8 @@ def test_theorem_a_holds_for_any_rotation(belief, truth, angle):
 def test_a_rotation_near_a_known_one_is_learnt_as_without(belief, rng):
     """With a rotation that is as good as known both estimators are one."""
     known, free = (
-        AdaptiveKinematics(belief, ("tool", "origins", last), {"camera": 1e-5})
-        for last in ("offset", "camera")
+        AdaptiveKinematics(belief, ("tool", "origins", last), sd)
+        for last, sd in (("offset", {}), ("camera", {"camera": 1e-5}))
     )
     states = [
         each.initial_state(aj.Measurement(0.0, START, np.zeros(7), np.zeros(3)))
@@ -404,6 +405,23 @@ def test_the_age_of_x_is_told_by_the_delay_where_x_does_not_tell_it(belief, trut
     assert late(wrong, 2.0, 3.0) > 1.5 * late(told, 2.0, 3.0)
 
 
+def test_a_frame_is_learnt_once_where_the_clock_of_x_is_ahead(belief):
+    """By 20 ms: it would be new again and again, and paired with where the arm is by now."""
+    kinematics, sensor, states = AdaptiveKinematics(belief), aj.PositionTask(belief), []
+    for ahead in (None, 0.02):
+        state = None
+        for k in range(100):
+            t, taken = k * 1e-3, k // 20 * 0.02
+            t_x = None if ahead is None else taken + ahead
+            measurement = aj.Measurement(
+                t, START + t, np.ones(7), sensor.value(START + taken) + 0.01 * taken, t_x
+            )
+            state = kinematics.initial_state(measurement) if state is None else state
+            state = kinematics.step(state, measurement, 1e-3)
+        states.append(state)
+    assert_allclose(*states)
+
+
 @pytest.mark.parametrize("x", [np.full(3, np.nan), np.full(3, 1e30), [np.inf, 0.0, 0.0]], ids=str)
 def test_nothing_that_is_measured_makes_a_state_that_is_not_finite(belief, x):
     kinematics = AdaptiveKinematics(belief)
@@ -446,7 +464,7 @@ def test_any_arm_learns_and_bears_any_measurement(arm, unknown, rng):
     for _ in range(60):
         t = rng.choice([t, t + 0.05, 20.0 * rng.random()])
         x = seen() + rng.choice([0.0, 0.5, 1e300, np.nan, np.inf]) * rng.standard_normal(d)
-        measurement = aj.Measurement(t, q, v, x, rng.choice([None, t, t - 0.05, t + 1.0, np.nan]))
+        measurement = aj.Measurement(t, q, v, x, rng.choice([None, t, t - 0.05, t + 1.0, -np.inf]))
         q = arm.random_configuration(rng)
         state = kinematics.step(state, measurement, rng.choice([1e-3, 0.1, 1.0]))
         target = aj.Target(np.zeros(d), np.zeros(d), np.zeros(d))
@@ -538,6 +556,23 @@ def test_several_points_and_some_of_their_axes(belief, truth, rng):
             one = np.where(np.arange(6) == 1, np.nan, back(sensor.value(q)) + 1e-3)
             seen = aj.Measurement(50.0, q, np.zeros(7), one, 50.0)
             assert np.isfinite(kinematics.step(state, seen, DT)).all()
+
+
+def test_a_point_that_is_lost_while_the_arm_moves_on_has_not_jumped(belief, rng):
+    names = ("panda_link5", "object_tip")
+    sensor = StackedTask(*(aj.PositionTask(belief, name) for name in names))
+    kinematics, state = AdaptiveKinematics(sensor, ("tool", "origins"), {"tool": 0.02}), None
+    for k in range(60):
+        q = START + 0.02 * k
+        x = sensor.value(q) + 1e-3 * rng.standard_normal(6)
+        if 10 < k < 50:
+            x[3:] = np.nan
+        seen = aj.Measurement(k / 60.0, q, np.zeros(7), x, k / 60.0)
+        state = kinematics.initial_state(seen) if state is None else state
+        state = kinematics.step(state, seen, DT)
+    report = kinematics.report(state)
+    assert report.restarts == 0
+    assert_allclose(report.seconds, 59 / 60.0)  # of frames that are all believed
 
 
 @pytest.mark.parametrize("unknown", [("tool", "origins", "offset"), ("tool", "origins", "camera")])

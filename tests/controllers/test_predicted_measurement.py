@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.controllers import KnownKinematics, PredictedMeasurement
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.simulation import Sensing
 from approxjac.tasks import TrackerTask
 
@@ -99,6 +99,30 @@ def test_what_does_not_fit_is_refused(panda, two_link):
         PredictedMeasurement(law, None)
     with pytest.raises(InvalidInputError, match="build a new controller"):
         PredictedMeasurement(law, KnownKinematics(task)).with_task(task)
+
+
+@pytest.mark.parametrize("law", ["set-point law", "law T"])
+def test_what_makes_no_sense_has_an_error_with_a_name(panda, law):
+    controller = controller_of(panda)
+    if law == "law T":
+        controller = aj.TrackingController(controller.task, kinematics=controller.kinematics)
+    x = controller.task.value(HOME)
+    good = aj.Measurement(0.0, HOME, np.zeros(7), x, 0.0)
+    state = controller.initial_state(good)
+    for wrong in ({"x": x[:2]}, {"q": HOME[:2]}, {"v": HOME[:2]}):
+        with pytest.raises(InvalidInputError, match="must be an array of shape"):
+            controller.initial_state(good._replace(**wrong))
+        with pytest.raises(InvalidInputError, match="must be an array of shape"):
+            controller.step(state, good._replace(**wrong), x, 1e-3)
+    for lost in ({"q": np.nan * HOME}, {"v": np.full(7, np.inf)}):
+        with pytest.raises(MeasurementError, match="stop the robot"):
+            controller.step(state, good._replace(**lost), x, 1e-3)
+    for target in (aj.Target(x, x[:2]), aj.Target(x, None, x[:2]), aj.Target(x, x, np.nan * x)):
+        with pytest.raises(InvalidInputError, match="of the target must"):
+            controller.step(state, good, target, 1e-3)
+    for other in (state[:-1], np.append(state, 0.0), np.nan * state):
+        with pytest.raises(InvalidInputError, match="state must"):
+            controller.resumed(other, good)
 
 
 @pytest.mark.parametrize("law", ["set-point law", "law T"])

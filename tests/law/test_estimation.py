@@ -48,6 +48,16 @@ def test_a_rotation_vector_comes_back(direction, angle):
         assert_allclose(again, phi, atol=1e-6)
 
 
+@pytest.mark.parametrize("angle", [1e-9, 1e-7, 1e-4, 3.0, 3.05, np.pi - 1e-5, np.pi - 1e-8, np.pi])
+@pytest.mark.parametrize("axis", [(1, 0.2, -0.1), (-0.3, -1, 0.1), (0.2, 0.1, -1), (0, 0, 1)])
+def test_the_smallest_and_largest_rotation_vectors_come_back(angle, axis):
+    phi = angle * np.array(axis) / np.linalg.norm(axis)
+    again = law.rotation_log(law.rotation_exp(phi))
+    if angle == np.pi:  # either of the two
+        again = again * np.sign(again @ phi)
+    assert_allclose(again, phi, rtol=1e-7, atol=1e-14)
+
+
 @given(st.floats(-3.1, 3.1))
 def test_an_angle_in_the_plane_comes_back(angle):
     R = law.rotation_exp(np.array([angle]))
@@ -61,6 +71,9 @@ def test_the_nearest_rotation_is_kabschs(d, rng):
     assert np.linalg.det(R) == pytest.approx(1.0)
     points = rng.standard_normal((5, d))
     assert_allclose(law.nearest_rotation((points @ R.T).T @ points), R, atol=1e-12)
+    mirrored = R @ np.diag([3.0, -2.0, 1.0][:d])
+    best = np.vdot(law.nearest_rotation(mirrored), mirrored)
+    assert best == pytest.approx([1.0, 4.0][d - 2])  # the smallest has the wrong sign
 
 
 def test_no_rotation_is_far_from_all_of_those_everywhere(rng):
@@ -76,14 +89,20 @@ def test_no_rotation_is_far_from_all_of_those_everywhere(rng):
 @pytest.mark.parametrize("d", [2, 3])
 def test_the_best_rotation_is_a_maximum(d, rng):
     G = law.generators(d)
-    for _ in range(5):
-        root, h = rng.standard_normal((d * d, 5)), rng.standard_normal(d * d)
+    for k in range(40):
+        root, h = rng.standard_normal((d * d, 1 + k % 5)), rng.standard_normal(d * d)
         M, A = root @ root.T, law.nearest_rotation(rng.standard_normal((d, d)))
+        curved = law.rotation_information(M, h, A)
+        assert_allclose(curved, curved.T, atol=1e-12 * np.abs(curved).max())
         best = A
         for _ in range(10):
-            best = law.best_rotation(M, h, best)
+            before, best = best, law.best_rotation(M, h, best)
+            least = law.explained(M, h, before)
+            assert law.explained(M, h, best) >= least - 1e-12 * abs(least)
         value = law.explained(M, h, best)
-        assert value >= law.explained(M, h, A)
+        slope = law.tangents(best).T @ (M @ best.ravel() + h)
+        assert_allclose(slope, 0.0, atol=1e-9 * (1.0 + np.abs(M).max()))
+        assert np.linalg.eigvalsh(law.rotation_information(M, h, best))[0] > -1e-9  # no saddle
         turn, e = rng.standard_normal(len(G)), 1e-4
         after, before = (law.explained(M, h, law.rotation_exp(s * turn) @ best) for s in (e, -e))
         assert after - before == pytest.approx(0.0, abs=1e-7 * abs(value))

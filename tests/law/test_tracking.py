@@ -86,13 +86,15 @@ def test_a_jacobian_of_zeros_leaves_the_self_motion():
 
 
 def test_speeds_are_brought_within_their_limits_as_a_whole(rng):
-    v0, v1 = rng.normal(size=(2, 5))
     fastest = np.array([0.5, np.inf, 2.0, 0.3, 1.0])
-    v, a = law.within_speeds(v0, v1, fastest)
-    assert (np.abs(v) <= fastest * (1.0 + 1e-12)).all()
-    assert_allclose(np.cross(v[:3], v0[:3]), 0.0, atol=1e-15)
-    expected = rate_of(lambda t: law.within_speeds(v0 + t * v1, v1, fastest)[0])
-    assert_allclose(a, expected, atol=1e-8)
+    for i, share in ((3, -1.5), (3, 4.0), (0, 1.2), (2, -3.0)):
+        v0, v1 = 0.1 * rng.normal(size=(2, 5))
+        v0[i] = share * fastest[i]  # the one that is farthest beyond
+        v, a = law.within_speeds(v0, v1, fastest)
+        assert v[i] == pytest.approx(np.sign(share) * fastest[i])
+        assert_allclose(v, v0 / abs(share))
+        expected = rate_of(lambda t, v0=v0, v1=v1: law.within_speeds(v0 + t * v1, v1, fastest)[0])
+        assert_allclose(a, expected, atol=1e-8)
     slow, slowly = law.within_speeds(0.1 * fastest[[0, 2]], v1[:2], fastest[[0, 2]])
     assert_allclose(slow, 0.1 * fastest[[0, 2]])
     assert_allclose(slowly, v1[:2])

@@ -94,6 +94,27 @@ def test_dynamics_are_those_of_all_joints_moving_together(coupled, rng):
         assert_allclose(dynamics.M_dot(q, v), slope, atol=1e-8)
 
 
+def test_inertia_of_an_arm_that_branches_behind_a_mimic_joint(rng):
+    robot = aj.load_robot(
+        chain(
+            J1,
+            joint("j2", "a", "b", "0 1 1", mimic=mimic("j1", 1.0, 0.0)),
+            joint("j3", "b", "c", "1 0 0"),
+            joint("j4", "b", "d", "0 0 1"),
+        )
+    )
+    dynamics, rest = Dynamics(robot), np.zeros(3)
+    for _ in range(5):
+        q, tau = robot.random_configuration(rng), rng.normal(size=3)
+        g = dynamics.g(q)
+        columns = [dynamics.inverse(q, rest, unit) - g for unit in np.eye(3)]
+        assert_allclose(dynamics.M(q), np.transpose(columns), atol=1e-12)
+        assert (dynamics.M(q) == dynamics.M(q).T).all()
+        assert_allclose(dynamics.M_inv(q) @ dynamics.M(q), np.eye(3), atol=1e-12)
+        a = dynamics.forward(q, rest, tau)
+        assert_allclose(dynamics.inverse(q, rest, a), tau, atol=1e-10)
+
+
 def test_jacobians_are_those_of_all_joints_moving_together(coupled, rng):
     robot, model, G, b = coupled
     data, task = model.createData(), aj.PositionTask(robot, frame="d")

@@ -76,6 +76,16 @@ def test_it_prints_what_differs_from_the_defaults():
     assert scenario.true.object.mass == 0.5  # a table changes what it names
 
 
+def test_an_object_may_point_anywhere():
+    """As `with_object(axis=(0, 1, 1))` has it; in a file and as an option of the command line."""
+    scenario = Scenario("ur5", true={"object": {"length": 0.2, "axis": (0, 1, 1)}})
+    assert "axis = [0.0, 1.0, 1.0]" in str(scenario)
+    arm = aj.load_robot("ur5").with_object(0.2, 0.5, axis=(0.0, 1.0, 1.0))
+    assert scenario.build().plant.robot == arm
+    with pytest.raises(aj.InvalidInputError, match="a list of 3 numbers or a word, got 3"):
+        Scenario("ur5", true={"object": {"axis": 3}})
+
+
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_are_built(path):
     built = Scenario.load(path).build()

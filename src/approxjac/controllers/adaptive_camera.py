@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers.arguments import LONGEST_DELAY, is_rotation
 from approxjac.controllers.camera_unknowns import CameraUnknowns
 from approxjac.controllers.image_estimator import Estimate, ImageEstimator
 from approxjac.controllers.image_rays import ImageRays
-from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, is_seen
-from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber, TiltedAxes
+from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, parts_of
+from approxjac.controllers.kinematic_report import KinematicReport, TiltedAxes, rows_of
 from approxjac.controllers.predicted import Kinematics, Prediction
-from approxjac.interface import Measurement, Target
+from approxjac.interface import Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import ImageTask, PinholeCamera
 from approxjac.tasks.analysis import seen_configurations
@@ -62,7 +63,8 @@ class AdaptiveCamera(Kinematics):
             "rotation" [rad], and of "focal_length" the logarithm; by default 0.2, 0.2, 0.02, 0.5,
             1.0 and 0.3.
         noise: Standard deviation of x [px].
-        delay: Age of x where `Measurement.t_x` is None [s].
+        delay: Age of x where `Measurement.t_x` is None [s]. No frame that is older than 0.25 s, or
+            than twice the delay, is learnt from.
         dt: Sampling time of control [s].
 
     Attributes:
@@ -89,7 +91,7 @@ class AdaptiveCamera(Kinematics):
         self._unknowns = unknowns = CameraUnknowns(task, unknown, sd)
         self.task, self.unknown, self.names = task, unknowns.kinds, unknowns.names
         self.noise = as_number("noise", noise, unit="px", above=0.0)
-        self.delay = as_number("delay", delay, unit="s", minimum=0.0)
+        self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
         dt = as_number("dt", dt, unit="s", above=0.0)
         self._points, self._believed = unknowns.points, unknowns.believed
         self._k, n = self._points.k, len(self._believed.u)
@@ -110,26 +112,9 @@ class AdaptiveCamera(Kinematics):
             "u": n, "R": 9, "t": 3, "stretch": 1, "b": m,
             "u_dot": n, "spin": 3, "t_dot": 3, "stretch_dot": 1, "b_dot": m,
         }  # fmt: skip
-        ends = np.cumsum(list(sizes.values())).tolist()
-        self._at = {
-            name: slice(end - size, end)
-            for (name, size), end in zip(sizes.items(), ends, strict=True)
-        }
-        self.n_state = ends[-1]
-        learnt = (
-            "keys",
-            "told",
-            "integral",
-            "averaged",
-            "left",
-            "seen",
-            "u",
-            "R",
-            "t",
-            "stretch",
-            "b",
-        )
-        self._kept = tuple(self._at[name] for name in learnt)
+        self._at, self.n_state = parts_of(sizes)
+        learnt = "keys told integral averaged left seen u R t stretch b"
+        self._kept = tuple(self._at[name] for name in learnt.split())
 
     def __repr__(self) -> str:
         return f"AdaptiveCamera({self.task!r}, unknown={self.unknown})"
@@ -139,26 +124,35 @@ class AdaptiveCamera(Kinematics):
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step, shape (n_state,): what is believed.
 
-        The camera is believed where it sees the first x, if that is not lost.
+        The camera is believed where it sees the first x that is not lost.
         """
         at, state = self._at, np.zeros(self.n_state)
         measurement = self._rays.of_measurement(measurement)
         state[at["frames"]] = self._frames.initial(measurement)
-        numbers, x = self._estimator.initial(), measurement.x
-        y = self._rays.at(np.where(is_seen(x), x, np.nan))
-        if np.isfinite(y).all(axis=1).any():
-            H, o = self._points.at(measurement.q)
-            guess = self._estimator.learn(numbers, H, o, y)
-            numbers = self._estimator.renewed(guess)
-            numbers[-2] = 1e-12  # the camera was placed
-        state[at["keys"]] = numbers
+        state[at["keys"]] = self._estimator.initial()
         state[at["time"]] = measurement.t
         state[at["seen"]] = 0.0, 0.0, self.noise**2, 0.0
+        self._place(state, self._frames.first(measurement))
+        return state
+
+    def _place(self, state: Array, frame: Frame | None) -> None:
+        """Let the camera, and what is controlled, begin where it sees a first frame, in place."""
+        at, numbers = self._at, state[self._at["keys"]]
+        y = None if frame is None else self._rays.at(frame.x)
+        if frame is not None and y is not None and np.isfinite(y).all(axis=1).any():
+            H, o = self._points.at(frame.q)
+            numbers = self._estimator.renewed(self._estimator.learn(numbers, H, o, y))
+            numbers[-2] = 1e-12  # the camera was placed
+            state[at["keys"]] = numbers
         u, R, p, stretch = estimate = self._estimator.estimate(numbers)
         state[at["told"]] = self._in_order(estimate)
         state[at["u"]], state[at["R"]], state[at["t"]] = u, R.ravel(), -R.dot(p)
         state[at["stretch"]] = stretch
-        return state
+
+    def status(self, state: Array, measurement: Measurement) -> Status:
+        """Return what may be done by a state; see `Kinematics`."""
+        has_begun = self._estimator.has_begun(state[self._at["keys"]])
+        return self._frames.status(state[self._at["frames"]], measurement, has_begun)
 
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
         """Return the state after learning from a measurement, and dt [s] later.
@@ -167,9 +161,12 @@ class AdaptiveCamera(Kinematics):
         """
         state, measurement = state.copy(), self._rays.of_measurement(measurement)
         numbers = state[self._at["frames"]]
+        measurement = self._frames.on_time(numbers, measurement, dt)
         is_time = self._frames.remember(numbers, measurement)
         frame = self._frames.new(numbers, measurement)
         if frame is not None:
+            if not self._estimator.has_begun(state[self._at["keys"]]):
+                self._place(state, frame)
             believed, is_anew = self._gate.judge(state[self._at["gate"]], frame, self._reach)
             if believed:
                 self._learn(state, frame, is_anew)
@@ -329,8 +326,13 @@ class AdaptiveCamera(Kinematics):
 
     # -- what was learnt -----------------------------------------------------------------
 
+    def _is_state(self, state: Array) -> bool:
+        _, R, _, _ = self._estimator.estimate(state[self._at["keys"]])
+        return is_rotation(R)
+
     def camera(self, state: Array) -> PinholeCamera:
         """Return the camera as a state has learnt it."""
+        state = self._required(state)
         _, R, p, stretch = self._estimator.estimate(state[self._at["keys"]])
         return self._camera.with_error(
             shift=self._believed.R.dot(p - self._believed.p),
@@ -340,7 +342,7 @@ class AdaptiveCamera(Kinematics):
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the translations that a state has learnt."""
-        u, *_ = self._estimator.estimate(state[self._at["keys"]])
+        u, *_ = self._estimator.estimate(self._required(state)[self._at["keys"]])
         return self._points.regressor.robot_with(self._points.theta(u))
 
     def report(self, state: Array) -> KinematicReport:
@@ -348,7 +350,8 @@ class AdaptiveCamera(Kinematics):
 
         The covariance is of the rotation in the learnt camera's own axes.
         """
-        at, keys, noise = self._at, state[self._at["keys"]], self.noise
+        at, noise, state = self._at, self.noise, self._required(state)
+        keys = state[at["keys"]]
         told, sd = self.learnt(state).copy(), self._estimator.sd[self._told]
         believed = self._in_order(self._believed)
         seconds, restarts, variance, _ = state[at["seen"]].tolist()
@@ -361,13 +364,10 @@ class AdaptiveCamera(Kinematics):
         if units[-1] == "px":  # of which the logarithm is learnt
             scale[-1] = told[-1]
         P = P * (max(chi, 1.0) * beyond) * scale * scale[:, np.newaxis]
-        numbers = np.array([believed, told, np.sqrt(P.diagonal()), share]).T.tolist()
-        rows = tuple(
-            LearntNumber(name, unit, *each)
-            for name, unit, each in zip(self.names, units, numbers, strict=True)
-        )
+        rows = rows_of(self.names, units, believed, told, P, share)
         angle = math.hypot(*told[[unit == "rad" for unit in units]].tolist())
         untested, told_seen = TiltedAxes(1.0, 0.0, "", 0.0), (noise, math.sqrt(variance))
         return KinematicReport(
-            rows, P, angle, chi, untested, told_seen, seconds, int(restarts), "px"
-        )
+            rows, P, angle, chi, untested, told_seen, seconds, int(restarts), "px",
+            self._frames.silence(state[at["frames"]]),
+        )  # fmt: skip

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from approxjac.controllers.arguments import chosen_kinds
 from approxjac.controllers.kinematic_report import KinematicReport
+from approxjac.controllers.kinematic_unknowns import KINDS
 from approxjac.controllers.kinematics import AdaptiveKinematics
 from approxjac.controllers.predicted import Kinematics, Prediction
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Measurement, Target
+from approxjac.interface import Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import ImageTask, PlanarCamera, PositionTask
 from approxjac.validation import Array, as_number, require
@@ -65,9 +67,12 @@ class AdaptivePlanarCamera(Kinematics):
         self._m = m = camera.magnification
         c, s = np.cos(camera.roll), np.sin(camera.roll)
         self._R, self._d = np.array([[c, s], [-s, c]]), np.asarray(camera.offset)
-        given = {"tool": 0.5, "origins": 0.5} if sd is None else sd
+        kinds = chosen_kinds(unknown, KINDS)
+        usual = {kind: 0.5 for kind in kinds if kind in ("tool", "origins")}
         position = PositionTask(task.robot, task.frame, axes=camera.plane)
-        self.kinematics = AdaptiveKinematics(position, unknown, given, noise / m, delay, dt)
+        self.kinematics = AdaptiveKinematics(
+            position, unknown, usual if sd is None else sd, noise / m, delay, dt
+        )
         self._kept = self.kinematics._kept
         self.names, self.n_state = self.kinematics.names, self.kinematics.n_state
 
@@ -81,6 +86,10 @@ class AdaptivePlanarCamera(Kinematics):
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
         """Return the state after learning from a measurement, and dt [s] later."""
         return self.kinematics.step(state, self._located(measurement), dt)
+
+    def status(self, state: Array, measurement: Measurement) -> Status:
+        """Return what may be done by a state; see `Kinematics`."""
+        return self.kinematics.status(state, measurement)
 
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> Prediction:
         """Return the predicted error at q (nq,) and q̇ (n_v,), turned into the base's axes.
@@ -105,6 +114,9 @@ class AdaptivePlanarCamera(Kinematics):
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with lengths as the believed camera sees them."""
         return self.kinematics.robot(state)
+
+    def _is_state(self, state: Array) -> bool:
+        return self.kinematics._is_state(state)
 
     def _located(self, measurement: Measurement) -> Measurement:
         """Return a measurement with x in the arm's plane, as the believed camera has it."""

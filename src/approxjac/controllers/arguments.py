@@ -1,18 +1,22 @@
-"""Checks of what a law is given in a step."""
+"""Checks of what a law is given in a step, and of what kinematics are told to learn."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from approxjac.errors import InvalidInputError, MeasurementError
-from approxjac.interface import Measurement
+from approxjac.errors import InvalidInputError, MeasurementError, UnknownNameError
+from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number
+from approxjac.validation import Array, as_number, as_vector, require
 
 FLOAT64 = np.dtype(np.float64)
 HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
+LONGEST_DELAY = 1.0  # of a sensor [s]: one that is longer is in milliseconds
+_NEARLY = 1e-3  # of a rotation, with the round-off of days
 _NUMBERS = (list, tuple, int, float)
 
 
@@ -51,6 +55,16 @@ def require_array(name: str, value: Array, size: int, task: Task) -> None:
         )
 
 
+def with_rates(target: Target, m: int) -> Target:
+    """Return a target whose ẋ_d and ẍ_d are finite vectors (m,) where it has them, or refuse."""
+    x_d, v_d, a_d = target
+    if v_d is not None:
+        v_d = as_vector("v of the target", v_d, m)
+    if a_d is not None:
+        a_d = as_vector("a of the target", a_d, m)
+    return Target(x_d, v_d, a_d)
+
+
 def is_lost(
     q: Array, v: Array, x: Array, target: Array, state: Array, e: Array, task: Task
 ) -> bool:
@@ -80,6 +94,18 @@ def require_finite(q: Array, v: Array, target: Array, state: Array, task: Task) 
     task.target(target)
 
 
+def time_of_x(t_x: Any) -> float | None:
+    """Return when x was taken [s], or refuse it; None where it is not known, or no x is there yet.
+
+    The latter is -inf.
+    """
+    if t_x is None or (isinstance(t_x, float) and -math.inf < t_x < math.inf):
+        return t_x
+    if isinstance(t_x, float) and t_x == -math.inf:
+        return None
+    return as_number("t_x of a measurement", t_x, unit="s")
+
+
 def overflow(measurement: Measurement) -> MeasurementError:
     """Return the error of a law whose torque is no number."""
     _, q, v, x, _ = measurement
@@ -97,3 +123,46 @@ def require_dt(dt: float, sampling_time: float) -> None:
     if not math.isclose(dt, sampling_time):
         wanted = f"that of the controller, {sampling_time:g} [s]"
         raise InvalidInputError(f"dt must be {wanted}, got {dt!r}", given=dt)
+
+
+def chosen_kinds(unknown: Any, valid: Sequence[str]) -> tuple[str, ...]:
+    """Return what may be wrong in words, one or more of those that are valid, or refuse."""
+    try:
+        kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)
+    except TypeError:
+        kinds = ()
+    if not kinds or any(kind not in valid for kind in kinds):
+        raise InvalidInputError(
+            f"unknown must be one or more of {', '.join(valid)}, got {unknown!r}", given=unknown
+        )
+    return kinds
+
+
+def chosen_deviations(
+    sd: Any, usual: Mapping[str, float], used: Collection[str]
+) -> dict[str, float]:
+    """Return plausible errors by kind, those that are given in place of the usual, or refuse.
+
+    One that is not used is refused: who gives it believes that it has an effect.
+    """
+    given = {} if sd is None else sd
+    require("sd", given, Mapping, f"a mapping from some of {', '.join(usual)} to numbers")
+    for kind in given:
+        if kind not in usual:
+            raise UnknownNameError("kind", kind, "sd", usual)
+        if kind not in used:
+            some = ", ".join(each for each in usual if each in used)
+            raise InvalidInputError(
+                f"sd must be of what is unknown, {some}, got one of {kind}, which is taken for "
+                "true; say in unknown what may be wrong",
+                given=sd,
+            )
+    return {
+        kind: as_number(f"sd of {kind}", given.get(kind, value), above=0.0)
+        for kind, value in usual.items()
+    }
+
+
+def is_rotation(R: Array) -> bool:
+    """Return whether R (d, d) is a rotation."""
+    return bool(np.abs(R.dot(R.T) - np.eye(len(R))).max() < _NEARLY)

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
 from approxjac.controllers.image_estimator import Deviations, Estimate
 from approxjac.controllers.watched_points import WatchedPoints
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError
 from approxjac.tasks import ImageTask, PinholeCamera
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array, require
 
 USUAL_SD: Mapping[str, float] = {
     "tool": 0.2, "points": 0.2, "origins": 0.02, "position": 0.5, "rotation": 1.0,
@@ -42,8 +43,11 @@ class CameraUnknowns:
         self.camera = camera = _camera(task)
         where = "tool" if camera.mount is None else "points"
         valid = (where, "origins", "camera", "focal_length")
-        self.kinds = kinds = _kinds((where, *valid[2:]) if unknown is None else unknown, valid)
-        sds = _deviations(sd)
+        self.kinds = kinds = chosen_kinds(
+            (where, *valid[2:]) if unknown is None else unknown, valid
+        )
+        used = {*kinds, *(("position", "rotation") if "camera" in kinds else ())}
+        sds = chosen_deviations(sd, USUAL_SD, used)
         self.points = points = WatchedPoints(task, where in kinds, "origins" in kinds)
         R, p = np.asarray(camera.rotation).T, np.asarray(camera.position)
         self.believed = Estimate(points.u, R, p, 0.0)
@@ -87,27 +91,3 @@ def _camera(task: Any) -> PinholeCamera:
             given=task,
         )
     return camera
-
-
-def _kinds(unknown: Any, valid: tuple[str, ...]) -> tuple[str, ...]:
-    try:
-        kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)
-    except TypeError:
-        kinds = ()
-    if not kinds or any(kind not in valid for kind in kinds):
-        raise InvalidInputError(
-            f"unknown must be one or more of {', '.join(valid)}, got {unknown!r}", given=unknown
-        )
-    return kinds
-
-
-def _deviations(sd: Any) -> dict[str, float]:
-    given = {} if sd is None else sd
-    require("sd", given, Mapping, f"a mapping from some of {', '.join(USUAL_SD)} to numbers")
-    for kind in given:
-        if kind not in USUAL_SD:
-            raise UnknownNameError("kind", kind, "sd", USUAL_SD)
-    return {
-        kind: as_number(f"sd of {kind}", given.get(kind, usual), above=0.0)
-        for kind, usual in USUAL_SD.items()
-    }

@@ -107,6 +107,10 @@ class ImageEstimator:
         """Return what is estimated."""
         return self._unpacked(numbers[self._m : self._m + self._e])
 
+    def has_begun(self, numbers: Array) -> bool:
+        """Return whether there was a frame: χ² is above 0 from the first one on."""
+        return bool(numbers[-2] > 0.0)
+
     def chi_squared(self, numbers: Array) -> float:
         """Return χ² of all key frames a degree of freedom."""
         return float(numbers[-2])
@@ -124,7 +128,7 @@ class ImageEstimator:
         self._remember(numbers, H, o, y)
         terms = self._terms(numbers)
         m, e = self._m, self._e
-        first = not numbers[-2] > 0.0  # of χ²: no frame was there
+        first = not self.has_begun(numbers)
         best = self.estimate(numbers)
         if first or not math.isfinite(self._misfit(best, terms)):
             best = self._placed(best, terms)
@@ -179,9 +183,10 @@ class ImageEstimator:
         keys = numbers[: self._m].reshape(self._shape)
         last = int(numbers[-1])
         key = keys[last]
-        if key[:, 0].any():
-            away = np.abs(key[:, 3:6] - o).max() / _NEW[0]
-            away += np.linalg.norm(key[:, 6:] - H.reshape(self._k, -1)) / _NEW[1]
+        has = key[:, 0] > 0.0
+        if has.any():
+            away = np.abs(key[has, 3:6] - o[has]).max() / _NEW[0]
+            away += np.linalg.norm(key[has, 6:] - H.reshape(self._k, -1)[has]) / _NEW[1]
             if away > 1.0:
                 last = (last + 1) % _KEYS
                 numbers[-1] = last

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers.kinematic_report import TiltedAxes
 from approxjac.controllers.kinematic_unknowns import Unknowns
 from approxjac.validation import Array
 
@@ -43,6 +45,23 @@ class Tilts(NamedTuple):
     sd: Array
 
 
+def tilted_axes(found: Tilts, joints: Sequence[str], scale: float) -> TiltedAxes:
+    """Return what tilts of the axes of joints would explain.
+
+    Args:
+        found: Two tilts a joint.
+        joints: Their names.
+        scale: Of the noise's variance, as it was told over what it is.
+    """
+    if not len(found.tilts):
+        return TiltedAxes(1.0, 0.0, "", 0.0)
+    tilts = np.array([found.tilts, found.tilts / found.sd]).reshape(2, -1, 2)
+    joint = int(np.linalg.norm(tilts[1], axis=1).argmax())
+    angle = float(np.linalg.norm(tilts[0, joint]))
+    chi = found.chi_squared / max(found.freedom, 1e-9) * scale
+    return TiltedAxes(chi, found.freedom, joints[joint], angle)
+
+
 class _Packed:
     """Symmetric matrices (P, P) as their upper triangles, as a state is copied and recorded."""
 
@@ -53,6 +72,11 @@ class _Packed:
         where = np.zeros((P, P), dtype=int)
         where[rows, columns] = where[columns, rows] = np.arange(self.size)
         self._where = where
+
+    def has(self, triangle: Array, prior: Array) -> bool:
+        """Return whether this may be an information matrix that began with a diagonal prior."""
+        # forgetting goes towards the prior, so nothing is ever known less well
+        return bool((self.unpack(triangle).diagonal() > 0.99 * prior.diagonal()).all())
 
     def pack(self, matrix: Array) -> Array:
         return np.asarray(matrix.ravel()[self._upper])
@@ -85,6 +109,10 @@ class KnownCamera:
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
         return self._about(self._first)
+
+    def are_numbers(self, numbers: Array) -> bool:
+        """Return whether they can be those of such an estimator."""
+        return self._packed.has(numbers[: self._packed.size], self.prior)
 
     def renewed(self, numbers: Array) -> Array:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""
@@ -185,6 +213,10 @@ class UnknownCamera:
     def initial(self) -> Array:
         """Return the numbers before the first frame, shape (size,)."""
         return self._about(self._first, self._R.T)
+
+    def are_numbers(self, numbers: Array) -> bool:
+        """Return whether they can be those of such an estimator."""
+        return self._packed.has(numbers[: self._packed.size], self.prior)
 
     def renewed(self, numbers: Array) -> Array:
         """Return numbers that know what was learnt only as a belief, as vague as the first."""

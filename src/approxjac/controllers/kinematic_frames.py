@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from approxjac.interface import Measurement
+from approxjac.controllers.arguments import time_of_x
+from approxjac.interface import Measurement, Status
 from approxjac.robots import Robot
 from approxjac.validation import Array
 
 _SPACING = 10e-3  # between remembered configurations, from which others are interpolated [s]
 _HORIZON = 0.25  # age up to which a frame finds its configuration [s]
 _LONG_AGO = -1e6  # [s]
+_AHEAD = 1e-9  # by which a clock is on time [s]
 _CLOSEST = 4e-3  # between frames, below which there is nothing to learn from the second one [s]
+_STALE = 1.0  # without a frame to learn from, after which it is said [s]
 _FARTHEST = 1e3  # that anything is from the sensor [m]
+
+
+def parts_of(sizes: Mapping[str, int]) -> tuple[dict[str, slice], int]:
+    """Return where parts of a state are, one after the other, and its length."""
+    ends = np.cumsum(list(sizes.values())).tolist()
+    each = zip(sizes.items(), ends, strict=True)
+    return {name: slice(end - size, end) for (name, size), end in each}, ends[-1]
 
 
 def is_seen(x: Array) -> Array:
@@ -36,10 +46,13 @@ class Frame(NamedTuple):
 class Frames:
     """Which x is new, and at which configuration it was taken.
 
-    Its numbers: the last x, when it was taken, where the ring was written last, and the ring of
-    (t, q). A frame is new by `Measurement.t_x`, or where that is None by a change of x, and was
-    taken then, or `delay` ago. One taken before all that the ring remembers is passed over, and so
-    are those that come faster than at 250 Hz.
+    Its numbers: the last x, when it was taken, where the ring was written last, the last t, by how
+    much its own clock is ahead of that, when it last found a frame, and the ring of (t, q). A clock
+    t that stands still from step to step is gone on with by dt.
+
+    A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of
+    now, it is new by a change of x, and was taken `delay` ago. One taken before all that the ring
+    remembers is passed over, and so are those that come faster than at 250 Hz.
 
     Args:
         robot: The believed robot.
@@ -54,7 +67,7 @@ class Frames:
         self._spacing = max(_SPACING, dt)
         self._count = math.ceil(max(_HORIZON, 2.0 * delay) / self._spacing) + 2
         self._width = 1 + robot.nq
-        self._head = n_x + 2
+        self._head = n_x + 5
         self.size = self._head + self._count * self._width
 
     def initial(self, measurement: Measurement) -> Array:
@@ -63,8 +76,35 @@ class Frames:
         ring[:, 0] = measurement.t + self._spacing * np.arange(1 - self._count, 1)
         ring[:, 1:] = measurement.q
         head = np.zeros(self._head)
-        head[-2:] = _LONG_AGO, self._count - 1
+        t = measurement.t
+        head[self._n_x :] = _LONG_AGO, self._count - 1, t - self._spacing, 0.0, t
         return np.concatenate([head, ring.ravel()])
+
+    def first(self, measurement: Measurement) -> Frame | None:
+        """Return the frame that is there before the first step, None if it is lost or too old."""
+        return self.new(self.initial(measurement), measurement)
+
+    def on_time(self, numbers: Array, measurement: Measurement, dt: float) -> Measurement:
+        """Return a measurement by the own clock, dt [s] after the one before if t stands still."""
+        n, t = self._n_x, measurement.t
+        passed, t_x = t - numbers[n + 2], time_of_x(measurement.t_x)
+        numbers[n + 2] = t
+        ahead = numbers[n + 3] + dt if passed == 0.0 else max(numbers[n + 3] - abs(passed), 0.0)
+        numbers[n + 3] = ahead
+        t_x = None if t_x is None else t_x + ahead
+        return measurement._replace(t=t + ahead, t_x=t_x)
+
+    def silence(self, numbers: Array) -> float:
+        """Return for how long there was no frame to learn from [s]."""
+        t, ahead, found = numbers[self._n_x + 2 : self._head].tolist()
+        return max(float(t + ahead - found), 0.0)
+
+    def status(self, numbers: Array, measurement: Measurement, has_begun: bool) -> Status:
+        """Return what may be done by a state (see `Kinematics`) that has seen x, or has not."""
+        if not has_begun:
+            return Status.MEASUREMENT_LOST
+        is_stale = measurement.t_x is not None and self.silence(numbers) > _STALE
+        return Status.PREDICTED if is_stale else Status.OK
 
     def remember(self, numbers: Array, measurement: Measurement) -> bool:
         """Write the configuration at hand into the ring, if it is time.
@@ -90,20 +130,24 @@ class Frames:
         """Return the frame if it is new, and note it; `remember` comes first."""
         n = self._n_x
         t, _, _, x, t_x = measurement
-        is_told = t_x is not None and math.isfinite(t_x)
-        if t_x is not None and is_told:  # a clock that is ahead is wrong
+        is_told = t_x is not None and t_x <= t + _AHEAD
+        if t_x is not None and is_told:
             taken, is_old = min(t_x, t), t_x <= numbers[n]
-        else:
+        else:  # a clock that is ahead is wrong, and would say of one frame that it is always new
             taken, is_old = t - self._delay, x.tolist() == numbers[:n].tolist()
-        if (is_old and numbers[n] > _LONG_AGO) or 0.0 < taken - numbers[n] < _CLOSEST - 1e-9:
+        has_last = numbers[n] > _LONG_AGO
+        if (is_old and has_last) or 0.0 < taken - numbers[n] < _CLOSEST - 1e-9:
             return None
         seen = is_seen(x)
         known = np.where(seen, x, 0.0)
-        if not seen.any() or (not is_told and np.array_equal(known, numbers[:n])):
+        if not seen.any() or (has_last and not is_told and np.array_equal(known, numbers[:n])):
             return None
         numbers[:n], numbers[n] = known, taken
         q = self._at(numbers, taken, measurement)
-        return None if q is None else Frame(np.where(seen, x, np.nan), taken, q)
+        if q is None:
+            return None
+        numbers[n + 4] = t
+        return Frame(np.where(seen, x, np.nan), taken, q)
 
     def _at(self, numbers: Array, t: float, measurement: Measurement) -> Array | None:
         """Return the configuration at a time [s], None if that is longer ago than the ring is."""
@@ -132,7 +176,7 @@ class Gate:
     with each other, the sensor is believed: it was moved.
 
     Its numbers: frames passed over in a row, then of the last frame that was believed and of the
-    last one that was not: configuration, x, and 1 for each entry of x that was ever seen.
+    last one that was not: configuration, x, and 1 for each entry of x that was seen at it.
 
     Args:
         robot: The believed robot.
@@ -187,4 +231,4 @@ class Gate:
         n, seen = self._nq, np.isfinite(frame.x)
         where[:n] = frame.q
         where[n : n + self._n_x][seen] = frame.x[seen]
-        where[n + self._n_x :][seen] = 1.0
+        where[n + self._n_x :] = seen

@@ -92,10 +92,10 @@ class Orientation:
 
     # -- for the law ----------------------------------------------------------------------
 
-    def first(self, q: Array, quaternion: Array, R: Array) -> Array:
-        """Return the T with which the first x is as predicted, or that of the belief, (3, 3)."""
+    def first(self, q: Array, quaternion: Array, R: Array) -> Array | None:
+        """Return the T with which the first x is as predicted, (3, 3), None if that is lost."""
         R_x = self.rotation(quaternion)
-        return _AXES if R_x is None else self.frame_rotation(q).T.dot(R.T).dot(R_x)
+        return None if R_x is None else self.frame_rotation(q).T.dot(R.T).dot(R_x)
 
     def apart(
         self, q: Array, before: tuple[Array, Array], goal: tuple[Array, Array], integral: Array

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 from approxjac.validation import Array
 
 _NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of a number
 _BEYOND = 3.5  # standard deviations of χ²
+_SILENT = 1.0  # without a frame to learn from [s]
 _UNEXPLAINED = 1.5  # χ² a degree of freedom
 
 
@@ -35,6 +39,20 @@ class LearntNumber(NamedTuple):
     def is_seen(self) -> bool:
         """Return whether more than half of the prior variance was resolved."""
         return self.share >= _NOT_SEEN
+
+
+def rows_of(
+    names: Sequence[str],
+    units: Sequence[str],
+    believed: Array,
+    value: Array,
+    covariance: Array,
+    share: Array,
+) -> tuple[LearntNumber, ...]:
+    """Return a row for each of p numbers; arrays of shape (p,), the covariance (p, p)."""
+    numbers = np.array([believed, value, np.sqrt(covariance.diagonal()), share]).T.tolist()
+    each = zip(names, units, numbers, strict=True)
+    return tuple(LearntNumber(name, unit, *row) for name, unit, row in each)
 
 
 class TiltedAxes(NamedTuple):
@@ -77,6 +95,7 @@ class KinematicReport(NamedTuple):
         seconds: Of frames that were learnt from, since the last restart [s].
         restarts: How often learning began anew, as the sensor was moved or the tool slipped.
         unit: Of the noise, "m" or "px".
+        silence: For how long there was no frame to learn from [s].
     """
 
     rows: tuple[LearntNumber, ...]
@@ -88,11 +107,12 @@ class KinematicReport(NamedTuple):
     seconds: float
     restarts: int
     unit: str = "m"
+    silence: float = 0.0
 
     @property
     def is_explained(self) -> bool:
-        """Return whether the parameters that may be wrong explain x."""
-        return self.chi_squared <= _UNEXPLAINED and not self.axes.are_tilted
+        """Return whether the parameters that may be wrong explain x, of which they were learnt."""
+        return self.seconds > 0.0 and self.chi_squared <= _UNEXPLAINED and not self.axes.are_tilted
 
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)
@@ -109,7 +129,10 @@ class KinematicReport(NamedTuple):
         told, seen = (factor * noise for noise in self.noise)
         lines.append(f"noise of x {seen:.2g} {unit}, told {told:.2g} {unit}")
         lines.append(f"chi squared a degree of freedom: {self.chi_squared:.2f}")
-        if not self.is_explained:
+        if self.seconds == 0.0 or self.silence > _SILENT:
+            since = f"for the last {self.silence:.1f} s" if self.seconds else "yet"
+            lines.append(f"no frame to learn from {since}: x is lost, or too old to tell q at it")
+        if self.seconds and not self.is_explained:
             lines.append("the parameters that may be wrong do not explain x")
         if self.axes.are_tilted:
             degrees = math.degrees(self.axes.angle)

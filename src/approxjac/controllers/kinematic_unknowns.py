@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac import law
+from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
 from approxjac.controllers.kinematic_orientation import Orientation
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError
 from approxjac.robots import KinematicRegressor
+from approxjac.robots.joint_limits import reach_bound
 from approxjac.tasks import (
     PoseTask,
     PoseTrackerTask,
@@ -20,7 +22,7 @@ from approxjac.tasks import (
     Task,
     TrackerTask,
 )
-from approxjac.validation import Array, as_number, require
+from approxjac.validation import Array
 
 KINDS = ("tool", "origins", "camera", "offset", "scale")
 """What may be unknown."""
@@ -28,6 +30,7 @@ USUAL_SD: Mapping[str, float] = {
     "tool": 0.2, "orientation": 1.0, "origins": 0.02, "camera": 1.0, "offset": 0.2, "scale": 0.2,
 }  # fmt: skip
 """Plausible errors: of translations and offset along each axis [m], rotations [rad], and scale."""
+_NOISY = 0.3  # of the arm's reach, or of a metre, above which noise is in millimetres
 _TURNABLE = ("xyz", "xy", "yx", "xz", "zx", "yz", "zy")
 
 
@@ -59,11 +62,15 @@ class Unknowns:
         is_turned: Whether x is in other axes than the base's.
         constant: What is to be added to p, as the offset is known, in the base's axes.
         has_scale: Whether a scale is learnt, the last entry of u.
+        largest_noise: Of x that could be meant [m].
         n_t: How many numbers of u the tool's rotation are, its last: 9 or 0.
     """
 
     def __init__(self, task: Task, unknown: Any, sd: Any, length: float) -> None:
-        kinds, sds = _kinds(unknown), _deviations(sd)
+        kinds = chosen_kinds(unknown, KINDS)
+        used = {*kinds, *(("offset",) if "camera" in kinds else ())}
+        used |= {"orientation"} if isinstance(task, PoseTask) and "tool" in kinds else set()
+        sds = chosen_deviations(sd, USUAL_SD, used)
         points = _points(task)
         self.turns, self.has_scale = "camera" in kinds, "scale" in kinds
         axes, self.R, b = self._axes(task, points)
@@ -72,6 +79,8 @@ class Unknowns:
         self.regressor = regressor = KinematicRegressor(task.robot, frames)
         self.n_tilts = 0 if isinstance(task, PoseTask) else 2 * len(regressor.turning)
         entries = [(frames.index(point.frame), axis) for point in points for axis in point.axes]
+        reaches = [reach_bound(task.robot, frame)[1] for frame in frames]
+        self.largest_noise = _NOISY * max(1.0, *reaches)
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
         in_order = rows == list(range(3 * regressor.k))
         self.rows: slice | Array = slice(None) if in_order else np.array(rows)
@@ -239,6 +248,30 @@ class Unknowns:
         turn = law.rotation_log(R) if self.turns else np.zeros(0)
         return np.concatenate([u, tool, R.dot(c) if len(c) else c, turn])
 
+    def tool(self, told: Array) -> Array:
+        """Return the rotation of the tool from what is believed, of what is told (p,), (3, 3)."""
+        if not self.n_t:
+            return np.eye(3)
+        start = len(self.of_theta)
+        return law.rotation_exp(told[start : start + 3])
+
+    def left(self, x: Array, predicted: Array) -> Array:
+        """Return what is left of x, of a pose as position and rotation vector, (m,) [m]."""
+        if self.orientation is None:
+            return x - predicted
+        turn = self.orientation.left(x[3:], predicted[3:])
+        return np.concatenate([x[:3] - predicted[:3], turn])
+
+    def unscaled(self, P: Array, told: Array) -> Array:
+        """Return a covariance, of translations that were learnt times the scale, as without it."""
+        if not self.has_scale:
+            return P
+        n = self.n_u - 1
+        T = np.eye(len(P))
+        T[:n, :n] /= told[n]
+        T[:n, n] = -told[:n] / told[n]
+        return np.asarray(T.dot(P).dot(T.T))
+
     def merged(self, P: Array, Theta: Array) -> Array:
         """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
         if not self.n_t:
@@ -283,29 +316,6 @@ def _points(task: Task) -> list[_Point]:
             f"task must be of one tracker, with one rotation and offset, got {task!r}", given=task
         )
     return points
-
-
-def _kinds(unknown: Any) -> tuple[str, ...]:
-    wanted = f"unknown must be one or more of {', '.join(KINDS)}, got {unknown!r}"
-    try:
-        kinds = (unknown,) if isinstance(unknown, str) else tuple(unknown)
-    except TypeError:
-        kinds = ()
-    if not kinds or any(kind not in KINDS for kind in kinds):
-        raise InvalidInputError(wanted, given=unknown)
-    return kinds
-
-
-def _deviations(sd: Any) -> dict[str, float]:
-    given = {} if sd is None else sd
-    require("sd", given, Mapping, f"a mapping from some of {', '.join(USUAL_SD)} to numbers")
-    for kind in given:
-        if kind not in USUAL_SD:
-            raise UnknownNameError("kind", kind, "sd", USUAL_SD)
-    return {
-        kind: as_number(f"sd of {kind}", given.get(kind, usual), above=0.0)
-        for kind, usual in USUAL_SD.items()
-    }
 
 
 def _unit(name: str) -> str:

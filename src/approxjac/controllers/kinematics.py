@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.kinematic_estimators import KnownCamera, Tilts, UnknownCamera
-from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, is_seen
-from approxjac.controllers.kinematic_report import KinematicReport, LearntNumber, TiltedAxes
+from approxjac.controllers.arguments import LONGEST_DELAY, is_rotation
+from approxjac.controllers.kinematic_estimators import KnownCamera, UnknownCamera, tilted_axes
+from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, parts_of
+from approxjac.controllers.kinematic_report import KinematicReport, rows_of
 from approxjac.controllers.kinematic_unknowns import Unknowns
 from approxjac.controllers.predicted import Kinematics, Prediction
-from approxjac.interface import Measurement, Target
+from approxjac.interface import Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import PositionTask, Task
 from approxjac.validation import Array, as_number
@@ -64,7 +65,8 @@ class AdaptiveKinematics(Kinematics):
         sd: Plausible errors: "tool", "origins" and "offset" [m], "orientation" of the tool and
             "camera" [rad], "scale"; by default 0.2, 0.02, 0.2, 1.0, 1.0 and 0.2.
         noise: Standard deviation of x [m].
-        delay: Age of x where `Measurement.t_x` is None [s].
+        delay: Age of x where `Measurement.t_x` is None [s]. No frame that is older than 0.25 s, or
+            than twice the delay, is learnt from.
         dt: Sampling time of control [s].
         angle_noise: Standard deviation of the orientation of a pose [rad].
 
@@ -76,7 +78,8 @@ class AdaptiveKinematics(Kinematics):
 
     Raises:
         InvalidInputError: Another task, nothing unknown or something else than that, a scale
-            beside unknown origins or joints that slide, or numbers that make no sense.
+            beside unknown origins or joints that slide, an sd of what is not unknown, or numbers
+            that make no sense, such as milliseconds.
         UnknownNameError: An sd of something else.
     """
 
@@ -94,11 +97,12 @@ class AdaptiveKinematics(Kinematics):
         task = PositionTask(task) if isinstance(task, Robot) else task
         self.task, self.unknown = task, unknown
         self.noise = as_number("noise", noise, unit="m", above=0.0)
-        angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0)
-        self.delay = as_number("delay", delay, unit="s", minimum=0.0)
+        angle_noise = as_number("angle_noise", angle_noise, unit="rad", above=0.0, most=1.0)
+        self.delay = as_number("delay", delay, unit="s", minimum=0.0, most=LONGEST_DELAY)
         dt = as_number("dt", dt, unit="s", above=0.0)
         length = self.noise / angle_noise
         self._unknowns = unknowns = Unknowns(task, unknown, sd, length)
+        as_number("noise", noise, unit="m", above=0.0, most=unknowns.largest_noise)
         self.regressor, self.names = unknowns.regressor, unknowns.names
         self._orientation = unknowns.orientation
         self._frames = Frames(task.robot, task.n_x, self.delay, dt)
@@ -113,18 +117,14 @@ class AdaptiveKinematics(Kinematics):
         sizes = {
             "frames": self._frames.size, "gate": self._gate.size, "sums": self._estimator.size,
             "told": len(self.names), "integral": m, "averaged": m, "left": m, "chi": 5, "time": 1,
-            "u": n, "b": n_p, "R": self._d**2 if turns else 0, "T": 9 if is_pose else 0,
+            "placed": task.n_x, "u": n, "b": n_p, "R": self._d**2 if turns else 0,
+            "T": 9 if is_pose else 0,
             "u_dot": n, "b_dot": n_p, "spin": len(law.generators(self._d)) if turns else 0,
             "T_spin": 3 if is_pose else 0,
         }  # fmt: skip
-        ends = np.cumsum(list(sizes.values())).tolist()
-        self._at = {
-            name: slice(end - size, end)
-            for (name, size), end in zip(sizes.items(), ends, strict=True)
-        }
-        self.n_state = ends[-1]
-        learnt = ("sums", "told", "integral", "averaged", "left", "chi", "u", "b", "R", "T")
-        self._kept = tuple(self._at[name] for name in learnt)
+        self._at, self.n_state = parts_of(sizes)
+        learnt = "sums told integral averaged left chi placed u b R T"
+        self._kept = tuple(self._at[name] for name in learnt.split())
 
     def __repr__(self) -> str:
         return f"AdaptiveKinematics({self.task!r}, unknown={self.unknown})"
@@ -134,7 +134,7 @@ class AdaptiveKinematics(Kinematics):
     def initial_state(self, measurement: Measurement) -> Array:
         """Return the state before the first step, shape (n_state,): what is believed.
 
-        x̂ is the first x, where that is not lost, so that learning begins without a jump.
+        x̂ is the first x, so that learning begins without a jump; the first that is not lost.
         """
         at, state, unknowns = self._at, np.zeros(self.n_state), self._unknowns
         state[at["frames"]] = self._frames.initial(measurement)
@@ -145,15 +145,34 @@ class AdaptiveKinematics(Kinematics):
         state[at["u"]] = unknowns.Theta[: unknowns.n_u]
         if self._turns:
             state[at["R"]] = unknowns.R.ravel()
-        H, known = unknowns.at(measurement.q)
-        x_hat = self._turned(unknowns.R, known + H.dot(state[at["u"]]))
-        b = self._turned(unknowns.R, unknowns.offsets.dot(unknowns.Theta[unknowns.n_u :]))
-        x = measurement.x[: self._n_p]
-        state[at["b"]] = np.where(is_seen(x), x - x_hat, b)
+        offset = unknowns.offsets.dot(unknowns.Theta[unknowns.n_u :])
+        state[at["b"]] = self._turned(unknowns.R, offset)
         if self._orientation is not None:
-            T = self._orientation.first(measurement.q, measurement.x[3:], unknowns.R)
-            state[at["T"]] = T.ravel()
+            state[at["T"]] = np.eye(3).ravel()
+        frame = self._frames.first(measurement)
+        if frame is not None:
+            self._place(state, frame)
         return state
+
+    def _place(self, state: Array, frame: Frame) -> None:
+        """Let x̂ begin at the first x that is seen of each entry, in place."""
+        at, (x, _, q), n_p = self._at, frame, self._n_p
+        placed, R = state[at["placed"]], self._rotation(state)
+        first = np.isfinite(x) & ~(placed > 0.0)
+        if self._orientation is not None:
+            T = self._orientation.first(q, x[3:], R)
+            first[3:] &= T is not None
+            if T is not None and first[3:].all():
+                state[at["T"]] = T.ravel()
+        H, known = self._unknowns.at(q)
+        x_hat = self._turned(R, known + H.dot(state[at["u"]]))
+        state[at["b"]][first[:n_p]] = (x[:n_p] - x_hat)[first[:n_p]]
+        placed[first] = 1.0
+
+    def status(self, state: Array, measurement: Measurement) -> Status:
+        """Return what may be done by a state; see `Kinematics`."""
+        has_begun = bool((state[self._at["placed"]] > 0.0).all())
+        return self._frames.status(state[self._at["frames"]], measurement, has_begun)
 
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
         """Return the state after learning from a measurement, and dt [s] later.
@@ -162,9 +181,12 @@ class AdaptiveKinematics(Kinematics):
         """
         state = state.copy()
         numbers = state[self._at["frames"]]
+        measurement = self._frames.on_time(numbers, measurement, dt)
         is_time = self._frames.remember(numbers, measurement)
         frame = self._frames.new(numbers, measurement)
         if frame is not None:
+            if not (state[self._at["placed"]] > 0.0).all():
+                self._place(state, frame)
             frame = frame._replace(x=self._unknowns.points(frame.x))
             believed, is_anew = self._gate.judge(state[self._at["gate"]], frame, self._reach)
             if believed:
@@ -218,7 +240,7 @@ class AdaptiveKinematics(Kinematics):
         Theta, R = self._estimator.estimate(sums)
         state[at["told"]] = self._unknowns.told(Theta, R)
         # what is left of x: taken up by the integral, and averaged to be looked at
-        left = self._left(frame.x, self._turned(R, known + H.dot(Theta)))
+        left = self._unknowns.left(frame.x, self._turned(R, known + H.dot(Theta)))
         seen = np.isfinite(left)
         left, integral = left[seen], state[at["integral"]]
         integral[seen] += -math.expm1(-_INTEGRAL * since) * (left - integral[seen])
@@ -231,13 +253,6 @@ class AdaptiveKinematics(Kinematics):
             chi[0] += since / min(chi[4] + 1.0, _MEMORY) * (now - chi[0])
             seen_now = 0.5 * change.dot(change) / len(left)
             chi[3] += since / min(chi[1] + 0.3, _NOISE_MEMORY) * (seen_now - chi[3])
-
-    def _left(self, x: Array, predicted: Array) -> Array:
-        """Return what is left of x, of a pose as position and rotation vector, (m,) [m]."""
-        if self._orientation is None:
-            return x - predicted
-        turn = self._orientation.left(x[3:], predicted[3:])
-        return np.concatenate([x[:3] - predicted[:3], turn])
 
     # -- the smoothed estimates ----------------------------------------------------------
 
@@ -262,7 +277,8 @@ class AdaptiveKinematics(Kinematics):
         turn = law.rotation_log(R.dot(smooth_R.T)) if self._turns else np.zeros(3)
         rate = min(rate, _EASED_TURN / max(math.hypot(*turn.tolist()), 1e-9))
         if self._orientation is not None:
-            smooth, goal = (smooth_R, state[at["T"]].reshape(3, 3)), (R, self._tool(state))
+            T, T_goal = state[at["T"]].reshape(3, 3), self._unknowns.tool(state[at["told"]])
+            smooth, goal = (smooth_R, T), (R, T_goal)
             apart, back = self._orientation.apart(q, smooth, goal, integral[n_p:])
             rate = min(rate, _EASED_TURN / max(math.hypot(*apart.tolist()), 1e-9))
             state[at["T_spin"]] = rate * back.dot(apart - turn)
@@ -291,13 +307,6 @@ class AdaptiveKinematics(Kinematics):
         if not self._turns:
             return self._unknowns.R
         return np.asarray(state[self._at["R"]].reshape(self._d, self._d))
-
-    def _tool(self, state: Array) -> Array:
-        """Return the learnt rotation of the tool from what is believed, (3, 3)."""
-        if not self._unknowns.n_t:
-            return np.eye(3)
-        start = len(self._unknowns.of_theta)
-        return law.rotation_exp(state[self._at["told"]][start : start + 3])
 
     def _turned(self, R: Array, p: Array) -> Array:
         """Return R p of each point, shape (m,)."""
@@ -354,44 +363,31 @@ class AdaptiveKinematics(Kinematics):
 
     # -- what was learnt -----------------------------------------------------------------
 
+    def _is_state(self, state: Array) -> bool:
+        sums = state[self._at["sums"]]
+        return is_rotation(self._rotation(state)) and self._estimator.are_numbers(sums)
+
     def report(self, state: Array) -> KinematicReport:
         """Return what a state has learnt: values, standard deviations, and what was not seen."""
-        at, unknowns = self._at, self._unknowns
+        at, unknowns, state = self._at, self._unknowns, self._required(state)
         told = self.learnt(state)
         chi, seconds, restarts, variance, _ = state[at["chi"]].tolist()
         Theta, _ = self._estimator.estimate(state[at["sums"]])
         P = unknowns.merged(self._estimator.covariance(state[at["sums"]]), Theta)
         share = 1.0 - P.diagonal() / unknowns.sd**2
         P = P * (max(chi, 1.0) * max(1.0, variance / self.noise**2))
-        if unknowns.has_scale:  # translations were learnt times the scale
-            n = unknowns.n_u - 1
-            T = np.eye(len(P))
-            T[:n, :n] /= told[n]
-            T[:n, n] = -told[:n] / told[n]
-            P = T.dot(P).dot(T.T)
-        numbers = np.array([unknowns.believed, told, np.sqrt(P.diagonal()), share]).T.tolist()
-        rows = tuple(
-            LearntNumber(name, unit, *each)
-            for name, unit, each in zip(self.names, unknowns.units, numbers, strict=True)
-        )
+        P = unknowns.unscaled(P, told)
+        rows = rows_of(self.names, unknowns.units, unknowns.believed, told, P, share)
         turn = told[len(P) - len(state[at["spin"]]) :]
         angle, noise = math.hypot(*turn.tolist()), (self.noise, math.sqrt(variance))
-        axes = self._axes(self._estimator.tilts(state[at["sums"]]), max(noise))
-        return KinematicReport(rows, P, angle, chi, axes, noise, seconds, int(restarts))
-
-    def _axes(self, found: Tilts, noise: float) -> TiltedAxes:
-        """Return what tilts of axes would explain, with noise as it is seen [m]."""
-        if not len(found.tilts):
-            return TiltedAxes(1.0, 0.0, "", 0.0)
-        tilts = np.array([found.tilts, found.tilts / found.sd]).reshape(2, -1, 2)
-        joint = int(np.linalg.norm(tilts[1], axis=1).argmax())
-        angle = float(np.linalg.norm(tilts[0, joint]))
-        chi = found.chi_squared / max(found.freedom, 1e-9) * (self.noise / noise) ** 2
-        return TiltedAxes(chi, found.freedom, self.regressor.turning[joint], angle)
+        found, scale = self._estimator.tilts(state[at["sums"]]), (self.noise / max(noise)) ** 2
+        axes = tilted_axes(found, self.regressor.turning, scale)
+        times = seconds, int(restarts), "m", self._frames.silence(state[at["frames"]])
+        return KinematicReport(rows, P, angle, chi, axes, noise, *times)
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and origins."""
-        theta, told = self.regressor.theta.copy(), self.learnt(state)
+        theta, told = self.regressor.theta.copy(), self.learnt(self._required(state))
         n = len(self._unknowns.of_theta)
         theta[self._unknowns.of_theta] = told[:n]
         turn = told[n : n + 3] if self._unknowns.n_t else None

@@ -132,7 +132,10 @@ class Limiter(ControllerWrapper):
             MeasurementError: Law (5), and the first x is lost; or a limit of the rate, and q is
                 not finite.
         """
-        state = self._law.initial_state(measurement)
+        return self._begun(self._law.initial_state(measurement), measurement)
+
+    def _begun(self, state: Array, measurement: Measurement) -> Array:
+        """Return a first state of the law with what is kept besides."""
         if not self._has_rate:
             return np.concatenate([state, self._kept]) if len(self._kept) else state
         q = measurement.q

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from approxjac.controllers.arguments import require_array
+from approxjac.controllers.arguments import require_array, time_of_x
 from approxjac.controllers.tracking import TrackingController
 from approxjac.controllers.wrapper import ControllerWrapper, law_of
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import joined
 from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
 from approxjac.tasks.analysis import uncombined
-from approxjac.validation import Array, as_limits, as_number, require
+from approxjac.validation import Array, as_limits, require
 
 _OK, _HELD = Status.OK, Status.MEASUREMENT_HELD  # members of an enum are slow to look up
 
@@ -112,10 +112,7 @@ class HeldMeasurement(ControllerWrapper):
         require("measurement", measurement, Measurement, "Measurement(t, q, v, x)")
         x, t_x = measurement.x, measurement.t_x
         require_array("x", x, len(self._origin), self.controller.task)
-        if isinstance(t_x, float) and t_x == -math.inf:
-            t_x = None  # there is no image yet
-        elif t_x is not None:
-            t_x = as_number("t_x of a measurement", t_x, unit="s")
+        t_x = time_of_x(t_x)
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
             memory = memory.copy()
             used, too_old, any_new = self._seen(memory, x, t_x)

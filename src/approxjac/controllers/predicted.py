@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Measurement, Target
+from approxjac.interface import Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import Task
-from approxjac.validation import Array, Immutable
+from approxjac.validation import Array, Immutable, as_vector
 
 
 class Prediction(NamedTuple):
@@ -64,7 +64,11 @@ class Kinematics(Immutable, ABC):
         """Return a state before a first step that knows what another state has learnt.
 
         Times, configurations and frames of the other one are forgotten.
+
+        Raises:
+            InvalidInputError: A state that is not of such kinematics.
         """
+        state = self._required(state)
         fresh = self.initial_state(measurement)
         for part in self._kept:
             fresh[part] = state[part]
@@ -77,6 +81,14 @@ class Kinematics(Immutable, ABC):
         A measurement whose x is lost, or has been seen before, teaches nothing.
         """
 
+    def status(self, state: Array, measurement: Measurement) -> Status:
+        """Return what may be done by a state, if any, of kinematics that learn from x.
+
+        `MEASUREMENT_LOST` before x was ever seen, so that what is predicted is as believed;
+        `PREDICTED` where x is too old to be learnt from, for a second; else `OK`.
+        """
+        return Status.OK
+
     @abstractmethod
     def predict(self, state: Array, q: Array, v: Array, target: Target) -> Prediction:
         """Return the predicted error at q (nq,) and q̇ (n_v,) [rad/s or m/s]."""
@@ -85,11 +97,28 @@ class Kinematics(Immutable, ABC):
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt, shape (…, p)."""
 
+    def _required(self, state: Array) -> Array:
+        """Return a state of such kinematics, or refuse what is none."""
+        state = as_vector("state", state, self.n_state)
+        if not self._is_state(state):
+            raise InvalidInputError(
+                f"state must be one of {self!r}, as initial_state and step return it, got numbers "
+                "that are not",
+                given=state,
+            )
+        return state
+
+    def _is_state(self, state: Array) -> bool:
+        """Return whether finite numbers (n_state,) can be a state, as far as can be told."""
+        return True
+
     def robot(self, state: Array) -> Robot:
-        """Return the believed robot with the translations that a state has learnt.
+        """Return the believed robot with what a state has learnt of its tool and joint origins.
+
+        Masses, friction and the tracker are not in it; a state that is saved has them all.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of others.
         """
         raise InvalidInputError(
             f"kinematics must learn to change a robot, got {self!r}", given=self
@@ -99,6 +128,6 @@ class Kinematics(Immutable, ABC):
         """Return what a state has learnt: values, standard deviations, and what was not seen.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of others.
         """
         raise InvalidInputError(f"kinematics must learn to report, got {self!r}", given=self)

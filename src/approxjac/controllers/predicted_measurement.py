@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from approxjac.controllers.arguments import require_arrays, require_finite, with_rates
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.predicted import Kinematics
 from approxjac.controllers.tracking import TrackingController
@@ -15,9 +16,10 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import Task
-from approxjac.validation import Array, require
+from approxjac.validation import Array, as_vector, require
 
 _OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
+_LOST = Status.MEASUREMENT_LOST
 
 
 class PredictedMeasurement(ControllerWrapper):
@@ -26,7 +28,9 @@ class PredictedMeasurement(ControllerWrapper):
     The law gets the predicted error z and its exact Jacobian Ĵ in place of the measured x and the
     believed Jacobian: for it J = Ĵ, so p = 0 of the paper's Theorem 1, whatever the true arm is.
     With kinematics whose estimates move by θ̂' ∈ L², as those of Theorem A do, s(z) and q̇ go to
-    zero, and e with z: docs/theory.md. Noise, delay and frames of the sensor are outside the loop.
+    zero, and e with z: docs/learning_kinematics.md. Noise, delay and frames of the sensor are
+    outside the loop. Until x was seen once there is none to predict, and the law does what it does
+    where x is lost; later it goes on with what is predicted.
 
     Its state is that of the controller, followed by that of the kinematics.
 
@@ -54,10 +58,16 @@ class PredictedMeasurement(ControllerWrapper):
                 given=controller,
             )
         task = kinematics.task
-        if controller.task.labels != task.labels or controller.task.robot is not task.robot:
+        if (controller.task.labels, controller.task.units) != (task.labels, task.units):
             raise InvalidInputError(
                 f"kinematics must be of the controller's task {controller.task!r}, got "
                 f"{kinematics!r}",
+                given=kinematics,
+            )
+        if controller.task.robot != task.robot:
+            raise InvalidInputError(
+                f"kinematics must be of the controller's robot, got {kinematics!r}, whose robot "
+                "has another URDF or gravity",
                 given=kinematics,
             )
         self.controller = with_task(controller, _WithJacobian(task))
@@ -94,6 +104,7 @@ class PredictedMeasurement(ControllerWrapper):
         Raises:
             InvalidInputError: A measurement of the wrong shapes.
         """
+        require_arrays(np.zeros(0), measurement, self._task._origin, self._task, 0)
         known = self.kinematics.initial_state(measurement)
         target = Target(self._task._origin)
         seen, _ = self._predicted(known, measurement, target)
@@ -103,8 +114,12 @@ class PredictedMeasurement(ControllerWrapper):
         """Return a state before a first step that knows what another state has learnt.
 
         Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+
+        Raises:
+            InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
         """
-        inner, known = self._split(state)
+        fresh = self.initial_state(measurement)
+        inner, known = self._split(as_vector("state", state, len(fresh)))
         known = self.kinematics.resumed(known, measurement)
         seen, _ = self._predicted(known, measurement, Target(self._task._origin))
         fresh = self.controller.initial_state(seen)
@@ -125,12 +140,19 @@ class PredictedMeasurement(ControllerWrapper):
         """
         inner, known = self._split(state)
         target = target if isinstance(target, Target) else Target(target)
-        e = self._task.error(measurement.x, self._task.target(target.x))
+        x_d = self._task.target(target.x)
+        q, v, x = require_arrays(state, measurement, x_d, self._task, len(state))
+        if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
+            require_finite(q, v, x_d, state, self._task)
+        target, e = with_rates(target._replace(x=x_d), self._task.m), self._task.error(x, x_d)
+        now = self.kinematics.status(known, measurement)
         seen, origin = self._predicted(known, measurement, target)
+        if now is _LOST:  # nothing is predicted before x was seen once
+            seen.x[: self._task.m] = math.nan
         after, answer = self.controller.step(inner, seen, origin, dt)
         known = self.kinematics.step(known, measurement, dt)
         status = answer.status
-        if status is _OK and not math.isfinite(math.hypot(*e.tolist())):
+        if status is _OK and (now is _PREDICTED or not math.isfinite(math.hypot(*e.tolist()))):
             status = _PREDICTED
         return np.concatenate([after, known]), answer._replace(e=e, status=status)
 
@@ -138,15 +160,17 @@ class PredictedMeasurement(ControllerWrapper):
         """Return what a state has learnt of the kinematics.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
         """
         return self.kinematics.report(self._split(state)[1])
 
     def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with the translations that a state has learnt.
+        """Return the believed robot with what a state has learnt of its tool and joint origins.
+
+        Masses, friction and the tracker are not in it; a state that is saved has them all.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
         """
         return self.kinematics.robot(self._split(state)[1])
 

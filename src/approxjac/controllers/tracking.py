@@ -17,6 +17,7 @@ from approxjac.controllers.arguments import (
     require_arrays,
     require_dt,
     require_finite,
+    with_rates,
 )
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.limits import Limits
@@ -34,6 +35,7 @@ from approxjac.validation import Array, as_limits, as_number, as_vector, require
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
 _PREDICTED, _UNPREDICTED = Status.PREDICTED, Status.NOT_PREDICTED
+_LOST = Status.MEASUREMENT_LOST
 _KAPPA = 60.0  # [1/s]
 _STEADY = 0.25  # κ dt at most
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
@@ -47,10 +49,11 @@ class TrackingController(ProvenLaw):
 
     τ = Y_d(q, q̇, q̇_r, q̈_r) â − κM̂σ with σ = q̇ − q̇_r, where the reference velocity
 
-        q̇_r = Ĵ⁺(u − Ĵn₀) + n₀,   u = ẋ_d − αs(z),   n₀ = −k_n (q ⊖ q_rest)
+        q̇_r = Ĵ⁺(u − Ĵn₀) + n₀,   u = ẋ_d − αs(z),   n₀ = −k_n s(q ⊖ q_rest)
 
     leads the predicted error z to zero and q̈_r is its exact derivative. The measured x only
-    teaches the kinematics; where it is lost, control goes on with what is predicted.
+    teaches the kinematics; where it is lost, control goes on with what is predicted. Kinematics
+    that learn hold the joints still until x was seen once: q̇_r = 0, `MEASUREMENT_LOST`.
 
     Its state is that of the dynamics, followed by that of the kinematics and, of velocity commands,
     the command before.
@@ -106,9 +109,8 @@ class TrackingController(ProvenLaw):
         robot = task.robot
         self.task = task
         self.sampling_time = as_number("dt", dt, unit="s", above=0.0)
-        if kinematics is None:
-            kinematics = usual_kinematics(task, self.sampling_time)
-        self.kinematics = kinematics
+        dt = self.sampling_time
+        self.kinematics = usual_kinematics(task, dt) if kinematics is None else kinematics
         self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
         usual = min(_KAPPA, _STEADY / self.sampling_time)
         self.kappa = usual if kappa is None else as_number("kappa", kappa, unit="1/s", above=0.0)
@@ -202,7 +204,11 @@ class TrackingController(ProvenLaw):
         """Return a state before a first step that knows what another state (…) has learnt.
 
         Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+
+        Raises:
+            InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
         """
+        state = as_vector("state", state, self._n_state)
         fresh, (p, end) = self.initial_state(measurement), (self._n_dynamics, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
@@ -240,14 +246,15 @@ class TrackingController(ProvenLaw):
         """Return what `step` does, for arguments that are checked."""
         _, q, v, x, _ = measurement
         known, dt = state[self._n_dynamics : self._end], self.sampling_time
-        J_hat, v_r, a_r, status = self._reference(known, q, v, target)
+        now = self.kinematics.status(known, measurement)
+        J_hat, v_r, a_r, status = self._reference(known, q, v, target, now)
         after, learns = state.copy(), status is not _UNPREDICTED
         after[self._n_dynamics : self._end] = self.kinematics.step(known, measurement, dt)
         e = self.task.error(x, target.x)
-        if status is _OK and not math.isfinite(math.hypot(*e.tolist())):
+        if status is _OK and (now is _PREDICTED or not math.isfinite(math.hypot(*e.tolist()))):
             status = _PREDICTED
         if self._commands is not None:
-            _, _, w, _ = self._reference(known, q, v_r, target)
+            _, _, w, _ = self._reference(known, q, v_r, target, now)
             lag, sent = self._commands.step(state[:1], q, v, v_r, w, state[self._end :])
             after[:1], after[self._end :] = lag, sent
             return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
@@ -261,16 +268,16 @@ class TrackingController(ProvenLaw):
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
 
     def _reference(
-        self, known: Array, q: Array, v: Array, target: Target
+        self, known: Array, q: Array, v: Array, target: Target, now: Status = _OK
     ) -> tuple[Array, Array, Array, Status]:
-        """Return Ĵ, q̇_r, q̈_r and the status that they have."""
+        """Return Ĵ, q̇_r, q̈_r and the status that they have, given that of the kinematics."""
         z, J, J_dot, feed, feed_dot, drift = self.kinematics.predict(known, q, v, target)
         z_dot = J.dot(v) - feed + drift
         s, s_dot = law.saturated(z, z_dot, self._k)
         u, u_dot = feed - self._alpha * s, feed_dot - self._alpha * s_dot
         null, null_dot = self._rest.velocity(q, v)
-        if not math.isfinite(float(u.dot(u) + u_dot.dot(u_dot) + np.vdot(J, J))):
-            return J, np.zeros_like(v), np.zeros_like(v), _UNPREDICTED
+        if now is _LOST or not math.isfinite(float(u.dot(u) + u_dot.dot(u_dot) + np.vdot(J, J))):
+            return J, np.zeros_like(v), np.zeros_like(v), now if now is _LOST else _UNPREDICTED
         v_r, a_r, damped = law.reference(
             J, J_dot, u, u_dot, null, null_dot, self._ratio, self._scale
         )
@@ -283,12 +290,8 @@ class TrackingController(ProvenLaw):
     ) -> tuple[Target, Measurement]:
         """Return a target and a measurement that the law can be evaluated with, or refuse."""
         task = self.task
-        if not isinstance(target, Target):
-            target = Target(target)
-        x_d, v_d, a_d = target
-        if v_d is not None:
-            v_d = as_vector("v of the target", v_d, task.m)
-            target = Target(x_d, v_d, None if a_d is None else as_vector("a of it", a_d, task.m))
+        target = with_rates(target if isinstance(target, Target) else Target(target), task.m)
+        x_d = target.x
         try:
             _, q, v, x, _ = measurement
             usual = (
@@ -318,21 +321,27 @@ class TrackingController(ProvenLaw):
         known = self.kinematics.learnt(state[..., self._n_dynamics : self._end])
         return np.concatenate([state[..., : self._n_dynamics], known], axis=-1)
 
+    def _of_kinematics(self, state: Array) -> Array:
+        """Return the kinematics' part of a state, or refuse one of another controller."""
+        return as_vector("state", state, self._n_state)[self._n_dynamics : self._end]
+
     def kinematics_learnt(self, state: Array) -> KinematicReport:
         """Return what a state has learnt of the kinematics.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
         """
-        return self.kinematics.report(state[self._n_dynamics : self._end])
+        return self.kinematics.report(self._of_kinematics(state))
 
     def learnt_robot(self, state: Array) -> Robot:
-        """Return the believed robot with the translations that a state has learnt.
+        """Return the believed robot with what a state has learnt of its tool and joint origins.
+
+        Masses, friction and the tracker are not in it; a state that is saved has them all.
 
         Raises:
-            InvalidInputError: Kinematics that learn nothing.
+            InvalidInputError: Kinematics that learn nothing, or a state of another controller.
         """
-        return self.kinematics.robot(state[self._n_dynamics : self._end])
+        return self.kinematics.robot(self._of_kinematics(state))
 
     def with_task(self, task: Task) -> Self:
         """Return this controller with another task, such as that of another believed robot.

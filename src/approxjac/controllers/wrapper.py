@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
 from approxjac.controllers.arguments import FLOAT64
+from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller
+from approxjac.interface import Controller, Measurement
+from approxjac.robots import Robot
 from approxjac.tasks import Task
-from approxjac.validation import Array, Immutable
+from approxjac.validation import Array, Immutable, as_vector
 
 
 class ControllerWrapper(Immutable, Controller):
@@ -56,6 +58,55 @@ class ControllerWrapper(Immutable, Controller):
             task: A task with the same coordinates, of a robot with the same joints.
         """
         return self._rebuilt(controller=with_task(self.controller, task))
+
+    def resumed(self, state: Array, measurement: Measurement) -> Array:
+        """Return a state before a first step that knows what another state has learnt.
+
+        Such as the last one of a run before, for `simulate(state=...)`; of the same controller.
+
+        Raises:
+            InvalidInputError: A state of another controller, a measurement of the wrong shapes, or
+                a controller that learns no kinematics.
+        """
+        resume = self._inside("resumed")
+        inner, _ = self._split(as_vector("state", state, len(self.initial_state(measurement))))
+        return self._begun(resume(inner, measurement), measurement)
+
+    def kinematics_learnt(self, state: Array) -> KinematicReport:
+        """Return what a state has learnt of the kinematics.
+
+        Raises:
+            InvalidInputError: A controller that learns no kinematics, or a state of another one.
+        """
+        report: KinematicReport = self._inside("kinematics_learnt")(self._split(state)[0])
+        return report
+
+    def learnt_robot(self, state: Array) -> Robot:
+        """Return the believed robot with what a state has learnt of its tool and joint origins.
+
+        Masses, friction and the tracker are not in it; a state that is saved has them all.
+
+        Raises:
+            InvalidInputError: A controller that learns no kinematics, or a state of another one.
+        """
+        robot: Robot = self._inside("learnt_robot")(self._split(state)[0])
+        return robot
+
+    def _inside(self, name: str) -> Any:
+        """Return a method of the controller inside, or refuse one that learns no kinematics."""
+        method = getattr(self.controller, name, None)
+        if method is None:
+            raise InvalidInputError(
+                "controller must learn kinematics, such as a TrackingController or a "
+                f"PredictedMeasurement, got {self.controller!r}",
+                given=self.controller,
+            )
+        return method
+
+    def _begun(self, state: Array, measurement: Measurement) -> Array:
+        """Return a first state of the controller inside with the memory before the first step."""
+        fresh = self.initial_state(measurement)
+        return np.concatenate([state, fresh[len(state) :]])
 
     def _split(self, state: Array) -> tuple[Array, Array]:
         """Return the state of the controller inside, and the memory.

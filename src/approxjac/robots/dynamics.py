@@ -45,7 +45,7 @@ class Dynamics:
 
     def M(self, q: Array) -> Array:
         """Inertia matrix M(q), shape (n_v, n_v) [kg m², kg m or kg]."""
-        return mass_matrix(self._model, self._data, self._q(q))
+        return mass_matrix(self._mimic_joints, self._all_data, self._q(q))
 
     def C(self, q: Array, v: Array) -> Array:
         """Coriolis matrix C(q, q̇) with Ṁ − 2C skew-symmetric, shape (n_v, n_v)."""

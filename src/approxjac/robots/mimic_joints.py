@@ -18,10 +18,10 @@ class MimicJoints(NamedTuple):
     """All moving joints as they follow from the n_v that move on their own: q_all = A q + b.
 
     Pinocchio can leave mimic joints out of q and v, but not every algorithm of it can. Those that
-    cannot refuse such a model, or (Coriolis matrix, Jacobian rates) return something else without
-    a word. They are run on `model`, in which every joint moves on its own, and brought back with
-    v_all = G v, which is constant. Where nothing is coupled, `model` is the robot's own model and
-    every method returns what it is given.
+    cannot refuse such a model, or (mass and Coriolis matrix, Jacobian rates) return something else
+    without a word. They are run on `model`, in which every joint moves on its own, and brought
+    back with v_all = G v, which is constant. Where nothing is coupled, `model` is the robot's own
+    model and every method returns what it is given.
     """
 
     model: pin.Model

@@ -35,7 +35,7 @@ def build_model(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
                 "arm must be revolute, continuous, prismatic or fixed",
                 given=source,
             )
-    require_inertia(model, source)
+    require_inertia(model, mimic_joints, source)
     return model, mimic_joints
 
 
@@ -45,9 +45,14 @@ def own_joints(model: pin.Model) -> dict[str, Any]:
     return {name: joint for name, joint in joints if joint.nv == 1}  # a mimic joint has nv 0
 
 
-def mass_matrix(model: pin.Model, data: pin.Data, q: Array) -> Array:
-    """M(q) by CRBA, which fills the upper triangle only, made symmetric; shape (n_v, n_v)."""
-    return symmetric(pin.crba(model, data, q, WORLD))
+def mass_matrix(mimic_joints: MimicJoints, data: pin.Data, q: Array) -> Array:
+    """M(q) by CRBA, which fills the upper triangle only, made symmetric; shape (n_v, n_v).
+
+    Of the model in which every joint moves on its own, whose `data` it takes: of one with mimic
+    joints Pinocchio's CRBA is wrong where what one of them moves has branches.
+    """
+    M = symmetric(pin.crba(mimic_joints.model, data, mimic_joints.q(q), WORLD))
+    return M if mimic_joints.G is None else symmetric(mimic_joints.rows(mimic_joints.columns(M)))
 
 
 def symmetric(upper: Array) -> Array:
@@ -70,7 +75,7 @@ def outward_axis(model: pin.Model, frame: int) -> str:
     return ("" if lever[k] >= 0.0 else "-") + "xyz"[k]
 
 
-def require_inertia(model: pin.Model, source: str) -> None:
+def require_inertia(model: pin.Model, mimic_joints: MimicJoints, source: str) -> None:
     """Refuse a robot whose inertia matrix is singular: no torque control is possible.
 
     What is fixed to the base may have any inertia, and in URDFs that people use some of it has.
@@ -83,7 +88,7 @@ def require_inertia(model: pin.Model, source: str) -> None:
                 f"({inertia.mass:g} kg, principal moments {moments.tolist()} kg m^2)",
                 given=source,
             )
-    M = mass_matrix(model, model.createData(), pin.neutral(model))
+    M = mass_matrix(mimic_joints, mimic_joints.model.createData(), pin.neutral(model))
     eigenvalues, vectors = np.linalg.eigh(M)
     if eigenvalues[0] > 1e-12 * eigenvalues[-1] > 0.0:
         return

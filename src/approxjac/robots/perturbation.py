@@ -76,7 +76,7 @@ class Perturbation:
         for model, parts in zip(robot.models, self._parts, strict=True):
             parts.change(model, *values)
         if not self._surely_regular:
-            require_inertia(robot.model, self.base.tree.source)
+            require_inertia(robot.model, robot.mimic_joints, self.base.tree.source)
         return robot
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.controllers import Limits, PredictedMeasurement, TrackingController
+from approxjac.controllers import ControllerWrapper, Limits, TrackingController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Controller, TargetPath
@@ -87,12 +87,12 @@ class BuiltScenario:
         return self.law.diagonals._asdict()
 
     @property
-    def learning(self) -> TrackingController | PredictedMeasurement | None:
+    def learning(self) -> TrackingController | ControllerWrapper | None:
         """Where kinematics are learnt; None if they are not."""
         if not self.scenario.controller.unknown:
             return None
-        found = [self.law, self.controller]
-        return next(x for x in found if isinstance(x, TrackingController | PredictedMeasurement))
+        assert isinstance(self.controller, TrackingController | ControllerWrapper)
+        return self.controller
 
     def run(
         self,

@@ -28,13 +28,14 @@ class Object:
     Attributes:
         length: From the arm's tip to that of the object, m.
         mass: Its mass, kg.
-        axis: Axis of the tip along it, such as z, or -x as --object-axis=-x; outward by default.
+        axis: Direction along it in the tip's axes, such as z, -x (as --object-axis=-x), or a
+            vector; outward by default.
         radius: Of the cylinder, m; 0.01 by default, or that of the true object.
     """
 
     length: float = at_least(0.0)
     mass: float = at_least(0.0)
-    axis: str | None = None
+    axis: Vector | str | None = None
     radius: float | None = at_least(None)
 
     def like(self, true: Object) -> Object:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.controllers import (
+    ControllerWrapper,
     KinematicReport,
-    PredictedMeasurement,
     SetpointController,
     TrackingController,
 )
@@ -152,7 +152,7 @@ def _law(law: SetpointController | TrackingController) -> str:
 
 
 def _draw_kinematics(
-    run: Trajectory, learning: TrackingController | PredictedMeasurement, learnt: KinematicReport
+    run: Trajectory, learning: TrackingController | ControllerWrapper, learnt: KinematicReport
 ) -> Figure:
     """Draw what was learnt of the tool, and of the tracker's rotation, where they were learnt."""
     names = [row.name for row in learnt.rows]

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from approxjac.controllers import PredictedMeasurement, TrackingController
+from approxjac.controllers import ControllerWrapper, TrackingController
 from approxjac.errors import UnknownNameError
 from approxjac.simulation import Trajectory
 from approxjac.validation import require
@@ -19,7 +19,7 @@ _USUAL = ("tool.", "camera.")
 
 def plot_kinematics(
     run: Trajectory,
-    controller: TrackingController | PredictedMeasurement,
+    controller: TrackingController | ControllerWrapper,
     names: Sequence[str] | None = None,
     ax: Axes | None = None,
     *,
@@ -30,7 +30,7 @@ def plot_kinematics(
 
     Args:
         run: A run of the controller.
-        controller: What learnt in it.
+        controller: What learnt in it, with its limiter if it had one.
         names: Of the numbers, such as "tool.x" or "camera.rz"; tool and camera by default.
         ax: Axes; new ones by default.
         truth: True numbers by name, drawn dashed.
@@ -41,8 +41,9 @@ def plot_kinematics(
         UnknownNameError: No such number is learnt.
     """
     require("run", run, Trajectory, "a Trajectory, such as simulate returns")
-    kinds = (TrackingController, PredictedMeasurement)
-    require("controller", controller, kinds, "a TrackingController or PredictedMeasurement")
+    kinds = (TrackingController, ControllerWrapper)
+    wanted = "a TrackingController or PredictedMeasurement, or TorqueLimited around one"
+    require("controller", controller, kinds, wanted)
     kept = np.unique(np.linspace(0, len(run.t) - 1, _INSTANTS).astype(int))
     reports = [controller.kinematics_learnt(run.state[k]) for k in kept]
     known = [row.name for row in reports[0].rows]
