@@ -8,7 +8,6 @@ from approxjac.codegen.program import Program
 from approxjac.codegen.rigid_body import Arm, ArmNumbers, arm_numbers, moved
 from approxjac.codegen.symbols import inputs
 from approxjac.robots import Dynamics
-from approxjac.robots.model import mass_matrix
 from approxjac.tasks.frame_kinematics import FrameKinematics
 
 
@@ -52,12 +51,9 @@ def evaluated(program, terms, q, v, tau, **parameters):
 def expected(robot, frames, regressor, q, v, tau):
     """Return the same of Pinocchio at one q, v and tau."""
     dynamics, model = Dynamics(robot), robot.model
-    # Pinocchio's CRBA of the coupled model is wrong where branches leave what a mimic joint moves;
-    # and its articulated bodies keep 11 digits only where masses differ much
-    mimic = robot.mimic_joints
-    M = mass_matrix(mimic.model, mimic.model.createData(), mimic.q(q))
-    terms = {"M": mimic.rows(mimic.columns(M)), "g": dynamics.g(q)}
+    terms = {"M": dynamics.M(q), "g": dynamics.g(q)}
     terms["bias"] = dynamics.inverse(q, v, 0 * v)
+    # Pinocchio's articulated bodies keep 11 digits only where masses differ much
     terms["forward"] = np.linalg.solve(terms["M"], tau - terms["bias"])
     terms["moved"] = pin.integrate(model, q, v)
     for frame in frames:
