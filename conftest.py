@@ -52,7 +52,7 @@ pytest_collect_file = Sybil(
 # Files that take long. A worker gets whole files: these come first, so that in the end both have
 # something to do.
 LONG = (
-    "cli", "test_compiled.py", "test_long_run.py", "test_examples.py", "browser", "docs",
+    "cli", "test_long_run.py", "test_examples.py", "browser", "docs",
     "README.md",
 )  # fmt: skip
 

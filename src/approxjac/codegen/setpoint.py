@@ -10,19 +10,27 @@ from approxjac import law
 from approxjac.codegen import tasks
 from approxjac.codegen.graph import Condition, select
 from approxjac.codegen.linear import damped_gram_solve
-from approxjac.codegen.rigid_body import Configured
+from approxjac.codegen.rigid_body import Arm, Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers import Posture
-from approxjac.controllers.gravity import Adaptation, ModelGravity, RegressorGravity
+from approxjac.controllers.gravity import (
+    Adaptation,
+    AdaptiveGravity,
+    ModelGravity,
+    NoGravity,
+    RegressorGravity,
+)
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.unknown_tool import UNKNOWN_TOOL
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, Status
 from approxjac.law import Linear, Saturation, Sine, Tanh
 from approxjac.law.saturation import sine, tanh
+from approxjac.robots import GravityRegressor, Robot
 
 _SWEEPS = 10
 _ROUND_OFF = 1e-12  # of what led out of bounds
+_GRAVITY = (ModelGravity, NoGravity, RegressorGravity, AdaptiveGravity, Adaptation)
 STATUSES = tuple(Status)
 """A status is its place in this."""
 
@@ -71,9 +79,10 @@ def require_covered(controller: Controller) -> None:
             given=saturation,
         )
     robot = controller.task.robot
-    if controller.adaptation is None and gravity.robot != robot:
+    if type(gravity) not in _GRAVITY:
         raise InvalidInputError(
-            f"gravity must be that of the task's robot to make code of it, got {gravity!r}",
+            "gravity must be a ModelGravity, NoGravity, RegressorGravity or AdaptiveGravity to "
+            f"make code of it, got {type(gravity).__name__}: {gravity!r}",
             given=gravity,
         )
     if posture is not None and not (isinstance(posture, Posture) and robot.nq == robot.nv):
@@ -181,14 +190,27 @@ def _saturated(saturation: Saturation, e: Symbols) -> Symbols:
 def _gravity(controller: SetpointController, arm: Configured) -> Symbols:
     gravity = controller.gravity
     if isinstance(gravity, RegressorGravity):
-        return law.gravity(arm.Z(gravity.regressor), gravity.theta)
-    return arm.gravity() if isinstance(gravity, ModelGravity) else symbols(np.zeros(arm.nv))
+        return law.gravity(_Z(gravity.regressor, arm), gravity.theta)
+    if isinstance(gravity, ModelGravity):
+        return _of(gravity.robot, arm).gravity()
+    return symbols(np.zeros(arm.nv))
+
+
+def _Z(regressor: GravityRegressor, arm: Configured) -> Symbols:
+    return _of(regressor.robot, arm).Z(regressor)
+
+
+def _of(robot: Robot, arm: Configured) -> Configured:
+    """Return an arm that gravity may be of, which need not be that of the task."""
+    if robot == arm.arm.robot:
+        return arm
+    return Arm(lambda name, values: symbols(values[0].tolist()), "gravity", robot, ()).at(arm.q)
 
 
 def _regressor(learning: Adaptation, arm: Configured, J_hat: Symbols) -> Symbols:
     """Return what `Adaptation.Y` does."""
     _, forces, torques = learning.sizes
-    parts = [arm.Z(learning.regressor), *([J_hat.T] if forces else [])]
+    parts = [_Z(learning.regressor, arm), *([J_hat.T] if forces else [])]
     return np.concatenate([*parts, symbols(np.eye(torques))] if torques else parts, axis=1)
 
 
@@ -223,7 +245,7 @@ def _bounded(
     N = np.concatenate([np.diag(side), np.multiply(beyond[:, np.newaxis], Y)])
     NL = N @ symbols(L)
     sizes = (N * NL).sum(axis=1)
-    inverse = np.where(sizes > 0.0, 1.0 / sizes, 0.0)
+    inverse = np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 0.0)
     found, multipliers = rate, [0.0] * len(N)
     for _ in range(_SWEEPS):
         for i, before in enumerate(multipliers):

@@ -42,7 +42,7 @@ def step_program(controller: SetpointController, *, may_lose: bool) -> Program:
     x, target = program.kept("x", task.n_x), program.kept("target", task.n_x)
     state = program.kept("state", setpoint.n_state(controller))
     answer = setpoint.answer(controller, arm.at(q), q, v, x, target, state, may_lose=may_lose)
-    numbers = (q, v, x, target, state, answer.torque, answer.rate)
+    numbers = (q, v, x, target, state, answer.e, answer.torque, answer.rate)
     size = sum(((each * each).sum() for each in numbers), 0.0)
     usual = (answer.status == _OK) & (size < HUGE**2)
     for joint in list(robot.model.joints)[1:]:
@@ -130,7 +130,7 @@ class _Compiled(SetpointController):
         )
         usual_at = place["usual"].start - first
         J_shape, shapes, no_rate = (self.task.m, self.task.robot.nv), self._shapes, self._no_rate
-        float64, made = FLOAT64, tuple.__new__
+        float64, array, made = FLOAT64, np.ndarray, tuple.__new__
         ok, unlimited = Status.OK, LimitStatus.UNLIMITED
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
@@ -141,6 +141,8 @@ class _Compiled(SetpointController):
                     (q.shape, v.shape, x.shape, target.shape, state.shape) == shapes  # type: ignore[union-attr]
                     and q.dtype is v.dtype is x.dtype is float64
                     and target.dtype is state.dtype is float64  # type: ignore[union-attr]
+                    # what a mask hides is not measured
+                    and type(q) is type(v) is type(x) is type(target) is type(state) is array
                 ):
                     q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, target
                     rate = no_rate
