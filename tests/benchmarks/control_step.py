@@ -17,8 +17,8 @@ import pinocchio as pin
 import turns
 
 import approxjac as aj
+from approxjac.codegen import compiled
 from approxjac.controllers import (
-    CompiledSetpointController,
     ControllerWrapper,
     DifferentiatedVelocity,
     KnownKinematics,
@@ -72,7 +72,6 @@ def laws(name):
     task, gains = aj.PositionTask(robot, axes=axes), aj.Gains(naive.KP, naive.KV, naive.DAMPING)
     J_of, x_d = naive.jacobian(robot, rows), np.zeros(m)
     law = partial(aj.SetpointController, task, gains)
-    compiled = partial(CompiledSetpointController, task, gains)
     typed = partial(naive.setpoint, robot, J_of, m, x_d, naive.KP, naive.KV)
     with_checks = partial(naive.checked, robot, J_of, x_d)
     learnt = aj.AdaptiveGravity(GravityRegressor(robot), L=naive.LEARNING, alpha=naive.ALPHA)
@@ -96,7 +95,7 @@ def laws(name):
         ),
     ):
         found.append(Law(title, law(**options), *both(step, learning)))
-        found.append(Law(f"{title}, compiled", compiled(**options), *both(step, learning)))
+        found.append(Law(f"{title}, compiled", compiled(law(**options)), *both(step, learning)))
     if n > m:
         posture = Posture(middle, naive.STIFFNESS)
         found.append(Law("(6), posture", law(posture=posture), *both(typed(posture=middle))))

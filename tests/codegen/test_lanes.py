@@ -10,6 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import approxjac as aj
 from approxjac.codegen.closed_loop import TOLD, Box
 from approxjac.codegen.lanes import Lanes
+from approxjac.codegen.llvm import LlvmLanes
+from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
 from approxjac.stability import rollout_study
@@ -81,8 +83,8 @@ def test_the_same_bits_in_numpy(name):
     starts = starts_of(loop, 16)
     box = Box(region.center, region.lower, region.upper)
     found = [
-        Lanes(loop[0], starts, box, 1e-3, 1e-3, engine).run(starts, 250, 10)
-        for engine in ("llvm", "numpy")
+        Lanes(loop[0], starts, box, 1e-3, 1e-3, engine=engine).run(starts, 250, 10)
+        for engine in (LlvmLanes, NumpyLanes)
     ]
     for told in TOLD:
         assert_array_equal(found[0][told], found[1][told], err_msg=told)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from typing import Literal, Protocol
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -13,12 +13,11 @@ from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.closed_loop import TOLD, Box, ClosedLoop, closed_loop
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.codegen.program import Program
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.interface import Controller
 from approxjac.simulation import Plant
 from approxjac.validation import Array
-
-Engine = Literal["llvm", "numpy"]
 
 
 class Start(Protocol):
@@ -47,7 +46,8 @@ class Lanes:
         region: Where runs are to stay.
         dt: Sampling time [s].
         tolerance: Error below which a task counts as done.
-        engine: What carries them out.
+        integrator: Of the plant: one of `INTEGRATORS`.
+        engine: What carries the program out.
     """
 
     def __init__(
@@ -57,7 +57,8 @@ class Lanes:
         region: Box,
         dt: float,
         tolerance: float,
-        engine: Engine = "llvm",
+        integrator: str = "semi_implicit_euler",
+        engine: Callable[[Program], LlvmLanes | NumpyLanes] = LlvmLanes,
     ) -> None:
         assert isinstance(controller, SetpointController)
         self._controller = controller
@@ -71,13 +72,26 @@ class Lanes:
             region,
             dt,
             tolerance,
+            integrator,
         )
         self._engine = engine
 
     @functools.cached_property
-    def _compiled(self) -> LlvmLanes | NumpyLanes:
-        program = self._loop.program
-        return LlvmLanes(program) if self._engine == "llvm" else NumpyLanes(program)
+    def compiled(self) -> LlvmLanes | NumpyLanes:
+        """The program, compiled when it first runs."""
+        return self._engine(self._loop.program)
+
+    def begun(self, starts: Sequence[Start]) -> tuple[Array, Array]:
+        """Return what is kept of some runs before their first step, and what stays, as vectors."""
+        program, width = self._loop.program, self.compiled.width
+        kept = np.zeros((len(starts), program.n_rows))
+        columns = {name: kept[:, at : at + size] for name, (at, size) in program.rows.items()}
+        columns["q"][:] = [start.q for start in starts]
+        columns["state"][:] = self._states(starts)
+        columns[TOLD.last_bad][:] = -1.0
+        named = self._loop.truth.named(_numbers(starts)) | _sensors(starts)
+        named["target"] = np.array([start.target for start in starts])
+        return _packed(kept, width), _packed(program.filled(named), width)
 
     def run(self, starts: Sequence[Start], steps: int, every: int) -> dict[str, Array]:
         """Return what is told of some runs: the names of `TOLD`, each with an array (N,).
@@ -87,19 +101,11 @@ class Lanes:
             steps: Number of steps.
             every: Which instants are recorded: each so many steps, and the last.
         """
-        program, n, width = self._loop.program, len(starts), self._compiled.width
-        kept = np.zeros((n, program.n_rows))
-        columns = {name: kept[:, at : at + size] for name, (at, size) in program.rows.items()}
-        columns["q"][:] = [start.q for start in starts]
-        columns["state"][:] = self._states(starts)
-        columns[TOLD.last_bad][:] = -1.0
-        named = self._loop.truth.named(_numbers(starts))
-        named |= _sensors(starts)
-        named["target"] = np.array([start.target for start in starts])
-        packed = _packed(kept, width)
-        self._compiled.run(packed, _packed(program.filled(named), width), steps, every)
-        kept = packed.swapaxes(1, 2).reshape(-1, program.n_rows)[:n]
-        return {name: kept[:, program.rows[name][0]] for name in TOLD}
+        kept, parameters = self.begun(starts)
+        self.compiled.run(kept, parameters, steps, every)
+        rows = self._loop.program.rows
+        columns = kept.swapaxes(1, 2).reshape(-1, kept.shape[1])[: len(starts)]
+        return {name: columns[:, rows[name][0]] for name in TOLD}
 
     def _states(self, starts: Sequence[Start]) -> Array:
         controller = self._controller

@@ -1,0 +1,155 @@
+"""Steps of the closed loop a second, of everything that can take them, in one process and one core.
+
+A Panda with a tool that is truly longer and heavier, semi-implicit Euler at 1 ms: law (6) with the
+believed gravity. All take turns; runs that are many differ in tool, start and target.
+
+    OMP_NUM_THREADS=1 python tests/benchmarks/lanes.py
+"""
+
+import functools
+import time
+
+import mujoco
+import naive_laws as naive
+import numpy as np
+import pinocchio as pin
+import turns
+from mujoco import rollout
+
+import approxjac as aj
+from approxjac.codegen.closed_loop import Box
+from approxjac.codegen.lanes import Lanes
+from approxjac.codegen.llvm import LlvmLanes
+from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.robots import Dynamics
+from approxjac.stability.rollout_study import Study
+
+DT, LANES, ROUNDS = 1e-3, 1024, 5
+AVX2 = "+sse4.2,+avx,+avx2"
+
+
+def study(learns):
+    """The loop: within a box of ±0.3 rad about a usual posture, so that few touch a stop."""
+    arm = aj.load_robot("panda")
+    errors = aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5), friction=0.1)
+    task = errors.believed_task()
+    gravity = aj.AdaptiveGravity(task.robot) if learns else None
+    law = aj.SetpointController(task, gravity=gravity)
+    q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])
+    region = aj.JointBox.around(task.robot, q, 0.3)
+    whole = Study(law, errors, region, None, 1.0, DT, 1e-3, 0)
+    starts = [whole.start(index) for index in range(LANES)]
+    return law, starts, Box(region.center, region.lower, region.upper)
+
+
+def in_lanes(engine, learns=False, integrator="semi_implicit_euler"):
+    """A function of a number of steps, and how long it took to be compiled [s]."""
+    law, starts, box = study(learns)
+    lanes = Lanes(law, starts, box, DT, 1e-3, integrator, engine)
+    start = time.process_time()
+    compiled = lanes.compiled
+    took = time.process_time() - start
+    kept, given = lanes.begun(starts)
+
+    def run(steps):
+        compiled.run(kept.copy(), given, steps - 1, 10)
+        return steps * LANES
+
+    return run, took
+
+
+def simulated(learns):
+    law, starts, _ = study(learns)
+    begin = starts[0]
+
+    def run(steps):
+        aj.simulate(
+            begin.plant, law, begin.target, begin.q, steps * DT, dt=DT, record_every=steps * DT,
+            integrator="semi_implicit_euler",
+        )  # fmt: skip
+        return steps
+
+    return run
+
+
+def careful_loop():
+    """The least that a loop in Python takes: the law as typed in, and Pinocchio, unchecked."""
+    law, starts, _ = study(False)
+    begin, robot = starts[0], law.task.robot
+    truth, data = begin.plant.robot.model, begin.plant.robot.model.createData()
+    frame = begin.plant.robot.frame_id(begin.plant.sensor.frame)
+    J_of = naive.jacobian(robot, slice(0, 3))
+    kp, kv, damping = law.diagonals
+    gamma, g = law.saturation.gamma, Dynamics(robot).g
+    B = begin.plant.friction
+
+    def run(steps):
+        q, v = begin.q, np.zeros(robot.nv)
+        for _ in range(steps):
+            pin.framesForwardKinematics(truth, data, q)
+            e = data.oMf[frame].translation - begin.target
+            J = J_of(q)
+            tau = g(q) - damping * v - (kp * gamma * np.tanh(e / gamma) + kv * J.dot(v)).dot(J)
+            v = v + DT * pin.aba(truth, data, q, v, tau - B * v)
+            q = q + DT * v
+        return steps
+
+    return run
+
+
+def mujoco_rollout():
+    """MuJoCo's own threads-free rollout of the plant alone, under gravity's torque."""
+    plant = aj.MujocoPlant(aj.load_robot("panda"))
+    model = plant.mujoco_model
+    data = mujoco.MjData(model)
+    full = np.zeros((64, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
+
+    def run(steps):
+        rollout.rollout(model, data, full, control=np.zeros((64, steps, model.nu)))
+        return steps * 64
+
+    return run
+
+
+def measured():
+    """Steps a second of each, the median of rounds in which all take turns."""
+    runs, built = {}, {}
+    runs["`simulate`"] = simulated(False), 500
+    runs["`simulate`, learnt gravity"] = simulated(True), 300
+    runs["a careful loop in Python"] = careful_loop(), 1000
+    runs["`mujoco.rollout`, the plant alone"] = mujoco_rollout(), 200
+    for title, make, options, steps in (
+        ("NumPy, 1024 runs at once", NumpyLanes, {}, 3),
+        ("lanes, AVX2", functools.partial(LlvmLanes, width=4, features=AVX2), {}, 300),
+        ("lanes, this machine", LlvmLanes, {}, 300),
+        ("lanes, RK4", LlvmLanes, {"integrator": "rk4"}, 100),
+        ("lanes, learnt gravity", LlvmLanes, {"learns": True}, 300),
+    ):
+        run, built[title] = in_lanes(make, **options)
+        runs[title] = run, steps
+    times = {name: [] for name in runs}
+    for _ in range(ROUNDS):
+        for name, (run, steps) in runs.items():
+            times[name].append(_timed(run, steps))
+    return {name: float(np.median(each)) for name, each in times.items()}, built
+
+
+def _timed(run, steps):
+    start = time.process_time()
+    done = run(steps)
+    return (time.process_time() - start) / done
+
+
+def table():
+    """Markdown."""
+    found, built = measured()
+    slow = found["`simulate`"]
+    rows = [
+        (name, f"{1.0 / each:,.0f}", 1e6 * each, slow / each, built.get(name))
+        for name, each in found.items()
+    ]
+    return turns.table(("on one core", "steps/s", "µs", "× `simulate`", "to compile, s"), rows)
+
+
+if __name__ == "__main__":
+    print(table())
