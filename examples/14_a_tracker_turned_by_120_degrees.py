@@ -48,7 +48,7 @@ for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
     run = aj.simulate(plant, controller, x_d, q0, duration=4.0, dt=1e-3)
     left = 1e3 * run.error_norm[-1]
     print(f"{name}: {1e3 * run.error_norm[0]:.0f} mm -> {left:.2f} mm after 4 s")
-    view.plot_error(run, ax, title=f"{name}: {left:.2g} mm left")
+    view.plot_error(run, ax, title=f"{name}: {left:.1f} mm left")
 true = dict(zip(["camera.rx", "camera.ry", "camera.rz"], turned, strict=True))
 view.plot_kinematics(run, controller, list(true), axes[2], truth=true, title="Its rotation, ± 2 sd")
 print(*view.save_figure(figure, out / "tracker_turned"), sep="\n")

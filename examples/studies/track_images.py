@@ -24,7 +24,6 @@ from tracks import DT, Circle
 
 import approxjac as aj
 from approxjac.controllers import (
-    AdaptiveDynamics,
     KnownKinematics,
     ModelDynamics,
     PredictedMeasurement,
@@ -47,7 +46,6 @@ PLANE = ("plane", "Figure 3")  # of the paper's arm
 WHERE = ("room", "hand", *PLANE)
 PLANE_WINDOWS = ((2.0, 3.0), (4.0, 5.0), (9.0, 10.0))
 PLANE_MOST = {"circle": {5.0: 1e-2}, "target": {5.0: 1e-2, 10.0: 1e-4}}  # [m]
-GAIN = 2000.0  # of what is learnt of the dynamics: lengths wrong by a quarter are a lot [1/J]
 LAWS = {
     "law T, learnt": "TrackingController with AdaptiveCamera",
     "set-point law, learnt": "SetpointController on x̂, with ẋ_d",
@@ -124,7 +122,6 @@ def run_plane(case):
         camera = PlanarCamera(0.1, 4.0, roll=math.radians(case.roll))
         lengths = (0.75, 1.25, 0.0)
     sensor, task = aj.ImageTask(build_arm(), CAMERA), aj.ImageTask(build_arm(lengths), camera)
-    dynamics = AdaptiveDynamics(task.robot, gain=GAIN)
     start, target = np.radians([60.0, 90.0]), sensor.value(np.radians([90.0, 90.0]))
     if case.kind == "circle":
         target = Circle(target, np.array([0.3 * m, 0.0]), np.array([0.0, 0.3 * m]), PERIOD)
@@ -134,7 +131,7 @@ def run_plane(case):
         largest[0] = max(largest[0], float(np.abs(loop.answer.torque).max()))
 
     run = aj.simulate(
-        aj.Plant(sensor.robot, sensor), aj.TrackingController(task, dynamics=dynamics), target,
+        aj.Plant(sensor.robot, sensor), aj.TrackingController(task), target,
         start, 10.0, dt=DT, record_every=5 * DT, integrator="semi_implicit_euler", observer=look,
     )  # fmt: skip
     norm = run.error_norm / m

@@ -42,6 +42,15 @@ def test_help_and_version(capsys):
     assert capsys.readouterr().out == f"approxjac {aj.__version__}\n"
 
 
+def test_the_command_alone_shows_its_help(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 0
+    told = capsys.readouterr().out
+    assert "Tell whether a controller is stable before anything moves" in told
+    assert "Missing" not in told
+
+
 def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all(capsys):
     listed, own = help_of(capsys), help_of(capsys, "stability")
     assert "Tell whether a controller is stable before anything moves" in listed

@@ -67,6 +67,14 @@ def test_options_take_the_place_of_what_the_file_says(reach, tmp_path, target):
     assert found["scenario"]["true"]["object"]["axis"] == "-x"  # a value that begins with a minus
 
 
+@pytest.mark.parametrize(("word", "axis"), [("-1,0,1", [-1.0, 0.0, 1.0]), ("y", "y")])
+def test_an_axis_is_one_word_before_the_robot_or_after_it(tmp_path, word, axis):
+    options = [f"--object-axis={word}", "--duration=0.01", "--out", str(tmp_path)]
+    for words in (["panda", *options], [*options[1:], options[0], "panda"]):
+        assert main(["simulate", *words]) in (0, 1)
+        assert outcome(tmp_path)["scenario"]["true"]["object"]["axis"] == axis
+
+
 def test_a_path_that_was_followed_is_no_failure(tmp_path, capsys):
     words = ["--start", *map(str, HOME), "--run.target.circle.radius", "0.1", "--duration", "1.5"]
     assert main(["simulate", "panda", *words, "--out", str(tmp_path)]) == 0

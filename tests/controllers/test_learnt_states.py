@@ -174,6 +174,9 @@ def test_equal_robots_are_one_and_others_are_said_to_be(task):
     same = aj.PositionTask(aj.load_robot("ur5"), "tool0")
     assert same.robot is not task.robot
     PredictedMeasurement(aj.SetpointController(same), AdaptiveKinematics(task))
+    wrist = aj.PositionTask(task.robot, "wrist_3_link")
+    with pytest.raises(InvalidInputError, match=r"'wrist_3_link', 'xyz'\), got .*'tool0', 'xyz'\)"):
+        PredictedMeasurement(aj.SetpointController(wrist), AdaptiveKinematics(task))
     heavier = aj.PositionTask(task.robot.with_object(0.1, 1.0, parent="tool0"), "tool0")
     with pytest.raises(InvalidInputError, match="has another URDF or gravity"):
         PredictedMeasurement(aj.SetpointController(heavier), AdaptiveKinematics(task))

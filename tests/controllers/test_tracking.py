@@ -16,7 +16,11 @@ from approxjac.controllers import (
     ModelDynamics,
     TrackingController,
 )
-from approxjac.controllers.adaptive_dynamics import squared_rates
+from approxjac.controllers.adaptive_dynamics import (
+    squared_rate_of_arm,
+    squared_rates,
+    usual_motions,
+)
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.dynamics_regressor import DynamicsRegressor
 from approxjac.simulation import VelocityServo
@@ -543,10 +547,34 @@ def test_nothing_learns_faster_than_the_loop_stands(name):
     robot = aj.load_robot(name)
     dynamics = TrackingController(aj.PositionTask(robot)).dynamics
     assert dynamics.fastest == 120.0
-    rates = squared_rates(dynamics.regressor, dynamics.gamma)
+    rates = squared_rates(usual_motions(dynamics.regressor), dynamics.gamma)
     assert np.sqrt(rates.max()) <= 120.0 * (1.0 + 1e-9)
     reduced = (dynamics.gamma < 0.999 * dynamics.gain * dynamics.sd**2).sum()
     assert (reduced == 0) == (name == "panda")
+
+
+@pytest.mark.parametrize("name", ["panda", "ur10", "kinova", "so101"])
+def test_what_an_arm_carries_is_learnt_at_one_rate_whatever_it_weighs(name):
+    """From half a kilogram to thirty; with one gain for all it was 2/s to 25/s."""
+    dynamics = AdaptiveDynamics(aj.load_robot(name))
+    motions, links = usual_motions(dynamics.regressor), slice(dynamics.regressor.links)
+    rate = np.sqrt(squared_rate_of_arm(motions, dynamics.gamma, links))
+    assert 10.0 < rate < 16.1
+    # nothing is made faster than κ by it
+    alone = np.sqrt(squared_rates(motions, dynamics.gamma)[links])
+    at_20 = np.sqrt(squared_rates(motions, 20.0 * dynamics.sd**2)[links])
+    assert (alone <= np.maximum(60.0, at_20) * (1.0 + 1e-9)).all()
+
+
+def test_a_light_arm_learns_the_weight_of_its_object():
+    """50 g in the jaws of 500 g: 1.8 mm RMS with the gain of a Panda, and more later on."""
+    arm = aj.load_robot("so101")
+    truth, q = arm.with_object(0.05, 0.05), np.array([0.0, -0.5, 0.6, 0.5, 0.0])
+    task = aj.PositionTask(truth)
+    law_ = known(task, dynamics=AdaptiveDynamics(arm))
+    path = aj.Circle(task.value(q) - [0.04, 0.0, 0.0], 0.04, 4.0)
+    run = aj.simulate(aj.Plant(truth, task), law_, path, q, 4.0, integrator="semi_implicit_euler")
+    assert np.sqrt(np.mean(run.error_norm[run.t > 2.0] ** 2)) < 1e-3
 
 
 def test_what_is_learnt_stays_within_bounds(panda, rng):

@@ -24,6 +24,28 @@ _USUAL = {
         {"true": {"object": {"length": 0.0, "mass": 0.0}}, "controller": {"gravity": "exact"}}
     ),
 }
+
+
+def _axis(words: list[str]) -> str | tuple[float, ...] | None:
+    """Return what the one word of an axis says: its name, a vector such as 0,1,1, or None."""
+    (word,) = words
+    if "," not in word:
+        return None if word == "None" else word
+    return tuple(map(float, word.split(",")))
+
+
+_AXIS = Annotated[
+    Any,
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="AXIS",
+        instance_from_str=_axis,
+        is_instance=lambda value: value is None or isinstance(value, str | tuple),
+        str_from_instance=lambda value: [
+            ",".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+        ],
+    ),
+]
 _ROBOT = Annotated[
     tyro.conf.Positional[str],
     tyro.conf.arg(
@@ -133,6 +155,8 @@ def _options(record: Any, short: Mapping[str, list[str]], key: str = "") -> type
             made.append((name, kind, field(default_factory=kind)))
         else:
             hint = Annotated[hint, tyro.conf.arg(aliases=short.get(dotted))]
+            if name == "axis":  # as three words it would take the robot after it for a part of it
+                hint = Annotated[_AXIS, tyro.conf.arg(aliases=short.get(dotted))]
             default = partial(getattr, record, name)  # which may be a table
             made.append((name, hint, field(default_factory=default)))
     doc = {"__doc__": record.__doc__}  # the help of its options

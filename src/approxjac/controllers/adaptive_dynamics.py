@@ -25,6 +25,8 @@ _FARTHEST = 20.0  # standard deviations that a parameter may go from what is bel
 _FRICTION = 0.02  # of the effort
 _DRIVE = 2e-3  # rotor inertia over effort [s²] that any joint's drive may have
 _STANDARD_GRAVITY = 9.81
+_GAIN = 20.0  # [1/J]
+_LINKS = 16.0  # how fast the links of an arm are learnt [1/s]
 _CONFIGURATIONS, _SPEED, _ACCELERATION = 20, 0.5, 2.0  # usual ones [rad/s, rad/s² or m]
 
 
@@ -146,6 +148,11 @@ class ModelDynamics(MotionDynamics):
 class AdaptiveDynamics(MotionDynamics):
     """All of the dynamics, learnt: â' = −Γ Y_dᵀσ with Γ = gain · diag(sd²), or less.
 
+    By default the gain is 20/J; of links it is that with which a light arm learns what it carries
+    as fast as a heavy one: ω = 16/s with ω² = tr(Y_d Γ Y_dᵀ)/tr M, the median of usual motions. An
+    error of the torque then goes like exp(−ω²t/κ). But no parameter is made faster by that than
+    half of `fastest`.
+
     Less where a parameter alone would make the loop swing faster than `fastest`, as those of a
     wrist do that a URDF says to be lighter than any wrist is.
 
@@ -165,13 +172,14 @@ class AdaptiveDynamics(MotionDynamics):
         rotor_inertia: Believed rotor inertias as the joints feel them, a number or shape (n_v,)
             [kg m² or kg]. Where they are told, the gain matrix of the law has them.
         sd: Plausible errors of all parameters in the order of `regressor.names`, shape (p,).
-        gain: How fast all of them learn > 0 [1/J].
+        gain: How fast all of them learn > 0 [1/J], in place of the above.
         fastest: How fast each parameter may learn at usual configurations > 0 [1/s]. In place of
             the default a `TrackingController` takes twice its κ, for dynamics that it makes itself.
 
     Attributes:
         regressor: The `DynamicsRegressor`.
         sd: Plausible errors, shape (p,).
+        gain: Of each parameter, shape (p,) [1/J].
         gamma: Diagonal of Γ, shape (p,).
 
     Raises:
@@ -184,19 +192,26 @@ class AdaptiveDynamics(MotionDynamics):
         *,
         rotor_inertia: float | Sequence[float] | Array = 0.0,
         sd: Sequence[float] | Array | None = None,
-        gain: float = 20.0,
+        gain: float | None = None,
         fastest: float = 120.0,
     ) -> None:
         self._remember(locals())
         self._build(robot, rotor_inertia)
         self.regressor = DynamicsRegressor(robot)
         self.n_state = self.regressor.p
-        self.gain = as_number("gain", gain, unit="1/J", above=0.0)
-        usual = plausible_errors(self.regressor) if sd is None else sd
-        self.sd = as_diagonal("sd", usual, self.n_state)
+        usual = plausible_errors(self.regressor)
+        self.sd = usual if sd is None else as_diagonal("sd", sd, self.n_state)
         self.fastest = as_number("fastest", fastest, unit="1/s", above=0.0)
-        gamma = self.gain * self.sd**2
-        self.gamma = gamma * np.minimum(1.0, self.fastest**2 / squared_rates(self.regressor, gamma))
+        one = _GAIN if gain is None else as_number("gain", gain, unit="1/J", above=0.0)
+        motions = usual_motions(self.regressor)
+        self.gain, rates = np.full(self.n_state, one), squared_rates(motions, one * self.sd**2)
+        if gain is None:
+            k = slice(self.regressor.links)
+            wanted = _LINKS**2 / squared_rate_of_arm(motions, one * usual**2, k)
+            more = np.minimum(wanted, np.maximum(1.0, (0.5 * self.fastest) ** 2 / rates[k]))
+            self.gain[k] *= more
+            rates[k] *= more
+        self.gamma = self.gain * self.sd**2 * np.minimum(1.0, self.fastest**2 / rates)
         links, n = self.regressor.links, robot.nv
         prior = self.regressor.a.copy()
         prior[links : links + n] = self.rotor_inertia
@@ -252,20 +267,40 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     return np.concatenate([links, rotor, torque, torque, torque])
 
 
-def squared_rates(regressor: DynamicsRegressor, gamma: Array) -> Array:
-    """Return how fast each parameter alone makes σ swing, squared, shape (p,) [1/s²].
-
-    With Mσ̇ = −Y_d ã and ã' = ΓY_dᵀσ that is γᵢ Y_dᵢᵀM⁻¹Y_dᵢ: the largest over usual configurations,
-    each with joints at usual speeds and accelerations.
-    """
+def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:
+    """Return Y_d (n_v, p) and M⁻¹ (n_v, n_v) at usual configurations, speeds and accelerations."""
     robot, rng = regressor.robot, np.random.default_rng(0)
-    dynamics, largest = Dynamics(robot), np.full(regressor.p, 1e-9)
+    dynamics, found = Dynamics(robot), []
     for _ in range(_CONFIGURATIONS):
         q = robot.random_configuration(rng)
         v, a = (size * rng.choice((-1.0, 1.0), robot.nv) for size in (_SPEED, _ACCELERATION))
-        Y_d = regressor.Y_d(q, v, v, a)
-        largest = np.maximum(largest, gamma * (Y_d * (dynamics.M_inv(q) @ Y_d)).sum(axis=0))
-    return largest
+        found.append((regressor.Y_d(q, v, v, a), dynamics.M_inv(q)))
+    return found
+
+
+def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array:
+    """Return how fast each parameter alone makes σ swing, squared, shape (p,) [1/s²].
+
+    With Mσ̇ = −Y_d ã and ã' = ΓY_dᵀσ that is γᵢ Y_dᵢᵀM⁻¹Y_dᵢ: the largest of usual motions.
+    """
+    rates = [gamma * (Y_d * (M_inv @ Y_d)).sum(axis=0) for Y_d, M_inv in motions]
+    return np.asarray(np.maximum(np.max(rates, axis=0), 1e-9))
+
+
+def squared_rate_of_arm(
+    motions: Sequence[tuple[Array, Array]], gamma: Array, parameters: slice
+) -> float:
+    """Return how fast some parameters make all joints swing, squared [1/s²].
+
+    tr(Y_d Γ Y_dᵀ)/tr M, the mean of joints by their inertia, so that wrists hardly count; the
+    median of usual motions.
+    """
+    rates = [
+        np.vdot(Y_d[:, parameters] ** 2, np.tile(gamma[parameters], (len(Y_d), 1)))
+        / np.trace(np.linalg.inv(M_inv))
+        for Y_d, M_inv in motions
+    ]
+    return max(float(np.median(rates)), 1e-9)
 
 
 def known_efforts(robot: Robot) -> Array:

@@ -133,7 +133,8 @@ class KinematicReport(NamedTuple):
             since = f"for the last {self.silence:.1f} s" if self.seconds else "yet"
             lines.append(f"no frame to learn from {since}: x is lost, or too old to tell q at it")
         if self.seconds and not self.is_explained:
-            lines.append("the parameters that may be wrong do not explain x")
+            rest = ": a camera's center and distortion are not learnt" if self.unit == "px" else ""
+            lines.append(f"the parameters that may be wrong do not explain x{rest}")
         if self.axes.are_tilted:
             degrees = math.degrees(self.axes.angle)
             lines.append(

@@ -81,6 +81,9 @@ class Limiter(ControllerWrapper):
     error. Otherwise θ̂ rests. This takes the place of `AdaptiveGravity.torque_limits`. Dynamics that
     a `TrackingController` learns rest wherever the proof is given up; its kinematics go on.
 
+    `resumed`, `kinematics_learnt` and `learnt_robot` of such a law are to be had of this, too, and
+    take its states.
+
     Args:
         controller: The controller whose torque to limit.
         limits: Limits to keep; those of the believed robot's URDF by default.

@@ -16,6 +16,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, Evaluation, Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import features
 from approxjac.validation import Array, as_vector, require
 
 _OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
@@ -58,7 +59,9 @@ class PredictedMeasurement(ControllerWrapper):
                 given=controller,
             )
         task = kinematics.task
-        if (controller.task.labels, controller.task.units) != (task.labels, task.units):
+        frames, own = ([each.frame for each in features(t)] for t in (controller.task, task))
+        alike = (controller.task.labels, controller.task.units) == (task.labels, task.units)
+        if not alike or frames != own:
             raise InvalidInputError(
                 f"kinematics must be of the controller's task {controller.task!r}, got "
                 f"{kinematics!r}",

@@ -29,7 +29,7 @@ class Object:
         length: From the arm's tip to that of the object, m.
         mass: Its mass, kg.
         axis: Direction along it in the tip's axes, such as z, -x (as --object-axis=-x), or a
-            vector; outward by default.
+            vector (as 0,1,1); outward by default.
         radius: Of the cylinder, m; 0.01 by default, or that of the true object.
     """
 
@@ -347,8 +347,8 @@ class Run:
         target: Value or path of the task; by default random by the seed, where no joint stop bars
             the straight way from the start unless that is random, too.
         duration: Of the run, s.
-        tolerance: Error below which it is done, m, rad or px; 1e-3, the noise of an image, or half
-            of how far a path leads from its start.
+        tolerance: Error below which it is done, m, rad or px; 1e-3, or the noise of an image; of a
+            path a twentieth of how far it leads from its start, if that is more.
         seed: Of target, noise and dropouts, and of a random start.
     """
 

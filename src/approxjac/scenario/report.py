@@ -71,7 +71,7 @@ def text(result: Result) -> str:
         "joints": f"{listed(run.q[0])} -> {listed(run.q[-1])}",
         "x": f"{listed(run.x[0])} -> {listed(run.x[-1])} after {run.t[-1]:g} s",
         "target": listed(run.target),
-        "error": f"{_size(result.errors_at(0))} -> {_size(result.final_error)}",
+        **_error(result),
         "tolerance": f"{result.tolerance:.4g} {run.task_unit}",
         "settled": "not" if math.isnan(result.settling_time) else f"{result.settling_time:.3g} s",
         "torque": "no limit known"
@@ -82,10 +82,8 @@ def text(result: Result) -> str:
     if isinstance(law, SetpointController) and law.adaptation is not None:
         told["learnt"] = law.adaptation.words(law.learnt(run.state[-1]), law.task)
     if built.learning is not None:
-        told["kinematics"] = _kinematics(built.learning.kinematics_learnt(run.state[-1]))
-    if result.on_path:
-        largest, rms, last = (_size({run.task_unit: error}) for error in result.strayed)
-        told["strayed"] = f"up to {largest} from the path, {rms} RMS, {last} in the last quarter"
+        learnt = built.learning.kinematics_learnt(run.state[-1])
+        told["kinematics"] = _kinematics(learnt, isinstance(built.plant.sensor, ImageTask))
     if built.limits is not None:
         told["limits"] = _shares(run.limit_status_counts())
     if run.at_stops:
@@ -97,6 +95,14 @@ def text(result: Result) -> str:
     told["verdict"] = ": ".join(filter(None, (result.verdict, result.reason)))
     lines = [f"{name:<11} {line}" for name, line in told.items()]
     return "\n".join([repr(built.plant.robot), *lines])
+
+
+def _error(result: Result) -> dict[str, str]:
+    """Return the error from start to end, or of a path, which begins at the arm, all along it."""
+    if not result.on_path:
+        return {"error": f"{_size(result.errors_at(0))} -> {_size(result.final_error)}"}
+    largest, rms, last = (_size({result.run.task_unit: error}) for error in result.strayed)
+    return {"strayed": f"up to {largest} from the path, {rms} RMS, {last} in the last quarter"}
 
 
 def _held(scenario: Scenario) -> dict[str, Any]:
@@ -115,8 +121,8 @@ def believed(scenario: Scenario) -> str:
 
 def draw(result: Result) -> Figure:
     """Draw error, torque, the path of the tip or through the image, and what limits did."""
-    run, built = result.run, result.built
-    sensor, limited = built.plant.sensor, built.limits is not None
+    run, built, sensor = result.run, result.built, result.built.plant.sensor
+    limited = bool((run.limit_status > LimitStatus.FREE).any())  # or there is nothing to see
     title = f"{run.robot_name}: {result.verdict}"
     figure, axes = new_figure(*((2, 2) if limited else (3, 1)), title=title)
     plot_error(run, axes[0])
@@ -131,15 +137,17 @@ def draw(result: Result) -> Figure:
     return figure
 
 
-def _kinematics(learnt: KinematicReport) -> str:
+def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
     """Return tool and camera as they were learnt, and whether that explains x."""
     tool = [row.value for row in learnt.rows if row.name.startswith("tool.")]
     told = [f"tool at {listed(np.round(tool, 3))} m"] if tool else []
     if learnt.angle:
-        told.append(f"tracker turned by {math.degrees(learnt.angle):.1f} deg")
+        which, rows = ("camera", "") if is_image else ("tracker", " (camera.r in kinematics.txt)")
+        told.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
     told.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
     if not learnt.is_explained:
-        told.append("which does not explain x")
+        why = ": its center and distortion are not learnt" if learnt.unit == "px" else ""
+        told.append(f"which does not explain x{why}")
     return ", ".join(told)
 
 

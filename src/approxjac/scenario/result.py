@@ -20,7 +20,7 @@ from approxjac.validation import Array
 _AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
 _TOLERANCE, _HALF_A_PIXEL = 1e-3, 0.5  # [m and rad], [px]
-_STRAY = 0.5  # of how far a path leads from its start: an error as large is not following it
+_STRAY = 0.05  # of how far a path leads from its start: farther beside it is not following it
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,13 @@ class Result:
         given = self.built.scenario.run.tolerance
         if given is not None:
             return given
-        if self.on_path:
-            return _STRAY * float(np.linalg.norm(self.run.x_d - self.run.x_d[0], axis=1).max())
-        return (self.built.scenario.sensor.noise or _HALF_A_PIXEL) if self.in_pixels else _TOLERANCE
+        least = _TOLERANCE
+        if self.in_pixels:
+            least = self.built.scenario.sensor.noise or _HALF_A_PIXEL
+        if not self.on_path:
+            return least
+        size = float(np.linalg.norm(self.run.x_d - self.run.x_d[0], axis=1).max())
+        return max(least, _STRAY * size)
 
     @property
     def errors(self) -> Array:

@@ -79,7 +79,7 @@ class Scene:
 def _saved_robot(robot: Robot) -> dict[str, Any]:
     folder = None if robot.urdf_dir is None else str(robot.urdf_dir)
     kept = {"urdf": robot.urdf, "gravity": robot.gravity.tolist(), "tip": robot.tip}
-    return kept | {"urdf_dir": folder}
+    return kept | {"urdf_dir": folder, "name": robot.name}
 
 
 def _restored_robot(kept: Mapping[str, Any]) -> Robot:

@@ -90,7 +90,7 @@ def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
                 facecolors=_STATUS_COLORS[status], label=status.name,
             )  # fmt: skip
         ax.set(xlabel="time [s]", ylabel=f"σ [{run.units['slack']}]")
-        ax.set_title("Slack σ of V̇ ≤ −W + σ, and status")
+        ax.set_title("Slack σ that limits add to V̇, and status")
     return ax
 
 

@@ -12,6 +12,7 @@ from approxjac.controllers import PredictedMeasurement
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import TrackerTask
 from approxjac.view.browser.frames import Frames
+from approxjac.view.browser.page import page
 from approxjac.view.browser.stage import Stage
 
 TARGET = np.array([0.5, -0.1, 0.6])
@@ -242,3 +243,25 @@ def test_the_believed_tip_moves_onto_the_true_one_while_it_is_learnt(panda, law)
     assert apart[0] == pytest.approx(0.2)
     assert apart[-1] < 2e-3
     assert np.isnan(run.V).all()  # which would be of what is predicted
+    assert '"learnt tip"' in page(run)
+    assert '"believed tip"' not in page(run)
+
+
+def test_the_tip_of_an_image_task_is_the_learnt_one_too(panda):
+    camera = aj.PinholeCamera.looking_at(
+        (0.45, 0.0, 0.4), (1.5, -0.8, 0.9), focal_length=600.0, size=(640, 480)
+    )
+    truth = panda.with_object(0.1, axis="x")
+    task = aj.ImageTask(panda, camera)
+    kinematics = aj.AdaptiveCamera(task, unknown=("tool",), dt=2e-3)
+    controller = aj.TrackingController(task, kinematics=kinematics, dt=2e-3)
+    plant = aj.Plant(truth, aj.ImageTask(truth, camera))
+    x_d = plant.sensor.value(START) + [60.0, -40.0]
+    run = aj.simulate(plant, controller, x_d, START, 1.0, dt=2e-3, record_every=0.02)
+    shown = Frames(run.scene).columns(run)
+    arm = kinematics.robot(run.state[-1][-kinematics.n_state :])
+    end = aj.PositionTask(arm).value(run.q[-1])
+    assert_allclose(shown["believed_tip"][-1], end, atol=1e-9)
+    apart = np.linalg.norm(shown["believed_tip"] - shown["tip"], axis=1)
+    assert apart[-1] < 0.5 * apart[0]
+    assert '"learnt tip"' in page(run)

@@ -107,6 +107,38 @@ def test_what_the_page_says_of_the_run(run):
     assert facts["not measured"] == "10 % of the time"
 
 
+def test_the_page_says_what_held_for_most_of_the_time(run):
+    """Also statuses of two kinds whose numbers are the same."""
+    for status in (*aj.Status, *aj.LimitStatus):
+        name = "limit_status" if isinstance(status, aj.LimitStatus) else "status"
+        most = np.full(len(run.t), int(status))
+        facts = dict(data_of(page(dataclasses.replace(run, **{name: most})))["facts"])
+        found = [
+            said
+            for what, said in facts.items()
+            if status.name.lower()[:8] in what[-30:].replace(" ", "_")
+        ]
+        usual = ("OK", "MEASUREMENT_HELD", "UNLIMITED", "FREE")
+        assert found == ([] if status.name in usual else ["100 % of the time"]), status
+
+
+def test_the_page_of_a_path_says_how_far_it_was_left(run):
+    x_d = run.x_d + np.linspace(0.0, 0.1, len(run.t))[:, np.newaxis]
+    error = np.zeros_like(run.error)
+    error[10, 0] = 0.054
+    facts = dict(data_of(page(dataclasses.replace(run, x_d=x_d, error=error)))["facts"])
+    assert facts["error"] == "up to 54 mm, 0 at the end"
+
+
+def test_a_page_is_of_the_robot_that_was_loaded(tmp_path):
+    arm = aj.load_robot("xarm7")
+    assert arm.name != arm.tree.name
+    task, q = aj.PositionTask(arm), arm.neutral() + 0.3
+    run = aj.simulate(aj.Plant(arm), aj.SetpointController(task), task.value(q), q, 0.01, dt=1e-3)
+    again = aj.Trajectory.load(run.save(tmp_path / "run.npz"))
+    assert "<title>xarm7, " in page(again)
+
+
 def test_a_page_of_a_panda_is_small(panda):
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))

@@ -18,6 +18,7 @@ from approxjac.simulation.scene import Scene
 from approxjac.tasks import Camera, PinholeCamera
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array
+from approxjac.view.browser.frames import learnt_regressor
 from approxjac.view.browser.stage import Stage, grid
 from approxjac.view.browser.viewpoint import link_points, viewpoint
 from approxjac.view.style import COLORS, SERIES, display_unit
@@ -25,6 +26,7 @@ from approxjac.view.tree import held_objects
 
 _BACKGROUND = (np.array([[253, 253, 254], [241, 243, 245]]) / 255.0).tolist()  # top, bottom
 _SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
+_TIPS = ("believed tip", "learnt tip")  # the second where it moves as it is learnt
 _BUNDLED = "dist/main.min.js."
 _LICENCES = ("LICENSE", f"{_BUNDLED}LICENSE.txt", f"{_BUNDLED}THIRD_PARTY_LICENSES.json")
 _ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
@@ -75,6 +77,7 @@ def page_data(
     return data | {
         "title": title or scene.truth.name + believed,
         "facts": [*_belief_facts(scene), *facts],
+        "tip": _TIPS[learnt_regressor(scene) is not None],
         "legend": _legend(scene, axes is not None),
         "live": live,
         "colours": COLORS,
@@ -131,7 +134,7 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
         (True, "arm", "bar", "the arm as it is"),
         (held, "object", "bar", "object that it holds"),
         (told, "believed", "bar", ghost),
-        (told, "believed", "", "believed tip"),
+        (told, "believed", "", _TIPS[learnt_regressor(scene) is not None]),
         (True, "true", "", "true tip and its path"),
         (any(feature.axes for feature in features(scene.sensor)),
          "measured", "", "measured tip, where it differs"),

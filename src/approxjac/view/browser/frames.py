@@ -32,14 +32,13 @@ class Frames:
         self._feature = _first(features(scene.sensor))
         self._true = _followed(scene.truth, self._feature)
         self._believed: PointKinematics | None = None
-        self._learnt: KinematicRegressor | None = None  # by which the believed tip moves
+        self._learnt: KinematicRegressor | None = None  # by which it moves as it is learnt
         if scene.belief is not None:
             feature = _first(features(scene.task)) or self._feature
             if feature is not None and feature.frame not in (None, *scene.belief.frame_names):
                 feature = None  # of the true robot only
             self._believed = _followed(scene.belief, feature)
-            if scene.learnt and feature is not None and feature.axes:
-                self._learnt = KinematicRegressor(scene.belief, feature.frame)
+            self._learnt = learnt_regressor(scene)
         # continuous joints have no limits; their (cos, sin) may go where it likes
         limited = [joint for joint in own_joints(scene.truth.model).values() if joint.nq == 1]
         self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
@@ -56,8 +55,9 @@ class Frames:
             t, V [J]; error in display units (N, m); torque, as a share of its limit (NaN of those
             without one) where any limit is known, else in N m or N (N, n_v); load, |τ|/limit
             (N, n_v); at_limit, 1 of joints at a position limit (N, n_v); joints, all positions
-            (N, n_all); tip, believed_tip, measured and target (N, 3) [m], NaN where there is no
-            such position; force at the believed tip that the task torque stands for (N, 3) [N].
+            (N, n_all); tip, believed_tip (as it is learnt by then, where it is), measured and
+            target (N, 3) [m], NaN where there is no such position; force at the believed tip that
+            the task torque stands for (N, 3) [N].
             Of images: pixels, measured_pixels, believed_pixels and target_pixels (N, k, 2).
         """
         kept = np.arange(len(run.t)) if kept is None else kept
@@ -142,6 +142,15 @@ class Frames:
         if believed is not None and len(believed.points) == len(image.points):
             found["believed_pixels"] = _pixels(believed, _values(self.scene.task, q))
         return found
+
+
+def learnt_regressor(scene: Scene) -> KinematicRegressor | None:
+    """Return p(q) of the tip that is followed, where a run learns its translations, or None."""
+    feature = _first(features(scene.task)) if scene.learnt else None
+    if scene.belief is None or feature is None or feature.frame is None:
+        return None  # or a camera in hand, which watches points of the world
+    regressor = KinematicRegressor(scene.belief, feature.frame, feature.points[:1])
+    return regressor if set(regressor.names) & set(scene.learnt) else None
 
 
 def _peaks(tau: Array, kept: Any) -> Array:

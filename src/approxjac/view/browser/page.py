@@ -24,7 +24,9 @@ from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.stage import Stage
 from approxjac.view.style import COLORS, display_unit
 
-_USUAL = (Status.OK, Status.MEASUREMENT_HELD, LimitStatus.UNLIMITED, LimitStatus.FREE)
+# one set for each kind: as numbers, statuses of two kinds are equal
+_USUAL = {Status.OK, Status.MEASUREMENT_HELD}
+_USUAL_LIMITS = {LimitStatus.UNLIMITED, LimitStatus.FREE}
 _RATE = 60.0  # frames of a second, at most
 _FRAMES = 1000  # of a run, at most
 _HEAD = 4000  # characters of a page in which its name stands
@@ -159,17 +161,25 @@ def _facts(run: Trajectory) -> list[tuple[str, str]]:
         rows = [i for i, (name, _) in enumerate(units) if name == unit]
         scaled = run.error[:, rows] * [units[i][1] for i in rows]
         first, last = (float(np.linalg.norm(scaled[k])) for k in (0, -1))
+        if (run.x_d != run.x_d[0]).any():  # a path begins where the arm is
+            largest = float(np.nanmax(np.linalg.norm(scaled, axis=1)))
+            facts.append(("error", f"up to {_short(largest)} {unit}, {_short(last)} at the end"))
+            continue
         share = f" ({_short(100.0 * last / first)} % is left)" if first > 0.0 else ""
         facts.append(("error", f"{_short(first)} → {_short(last)} {unit}{share}"))
     counts = {"not measured": int((~np.isfinite(run.x_measured).all(axis=1)).sum())}
     for status, count in (*run.status_counts().items(), *run.limit_status_counts().items()):
-        if status not in _USUAL:
+        if status not in (_USUAL_LIMITS if isinstance(status, LimitStatus) else _USUAL):
             name = status.name.lower().replace("_", " ")
             if isinstance(status, LimitStatus) and status is not LimitStatus.LIMITED:
                 name = f"limited, {name}"  # where it was not, the proof holds as well
             counts[name] = count
     shares = {name: 100.0 * count / len(run.t) for name, count in counts.items() if count}
-    return [*facts, *((name, f"{share:.2g} % of the time") for name, share in shares.items())]
+    return [*facts, *((name, f"{_percent(share)} of the time") for name, share in shares.items())]
+
+
+def _percent(share: float) -> str:
+    return f"{share:.2g} %" if share < 99.5 else "100 %"
 
 
 def _short(value: float) -> str:

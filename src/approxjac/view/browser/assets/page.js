@@ -136,7 +136,7 @@ approxjac.Rows = class {
     const said = [], force = Math.hypot(...rows.at("force", s));
     const [tip, believed] = [rows.at("tip", s), rows.at("believed_tip", s)];
     const apart = 1000 * Math.hypot(...tip.map((x, i) => x - believed[i]));
-    if (Number.isFinite(apart)) said.push(`believed tip ${approxjac.number(apart)} mm away`);
+    if (Number.isFinite(apart)) said.push(`${data.tip} ${approxjac.number(apart)} mm away`);
     if (Number.isFinite(force)) said.push(`force of the control ${approxjac.number(force)} N`);
     const named = (values, least) => {
       const names = data.jointNames.filter((_, k) => values[k] >= least);
