@@ -139,10 +139,10 @@ def answer(
     else:
         Y = symbols(_regressor(learning, arm, J_hat))
         g = law.gravity(Y, state[:p])
-    root = controller.pinv.root
-    weighted = J_hat if root is None else J_hat / root
+    weight = 1.0 if controller.pinv.root is None else 1.0 / controller.pinv.root
+    weighted = J_hat * weight
     w, damped, _, _ = damped_gram_solve(weighted @ weighted.T, s, scale)
-    pinv_s = w @ weighted if root is None else (w @ weighted) / root
+    pinv_s = (w @ weighted) * weight
     bias = g
     if isinstance(controller.posture, Posture):
         own = controller.posture
@@ -160,7 +160,7 @@ def answer(
         rate = np.concatenate([symbols(rate[:p]), x_dot])
     status = np.where(damped > 0.0, _place(Status.NEAR_SINGULAR), _place(Status.OK))
     if learning is not None:
-        rests = any_of(np.abs(torque / learning.torque_limits) > 1.0)
+        rests = any_of(np.abs(torque) > learning.torque_limits)
         far = _is_far(controller, arm, e)
         y = law.passive_output(v, pinv_s, learning.alpha)
         theta_rate = law.theta_hat_rate(symbols(learning.L), Y, y)
@@ -240,7 +240,8 @@ def _bounded(
     high, low = theta_hat >= upper, theta_hat <= lower
     side = np.where(high, 1.0, np.where(low, -1.0, 0.0))
     beyond = np.where(np.abs(g) > learning.motors, np.where(g > 0.0, 1.0, -1.0), 0.0)
-    outward = any_of([*(side * rate > 0.0), *(beyond * (Y @ rate) > 0.0)])
+    # what may lead out; where nothing does, no multiplier is needed
+    outward = [*(high & (rate > 0.0)), *(low & (rate < 0.0)), *(np.abs(g) > learning.motors)]
     L = learning.L if learning.L.ndim == 2 else np.diag(learning.L)
     N = np.concatenate([np.diag(side), np.multiply(beyond[:, np.newaxis], Y)])
     NL = N @ symbols(L)
@@ -255,6 +256,6 @@ def _bounded(
     least = _ROUND_OFF * np.abs(N @ rate).max()
     wrong = any_of(N @ found > least)
     *kept, is_wrong = rate[0].graph.rare(
-        outward, [*found.tolist(), select(wrong, 1.0, 0.0)], [*rate.tolist(), 0.0]
+        any_of(outward), [*found.tolist(), select(wrong, 1.0, 0.0)], [*rate.tolist(), 0.0]
     )
     return symbols(kept), is_wrong > 0.0
