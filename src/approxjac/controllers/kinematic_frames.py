@@ -14,6 +14,8 @@ from approxjac.interface import Measurement, Status
 from approxjac.robots import Robot
 from approxjac.validation import Array
 
+_OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
+_LOST = Status.MEASUREMENT_LOST
 _SPACING = 10e-3  # between remembered configurations, from which others are interpolated [s]
 _HORIZON = 0.25  # age up to which a frame finds its configuration [s]
 _LONG_AGO = -1e6  # [s]
@@ -87,24 +89,24 @@ class Frames:
     def on_time(self, numbers: Array, measurement: Measurement, dt: float) -> Measurement:
         """Return a measurement by the own clock, dt [s] after the one before if t stands still."""
         n, t = self._n_x, measurement.t
-        passed, t_x = t - numbers[n + 2], time_of_x(measurement.t_x)
-        numbers[n + 2] = t
-        ahead = numbers[n + 3] + dt if passed == 0.0 else max(numbers[n + 3] - abs(passed), 0.0)
-        numbers[n + 3] = ahead
+        (last, ahead), t_x = numbers[n + 2 : n + 4].tolist(), time_of_x(measurement.t_x)
+        ahead = ahead + dt if t == last else max(ahead - abs(t - last), 0.0)
+        numbers[n + 2 : n + 4] = t, ahead
         t_x = None if t_x is None else t_x + ahead
-        return measurement._replace(t=t + ahead, t_x=t_x)
+        return Measurement(t + ahead, measurement.q, measurement.v, measurement.x, t_x)
 
     def silence(self, numbers: Array) -> float:
         """Return for how long there was no frame to learn from [s]."""
         t, ahead, found = numbers[self._n_x + 2 : self._head].tolist()
-        return max(float(t + ahead - found), 0.0)
+        return float(max(t + ahead - found, 0.0))
 
     def status(self, numbers: Array, measurement: Measurement, has_begun: bool) -> Status:
         """Return what may be done by a state (see `Kinematics`) that has seen x, or has not."""
         if not has_begun:
-            return Status.MEASUREMENT_LOST
-        is_stale = measurement.t_x is not None and self.silence(numbers) > _STALE
-        return Status.PREDICTED if is_stale else Status.OK
+            return _LOST
+        if measurement.t_x is None or self.silence(numbers) <= _STALE:
+            return _OK
+        return _PREDICTED
 
     def remember(self, numbers: Array, measurement: Measurement) -> bool:
         """Write the configuration at hand into the ring, if it is time.

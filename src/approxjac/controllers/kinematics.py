@@ -171,7 +171,7 @@ class AdaptiveKinematics(Kinematics):
 
     def status(self, state: Array, measurement: Measurement) -> Status:
         """Return what may be done by a state; see `Kinematics`."""
-        has_begun = bool((state[self._at["placed"]] > 0.0).all())
+        has_begun = min(state[self._at["placed"]].tolist()) > 0.0
         return self._frames.status(state[self._at["frames"]], measurement, has_begun)
 
     def step(self, state: Array, measurement: Measurement, dt: float) -> Array:
@@ -185,7 +185,7 @@ class AdaptiveKinematics(Kinematics):
         is_time = self._frames.remember(numbers, measurement)
         frame = self._frames.new(numbers, measurement)
         if frame is not None:
-            if not (state[self._at["placed"]] > 0.0).all():
+            if not min(state[self._at["placed"]].tolist()) > 0.0:
                 self._place(state, frame)
             frame = frame._replace(x=self._unknowns.points(frame.x))
             believed, is_anew = self._gate.judge(state[self._at["gate"]], frame, self._reach)
