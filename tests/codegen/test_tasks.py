@@ -80,9 +80,10 @@ def evaluated(task, q, x, x_d):
     named = {name: inputs(program.graph, name, each.shape[1]) for name, each in ours.items()}
     arm = Arm(program.given, "arm", task.robot, tasks.frames(task))
     here = arm.at(named["q"])
+    value = tasks.value(task, here)
     terms = (
-        tasks.measured(task, here, {}),
-        tasks.value(task, here),
+        tasks.seen(task, value),
+        value,
         tasks.jacobian(task, here, named["x"]),
         tasks.error(task, named["x"], named["x_d"]),
     )

@@ -127,7 +127,7 @@ def closed_loop(
         TOLD.diverged: select(loop.diverged, 1.0, told[TOLD.diverged]),
         TOLD.left: select(loop.left, 1.0, told[TOLD.left]),
     })  # fmt: skip
-    error = np.sqrt((answer.e * answer.e).sum())
+    error = np.sqrt((loop.error * loop.error).sum())
     record = told[TOLD.last_bad]
     program.record({
         TOLD.last_bad: select(error < tolerance, record, program.k),
@@ -172,6 +172,7 @@ class _Loop(NamedTuple):
     q: Symbols
     v: Symbols
     x: Symbols
+    error: Symbols  # of what no sensor sees, too
     answer: setpoint.Answer
     after: dict[str, Any]
     diverged: Condition
@@ -195,7 +196,9 @@ class _Loop(NamedTuple):
         q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
         state = program.kept("state", setpoint.n_state(controller))
         here = truth.at(q)
-        x = tasks.measured(plant.sensor, here, sensor)
+        value = tasks.value(plant.sensor, here, sensor)
+        x = tasks.seen(plant.sensor, value)
+        error = tasks.error(plant.sensor, value, x_d)
         may_lose = tasks.may_lose(plant.sensor)
         answer = setpoint.answer(controller, belief.at(q), q, v, x, x_d, state, may_lose=may_lose)
         q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
@@ -210,7 +213,7 @@ class _Loop(NamedTuple):
         squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state)]
         after = {"q": q_end, "v": v_end, "state": state + dt * answer.rate}
         diverged = ~(sum(squares, 0.0) < _FINITE)
-        return cls(truth, q, v, x, answer, after, diverged, left)
+        return cls(truth, q, v, x, error, answer, after, diverged, left)
 
 
 def _larger(known: Number, shares: Symbols) -> Number:

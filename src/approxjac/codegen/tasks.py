@@ -247,15 +247,14 @@ def _points(task: ImageTask, here: Configured) -> Any:
     return found
 
 
-def value(task: Task, here: Configured) -> Symbols:
-    """Return x at a configuration, shape (n_x,)."""
-    return symbols(on_symbols(task, here).value(here.q))
+def value(task: Task, here: Configured, given: Mapping[str, Symbols] | None = None) -> Symbols:
+    """Return x at a configuration, of a task with its numbers or given ones, shape (n_x,)."""
+    return symbols(on_symbols(task, here, given).value(here.q))
 
 
-def measured(sensor: Task, here: Configured, given: Mapping[str, Symbols]) -> Symbols:
-    """Return what a sensor with given numbers delivers, shape (n_x,); NaN what it cannot see."""
-    found = on_symbols(sensor, here, given)
-    return symbols(found._seen(symbols(found.value(here.q))))
+def seen(sensor: Task, x: Symbols) -> Symbols:
+    """Return what a sensor delivers of x (n_x,), shape (n_x,); NaN what it cannot see."""
+    return symbols(on_symbols(sensor)._seen(x))
 
 
 def jacobian(task: Task, here: Configured, x: Symbols | None = None) -> Symbols:
