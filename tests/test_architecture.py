@@ -22,8 +22,8 @@ ALLOWED = {
     "robots": {"validation", "errors"},
     "law": {"validation", "errors"},
     "codegen": {
-        "simulation", "controllers", "law", "tasks", "robots", "interface", "validation", "errors",
-        "extras",
+        "simulation", "controllers", "law", "tasks", "robots", "interface", "formatting",
+        "validation", "errors", "extras", "__init__",
     },
     "tasks": {"robots", "formatting", "validation", "errors"},
     "controllers": {
@@ -50,8 +50,8 @@ ALLOWED = {
         "interface", "formatting", "validation", "errors",
     },
     "cli": {
-        "scenario", "paper", "view", "stability", "simulation", "robots", "errors",
-        "__init__",
+        "scenario", "paper", "view", "stability", "codegen", "controllers", "simulation", "robots",
+        "errors", "__init__",
     },
     "__main__": {"cli"},
 }  # fmt: skip

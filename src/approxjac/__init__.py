@@ -50,6 +50,7 @@ from approxjac.tasks import (
 if TYPE_CHECKING:
     from approxjac import codegen as codegen
     from approxjac import stability, view
+    from approxjac.codegen.c_files import export_c
     from approxjac.scenario import Scenario
 
     # from their own modules: through the package, type checkers take functions that are named as
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _LAZY = ("codegen", "stability", "view")  # modules that many programs never need
+_FROM = {"Scenario": "scenario", "export_c": "codegen"}
 _MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [
@@ -104,6 +106,7 @@ __all__ = [
     "Uncertainty",
     "Waypoints",
     "default_gains",
+    "export_c",
     "law",
     "load_robot",
     "local_stability",
@@ -120,11 +123,11 @@ __all__ = [
 if not TYPE_CHECKING:  # or no name would be unknown to type checkers
 
     def __getattr__(name: str) -> Any:
-        """Load `stability`, `view` and `Scenario` when they, or their names, are asked for."""
+        """Load `stability`, `view` and the names of `_FROM` and `stability` when asked for."""
         if name in _LAZY:
             found = importlib.import_module(f"approxjac.{name}")
         elif name in __all__:
-            module = "scenario" if name == "Scenario" else "stability"
+            module = _FROM.get(name, "stability")
             found = getattr(importlib.import_module(f"approxjac.{module}"), name)
         else:
             # with these Python adds what was meant

@@ -8,11 +8,12 @@ import numpy as np
 
 from approxjac import law
 from approxjac.codegen import tasks
-from approxjac.codegen.graph import Condition, select
-from approxjac.codegen.linear import damped_gram_solve
+from approxjac.codegen.graph import Condition, Scalar, select
+from approxjac.codegen.linear import Factors, damped_gram_solve
 from approxjac.codegen.rigid_body import Arm, Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers import Posture
+from approxjac.controllers.default_gains import slow_rate
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,
@@ -85,9 +86,9 @@ def require_covered(controller: Controller) -> None:
             f"make code of it, got {type(gravity).__name__}: {gravity!r}",
             given=gravity,
         )
-    if posture is not None and not (isinstance(posture, Posture) and robot.nq == robot.nv):
+    if posture is not None and robot.nq != robot.nv:
         raise InvalidInputError(
-            "posture must be a Posture of an arm without continuous joints to make code of it, "
+            "posture must be that of an arm without continuous joints to make code of it, "
             f"got {posture!r}",
             given=posture,
         )
@@ -144,11 +145,8 @@ def answer(
     w, damped, _, _ = damped_gram_solve(weighted @ weighted.T, s, scale)
     pinv_s = (w @ weighted) * weight
     bias = g
-    if isinstance(controller.posture, Posture):
-        own = controller.posture
-        pull = np.asarray(own.stiffness) * (np.asarray(own.q) - q)
-        within, _, no, _ = damped_gram_solve(G, J_hat @ pull, scale)
-        bias, left = bias + (pull - within @ J_hat), left | no
+    if controller.posture is not None:
+        bias = bias + _within_null_space(_pull(controller, q), J_hat, G, scale)
     rate = np.zeros(len(state))
     if controller.velocity is None:
         torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
@@ -185,6 +183,31 @@ def _saturated(saturation: Saturation, e: Symbols) -> Symbols:
     assert isinstance(saturation, Sine | Tanh)
     gamma = np.broadcast_to(saturation.gamma, e.shape)
     return (sine if isinstance(saturation, Sine) else tanh)(e / gamma, gamma)
+
+
+def _pull(controller: SetpointController, q: Symbols) -> Symbols:
+    """Return τ₀ of the posture, without continuous joints."""
+    own = controller.posture
+    if isinstance(own, Posture):
+        return symbols(np.asarray(own.stiffness) * (np.asarray(own.q) - q))
+    assert own is not None
+    rate = slow_rate(controller.task, controller.diagonals)
+    return symbols(own.torque(controller.task, controller.diagonals, rate)(q))
+
+
+def _within_null_space(torque: Symbols, J_hat: Symbols, G: Symbols, scale: float) -> Symbols:
+    """Return what `posture.within_null_space` does."""
+    b = symbols(J_hat @ torque)
+    w, damping, _, least = damped_gram_solve(G, b, scale)
+    if not isinstance(damping, Scalar):
+        return symbols(torque - w @ J_hat)
+    # what rounding leaves of G⁻¹ near a singular pose goes with the weight
+    is_regular, threshold = least > 0.0, least + damping
+    projected = np.where(symbols(is_regular), Factors(G).solve(b), 0.0)
+    weight = symbols(select(is_regular, least / threshold, 0.0))
+    faded = weight * (torque - projected @ J_hat)
+    plain = torque - w @ J_hat
+    return symbols(damping.graph.rare(damping > 0.0, faded.tolist(), plain.tolist()))
 
 
 def _gravity(controller: SetpointController, arm: Configured) -> Symbols:

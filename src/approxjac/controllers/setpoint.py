@@ -207,10 +207,10 @@ class SetpointController(ProvenLaw):
         Returns:
             Shape (n_v,) [rad/s or m/s]; q̇ where x was lost.
         """
-        s, J_hat = self.saturation.s(answer.e), answer.J_hat
-        if J_hat is None or not math.isfinite(s.dot(s)):
+        e, J_hat = answer.e, answer.J_hat
+        if J_hat is None or not math.isfinite(e.dot(e)):  # s of an infinite e may be finite
             return v
-        return law.passive_output(v, self.pinv.times(J_hat, s)[0], alpha)
+        return law.passive_output(v, self.pinv.times(J_hat, self.saturation.s(e))[0], alpha)
 
     @property
     def resting(self) -> int:

@@ -13,6 +13,7 @@ import numpy as np
 from approxjac.validation import Array
 
 _ROUND_OFF = 1e-12
+_FAR = 1e100  # a λ that stands for infinity where a limit or 1/y is infinite
 
 
 def limited_torque(
@@ -24,7 +25,7 @@ def limited_torque(
     The minimum is τ = τ* − λ R⁻¹y brought inside the limits, with the smallest λ from 0 to ρ that
     makes σ = 0, or λ = ρ where none does: the proof is bought with extra damping along y, at
     most ρ R⁻¹. The power yᵀ(τ − τ*) falls with λ along a line that is broken where a joint
-    reaches or leaves its limit, so λ is found exactly by walking along these breaks.
+    reaches or leaves its limit, so λ is found exactly from the power at these breaks.
 
     Args:
         torque: τ* of the law, shape (n_v,) [N m or N].
@@ -53,33 +54,35 @@ def limited_torque(
         return guess, 0.0
     if left > 0.0 and multiplier == rho:
         return guess, left
-    root = _root(power, torque, y, lower, upper, weight)
+    root = power_zero(power, torque, y, lower, upper, step)
     least: Array = np.minimum(np.maximum(torque - min(root, rho) * step, lower), upper)
     return least, 0.0 if root <= rho else float(y.dot(least - torque))
 
 
-def _root(
-    power: float, torque: Array, y: Array, lower: Array, upper: Array, weight: Array
+def power_zero(
+    power: float, torque: Array, y: Array, lower: Array, upper: Array, step: Array
 ) -> float:
-    """λ > 0 where the power, positive at λ = 0, falls to zero; infinite where it does not."""
-    breaks = []
-    for tau, rate, low, high, r in zip(
-        torque.tolist(), y.tolist(), lower.tolist(), upper.tolist(), weight.tolist(), strict=True
-    ):
-        if rate == 0.0:
-            continue
-        # from the λ at which −λ rate / r meets the nearer limit to that at which it meets the other
-        near, far = (high, low) if rate > 0.0 else (low, high)
-        scale, slope = r / rate, rate * rate / r
-        start, end = (tau - near) * scale, (tau - far) * scale
-        if end > 0.0:
-            breaks.append((max(start, 0.0), -slope))
-            breaks.append((end, slope))
-    breaks.sort()
-    here, slope = 0.0, 0.0
-    for there, change in breaks:
-        ahead = power + slope * (there - here)
-        if ahead <= 0.0:
-            return float(here - power / slope)
-        power, here, slope = ahead, there, slope + change
-    return math.inf
+    """λ > 0 where the power of `limited_torque`, positive at λ = 0, falls to zero.
+
+    It never rises, and is straight between the breaks: so λ is on the line from the last break that
+    has a power above zero to the first one that has not, and infinite where none has not.
+
+    Args:
+        power: yᵀ(τ − τ*) at λ = 0.
+        torque: As in `limited_torque`, and so are y, lower and upper.
+        y: Passive output.
+        lower: Smallest torques.
+        upper: Largest torques.
+        step: R⁻¹y, shape (n_v,).
+    """
+    per_step = np.where(step == 0.0, _FAR, step)
+    ends = np.concatenate([torque - lower, torque - upper]) / np.concatenate([per_step, per_step])
+    breaks = np.minimum(np.maximum(ends, 0.0), _FAR)  # λ where each joint is at a limit
+    torques = np.minimum(np.maximum(torque - breaks[:, np.newaxis] * step, lower), upper)
+    powers = (torques - torque).dot(y)
+    is_above = powers > 0.0
+    here, there = np.where(is_above, breaks, 0.0).max(), np.where(is_above, np.inf, breaks).min()
+    above = np.minimum(np.where(is_above, powers, power).min(), power)
+    below = np.where(is_above, -_FAR, powers).max()
+    root: float = here + above / (above - below) * (there - here)
+    return root

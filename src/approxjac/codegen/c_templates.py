@@ -1,0 +1,344 @@
+"""The texts of `export_c`'s files; $names are filled in."""
+
+from __future__ import annotations
+
+HEADER = """\
+/* controller.h: torque control of an arm whose kinematics are not exactly known.
+ *
+$made_from
+ *
+ * Call ${prefix}_init once, and ${prefix}_step once a period, with the same state. Any number of
+ * states may be in use, in any threads: there is no other memory, no allocation and no input or
+ * output. Arrays are of the sizes below; no pointer may be null.
+ */
+#ifndef ${PREFIX}_CONTROLLER_H
+#define ${PREFIX}_CONTROLLER_H
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum {
+    ${PREFIX}_N_Q = $nq, /* numbers of a configuration */
+    ${PREFIX}_N_V = $nv, /* joints */
+    ${PREFIX}_N_X = $n_x, /* numbers of a task value */
+    ${PREFIX}_M = $m, /* numbers of a task error */
+    ${PREFIX}_N_STATE = $n_state /* numbers of the state */
+};
+
+/* What happened in a step. Below zero: it was refused, see the torque of each. */
+typedef enum {
+    /* dt is not positive or not finite: the torque is that of the law, the state stays */
+    ${PREFIX}_REFUSED_DT = -6,
+    /* a number of the target is not finite: torque and state are those of an x that is lost */
+    ${PREFIX}_REFUSED_TARGET = -5,
+    /* the torque or the next state overflows: the torque is zero, the state stays */
+    ${PREFIX}_REFUSED_OVERFLOW = -4,
+    /* a number of the state is not finite: the torque is zero; call init again */
+    ${PREFIX}_REFUSED_STATE = -3,
+    /* a joint velocity is not finite: the torque is zero, the state stays; stop the robot */
+    ${PREFIX}_REFUSED_V = -2,
+    /* q is not finite, an angle is beyond 1e6 rad, or (cos, sin) are off the unit circle: the
+       torque is zero, the state stays; stop the robot */
+    ${PREFIX}_REFUSED_Q = -1,
+$statuses
+} ${prefix}_status;
+
+/* What limits did to the torque of the law. With limits of torques alone nothing is learnt where
+   the proof is given up, and nothing where the torque is limited without it. */
+typedef enum {
+$limit_statuses
+} ${prefix}_limit_status;
+
+/* What goes from step to step. $state_words */
+typedef struct {
+    double values[$stored];
+} ${prefix}_state;
+
+/* The answer to one measurement. */
+typedef struct {
+    double torque[$nv];   /* joint torques to send [$tau_units]; always finite */
+    double e[$m];        /* task error x - target [$x_units]; not finite where x is lost */
+    double gravity[$nv];  /* gravity torque within the law's torque [$tau_units] */
+    double J_hat[$m][$nv]; /* believed task Jacobian */
+    double slack;       /* what limits add to V' [W]; 0 where it is not known */
+    ${prefix}_status status;
+    ${prefix}_limit_status limit_status;
+} ${prefix}_answer;
+
+/* Set the state before the first step.
+ *
+ * x: the first measured task value [$x_units]. Only a law that differentiates x looks at it: then
+ * it has to be finite, and else 0 is returned and the state is not usable. Otherwise returns 1.
+ */
+int ${prefix}_init(${prefix}_state *state, const double x[$n_x]);
+
+/* Take one step: fill the answer, move the state on, and return the answer's status.
+ *
+ * q:      joint positions [$q_units].
+ * v:      joint velocities [$v_units].
+ * x:      measured task value [$x_units]. One that is not finite is lost: the torque is damping
+ *         and gravity, and nothing is learnt.
+ * target: wanted task value, at rest [$x_units].
+ * dt:     time for which the torque is held [s].
+ */
+${prefix}_status ${prefix}_step(${prefix}_state *state, const double q[$nq], const double v[$nv],
+    const double x[$n_x], const double target[$n_x], double dt, ${prefix}_answer *answer);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+"""
+
+SOURCE = """\
+/* controller.c: see controller.h.
+ *
+$made_from
+ *
+ * Written by a program: change the controller that it was made from instead.
+ */
+#include "controller.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdint.h>
+
+#ifdef __FAST_MATH__
+#error "-ffast-math takes out the checks for numbers that are not finite"
+#endif
+
+/* With no fused multiply-adds the bits are the same everywhere. gcc does not know this pragma, but
+   -ffp-contract=off (see CMakeLists.txt), which is its usual with -std=c99. */
+#if !defined(__GNUC__) || defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+#define N_STATE ${PREFIX}_N_STATE
+$helpers
+static int is_finite(const double *values, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i) {
+        if (!(fabs(values[i]) <= DBL_MAX)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+static int is_configuration(const double *q)
+{
+    return $q_checks;
+}
+
+static ${prefix}_status refused(${prefix}_answer *answer, ${prefix}_status status)
+{
+    static const ${prefix}_answer zero;
+    *answer = zero;
+    answer->status = status;
+    return status;
+}
+
+/* The law and its limits. What is in a block of `if` is needed only there. */
+static void evaluate(const double *q, const double *v, const double *x, const double *target,
+    const double *state, double dt, ${prefix}_answer *answer, double *after)
+{
+$lines
+    (void)q, (void)v, (void)x, (void)target, (void)state, (void)dt, (void)after;
+$stores
+}
+
+int ${prefix}_init(${prefix}_state *state, const double x[$n_x])
+{
+$first
+}
+
+${prefix}_status ${prefix}_step(${prefix}_state *state, const double q[$nq], const double v[$nv],
+    const double x[$n_x], const double target[$n_x], double dt, ${prefix}_answer *answer)
+{
+    double after[$stored];
+    int i, is_target, is_dt;
+    if (!is_configuration(q)) {
+        return refused(answer, ${PREFIX}_REFUSED_Q);
+    }
+    if (!is_finite(v, ${PREFIX}_N_V)) {
+        return refused(answer, ${PREFIX}_REFUSED_V);
+    }
+    if (!is_finite(state->values, N_STATE)) {
+        return refused(answer, ${PREFIX}_REFUSED_STATE);
+    }
+    is_target = is_finite(target, ${PREFIX}_N_X);
+    is_dt = dt > 0.0 && dt <= DBL_MAX;
+    evaluate(q, v, x, target, state->values, is_dt ? dt : 0.0, answer, after);
+    if (!is_finite(answer->torque, ${PREFIX}_N_V) || !is_finite(after, N_STATE)) {
+        return refused(answer, ${PREFIX}_REFUSED_OVERFLOW);
+    }
+    if (!is_target) {
+        answer->status = ${PREFIX}_REFUSED_TARGET;
+    }
+    if (!is_dt) {
+        answer->status = ${PREFIX}_REFUSED_DT;
+    } else {
+        for (i = 0; i < N_STATE; ++i) {
+            state->values[i] = after[i];
+        }
+    }
+    return answer->status;
+}
+"""
+
+POWER_OF_TWO = """
+static double power_of_two(double shifted)
+{
+    union { double number; uint64_t bits; } both;
+    both.number = shifted;
+    both.bits <<= 52;
+    return both.number;
+}
+"""
+
+EXAMPLE = """\
+/* main.c: a few recorded steps of the controller, and the torques that it asks for. */
+#include "controller.h"
+
+#include <stdio.h>
+
+static const double q[][$nq] = {
+$q
+};
+static const double v[][$nv] = {
+$v
+};
+static const double x[][$n_x] = {
+$x
+};
+static const double target[][$n_x] = {
+$target
+};
+
+int main(void)
+{
+    ${prefix}_state state;
+    ${prefix}_answer answer;
+    int i, k;
+    if (!${prefix}_init(&state, x[0])) {
+        return 1;
+    }
+    for (k = 0; k < (int)(sizeof q / sizeof q[0]); ++k) {
+        ${prefix}_status status =
+            ${prefix}_step(&state, q[k], v[k], x[k], target[k], 1e-3, &answer);
+        printf("status %d, limits %d, torque", (int)status, (int)answer.limit_status);
+        for (i = 0; i < ${PREFIX}_N_V; ++i) {
+            printf(" %.6g", answer.torque[i]);
+        }
+        printf("\\n");
+        if (status < 0) {
+            return 1;  /* on a robot: stop it */
+        }
+    }
+    return 0;
+}
+"""
+
+SELFTEST = """\
+/* selftest.c: recorded steps, to the bit, and what is refused.
+ *
+ * The bits are those of a compiler that contracts and reorders nothing: see CMakeLists.txt.
+ */
+#include "controller.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+typedef struct {
+    double q[$nq], v[$nv], x[$n_x], target[$n_x];
+    double torque[$nv], after[$stored], slack;
+    int status, limit_status;
+} record;
+
+static const record records[] = {
+$records
+};
+
+static int is_zero(const double *values, int size)
+{
+    int i;
+    for (i = 0; i < size; ++i) {
+        if (values[i] != 0.0) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+int main(void)
+{
+    ${prefix}_state state;
+    ${prefix}_answer answer;
+    int failed = 0, i, k;
+    const int count = (int)(sizeof records / sizeof records[0]);
+    double largest = 0.0, bad[$nq];
+    if (!${prefix}_init(&state, records[0].x)) {
+        printf("init failed\\n");
+        return 1;
+    }
+    for (k = 0; k < count; ++k) {
+        const record *r = &records[k];
+        int status = ${prefix}_step(&state, r->q, r->v, r->x, r->target, $dt, &answer);
+        int is_same = status == r->status && (int)answer.limit_status == r->limit_status
+            && memcmp(answer.torque, r->torque, sizeof r->torque) == 0
+            && memcmp(state.values, r->after, ${PREFIX}_N_STATE * sizeof(double)) == 0
+            && memcmp(&answer.slack, &r->slack, sizeof r->slack) == 0;
+        failed += !is_same;
+        for (i = 0; i < ${PREFIX}_N_V; ++i) {
+            largest = fmax(largest, fabs(answer.torque[i] - r->torque[i]));
+        }
+    }
+    printf("%d of %d steps to the bit; largest difference of a torque %g\\n", count - failed, count,
+        largest);
+    memcpy(bad, records[0].q, sizeof bad);
+    bad[${PREFIX}_N_Q - 1] = NAN;
+    if (${prefix}_step(&state, bad, records[0].v, records[0].x, records[0].target, $dt, &answer)
+            != ${PREFIX}_REFUSED_Q || !is_zero(answer.torque, ${PREFIX}_N_V)) {
+        printf("a q that is not finite was not refused\\n");
+        ++failed;
+    }
+    return failed != 0;
+}
+"""
+
+CMAKE = """\
+# A controller as a library, an example and a self-test:
+#   cmake -B build -DCMAKE_BUILD_TYPE=Release && cmake --build build && ctest --test-dir build
+cmake_minimum_required(VERSION 3.10)
+project(${prefix}_controller C)
+
+if(NOT CMAKE_BUILD_TYPE)
+  set(CMAKE_BUILD_TYPE Release)
+endif()
+
+add_library(${prefix}_controller STATIC controller.c)
+target_include_directories(${prefix}_controller PUBLIC $${CMAKE_CURRENT_SOURCE_DIR})
+set_target_properties(${prefix}_controller PROPERTIES
+  C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF POSITION_INDEPENDENT_CODE ON)
+if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")
+  # the same bits on every machine: no fused multiply-adds. Never -ffast-math.
+  target_compile_options(${prefix}_controller PRIVATE -ffp-contract=off)
+endif()
+if(UNIX)
+  target_link_libraries(${prefix}_controller PUBLIC m)
+endif()
+
+add_executable(${prefix}_example main.c)
+target_link_libraries(${prefix}_example PRIVATE ${prefix}_controller)
+
+add_executable(${prefix}_selftest selftest.c)
+set_target_properties(${prefix}_selftest PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON)
+target_link_libraries(${prefix}_selftest PRIVATE ${prefix}_controller)
+
+enable_testing()
+add_test(NAME selftest COMMAND ${prefix}_selftest)
+"""

@@ -1,0 +1,114 @@
+"""Limits of effort on symbols: what `TorqueLimited` does where it needs no solver."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac import law
+from approxjac.codegen import setpoint
+from approxjac.codegen.graph import Scalar
+from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.controllers.torque_limits import TorqueLimited
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Controller, LimitStatus, Status
+from approxjac.law.torque_limits import power_zero
+
+_LARGEST = np.finfo(float).max
+
+
+class Limited(NamedTuple):
+    """A torque within its limits.
+
+    Attributes:
+        torque: Shape (n_v,).
+        status: The number of a `LimitStatus`.
+        slack: σ [W]; 0 where it is not known, infinite where it overflows.
+        rests: Whether what is learnt rests.
+    """
+
+    torque: Symbols
+    status: Any
+    slack: Any
+    rests: Scalar | bool
+
+
+def require_covered(controller: Controller) -> None:
+    """Refuse limits of which no code can be made.
+
+    Raises:
+        InvalidInputError: Other limits than those of effort, or a weight that is no diagonal.
+    """
+    if not isinstance(controller, TorqueLimited):
+        return
+    limits = controller.limits
+    for name in ("rate", "velocity", "position"):
+        if np.isfinite(np.asarray(getattr(limits, name))).any():
+            raise InvalidInputError(
+                f"limits must be those of effort alone to make code of them, Limits(effort=...), "
+                f"got one of {name}: {limits!r}",
+                given=limits,
+            )
+    if controller._diagonal is None:
+        raise InvalidInputError(
+            'weight must be "joint inertia", "identity" or a diagonal to make code of it, got '
+            f"{controller.weight!r}",
+            given=controller.weight,
+        )
+
+
+def limited(limiter: TorqueLimited, answer: setpoint.Answer, v: Symbols) -> Limited:
+    """Return what `TorqueLimited.step` does with an answer, with limits of effort alone.
+
+    Joints that are not at a limit go on learning where the proof is given up, but not where the law
+    asks for more than the motors have: so nothing does, with these limits.
+
+    Args:
+        limiter: The limiter.
+        answer: Answer of the law inside of it.
+        v: Joint velocity, shape (n_v,).
+    """
+    upper = np.asarray(limiter.limits.effort)
+    lower, torque = -upper, answer.torque
+    clipped = np.minimum(np.maximum(torque, lower), upper)
+    beyond = any_of(~(clipped == torque))
+    if not isinstance(beyond, Scalar):
+        return Limited(torque, float(LimitStatus.FREE), 0.0, False)
+    status: Any = float(LimitStatus.LIMITED)
+    found: Any = clipped
+    slack: Any = 0.0
+    rests: Any = beyond
+    if limiter.proof:
+        y = law.passive_output(v, answer.pinv_s, limiter.alpha)
+        found, slack = _nearest(limiter, torque, y, lower, upper, clipped)
+        is_proven = answer.status == float(setpoint.STATUSES.index(Status.OK))
+        kept, given_up = float(LimitStatus.PROOF_KEPT), float(LimitStatus.PROOF_GIVEN_UP)
+        status = np.where(is_proven, np.where(slack == 0.0, kept, given_up), status)
+        slack = np.where(is_proven, slack, 0.0)
+    found = np.where(np.abs(torque) <= _LARGEST, found, torque)  # what overflows is told as such
+    values = [*symbols(found).tolist(), *(symbols(each)[()] for each in (status, slack))]
+    others = [*torque.tolist(), float(LimitStatus.FREE), 0.0]
+    *found, status, slack = beyond.graph.rare(beyond, values, others)
+    if limiter.proof:
+        rests = beyond & ~(status == float(LimitStatus.PROOF_KEPT))
+    return Limited(symbols(found), status, slack, rests)
+
+
+def _nearest(
+    limiter: TorqueLimited,
+    torque: Symbols,
+    y: Any,
+    lower: Any,
+    upper: Any,
+    clipped: Symbols,
+) -> tuple[Any, Any]:
+    """Return what `law.limited_torque` does, without its first guess."""
+    rho, step = limiter._rho, y / limiter._diagonal
+    power: Any = y @ (clipped - torque)
+    root: Any = power_zero(power, torque, y, lower, upper, step)
+    least = np.minimum(np.maximum(torque - np.multiply(np.minimum(root, rho), step), lower), upper)
+    left = np.where(root <= rho, 0.0, y @ (least - torque))
+    is_positive, is_finite = power > 0.0, power < np.inf
+    found = np.where(is_positive & is_finite, least, clipped)
+    return found, np.where(is_finite, np.where(is_positive, left, 0.0), np.inf)

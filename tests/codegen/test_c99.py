@@ -1,0 +1,425 @@
+"""A controller in C: what compilers say of it, its bits, and what it refuses."""
+
+import ctypes
+import functools
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import approxjac as aj
+from approxjac.codegen.c99 import sampled_step
+from approxjac.codegen.setpoint import STATUSES
+from approxjac.controllers import AwayFromStops, DifferentiatedVelocity, Posture, RegressorGravity
+from approxjac.interface import LimitStatus, Measurement, Status
+from approxjac.robots import GravityRegressor
+
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+SANITIZED = ["-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+EXACT = "-ffp-contract=off"
+NAMES = "controller.h", "controller.c", "main.c", "selftest.c", "CMakeLists.txt"
+INPUTS = "state", "q", "v", "x", "target"
+needs_compiler = pytest.mark.skipif(not COMPILERS, reason="no gcc and no clang here")
+
+
+def law_6(arm, **options):
+    return aj.SetpointController(aj.PositionTask(arm), **options)
+
+
+def law_28(arm, **options):
+    return law_6(arm, gravity=aj.AdaptiveGravity(arm), **options)
+
+
+def limited(law, share, **options):
+    effort = share * np.minimum(law.task.robot.effort_limits, 100.0)
+    return aj.TorqueLimited(law, aj.Limits(effort=effort), **options)
+
+
+def known(arm):
+    regressor = GravityRegressor(arm)
+    return RegressorGravity(regressor, regressor.theta)
+
+
+CASES = {
+    "panda (6)": ("panda", law_6),
+    "panda (6), limits": ("panda", lambda arm: limited(law_6(arm), 0.4)),
+    "panda (6), clipped, linear, posture": (
+        "panda",
+        lambda arm: limited(
+            law_6(
+                arm,
+                saturation=aj.law.Linear(),
+                posture=Posture([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], 5.0),
+            ),
+            0.4,
+            proof=False,
+        ),
+    ),
+    "panda (28), limits, away from stops": (
+        "panda",
+        lambda arm: limited(law_28(arm, posture=AwayFromStops()), 0.4),
+    ),
+    "ur5 (28)": ("ur5", law_28),
+    "ur5 (5), sine": (
+        "ur5",
+        lambda arm: law_6(
+            arm,
+            velocity=DifferentiatedVelocity(0.02),
+            saturation=aj.law.Sine(0.05),
+            gravity=known(arm),
+        ),
+    ),
+    "kinova (6), limits": ("kinova", lambda arm: limited(law_6(arm), 2.0, weight="identity")),
+    "kinova (5), (29)": ("kinova", lambda arm: law_28(arm, velocity=DifferentiatedVelocity())),
+}
+
+
+@functools.cache
+def built(case):
+    robot, make = CASES[case]
+    controller = make(aj.load_robot(robot))
+    return controller, sampled_step(controller)
+
+
+def compiled(folder, *options, compiler=None):
+    """Compile the controller, with other files among the options."""
+    command = [compiler or COMPILERS[0], *STRICT, *options, "controller.c", "-lm"]
+    made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr[:2000]
+    return folder
+
+
+def header_number(folder, name):
+    text = (folder / "controller.h").read_text(encoding="utf-8")
+    return int(re.search(rf"_{name} = (-?\d+)", text)[1])
+
+
+class InC:
+    """The controller as a shared library."""
+
+    def __init__(self, controller, folder, level="-O0", compiler=None):
+        aj.export_c(controller, folder)
+        compiled(folder, level, EXACT, "-shared", "-fPIC", "-o", "controller.so", compiler=compiler)
+        law = aj.controllers.law_of(controller)
+        task, nv = law.task, law.task.robot.nv
+        library = ctypes.CDLL(str(folder / "controller.so"))
+        prefix = law.task.robot.name
+        self.step_function = getattr(library, f"{prefix}_step")
+        self.init_function = getattr(library, f"{prefix}_init")
+        self.n_state = header_number(folder, "N_STATE")
+        double, integer = ctypes.c_double, ctypes.c_int
+        self.State = double * max(self.n_state, 1)
+
+        class Answer(ctypes.Structure):
+            _fields_ = (
+                ("torque", double * nv), ("e", double * task.m), ("gravity", double * nv),
+                ("J_hat", double * (task.m * nv)), ("slack", double), ("status", integer),
+                ("limit_status", integer),
+            )  # fmt: skip
+
+        self.answer = Answer()
+
+    def step(self, state, q, v, x, target, dt):
+        """Return status, state and answer: name → array."""
+        kept = self.State(*state)
+        arrays = [(ctypes.c_double * len(each))(*each) for each in (q, v, x, target)]
+        status = self.step_function(kept, *arrays, ctypes.c_double(dt), ctypes.byref(self.answer))
+        found = {
+            name: np.atleast_1d(np.array(getattr(self.answer, name), dtype=float))
+            for name, _ in self.answer._fields_
+        }
+        assert status == self.answer.status
+        return status, np.array(kept[: self.n_state]), found
+
+
+def draws(step, count, seed=0, at_bounds=0.1):
+    """Inputs of steps (rows, N): near and far, lost, saturated, fast, near singular poses."""
+    law = step.law
+    task, robot, rng = law.task, law.task.robot, np.random.default_rng(seed)
+    q = np.array([robot.random_configuration(rng) for _ in range(min(count, 500))])
+    q = q[rng.integers(len(q), size=count)]
+    singular = singular_configurations(task, rng)
+    where = rng.random(count) < 0.1
+    q[where] = singular[rng.integers(len(singular), size=where.sum())]
+    v = rng.normal(size=(count, robot.nv)) * 10.0 ** rng.uniform(-3.0, 0.5, size=(count, 1))
+    scale = 10.0 ** rng.uniform(-4.0, 1.0, size=(count, 1))
+    x = rng.normal(scale=0.5, size=(count, task.n_x))
+    target = x + scale * rng.normal(size=x.shape)
+    x[rng.random(count) < 0.03, 0] = np.nan
+    x[rng.random(count) < 0.02, -1] = np.inf
+    first, p = step.initial_state, law.resting
+    state = np.tile(first, (count, 1))
+    state[:, :p] *= 1.0 + 0.3 * rng.normal(size=(count, p))
+    state[:, :p] += 0.3 * rng.normal(size=(count, p))
+    if law.adaptation is not None and law.adaptation.bounds is not None:
+        lower, upper = law.adaptation.bounds
+        for bound in (lower, upper):
+            at = rng.random((count, p)) < at_bounds
+            state[:, :p] = np.where(at & np.isfinite(bound), bound, state[:, :p])
+        if not at_bounds:
+            inside = lower + (upper - lower) * rng.uniform(0.1, 0.9, size=(count, p))
+            state[:, :p] = np.where(np.isfinite(upper - lower), inside, state[:, :p])
+    if step.n_followed:
+        state[:, p:] = np.where(np.isfinite(x), x, 0.0) + 0.01 * rng.normal(size=x.shape)
+    return {
+        "q": q, "v": v, "x": x, "target": target, "state": state, "dt": np.full((count, 1), 1e-3),
+    }  # fmt: skip
+
+
+def singular_configurations(task, rng, count=40):
+    """Configurations that minimize σ_min of J, from random ones, and next to them."""
+    from scipy.optimize import minimize
+
+    robot, found = task.robot, []
+
+    def at(motion):
+        return pin.integrate(robot.model, robot.neutral(), motion)
+
+    def least(motion):
+        return np.linalg.svd(task.jacobian(at(motion)), compute_uv=False)[-1]
+
+    for _ in range(4):
+        best = minimize(least, rng.normal(size=robot.nv), method="Nelder-Mead").x
+        found += [at(best + 10.0**k * rng.normal(size=robot.nv)) for k in (-9, -4, -3, -2)]
+    return np.array(found)
+
+
+def assert_same_bits(controller, step, in_c, count, seed=0):
+    """Assert that C and NumPy give the same bits; return statuses that were given."""
+    given = draws(step, count, seed)
+    right = step.in_numpy()(**{name: value.T for name, value in given.items()})
+    right, inputs = np.concatenate([*right.values()]).T, [given[name] for name in INPUTS]
+    lost, seen = ~np.isfinite(given["x"]).all(axis=1), set()
+    at_e = step.law.task.robot.nv + in_c.n_state
+    for k, row in enumerate(zip(*inputs, strict=True)):
+        status, after, found = in_c.step(*row, 1e-3)
+        all_found = np.concatenate([(found | {"after": after})[name] for name in step.outputs])
+        expected = right[k]
+        if lost[k]:
+            e = slice(at_e, at_e + step.law.task.m)
+            assert not np.isfinite(all_found[e]).all()
+            all_found[e] = expected[e] = 0.0
+        assert all_found.tobytes() == expected.tobytes(), k
+        assert np.isfinite(all_found).all()
+        seen.add((STATUSES[status].name, LimitStatus(int(found["limit_status"][0])).name))
+    return seen
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "case", [*CASES][:-1] + [pytest.param([*CASES][-1], marks=pytest.mark.study)]
+)
+def test_it_gives_the_bits_of_numpy(case, tmp_path):
+    controller, step = built(case)
+    seen = assert_same_bits(controller, step, InC(controller, tmp_path), 1200)
+    statuses, limits = {status for status, _ in seen}, {limit for _, limit in seen}
+    assert {"OK", "MEASUREMENT_LOST", "NEAR_SINGULAR"} <= statuses
+    if isinstance(controller, aj.TorqueLimited) and case.startswith("panda"):
+        wanted = {"PROOF_KEPT", "PROOF_GIVEN_UP"} if controller.proof else set()
+        assert wanted | {"FREE", "LIMITED"} <= limits
+
+
+@needs_compiler
+@pytest.mark.study
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("case", CASES)
+def test_it_gives_the_bits_of_numpy_over_a_million_steps(case, compiler, tmp_path):
+    """10⁶ steps together, of what compilers make with all optimizations."""
+    controller, step = built(case)
+    in_c = InC(controller, tmp_path, "-O3", compiler)
+    for seed in range(13):
+        assert_same_bits(controller, step, in_c, 10_000, seed + 1)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_is_the_controller(case):
+    """The same torques, states and statuses as those of the controller in Python."""
+    controller, step = built(case)
+    given = draws(step, 150, seed=7, at_bounds=0.0)
+    found = step.in_numpy()(**{name: value.T for name, value in given.items()})
+    learning = step.law.adaptation
+    for k in range(150):
+        state, q, v, x, target = (given[name][k] for name in INPUTS)
+        after, answer = controller.step(state, Measurement(0.0, q, v, x), target, 1e-3)
+        status, limit = (Status(int(found[name][0, k])) for name in ("status", "limit_status"))
+        assert status == answer.status
+        assert LimitStatus(int(limit)) == answer.limit_status
+        torque = found["torque"][:, k]
+        assert torque == pytest.approx(answer.torque, abs=1e-8 * np.abs(answer.torque).max())
+        if np.isfinite(answer.slack):
+            assert found["slack"][0, k] == pytest.approx(answer.slack, rel=1e-8, abs=1e-8)
+        if learning is None or (np.abs(answer.gravity) < learning.motors).all():
+            assert found["after"][:, k] == pytest.approx(after, rel=1e-8, abs=1e-8)
+
+
+@needs_compiler
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("case", [name for name in CASES if name != "ur5 (28)"][1::3])
+def test_the_self_test_passes_and_sanitizers_find_nothing(case, compiler, tmp_path):
+    aj.export_c(built(case)[0], tmp_path)
+    compiled(tmp_path, "-O1", *SANITIZED, "selftest.c", "-o", "selftest", compiler=compiler)
+    output = subprocess.run(
+        [tmp_path / "selftest"], capture_output=True, text=True, check=True
+    ).stdout
+    assert output == "50 of 50 steps to the bit; largest difference of a torque 0\n"
+    compiled(tmp_path, "-O0", "main.c", "-o", "example", compiler=compiler)
+    output = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=True)
+    assert len(output.stdout.splitlines()) == 4
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("nm") is None, reason="no nm here")
+@pytest.mark.parametrize(
+    "case",
+    ["panda (6), limits", pytest.param("kinova (5), (29)", marks=pytest.mark.study)],
+)
+def test_it_needs_no_heap_and_little_of_libm(case, tmp_path):
+    aj.export_c(built(case)[0], tmp_path)
+    compiled(tmp_path, "-O0", "-fno-builtin", "-c", "-o", "controller.o")
+    lines = subprocess.run(
+        ["nm", "controller.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    symbols = {kind: {line.split()[-1] for line in lines if f" {kind} " in line} for kind in "UBDT"}
+    assert symbols["U"] <= {"sqrt", "fabs", "floor", "_GLOBAL_OFFSET_TABLE_", "memset", "memcpy"}
+    assert symbols["B"] == symbols["D"] == set()  # no variables: re-entrant
+    prefix = case.split()[0]
+    assert symbols["T"] == {f"{prefix}_init", f"{prefix}_step"}
+
+
+@needs_compiler
+@pytest.mark.study
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="no cmake here")
+def test_cmake_builds_it_and_runs_the_self_test(tmp_path):
+    aj.export_c(built("panda (6)")[0], tmp_path)
+    for command in (
+        ["cmake", "-B", "build", "."],
+        ["cmake", "--build", "build"],
+        ["ctest", "--test-dir", "build"],
+    ):
+        made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert made.returncode == 0, made.stdout + made.stderr
+
+
+@needs_compiler
+def test_what_is_no_number_is_refused_with_a_safe_torque(tmp_path):
+    controller, step = built("panda (28), limits, away from stops")
+    in_c, given = InC(controller, tmp_path), draws(step, 5, seed=3)
+    row = {name: given[name][2].copy() for name in INPUTS} | {"dt": 1e-3}
+    row["state"] = step.initial_state
+
+    def refused(name, value):
+        wrong = dict(row)
+        if name == "dt":
+            wrong["dt"] = value
+        else:
+            wrong[name] = np.append(value, row[name][1:])
+        status, after, found = in_c.step(*wrong.values())
+        assert status == header_number(tmp_path, f"REFUSED_{name.upper()}")
+        assert np.isfinite(found["torque"]).all()
+        return after, found["torque"]
+
+    for value in (np.nan, np.inf, -np.inf):
+        for name in ("q", "v", "state"):
+            after, torque = refused(name, value)
+            assert not torque.any()
+            assert name == "state" or (after == row["state"]).all()
+        after, torque = refused("target", value)
+        lost = in_c.step(*{**row, "x": np.full(3, np.nan)}.values())
+        assert torque.tobytes() == lost[2]["torque"].tobytes()
+        after, torque = refused("dt", value)
+        assert torque.tobytes() == in_c.step(*row.values())[2]["torque"].tobytes()
+        assert (after == row["state"]).all()
+    refused("q", 1e7)
+    refused("dt", 0.0)
+    for name, value in (("v", 1e308), ("state", 1e308)):
+        status, after, found = in_c.step(*{**row, name: np.full(len(row[name]), value)}.values())
+        assert status == header_number(tmp_path, "REFUSED_OVERFLOW")
+        assert not found["torque"].any()
+
+
+@needs_compiler
+def test_continuous_joints_off_the_unit_circle_are_refused(tmp_path):
+    controller, step = built("kinova (6), limits")
+    in_c, given = InC(controller, tmp_path), draws(step, 3)
+    row = [given[name][0] for name in INPUTS]
+    assert in_c.step(*row, 1e-3)[0] >= 0
+    row[1] = row[1] * 1.01
+    status, _, found = in_c.step(*row, 1e-3)
+    assert status == header_number(tmp_path, "REFUSED_Q")
+    assert not found["torque"].any()
+
+
+@needs_compiler
+def test_a_first_x_that_is_lost_starts_no_law_that_differentiates_it(tmp_path):
+    for case, starts in (("ur5 (5), sine", 0), ("kinova (6), limits", 1)):
+        controller, step = built(case)
+        in_c = InC(controller, tmp_path / case[:7])
+        state, x = in_c.State(), (ctypes.c_double * 3)(np.nan, 0.0, 0.0)
+        assert in_c.init_function(state, x) == starts
+        x[0] = 1.0
+        assert in_c.init_function(state, x) == 1
+        p = step.law.resting
+        assert state[:p] == step.initial_state[:p].tolist()
+
+
+def test_the_header_says_what_it_was_made_from(tmp_path):
+    controller, _ = built("panda (28), limits, away from stops")
+    folder = aj.export_c(controller, tmp_path / "new" / "folder")
+    assert sorted(each.name for each in folder.iterdir()) == sorted(NAMES)
+    header = (folder / "controller.h").read_text(encoding="utf-8")
+    law = controller.controller
+    for text in (
+        f"approxjac {aj.__version__}", "robot    panda", ", ".join(
+            f"panda_joint{i} [rad]" for i in (1, 2, 3)
+        ),
+        "PositionTask('panda', 'panda_hand_tcp', 'xyz') [m]", "(28), (29)",
+        f"{law.diagonals.kp[0]:.6g}", f"{law.saturation.gamma[0]:.6g}", "learnt: 12 parameters",
+        "AwayFromStops(share=0.12)", "torques 34.8", "none of speeds and positions",
+        "joint positions [rad]", "time for which the torque is held [s]",
+        "/* the law was evaluated as written */\n    PANDA_OK = 0",
+        "PANDA_LIMITS_PROOF_GIVEN_UP = 4",
+    ):  # fmt: skip
+        assert text in header
+    for each in folder.iterdir():
+        text = each.read_text(encoding="utf-8")
+        assert str(tmp_path) not in text
+        assert max(map(len, text.splitlines())) <= 100 or each.name == "selftest.c"
+
+
+def test_the_same_controller_makes_the_same_files(tmp_path):
+    controller, _ = built("panda (6)")
+    one, other = (aj.export_c(controller, tmp_path / name) for name in "ab")
+    for name in NAMES:
+        assert (one / name).read_text("utf-8") == (other / name).read_text("utf-8")
+
+
+def test_what_is_not_covered_is_refused_by_name(tmp_path):
+    arm = aj.load_robot("panda")
+    law = law_6(arm)
+    for controller, text in (
+        (aj.TorqueLimited(law), "limits must be those of effort alone .* got one of velocity"),
+        (
+            aj.TorqueLimited(law, aj.Limits(effort=50.0, rate=1e3)),
+            "limits must be those of effort alone .* got one of rate",
+        ),
+        (limited(law, 0.5, weight="inertia"), "weight must be \"joint inertia\", .* got 'inertia'"),
+        (aj.HeldMeasurement(law, 0.1), "controller must be a SetpointController"),
+        (aj.SetpointController(aj.PoseTask(arm)), "task must be a PositionTask"),
+        (
+            aj.SetpointController(
+                aj.PositionTask(kinova := aj.load_robot("kinova"), axes="xy"),
+                posture=Posture(kinova.neutral(), 5.0),
+            ),
+            "without continuous joints",
+        ),
+    ):
+        with pytest.raises(aj.InvalidInputError, match=text):
+            aj.export_c(controller, tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(aj.InvalidInputError, match="folder must be one that can be made"):
+        aj.export_c(law, tmp_path / "file" / "none")
