@@ -14,7 +14,12 @@ import approxjac as aj
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.codegen.setpoint import STATUSES
 from approxjac.codegen.step import compiled, step_program
-from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
+from approxjac.controllers import (
+    AwayFromStops,
+    DifferentiatedVelocity,
+    Posture,
+    RegressorGravity,
+)
 from approxjac.errors import MeasurementError, MissingPackageError
 from approxjac.law import Sine, Tanh, theta_hat_rate
 from approxjac.robots import GravityRegressor
@@ -135,6 +140,7 @@ def kinds():
         "continuous joints": law(aj.PositionTask(kinova), gravity=learning(kinova)),
         "mimic joints": law(aj.PositionTask(aj.load_robot("panda", free="all")), firm),
         "a posture": law(position, posture=Posture(held, 5.0)),
+        "away from stops": law(position, posture=AwayFromStops()),
         "a posture, learnt": law(position, posture=Posture(held, 5.0), gravity=learning(panda)),
         "known θ": law(position, gravity=RegressorGravity(regressor, regressor.theta)),
         "bounds": law(
@@ -151,7 +157,7 @@ KINDS = (
     "one axis", "a plane, turned", "two frames, m = 5", "two frames, learnt", "a pose",
     "a pose, learnt", "a planar image", "an image", "an image, (5)", "three points, m = 6",
     "measured depths", "combined", "a nonsingular Jacobian", "continuous joints", "mimic joints",
-    "a posture", "a posture, learnt", "known θ", "bounds", "a full L",
+    "a posture", "away from stops", "a posture, learnt", "known θ", "bounds", "a full L",
 )  # fmt: skip
 """Of `kinds`, which takes seconds to build where tests are only collected."""
 BY_DEFAULT = (
@@ -449,8 +455,11 @@ def test_what_is_not_covered_is_refused(panda):
             "gravity must be a ModelGravity, NoGravity, RegressorGravity or AdaptiveGravity to ",
         ),
         (
-            aj.SetpointController(task, posture=aj.controllers.AwayFromStops()),
-            "posture must be a Posture of an arm without continuous joints to make code of it",
+            aj.SetpointController(
+                aj.PositionTask(aj.load_robot("kinova"), axes="xy"),
+                posture=aj.controllers.AwayFromStops(),
+            ),
+            "posture must be that of an arm without continuous joints to make code of it",
         ),
     ):
         with pytest.raises(aj.InvalidInputError) as refused:

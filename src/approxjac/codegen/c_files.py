@@ -35,8 +35,8 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | Path)
     end, learning rests for that step, for which V̇ ≤ −W is not claimed.
 
     Args:
-        controller: A `SetpointController` of a `PositionTask`, or one in a `TorqueLimited` with
-            limits of effort alone and a weight that is a diagonal.
+        controller: A `SetpointController` that `codegen.compiled` takes, too, or one in a
+            `TorqueLimited` with limits of effort alone and a weight that is a diagonal.
         folder: Where to write; made if it is not there.
 
     Returns:
