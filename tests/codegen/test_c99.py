@@ -82,7 +82,10 @@ CASES = {
             gravity=known(arm),
         ),
     ),
-    "kinova (6), limits": ("kinova", lambda arm: limited(law_6(arm), 2.0, weight="identity")),
+    "kinova (6), limits": (
+        "kinova",
+        lambda arm: limited(law_6(arm, posture=AwayFromStops()), 2.0, weight="identity"),
+    ),
     "kinova (5), (29)": ("kinova", lambda arm: law_28(arm, velocity=DifferentiatedVelocity())),
 }
 
@@ -391,7 +394,7 @@ def test_the_header_says_what_it_was_made_from(tmp_path):
         f"approxjac {aj.__version__}", "robot    panda", ", ".join(
             f"panda_joint{i} [rad]" for i in (1, 2, 3)
         ),
-        "PositionTask('panda', 'panda_hand_tcp', 'xyz') [m]", "(28), (29)",
+        "PositionTask('panda', 'panda_hand_tcp', 'xyz'), x in m", "(28), (29)",
         f"{law.diagonals.kp[0]:.6g}", f"{law.saturation.gamma[0]:.6g}", "learnt: 12 parameters",
         "AwayFromStops(share=0.12)", "torques 34.8", "none of speeds and positions",
         "joint positions [rad]", "time for which the torque is held [s]",

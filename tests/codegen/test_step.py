@@ -457,9 +457,9 @@ def test_what_is_not_covered_is_refused(panda):
         (
             aj.SetpointController(
                 aj.PositionTask(aj.load_robot("kinova"), axes="xy"),
-                posture=aj.controllers.AwayFromStops(),
+                posture=Posture(aj.load_robot("kinova").neutral(), 1.0),
             ),
-            "posture must be that of an arm without continuous joints to make code of it",
+            "posture must be AwayFromStops, or that of an arm without continuous joints, to make ",
         ),
     ):
         with pytest.raises(aj.InvalidInputError) as refused:

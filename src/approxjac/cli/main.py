@@ -13,6 +13,7 @@ import tyro
 
 import approxjac
 from approxjac.cli import options
+from approxjac.cli.export import export
 from approxjac.cli.paper import paper
 from approxjac.cli.robots import robots
 from approxjac.cli.simulate import simulate
@@ -20,7 +21,7 @@ from approxjac.cli.stability import stability
 from approxjac.cli.view import view
 from approxjac.errors import ApproxJacError, UnknownNameError
 
-_COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, view)}
+_COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, export, view)}
 _DESCRIPTION = (
     "Torque control of any URDF arm whose kinematics are not exactly known. "
     "COMMAND --help says more of each command, with examples; --version prints the version; "

@@ -20,6 +20,7 @@ from approxjac.scenario.tables import hints
 # A report is about errors that are given as ranges, and takes gravity as compensated exactly.
 _USUAL = {
     "simulate": Scenario(""),
+    "export": Scenario(""),
     "stability": Scenario("").with_values(
         {"true": {"object": {"length": 0.0, "mass": 0.0}}, "controller": {"gravity": "exact"}}
     ),
@@ -85,7 +86,9 @@ _PATHS = {
 _STABILITY = {
     f"--{each.name.replace('_', '-')}": f"stability.{each.name}" for each in fields(Analysis)
 }
-SHORT: Mapping[str, Mapping[str, str]] = {"simulate": _COMMON, "stability": _COMMON | _STABILITY}
+SHORT: Mapping[str, Mapping[str, str]] = {
+    "simulate": _COMMON, "stability": _COMMON | _STABILITY, "export": _COMMON,
+}  # fmt: skip
 """Command → short option → the key that it stands for; a report's errors are ranges."""
 
 

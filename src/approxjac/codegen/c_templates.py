@@ -58,9 +58,9 @@ typedef struct {
 /* The answer to one measurement. */
 typedef struct {
     double torque[$nv];   /* joint torques to send [$tau_units]; always finite */
-    double e[$m];        /* task error x - target [$x_units]; not finite where x is lost */
+    double e[$m];        /* task error of x to the target [$e_units]; not finite where x is lost */
     double gravity[$nv];  /* gravity torque within the law's torque [$tau_units] */
-    double J_hat[$m][$nv]; /* believed task Jacobian */
+    double J_hat[$m][$nv]; /* believed task Jacobian [$e_units, per unit of a joint] */
     double slack;       /* what limits add to V' [W]; 0 where it is not known */
     ${prefix}_status status;
     ${prefix}_limit_status limit_status;

@@ -13,6 +13,7 @@ from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Status
+from approxjac.tasks import PoseTask, Task
 from approxjac.validation import Array
 
 _LINE = 96
@@ -35,7 +36,8 @@ def words(controller: SetpointController | TorqueLimited, step: SampledStep) -> 
         "q_units": _units_of_q(step),
         "v_units": joined(f"{unit}/s" for unit in robot.joint_units),
         "tau_units": joined("N" if unit == "m" else "N m" for unit in robot.joint_units),
-        "x_units": joined(task.units),
+        "x_units": _units_of_x(task),
+        "e_units": joined(task.units),
         "state_words": _state_words(step),
         "statuses": _enumeration(prefix, Status),
         "limit_statuses": _enumeration(f"{prefix}_LIMITS", LimitStatus),
@@ -69,10 +71,10 @@ def _made_from(
     yield "robot", f"{robot.name}, as it is believed, {robot.mass:.6g} kg"
     named = zip(robot.joint_names, robot.joint_units, strict=True)
     yield "joints", ", ".join(f"{name} [{unit}]" for name, unit in named)
-    yield "task", f"{task!r} [{joined(task.units)}]"
+    yield "task", f"{task!r}, x in {_units_of_x(task)}"
     yield "law", number
-    yield "K_p", f"{_numbers(kp)} [N per unit of x]"
-    yield "K_v", f"{_numbers(kv)} [N s per unit of x]"
+    yield "K_p", f"{_numbers(kp)} [N or N m per unit of e]"
+    yield "K_v", f"{_numbers(kv)} [N s or N m s per unit of e]"
     yield "B_c", f"{_numbers(damping)} [N m s/rad or N s/m]"
     gamma = getattr(law.saturation, "gamma", None)
     of = "" if gamma is None else f", gamma = {_numbers(np.asarray(gamma))}"
@@ -134,6 +136,12 @@ def _units_of_q(step: SampledStep) -> str:
     if not found:
         return units
     return f"{units}; (cos, sin) of continuous joints: {' and '.join(found)}"
+
+
+def _units_of_x(task: Task) -> str:
+    if isinstance(task, PoseTask):
+        return "m; the last four are a quaternion (x, y, z, w)"
+    return joined(task.units) + ("" if task.n_x == task.m else ", and m of depths")
 
 
 def _state_words(step: SampledStep) -> str:

@@ -86,10 +86,10 @@ def require_covered(controller: Controller) -> None:
             f"make code of it, got {type(gravity).__name__}: {gravity!r}",
             given=gravity,
         )
-    if posture is not None and robot.nq != robot.nv:
+    if isinstance(posture, Posture) and robot.nq != robot.nv:
         raise InvalidInputError(
-            "posture must be that of an arm without continuous joints to make code of it, "
-            f"got {posture!r}",
+            "posture must be AwayFromStops, or that of an arm without continuous joints, to make "
+            f"code of it, got {posture!r}",
             given=posture,
         )
 
@@ -186,13 +186,14 @@ def _saturated(saturation: Saturation, e: Symbols) -> Symbols:
 
 
 def _pull(controller: SetpointController, q: Symbols) -> Symbols:
-    """Return τ₀ of the posture, without continuous joints."""
-    own = controller.posture
+    """Return τ₀ of the posture; continuous joints have no stops, and a `Posture` has none."""
+    task, own = controller.task, controller.posture
     if isinstance(own, Posture):
         return symbols(np.asarray(own.stiffness) * (np.asarray(own.q) - q))
     assert own is not None
-    rate = slow_rate(controller.task, controller.diagonals)
-    return symbols(own.torque(controller.task, controller.diagonals, rate)(q))
+    push = own.push(task, controller.diagonals, slow_rate(task, controller.diagonals))
+    joints = [joint for joint in list(task.robot.model.joints)[1:] if joint.nv]
+    return symbols(push(symbols([q[each.idx_q] if each.nq == 1 else 0.0 for each in joints])))
 
 
 def _within_null_space(torque: Symbols, J_hat: Symbols, G: Symbols, scale: float) -> Symbols:

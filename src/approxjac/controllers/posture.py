@@ -99,15 +99,24 @@ class AwayFromStops:
             InvalidInputError: A robot without self-motion.
         """
         robot = task.robot
-        _require_redundant(self, task)
-        lower, upper = robot.position_limits
-        width = np.minimum(self.share * (upper - lower), _WIDEST)
-        lower, upper = lower + width, upper - width
-        model, neutral, stiffness = robot.model, robot.neutral(), rate * gains.damping
-        is_vector = robot.nq == robot.nv
+        push = self.push(task, gains, rate)
+        if robot.nq == robot.nv:
+            return push
+        model, neutral = robot.model, robot.neutral()
+        return lambda q: push(pin.difference(model, neutral, q))
 
-        def torque(q: Array) -> Array:
-            motion = q if is_vector else pin.difference(model, neutral, q)
+    def push(self, task: Task, gains: Diagonals, rate: float) -> Torque:
+        """Return the same function of how far joints are from the neutral q, shape (n_v,).
+
+        Raises:
+            InvalidInputError: A robot without self-motion.
+        """
+        _require_redundant(self, task)
+        lower, upper = task.robot.position_limits
+        width = np.minimum(self.share * (upper - lower), _WIDEST)
+        lower, upper, stiffness = lower + width, upper - width, rate * gains.damping
+
+        def torque(motion: Array) -> Array:
             return np.asarray(stiffness * (np.minimum(np.maximum(motion, lower), upper) - motion))
 
         return torque

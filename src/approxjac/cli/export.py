@@ -1,0 +1,56 @@
+"""`approxjac export`: a scenario → its controller as C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import tyro
+
+from approxjac.errors import InvalidInputError
+from approxjac.scenario import Scenario
+
+
+def export(
+    scenario: Scenario,
+    effort_only: tyro.conf.FlagCreatePairsOff[bool] = False,
+    folder: Path = Path("results/export"),
+) -> int:
+    """Write the controller of a scenario as plain C99, with an example and a self-test.
+
+    Example: approxjac export panda --believed-length 0.1 --effort-only --folder controller
+
+    The code keeps limits of torques; it knows none of speeds and positions, which a scenario has by
+    default. Exit code 0; 2 where the controller is not covered, with the reason.
+
+    Args:
+        scenario: The scenario; what is true of it has no part in the controller.
+        effort_only: Keep the limits of torques, and leave those of speeds and positions out: they
+            are the robot's own to keep then.
+        folder: Folder for controller.h, controller.c, main.c, selftest.c and CMakeLists.txt.
+    """
+    from approxjac.codegen import export_c
+    from approxjac.controllers import Limits, SetpointController, TorqueLimited
+
+    built = scenario.build()
+    controller, limits = built.controller, built.limits
+    if isinstance(controller, TorqueLimited) and limits is not None:
+        if not effort_only:
+            raise InvalidInputError(
+                "C code keeps limits of torques only, and this controller keeps those of speeds "
+                "and positions, too: --effort-only leaves them to the robot, --limits none leaves "
+                "all out",
+                given=limits,
+            )
+        controller = controller._rebuilt(limits=Limits(effort=limits.effort))
+    if not isinstance(controller, SetpointController | TorqueLimited):
+        raise InvalidInputError(
+            "C code is made of set-point laws on what is measured, without what holds or predicts "
+            f"measurements, got {controller!r}",
+            given=controller,
+        )
+    path = export_c(controller, folder)
+    print(built.law)
+    print(f"\nThe controller is in {path}; {path / 'controller.h'} says how to call it")
+    print(f"Try it: cmake -B {path / 'build'} {path} && cmake --build {path / 'build'}")
+    print(f"        ctest --test-dir {path / 'build'}")
+    return 0

@@ -1,0 +1,50 @@
+"""`approxjac export`: the controller of a scenario as C, and what it refuses."""
+
+import pytest
+
+import approxjac as aj
+from approxjac.cli import main
+from approxjac.scenario import Scenario
+
+
+def export(folder, *options):
+    return main(["export", *options, "--folder", str(folder)])
+
+
+def test_it_writes_the_controller_of_the_scenario(tmp_path, capsys):
+    assert export(tmp_path / "made", "panda", "--believed-length", "0.1", "--effort-only") == 0
+    said = capsys.readouterr().out
+    assert "law (28), (29)" in said
+    assert "controller.h says how to call it" in said
+    built = Scenario("panda", believed={"object": {"length": 0.1}}).build()
+    expected = aj.TorqueLimited(
+        built.law, aj.Limits(effort=built.limits.effort), dt=1e-3, weight=built.controller.weight
+    )
+    aj.export_c(expected, tmp_path / "expected")
+    for name in ("controller.h", "controller.c"):
+        made, wanted = ((tmp_path / each / name).read_bytes() for each in ("made", "expected"))
+        assert made == wanted
+
+
+def test_a_file_and_options_say_the_same(tmp_path):
+    scenario = Scenario("ur5", controller={"limits": "none", "gravity": "exact"})
+    scenario.save(tmp_path / "s.toml")
+    assert export(tmp_path / "a", str(tmp_path / "s.toml")) == 0
+    assert export(tmp_path / "b", "ur5", "--no-limits", "--gravity", "exact") == 0
+    made, wanted = ((tmp_path / each / "controller.c").read_bytes() for each in "ab")
+    assert made == wanted
+    assert b"limits   none" in made
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["panda"], "C code keeps limits of torques only, and this controller keeps those of "),
+        (["panda", "--learn-kinematics", "--no-limits"], "C code is made of set-point laws on "),
+        (["two_link", "--controller.unseen", "0.1"], "C code is made of set-point laws on what "),
+    ],
+)
+def test_what_is_not_covered_is_refused_with_the_reason(options, text, tmp_path, capsys):
+    assert export(tmp_path / "none", *options) == 2
+    assert capsys.readouterr().err.startswith(f"approxjac: {text}")
+    assert not (tmp_path / "none").exists()
