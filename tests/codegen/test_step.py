@@ -29,6 +29,12 @@ CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (
 NEAR = aj.PinholeCamera.looking_at((0.45, 0.0, 0.4), (1.1, -0.3, 0.9), 300.0, (640, 480))
 STUDY = pytest.mark.study
 SQUARE = ((0.2, 0.0, 0.05), (-0.1, 0.2, 0.0), (0.0, -0.2, 0.2))
+SLIDE = """<link name="l{0}"><inertial><mass value="2"/>
+  <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="j{0}" type="prismatic"><parent link="l{1}"/><child link="l{0}"/><axis xyz="{2}"/>
+    <limit lower="-1" upper="1" effort="100" velocity="1"/></joint>"""
+SLIDES = [SLIDE.format(*each) for each in ((1, 0, "1 0 0"), (2, 1, "0 1 0"), (3, 2, "0.6 0 0.8"))]
+GANTRY = f'<robot name="gantry"><link name="l0"/>{"".join(SLIDES)}</robot>'
 BENT = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
 
@@ -115,6 +121,7 @@ def test_on_every_arm_it_is_the_same_law(arm, name, rng, asked):
 @functools.cache
 def kinds():
     """Controllers, one for each way through a step."""
+    gantry = aj.Robot(GANTRY)
     panda, kinova = aj.load_robot("panda"), aj.load_robot("kinova")
     position, regressor = aj.PositionTask(panda), GravityRegressor(panda)
     square = aj.ImageTask(panda, NEAR, points=SQUARE)
@@ -147,6 +154,9 @@ def kinds():
             position,
             gravity=learning(panda, bounds=(regressor.theta - 0.1, regressor.theta + 0.1)),
         ),
+        "a Jacobian that is known": law(
+            NonsingularTask(aj.PositionTask(gantry), {"j1": 0.1}), soft
+        ),
         "a full L": law(
             position, gravity=aj.AdaptiveGravity(regressor, symmetric, 1.0, torque_limits=np.inf)
         ),
@@ -157,12 +167,14 @@ KINDS = (
     "one axis", "a plane, turned", "two frames, m = 5", "two frames, learnt", "a pose",
     "a pose, learnt", "a planar image", "an image", "an image, (5)", "three points, m = 6",
     "measured depths", "combined", "a nonsingular Jacobian", "continuous joints", "mimic joints",
-    "a posture", "away from stops", "a posture, learnt", "known θ", "bounds", "a full L",
+    "a posture", "away from stops", "a posture, learnt", "known θ", "bounds",
+    "a Jacobian that is known", "a full L",
 )  # fmt: skip
 """Of `kinds`, which takes seconds to build where tests are only collected."""
 BY_DEFAULT = (
     "two frames, learnt", "a pose, learnt", "an image, (5)", "measured depths", "combined",
     "a nonsingular Jacobian", "mimic joints", "a posture, learnt", "bounds",
+    "a Jacobian that is known",
 )  # fmt: skip
 
 

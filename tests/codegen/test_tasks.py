@@ -13,7 +13,13 @@ from approxjac.codegen.program import Program
 from approxjac.codegen.rigid_body import Arm
 from approxjac.codegen.symbols import inputs
 from approxjac.errors import InvalidInputError
-from approxjac.tasks import CombinedTask, NonsingularTask, PlanarCamera, TrackerTask
+from approxjac.tasks import (
+    CombinedTask,
+    NonsingularTask,
+    PlanarCamera,
+    PoseTrackerTask,
+    TrackerTask,
+)
 
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
 LENS = aj.PinholeCamera.looking_at(
@@ -35,6 +41,7 @@ def kinds():
         "position": position,
         "axes in another order": aj.PositionTask(kinova, axes="yx"),
         "tracker": TrackerTask(panda, (0.1, 0.2, 0.3), (1.0, 2.0, 3.0)),
+        "pose of a tracker": PoseTrackerTask(panda, (0.1, 0.2, 0.3), (1.0, 2.0, 3.0)),
         "pose": aj.PoseTask(panda),
         "pose, continuous joints": aj.PoseTask(kinova),
         "planar camera": aj.ImageTask(
@@ -65,8 +72,9 @@ def kinds():
 
 SEEN = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 KINDS = (
-    "position", "axes in another order", "tracker", "pose", "pose, continuous joints",
-    "planar camera", "pinhole camera", "three points", "three points, a lens", "in the hand",
+    "position", "axes in another order", "tracker", "pose of a tracker", "pose",
+    "pose, continuous joints", "planar camera", "pinhole camera", "three points",
+    "three points, a lens", "in the hand",
     "in the hand, of a link", "a depth", "a depth, a lens", "measured depths", "stacked",
     "stacked, image and position", "combined", "stacked, combined", "nonsingular",
     "nonsingular, stacked", "nonsingular, image",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from approxjac import law
@@ -53,6 +55,9 @@ def eigensystem(A: Symbols) -> tuple[Symbols, Symbols]:
     By Jacobi's rotations.
     """
     n, a = len(A), [list(row) for row in A.tolist()]
+    if not any(isinstance(each, Scalar) for row in a for each in row):
+        squares, U = np.linalg.eigh(a)
+        return symbols(squares.tolist()), symbols(U.tolist())
     vectors: list[list[Number]] = np.eye(n).tolist()
     for _ in range(_SWEEPS.get(n, _MANY_SWEEPS)):
         for p in range(n):
@@ -64,14 +69,14 @@ def eigensystem(A: Symbols) -> tuple[Symbols, Symbols]:
 def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) -> None:
     """Make a[p][q] zero."""
     off = a[p][q]
-    if not isinstance(off, Scalar):
+    if not isinstance(off, Scalar) and off == 0.0:
         return
     ratio = (a[q][q] - a[p][p]) / (off + off)
     size = abs(ratio)
-    tangent: Number = 1.0 / (size + (size * size + 1.0).sqrt())
+    tangent: Number = 1.0 / (size + _root(size * size + 1.0))
     tangent = select(ratio < 0.0, -tangent, tangent)
     tangent = select(off == 0.0, 0.0, tangent)
-    cosine = 1.0 / (tangent * tangent + 1.0).sqrt()
+    cosine = 1.0 / _root(tangent * tangent + 1.0)
     sine = tangent * cosine
     a[p][p], a[q][q] = a[p][p] - tangent * off, a[q][q] + tangent * off
     a[p][q] = a[q][p] = 0.0
@@ -82,6 +87,10 @@ def _rotate(a: list[list[Number]], vectors: list[list[Number]], p: int, q: int) 
             left, right = a[r][p], a[r][q]
             a[r][p] = a[p][r] = cosine * left - sine * right
             a[r][q] = a[q][r] = sine * left + cosine * right
+
+
+def _root(a: Number) -> Number:
+    return a.sqrt() if isinstance(a, Scalar) else math.sqrt(a)
 
 
 def is_regular(G: Symbols, ratio: float, scale: float) -> Condition:
@@ -116,13 +125,15 @@ def damped_gram_solve(
     else:
         w = Factors(G).solve(b)
     regular = is_regular(G, ratio, scale)
-    if not isinstance(regular, Scalar):
-        raise TypeError("a matrix that is known needs no symbols")
+    if not isinstance(regular, Scalar) and regular:  # J of a gantry is the same everywhere
+        return w, 0.0, False, 0.0
     squares, _ = eigensystem(G)
     least, most = squares.min(), squares.max()
     damping = law.gram_damping(least, most, ratio, scale)
     damped = Factors(G + np.multiply(damping, np.eye(len(b)))).solve(b)
     damped = np.where((most <= 0.0) & (scale == 0.0), 0.0, damped)
+    if not isinstance(regular, Scalar):
+        return damped, damping, damping > 0.0, least
     *found, damping, least = regular.graph.rare(
         ~regular, [*damped.tolist(), damping, least], [*w.tolist(), 0.0, 0.0]
     )

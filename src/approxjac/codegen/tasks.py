@@ -20,6 +20,7 @@ from approxjac.tasks import (
     ImageTask,
     NonsingularTask,
     PoseTask,
+    PoseTrackerTask,
     PositionTask,
     StackedTask,
     Task,
@@ -52,12 +53,11 @@ class _Frame:
         return self.jacobian(q), *self.placement(q)
 
     def pose(self, q: Symbols) -> Symbols:
-        R, p = self.placement(q)
-        return np.concatenate([p, _quaternion(R)])
+        return _pose(*self.placement(q))
 
 
-def _quaternion(R: Symbols) -> Symbols:
-    """Return the quaternion (x, y, z, w) of a rotation (3, 3), with the sign of Eigen's."""
+def _pose(R: Symbols, p: Symbols) -> Symbols:
+    """Return p (3,) and the quaternion (x, y, z, w) of R (3, 3), with the sign of Eigen's."""
     R = symbols(R)
     xx, yy, zz = np.diagonal(R)
     # of four times the squares of w, x, y and z the first is taken if it is large, or the largest
@@ -71,12 +71,19 @@ def _quaternion(R: Symbols) -> Symbols:
     largest = np.where(is_y, symbols([*rows[2], squares[2]]), largest)
     largest = np.where(is_z, symbols([*rows[3], squares[3]]), largest)
     *row, square = np.where(xx + yy + zz > 0.0, symbols([*rows[0], squares[0]]), largest)
-    return symbols(row) / (2.0 * np.sqrt(square))
+    return np.concatenate([symbols(p), symbols(row) / (2.0 * np.sqrt(square))])
 
 
 class _Pose(PoseTask):
     def error(self, x: Symbols, x_d: Symbols) -> Symbols:
         return np.concatenate([x[:3] - x_d[:3], _rotation_between(x[3:], x_d[3:])])
+
+
+class _PoseTracker(PoseTrackerTask):
+    error = _Pose.error
+
+    def value(self, q: Symbols) -> Symbols:
+        return _pose(*self._placement(q))
 
 
 def _rotation_between(a: Symbols, b: Symbols) -> Symbols:
@@ -119,12 +126,15 @@ class _Nonsingular(NonsingularTask):
         J = symbols(self.task.jacobian(q, x))
         G = J @ J.T
         regular = is_regular(G, self._ratio, self._scale)
+        if not isinstance(regular, Scalar) and regular:
+            return J
         bent = symbols(self.task.jacobian(moved(self.robot, q, self._bend), x))
         squares, U = eigensystem(G)
         weights = self._weights(squares)
         designed = symbols(self._designed(J, bent, weights, U))
-        graph = next(each.graph for each in G.ravel() if isinstance(each, Scalar))
-        found = graph.rare(~regular, designed.ravel().tolist(), J.ravel().tolist())
+        if not isinstance(regular, Scalar):
+            return designed
+        found = regular.graph.rare(~regular, designed.ravel().tolist(), J.ravel().tolist())
         return symbols(found).reshape(J.shape)
 
 
@@ -132,6 +142,7 @@ _KINDS: dict[type[Task], type[Task]] = {
     PositionTask: PositionTask,
     PoseTask: _Pose,
     TrackerTask: TrackerTask,
+    PoseTrackerTask: _PoseTracker,
     ImageTask: _Image,
     StackedTask: StackedTask,
     CombinedTask: CombinedTask,

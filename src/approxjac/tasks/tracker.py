@@ -103,8 +103,12 @@ class PoseTrackerTask(PoseTask):
         self._features = (Feature(slice(0, 7), self.frame, "xyz", placed=placed),)
 
     def value(self, q: Array) -> Array:
+        return np.array(pin.SE3ToXYZQUAT(pin.SE3(*self._placement(q))))
+
+    def _placement(self, q: Array) -> tuple[Array, Array]:
+        """Return the rotation (3, 3) and position (3,) [m] of the frame as the tracker sees it."""
         R, p = self._frame.placement(q)
-        return np.array(pin.SE3ToXYZQUAT(pin.SE3(self._R @ R, self._R @ p + self.offset)))
+        return self._R @ R, self._R @ p + self.offset
 
     def jacobian(self, q: Array, x: Array | None = None) -> Array:
         return self._turned(self._frame.jacobian(q))
