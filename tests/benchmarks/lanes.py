@@ -18,7 +18,7 @@ from mujoco import rollout
 
 import approxjac as aj
 from approxjac.codegen.closed_loop import Box
-from approxjac.codegen.lanes import Lanes
+from approxjac.codegen.lanes import Begun, Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.robots import Dynamics
@@ -39,17 +39,18 @@ def study(learns):
     region = aj.JointBox.around(task.robot, q, 0.3)
     whole = Study(law, errors, region, None, 1.0, DT, 1e-3, 0)
     starts = [whole.start(index) for index in range(LANES)]
-    return law, starts, Box(region.center, region.lower, region.upper)
+    begun = [Begun.of(law, each.plant, each.q, each.target) for each in starts]
+    return law, starts[0], begun, Box(region.center, region.lower, region.upper)
 
 
 def in_lanes(engine, learns=False, integrator="semi_implicit_euler"):
     """A function of a number of steps, and how long it took to be compiled [s]."""
-    law, starts, box = study(learns)
-    lanes = Lanes(law, starts, box, DT, 1e-3, integrator, engine)
+    law, first, begun, box = study(learns)
+    lanes = Lanes(law, first.plant, begun, box, DT, 1e-3, integrator, engine)
     start = time.process_time()
     compiled = lanes.compiled
     took = time.process_time() - start
-    kept, given = lanes.begun(starts)
+    kept, given = lanes.packed(begun)
 
     def run(steps):
         compiled.run(kept.copy(), given, steps - 1, 10)
@@ -59,8 +60,7 @@ def in_lanes(engine, learns=False, integrator="semi_implicit_euler"):
 
 
 def simulated(learns):
-    law, starts, _ = study(learns)
-    begin = starts[0]
+    law, begin, _, _ = study(learns)
 
     def run(steps):
         aj.simulate(
@@ -74,8 +74,8 @@ def simulated(learns):
 
 def careful_loop():
     """The least that a loop in Python takes: the law as typed in, and Pinocchio, unchecked."""
-    law, starts, _ = study(False)
-    begin, robot = starts[0], law.task.robot
+    law, begin, _, _ = study(False)
+    robot = law.task.robot
     truth, data = begin.plant.robot.model, begin.plant.robot.model.createData()
     frame = begin.plant.robot.frame_id(begin.plant.sensor.frame)
     J_of = naive.jacobian(robot, slice(0, 3))

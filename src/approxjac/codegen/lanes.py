@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,26 +15,39 @@ from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.codegen.program import Program
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.interface import Controller
+from approxjac.interface import Controller, Measurement
 from approxjac.simulation import Plant
 from approxjac.validation import Array
 
 
-class Start(Protocol):
-    """How a run begins.
+class Begun(NamedTuple):
+    """What lanes keep of a run that begins, which is little beside its plant.
 
     Attributes:
-        plant: The true robot.
         q: Configuration, at rest, shape (nq,).
         target: x_d, shape (n_x,).
+        state: State of the controller, shape (n_state,).
+        numbers: Those of the true robot.
+        sensor: Those of its sensor, as `tasks.numbers` has them.
     """
 
-    @property
-    def plant(self) -> Plant: ...  # noqa: D102
-    @property
-    def q(self) -> Array: ...  # noqa: D102
-    @property
-    def target(self) -> Array: ...  # noqa: D102
+    q: Array
+    target: Array
+    state: Array
+    numbers: ArmNumbers
+    sensor: dict[str, Array]
+
+    @classmethod
+    def of(cls, controller: Controller, plant: Plant, q: Array, target: Array) -> Begun:
+        """Return that of a plant at rest."""
+        assert isinstance(controller, SetpointController)
+        if controller.velocity is None:  # then it depends on no measurement
+            x = target
+        else:
+            x = plant.sensor.value(q)
+        state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
+        numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
+        return cls(q, target, state, numbers, tasks.numbers([plant.sensor]))
 
 
 class Lanes:
@@ -42,7 +55,8 @@ class Lanes:
 
     Args:
         controller: The law.
-        examples: Starts that differ in all that will ever differ.
+        plant: A true robot, with its sensor and friction.
+        examples: Runs that differ in all that will ever differ.
         region: Where runs are to stay.
         dt: Sampling time [s].
         tolerance: Error below which a task counts as done.
@@ -53,7 +67,8 @@ class Lanes:
     def __init__(
         self,
         controller: Controller,
-        examples: Sequence[Start],
+        plant: Plant,
+        examples: Sequence[Begun],
         region: Box,
         dt: float,
         tolerance: float,
@@ -61,18 +76,9 @@ class Lanes:
         engine: Callable[[Program], LlvmLanes | NumpyLanes] = LlvmLanes,
     ) -> None:
         assert isinstance(controller, SetpointController)
-        self._controller = controller
-        targets = np.array([start.target for start in examples])
+        numbers, sensors, targets = _stacked(examples)
         self._loop: ClosedLoop = closed_loop(
-            controller,
-            examples[0].plant,
-            _numbers(examples),
-            _sensors(examples),
-            targets,
-            region,
-            dt,
-            tolerance,
-            integrator,
+            controller, plant, numbers, sensors, targets, region, dt, tolerance, integrator
         )
         self._engine = engine
 
@@ -81,19 +87,19 @@ class Lanes:
         """The program, compiled when it first runs."""
         return self._engine(self._loop.program)
 
-    def begun(self, starts: Sequence[Start]) -> tuple[Array, Array]:
+    def packed(self, starts: Sequence[Begun]) -> tuple[Array, Array]:
         """Return what is kept of some runs before their first step, and what stays, as vectors."""
         program, width = self._loop.program, self.compiled.width
         kept = np.zeros((len(starts), program.n_rows))
         columns = {name: kept[:, at : at + size] for name, (at, size) in program.rows.items()}
         columns["q"][:] = [start.q for start in starts]
-        columns["state"][:] = self._states(starts)
+        columns["state"][:] = [start.state for start in starts]
         columns[TOLD.last_bad][:] = -1.0
-        named = self._loop.truth.named(_numbers(starts)) | _sensors(starts)
-        named["target"] = np.array([start.target for start in starts])
+        numbers, sensors, targets = _stacked(starts)
+        named = self._loop.truth.named(numbers) | sensors | {"target": targets}
         return _packed(kept, width), _packed(program.filled(named), width)
 
-    def run(self, starts: Sequence[Start], steps: int, every: int) -> dict[str, Array]:
+    def run(self, starts: Sequence[Begun], steps: int, every: int) -> dict[str, Array]:
         """Return what is told of some runs: the names of `TOLD`, each with an array (N,).
 
         Args:
@@ -101,28 +107,20 @@ class Lanes:
             steps: Number of steps.
             every: Which instants are recorded: each so many steps, and the last.
         """
-        kept, parameters = self.begun(starts)
+        kept, parameters = self.packed(starts)
         self.compiled.run(kept, parameters, steps, every)
         rows = self._loop.program.rows
         columns = kept.swapaxes(1, 2).reshape(-1, kept.shape[1])[: len(starts)]
         return {name: columns[:, rows[name][0]] for name in TOLD}
 
-    def _states(self, starts: Sequence[Start]) -> Array:
-        controller = self._controller
-        each = starts if controller.velocity is not None else starts[:1]
-        still = np.zeros(controller.task.robot.nv)
-        return np.array([
-            controller.initial_state(start.plant.measure(0.0, start.q, still)) for start in each
-        ])  # fmt: skip
 
-
-def _numbers(starts: Sequence[Start]) -> ArmNumbers:
-    frames = tasks.frames(starts[0].plant.sensor)
-    return ArmNumbers.stacked([arm_numbers(start.plant.robot, frames) for start in starts])
-
-
-def _sensors(starts: Sequence[Start]) -> dict[str, Array]:
-    return tasks.numbers([start.plant.sensor for start in starts])
+def _stacked(starts: Sequence[Begun]) -> tuple[ArmNumbers, dict[str, Array], Array]:
+    """Return numbers of the robots and of the sensors, and targets, each with an axis in front."""
+    sensors = {
+        name: np.concatenate([start.sensor[name] for start in starts]) for name in starts[0].sensor
+    }
+    numbers = ArmNumbers.stacked([start.numbers for start in starts])
+    return numbers, sensors, np.array([start.target for start in starts])
 
 
 def _packed(columns: Array, width: int) -> Array:

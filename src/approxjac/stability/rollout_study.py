@@ -215,13 +215,18 @@ class Study:
         stayed = all(bool(self.region.contains(q)) for q in record.q)
         return (*begins, final, settling, torque, speed, converged, False, stayed)
 
-    def _of_lanes(self, starts: list[Start]) -> dict[str, Array]:
+    def _of_lanes(self, indices: range) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
-        told: dict[str, Any] = _lanes_of(self).run(starts, self.steps, self.every)
-        found: dict[str, Any] = _columns([
-            (start.index, start.values, start.q, start.target, *([math.nan] * 4), *([False] * 3))
-            for start in starts
-        ])  # fmt: skip
+        from approxjac.codegen.lanes import Begun
+
+        lanes, rows, begun = _lanes_of(self), [], []
+        for index in indices:
+            start = self.start(index)
+            at = index, start.values, start.q, start.target
+            rows.append((*at, *([math.nan] * 4), *([False] * 3)))
+            begun.append(Begun.of(self.controller, start.plant, start.q, start.target))
+        told: dict[str, Any] = lanes.run(begun, self.steps, self.every)
+        found: dict[str, Any] = _columns(rows)
         diverged, last_bad = told["diverged"] > 0.0, told["last_bad"]
         found["diverged"] = diverged
         lost = np.isnan(told["error"])
@@ -236,7 +241,7 @@ class Study:
         for name, of in (("peak_torque", "torque"), ("peak_speed", "speed")):
             found[name] = np.where(diverged, math.nan, told[of])
         for k in np.flatnonzero(told["left"]):
-            for name, value in zip(COLUMNS, self._of_python(starts[k]), strict=True):
+            for name, value in zip(COLUMNS, self._of_python(self.start(indices[k])), strict=True):
                 found[name][k] = value
         return found
 
@@ -244,10 +249,9 @@ class Study:
 def _part(study: Study, indices: range) -> dict[str, Array]:
     """Return the columns of some runs."""
     study = copy.deepcopy(study)  # tasks and controllers have scratch memory: one instance a thread
-    starts = [study.start(index) for index in indices]
     if study.engine == "lanes":
-        return study._of_lanes(starts)
-    return _columns([study._of_python(start) for start in starts])
+        return study._of_lanes(indices)
+    return _columns([study._of_python(study.start(index)) for index in indices])
 
 
 def _kept_part(study: Study, folder: Path, indices: range) -> dict[str, Array]:
@@ -285,14 +289,16 @@ _compiling = threading.Lock()
 
 def _lanes_of(study: Study) -> Lanes:
     """Return the compiled loop of a study, compiled once in each process."""
-    from approxjac.codegen.lanes import Lanes
+    from approxjac.codegen.lanes import Begun, Lanes
 
     with _compiling:
         if study.key not in _lanes:
             while len(_lanes) >= _COMPILED:
                 del _lanes[next(iter(_lanes))]
-            examples = [study.start(index) for index in range(study.examples)]
+            starts = [study.start(index) for index in range(study.examples)]
+            law = study.controller
+            examples = [Begun.of(law, each.plant, each.q, each.target) for each in starts]
             _lanes[study.key] = Lanes(
-                study.controller, examples, study._box(), study.dt, study.tolerance
+                law, starts[0].plant, examples, study._box(), study.dt, study.tolerance
             )
         return _lanes[study.key]

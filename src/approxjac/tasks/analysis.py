@@ -56,6 +56,8 @@ def image_feature(task: Task | None) -> Feature | None:
 
 def sees(task: Task, q: Array) -> bool:
     """Return whether a sensor delivers all of a task's value at q (nq,)."""
+    if type(task)._seen is Task._seen:
+        return True
     return bool(np.isfinite(task._seen(task.value(q))).all())
 
 
