@@ -7,7 +7,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.codegen import compiled
 from approxjac.controllers import DifferentiatedVelocity
+from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.tasks import NonsingularTask, PlanarCamera
 
 SHORT = {"runs": 5, "duration": 0.3, "dt": 2e-3, "tolerance": 0.05}
@@ -98,3 +100,24 @@ def test_runs_are_those_of_python(name):
     if name.startswith("lost"):
         runs = (ours.replay(run.index) for run in ours.runs)
         assert any(aj.Status.MEASUREMENT_LOST in run.status for run in runs)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(k, marks=() if k == "lost at times" else pytest.mark.study) for k in STUDIES],
+)
+def test_one_whole_run_is_that_of_python(name, monkeypatch):
+    controller, known, region = STUDIES[name]()
+    few = aj.rollouts(controller, known, region, engine="python", **SHORT | {"runs": 1})
+    start = few.study.start(1)
+    options = {"duration": 4.2, "dt": 2e-3, "integrator": "semi_implicit_euler"}
+    plain = aj.simulate(start.plant, controller, start.target, start.q, **options)
+    monkeypatch.delattr(SampledLoop, "advance")
+    quick = aj.simulate(start.plant, compiled(controller), start.target, start.q, **options)
+    assert_array_equal(quick.status, plain.status)
+    for part in ("q", "v", "x", "x_measured", "error", "tau"):
+        found, expected = getattr(quick, part), getattr(plain, part)
+        size = 1.0 + np.nanmax(np.abs(expected))
+        assert_allclose(found / size, expected / size, rtol=0, atol=1e-9, err_msg=part)
+    if name == "lost at times":
+        assert aj.Status.MEASUREMENT_LOST in plain.status

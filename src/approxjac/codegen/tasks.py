@@ -101,12 +101,10 @@ def _rotation_between(a: Symbols, b: Symbols) -> Symbols:
 
 class _Image(ImageTask):
     def _seen(self, x: Symbols) -> Symbols:
-        points = symbols(x).reshape(-1, self._stride)
         delivered = []
-        for point in points:
-            image = self.camera.seen(point[:2])
-            is_seen = abs((image - image).sum()) < 1.0
-            delivered.append(np.where(is_seen, point, math.nan))
+        for point in symbols(x).reshape(-1, self._stride):
+            u, v = np.isfinite(self.camera.seen(point[:2]))
+            delivered.append(np.where(u & v, point, math.nan))
         return np.concatenate(delivered)
 
     def _located(self, q: Symbols, x: Symbols | None) -> Symbols:
