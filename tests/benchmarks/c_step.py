@@ -1,0 +1,137 @@
+"""Time of a step in C, compiled by gcc -O2, beside the compiled step and the plain one in Python.
+
+The step in C is timed in C, over recorded inputs, and all that a loop needs is in it: checks,
+law, limits, state. All take turns.
+
+    python tests/benchmarks/c_step.py
+"""
+
+import re
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from turns import medians, table
+
+import approxjac as aj
+
+COUNT, ROUNDS, TURNS = 500, 200, 7
+MAIN = """
+#include "controller.h"
+#include <stdio.h>
+#include <time.h>
+static const double inputs[][@row] = {
+@inputs
+};
+int main(void)
+{
+    @p_state state;
+    @p_answer answer;
+    struct timespec a, b;
+    double sum = 0.0;
+    int i, k;
+    @p_init(&state, inputs[0] + @x);
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &a);
+    for (k = 0; k < @rounds; ++k) {
+        for (i = 0; i < @count; ++i) {
+            const double *q = inputs[i];
+            @p_state now = state;
+            @p_step(&now, q, q + @v, q + @x, q + @target, 1e-3, &answer);
+            sum += answer.torque[0];
+        }
+    }
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &b);
+    printf("%.9g %g\\n", ((double)(b.tv_sec - a.tv_sec) + 1e-9 * (double)(b.tv_nsec - a.tv_nsec))
+        / (@rounds * (double)@count), sum);
+    return 0;
+}
+"""
+
+
+def inputs_of(task, rng):
+    """Configurations of slow motion, not far from their targets."""
+    found = []
+    for _ in range(COUNT):
+        q, v = task.robot.random_configuration(rng), rng.uniform(-0.5, 0.5, task.robot.nv)
+        x = task.value(q)
+        found.append((q, v, x, x + 0.05 * rng.normal(size=task.n_x)))
+    return found
+
+
+class InC:
+    """The controller as a program of its own that tells its time."""
+
+    def __init__(self, controller, inputs, folder):
+        aj.export_c(controller, folder)
+        q, v, x, _ = inputs[0]
+        rows = ",\n".join(
+            "{" + ", ".join(float(each).hex() for each in np.concatenate(row)) + "}"
+            for row in inputs
+        )
+        words = {
+            "row": len(np.concatenate(inputs[0])), "inputs": rows, "p": controller.task.robot.name,
+            "v": len(q), "x": len(q) + len(v), "target": len(q) + len(v) + len(x),
+            "rounds": ROUNDS, "count": COUNT,
+        }  # fmt: skip
+        text = re.sub(r"@(row|inputs|rounds|count|target|p|v|x)", lambda m: str(words[m[1]]), MAIN)
+        (folder / "time.c").write_text(text, encoding="utf-8")
+        strict = ["-O2", "-ffp-contract=off", "-Wall"]
+        for command in (
+            ["gcc", "-std=c99", *strict, "-c", "controller.c"],
+            ["gcc", "-std=gnu99", *strict, "time.c", "controller.o", "-lm", "-o", "time"],
+        ):
+            subprocess.run(command, cwd=folder, check=True)
+        sizes = subprocess.run(
+            ["size", "controller.o"], cwd=folder, check=True, capture_output=True, text=True
+        ).stdout
+        self.folder, self.kilobytes = folder, int(sizes.splitlines()[1].split()[0]) / 1024.0
+
+    def seconds(self):
+        """Time of a step [s]."""
+        run = subprocess.run([self.folder / "time"], check=True, capture_output=True, text=True)
+        return float(run.stdout.split()[0])
+
+
+def row(name, controller, law, rng, folder):
+    """Name, times of a step [µs], shares, and size [kB]."""
+    inputs = inputs_of(controller.task, rng)
+    in_c = InC(controller, inputs, folder)
+    in_python = [(aj.Measurement(0.0, q, v, x), target) for q, v, x, target in inputs]
+    state = controller.initial_state(in_python[0][0])
+    steps = {"plain": controller}
+    if law is controller:
+        steps["compiled"] = aj.codegen.compiled(law)
+    calls = {
+        kind: (lambda measurement, target, step=each.step: step(state, measurement, target, 1e-3))
+        for kind, each in steps.items()
+    }
+    times = {kind: 1e6 * t for kind, t in medians(calls, in_python, TURNS).items()}
+    c = 1e6 * float(np.median([in_c.seconds() for _ in range(TURNS)]))
+    compiled = times.get("compiled")
+    return [name, times["plain"], compiled, c, times["plain"] / c, in_c.kilobytes]
+
+
+def main():
+    arm = aj.load_robot("panda")
+    task, rng = aj.PositionTask(arm), np.random.default_rng(0)
+    effort = aj.Limits(effort=0.5 * arm.effort_limits)
+    known, learnt = (
+        aj.SetpointController(task),
+        aj.SetpointController(task, gravity=aj.AdaptiveGravity(arm)),
+    )
+    rows = []
+    for name, controller, law in (
+        ("(6)", known, known),
+        ("(6), half the torque", aj.TorqueLimited(known, effort), known),
+        ("(28), (29)", learnt, learnt),
+        ("(28), (29), half the torque", aj.TorqueLimited(learnt, effort), learnt),
+    ):
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(row(name, controller, law, rng, Path(folder)))
+    heads = ["Panda, µs", "Python", "compiled", "C", "Python / C", "code, kB"]
+    print(table(heads, rows))
+
+
+if __name__ == "__main__":
+    main()
