@@ -31,6 +31,7 @@ from approxjac.robots import GravityRegressor, Robot
 
 _SWEEPS = 10
 _ROUND_OFF = 1e-12  # of what led out of bounds
+_LIFT = 1e-14  # of the trace, well above what rounding leaves
 _GRAVITY = (ModelGravity, NoGravity, RegressorGravity, AdaptiveGravity, Adaptation)
 STATUSES = tuple(Status)
 """A status is its place in this."""
@@ -202,9 +203,10 @@ def _within_null_space(torque: Symbols, J_hat: Symbols, G: Symbols, scale: float
     w, damping, _, least = damped_gram_solve(G, b, scale)
     if not isinstance(damping, Scalar):
         return symbols(torque - w @ J_hat)
-    # what rounding leaves of G⁻¹ near a singular pose goes with the weight
+    # what is added, so that G⁻¹ exists, goes with the weight: near a singular pose, too
     is_regular, threshold = least > 0.0, least + damping
-    projected = np.where(symbols(is_regular), Factors(G).solve(b), 0.0)
+    lifted = G + np.multiply(_LIFT * G.trace(), np.eye(len(G)))
+    projected = np.where(symbols(is_regular), Factors(lifted).solve(b), 0.0)
     weight = symbols(select(is_regular, least / threshold, 0.0))
     faded = weight * (torque - projected @ J_hat)
     plain = torque - w @ J_hat
