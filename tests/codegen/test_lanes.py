@@ -36,7 +36,17 @@ def study(arm, axes="xyz", *, learns=False, **options):
     return controller, errors, aj.JointBox(task.robot, -half, half, 0.5 * (low + high))
 
 
+def limited(loop, share, **options):
+    """The loop within limits of effort that are often reached."""
+    controller, errors, region = loop
+    upper = share * controller.task.robot.effort_limits
+    return aj.TorqueLimited(controller, aj.Limits(effort=upper), **options), errors, region
+
+
 STUDIES = {
+    "limits that keep the proof": lambda: limited(study("panda", learns=True), 0.4),
+    "limits, known gravity": lambda: limited(study("ur5"), 0.3),
+    "limits that clip": lambda: limited(study("panda"), 0.4, proof=False),
     "known gravity": lambda: study("panda"),
     "learnt gravity": lambda: study("panda", learns=True),
     "a plane, sine": lambda: study("ur5", "xz", learns=True, saturation=Sine(0.1)),
@@ -44,14 +54,14 @@ STUDIES = {
 }
 
 
-def require_agreement(ours, python):
+def require_agreement(ours, python, tolerance=1e-9):
     """Equal but for rounding."""
     for name, expected in python.columns.items():
         found = ours.columns[name]
         if found.dtype == bool:
             assert_array_equal(found, expected, err_msg=name)
         else:
-            assert_allclose(found, expected, rtol=1e-9, atol=1e-9, err_msg=name)
+            assert_allclose(found, expected, rtol=tolerance, atol=tolerance, err_msg=name)
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -62,8 +72,11 @@ def test_runs_are_those_of_python(name):
     assert (ours.study.engine, ours.study.reason) == ("lanes", "")
     python = aj.rollouts(*loop, engine="python", **SHORT)
     assert python.study.engine == "python"
-    require_agreement(ours, python)
+    # motors that come to their limits and leave them let round-off grow
+    require_agreement(ours, python, 1e-8 if name.startswith("limits") else 1e-9)
     assert not ours.columns["stayed"].all()
+    if name.startswith("limits"):
+        assert ours.columns["peak_torque"].max() < 0.5
     run = ours.replay(5)
     assert run.error_norm[-1] == pytest.approx(ours.runs[5].final_error, abs=1e-9)
     assert run.t[-1] == 1.0

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen import limits, setpoint, tasks
+from approxjac.codegen import limits, tasks
 from approxjac.codegen.graph import Graph, Number
 from approxjac.codegen.numpy_source import numpy_function
 from approxjac.codegen.program import Language, Program, Writer
@@ -16,7 +16,7 @@ from approxjac.codegen.rigid_body import Arm
 from approxjac.codegen.symbols import inputs, symbols
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
-from approxjac.interface import Controller, LimitStatus, Measurement
+from approxjac.interface import Measurement
 from approxjac.validation import Array
 
 _TEMPLATES = {
@@ -123,26 +123,12 @@ class SampledStep(NamedTuple):
         return found
 
 
-def require_covered(controller: Controller) -> None:
-    """Refuse a controller of which no C can be made.
-
-    Raises:
-        InvalidInputError: Another law than `setpoint.require_covered` takes, or other limits than
-            those of effort.
-    """
-    limits.require_covered(controller)
-    inside = controller.controller if isinstance(controller, TorqueLimited) else controller
-    setpoint.require_covered(inside)
-
-
 def sampled_step(controller: SetpointController | TorqueLimited) -> SampledStep:
-    """Return one step of a controller that `require_covered` takes, for a target at rest.
+    """Return one step of a controller that `limits.require_covered` takes, for a target at rest.
 
     x may be lost. Where the sweeps that keep what is learnt within its bounds do not end, it rests.
     """
-    limiter = controller if isinstance(controller, TorqueLimited) else None
-    law = controller if limiter is None else limiter._law
-    assert isinstance(law, SetpointController)
+    law = limits.law_of(controller)
     task, robot, p = law.task, law.task.robot, law.resting
     neutral = robot.neutral()
     rest = Measurement(0.0, neutral, np.zeros(robot.nv), task.value(neutral))
@@ -155,20 +141,13 @@ def sampled_step(controller: SetpointController | TorqueLimited) -> SampledStep:
     given = {name: inputs(program.graph, name, size) for name, size in sizes.items()}
     q, v, x, target, state, (dt,) = given.values()
     arm = Arm(program.given, "belief", robot, tasks.frames(task)).at(q)
-    answer = setpoint.answer(law, arm, q, v, x, target, state, may_lose=True)
-    torque: Any = answer.torque
-    rests: Any = symbols(answer.left)
-    limit_status: Number = float(LimitStatus.UNLIMITED)
-    slack: Number = 0.0
-    if limiter is not None:
-        torque, limit_status, slack, by_limits = limits.limited(limiter, answer, v)
-        rests = rests | symbols(by_limits)
+    answer, within = limits.answer(controller, arm, q, v, x, target, state, may_lose=True)
     rate = symbols(answer.rate)
-    rate[:p] = np.where(rests, 0.0, rate[:p])
+    rate[:p] = np.where(answer.left, 0.0, rate[:p])
     outputs = {
-        "torque": torque, "after": state + np.multiply(dt, rate), "e": answer.e,
+        "torque": within.torque, "after": state + np.multiply(dt, rate), "e": answer.e,
         "gravity": answer.gravity, "J_hat": answer.J_hat, "status": answer.status,
-        "limit_status": limit_status, "slack": slack,
+        "limit_status": within.status, "slack": within.slack,
     }  # fmt: skip
     flat = {name: symbols(value).ravel().tolist() for name, value in outputs.items()}
     return SampledStep(program.graph, flat, law, initial_state, len(initial_state) - p)

@@ -8,9 +8,10 @@ from string import Template
 import numpy as np
 
 from approxjac.codegen import c_templates as templates
-from approxjac.codegen.c99 import SampledStep, constant, require_covered, sampled_step
+from approxjac.codegen.c99 import SampledStep, constant, sampled_step
 from approxjac.codegen.c_words import identifier, pairs, words
 from approxjac.codegen.functions import LARGEST_ANGLE
+from approxjac.codegen.limits import require_covered
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.errors import InvalidInputError

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.codegen import setpoint, tasks
+from approxjac.codegen import limits, setpoint, tasks
 from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.functions import LARGEST_ANGLE
 from approxjac.codegen.graph import Condition, Number, Scalar, select
@@ -16,7 +16,6 @@ from approxjac.codegen.linear import Factors
 from approxjac.codegen.program import Program
 from approxjac.codegen.rigid_body import Arm, Configured, moved
 from approxjac.codegen.symbols import Symbols, any_of, symbols
-from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.simulation import Plant
@@ -84,7 +83,7 @@ def require_covered(controller: Controller, plant: Plant) -> None:
     Raises:
         InvalidInputError: Another law, task or plant than those covered.
     """
-    setpoint.require_covered(controller)
+    limits.require_covered(controller)
     tasks.require_covered(plant.sensor)
     if plant.needs_sampling or plant.torque_limits is not None:
         raise InvalidInputError(
@@ -94,7 +93,7 @@ def require_covered(controller: Controller, plant: Plant) -> None:
 
 
 def closed_loop(
-    controller: SetpointController,
+    controller: Controller,
     plant: Plant,
     numbers: ArmNumbers,
     sensors: Mapping[str, Array],
@@ -107,7 +106,7 @@ def closed_loop(
     """Return the program of a sampled closed loop.
 
     Args:
-        controller: The law.
+        controller: The law, or `TorqueLimited` around it.
         plant: One of the true robots, with its sensor and friction.
         numbers: Of true robots, stacked, such that all differ in what ever differs.
         sensors: Numbers of their sensors, as `tasks.numbers` has them.
@@ -139,9 +138,7 @@ def closed_loop(
     return ClosedLoop(program, loop.truth)
 
 
-def recorded_loop(
-    controller: SetpointController, plant: Plant, dt: float, integrator: str
-) -> Program:
+def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: str) -> Program:
     """Return the program of one run that is recorded: "x", "torque", "e", "J_hat" and "status".
 
     Its target is kept as "target"; "rate" is that of the state.
@@ -182,7 +179,7 @@ class _Loop(NamedTuple):
     def of(
         cls,
         program: Program,
-        controller: SetpointController,
+        controller: Controller,
         plant: Plant,
         numbers: ArmNumbers,
         sensor: Mapping[str, Symbols],
@@ -194,13 +191,16 @@ class _Loop(NamedTuple):
         truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         belief = Arm(program.given, "belief", task.robot, tasks.frames(task))
         q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
-        state = program.kept("state", setpoint.n_state(controller))
+        state = program.kept("state", setpoint.n_state(limits.law_of(controller)))
         here = truth.at(q)
         value = tasks.value(plant.sensor, here, sensor)
         x = tasks.seen(plant.sensor, value)
         error = tasks.error(plant.sensor, value, x_d)
         may_lose = tasks.may_lose(plant.sensor)
-        answer = setpoint.answer(controller, belief.at(q), q, v, x, x_d, state, may_lose=may_lose)
+        answer, within = limits.answer(
+            controller, belief.at(q), q, v, x, x_d, state, may_lose=may_lose
+        )
+        answer = answer._replace(torque=within.torque)
         q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
         touched, left = _touched(plant, q_end), answer.left
         if isinstance(touched, Scalar):

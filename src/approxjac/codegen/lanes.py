@@ -11,10 +11,10 @@ import numpy as np
 from approxjac.codegen import tasks
 from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.closed_loop import TOLD, Box, ClosedLoop, closed_loop
+from approxjac.codegen.limits import law_of
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.codegen.program import Program
-from approxjac.controllers.setpoint import SetpointController
 from approxjac.interface import Controller, Measurement
 from approxjac.simulation import Plant
 from approxjac.validation import Array
@@ -40,11 +40,8 @@ class Begun(NamedTuple):
     @classmethod
     def of(cls, controller: Controller, plant: Plant, q: Array, target: Array) -> Begun:
         """Return that of a plant at rest."""
-        assert isinstance(controller, SetpointController)
-        if controller.velocity is None:  # then it depends on no measurement
-            x = target
-        else:
-            x = plant.sensor.value(q)
+        # only law (5) begins with x
+        x = target if law_of(controller).velocity is None else plant.sensor.value(q)
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
         return cls(q, target, state, numbers, tasks.numbers([plant.sensor]))
@@ -75,7 +72,6 @@ class Lanes:
         integrator: str = "semi_implicit_euler",
         engine: Callable[[Program], LlvmLanes | NumpyLanes] = LlvmLanes,
     ) -> None:
-        assert isinstance(controller, SetpointController)
         numbers, sensors, targets = _stacked(examples)
         self._loop: ClosedLoop = closed_loop(
             controller, plant, numbers, sensors, targets, region, dt, tolerance, integrator

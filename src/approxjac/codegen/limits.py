@@ -8,8 +8,10 @@ import numpy as np
 
 from approxjac import law
 from approxjac.codegen import setpoint
-from approxjac.codegen.graph import Scalar
+from approxjac.codegen.graph import Condition, Scalar
+from approxjac.codegen.rigid_body import Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, LimitStatus, Status
@@ -31,17 +33,27 @@ class Limited(NamedTuple):
     torque: Symbols
     status: Any
     slack: Any
-    rests: Scalar | bool
+    rests: Condition
+
+
+def law_of(controller: Controller) -> SetpointController:
+    """Return the law of a controller that `require_covered` takes, as it is inside of limits."""
+    law = controller._law if isinstance(controller, TorqueLimited) else controller
+    assert isinstance(law, SetpointController)
+    return law
 
 
 def require_covered(controller: Controller) -> None:
-    """Refuse limits of which no code can be made.
+    """Refuse a controller of which no code can be made.
 
     Raises:
-        InvalidInputError: Other limits than those of effort, or a weight that is no diagonal.
+        InvalidInputError: Another law than `setpoint.require_covered` takes, other limits than
+            those of effort, or a weight that is no diagonal.
     """
     if not isinstance(controller, TorqueLimited):
+        setpoint.require_covered(controller)
         return
+    setpoint.require_covered(controller.controller)
     limits = controller.limits
     for name in ("rate", "velocity", "position"):
         if np.isfinite(np.asarray(getattr(limits, name))).any():
@@ -56,6 +68,28 @@ def require_covered(controller: Controller) -> None:
             f"{controller.weight!r}",
             given=controller.weight,
         )
+
+
+def answer(
+    controller: Controller,
+    arm: Configured,
+    q: Symbols,
+    v: Symbols,
+    x: Symbols,
+    x_d: Symbols,
+    state: Symbols,
+    *,
+    may_lose: bool,
+) -> tuple[setpoint.Answer, Limited]:
+    """Return what `setpoint.answer` does, with the rate of what does not rest; and its limits."""
+    law = law_of(controller)
+    found = setpoint.answer(law, arm, q, v, x, x_d, state, may_lose=may_lose)
+    if not isinstance(controller, TorqueLimited):
+        return found, Limited(found.torque, float(LimitStatus.UNLIMITED), 0.0, False)
+    within = limited(controller, found, v)
+    rate = symbols(found.rate)
+    rate[: law.resting] = np.where(within.rests, 0.0, rate[: law.resting])
+    return found._replace(rate=rate), within
 
 
 def limited(limiter: TorqueLimited, answer: setpoint.Answer, v: Symbols) -> Limited:
