@@ -1,4 +1,5 @@
-"""10⁵ rollouts of 5 s: a Panda with random tools, starts and targets, learnt gravity and friction.
+"""10⁵ rollouts of 5 s: a Panda with random tools, starts and targets, learnt gravity, motors with
+their limits, joint stops and friction.
 
 All is in the time that is told: drawing, compiling, and what is left to Python.
 
@@ -24,6 +25,7 @@ def main(runs=100_000, threads=2):
     errors = aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5), friction=0.1)
     task = errors.believed_task()
     law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot))
+    law = aj.TorqueLimited(law, aj.Limits(effort=task.robot.effort_limits))
     region = aj.JointBox.around(task.robot, POSTURE, 0.5)
     start = time.perf_counter()
     with ThreadPoolExecutor(threads) as pool:
