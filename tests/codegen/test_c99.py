@@ -311,6 +311,28 @@ def test_the_self_test_passes_and_sanitizers_find_nothing(case, compiler, tmp_pa
 
 
 @needs_compiler
+@pytest.mark.parametrize(
+    "level",
+    [
+        "-O1",
+        *(pytest.param(each, marks=pytest.mark.study) for each in ("-O0", "-O2", "-O3", "-Os")),
+    ],
+)
+def test_a_law_without_a_state_is_compiled_without_a_warning(level, tmp_path):
+    aj.export_c(built("panda (6)")[0], tmp_path)
+    compiled(tmp_path, level, "-Wconversion", "-Wshadow", "-c", "-o", "controller.o")
+
+
+@needs_compiler
+@pytest.mark.study
+def test_the_self_test_passes_for_every_arm(arm, tmp_path):
+    law = law_6(arm)
+    aj.export_c(limited(law, 1.0) if np.isfinite(arm.effort_limits).all() else law, tmp_path)
+    compiled(tmp_path, "-O1", "selftest.c", "-o", "selftest")
+    subprocess.run([tmp_path / "selftest"], check=True, stdout=subprocess.DEVNULL)
+
+
+@needs_compiler
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm here")
 @pytest.mark.parametrize(
     "case",
@@ -430,10 +452,12 @@ def test_the_header_says_what_it_was_made_from(tmp_path):
 
 
 def test_the_same_controller_makes_the_same_files(tmp_path):
-    controller, _ = built("panda (6)")
+    controller, _ = built("panda (6), pose, limits")
     one, other = (aj.export_c(controller, tmp_path / name) for name in "ab")
     for name in NAMES:
-        assert (one / name).read_text("utf-8") == (other / name).read_text("utf-8")
+        text = (one / name).read_text("utf-8")
+        assert text == (other / name).read_text("utf-8")
+        assert max(map(len, text.splitlines())) <= 100 or name == "selftest.c"
 
 
 def test_what_is_not_covered_is_refused_by_name(tmp_path):

@@ -89,7 +89,8 @@ def _source(step: SampledStep) -> dict[str, str]:
         f"    answer->J_hat[{i // nv}][{i % nv}] = {value};"
         for i, value in enumerate(names["J_hat"])
     ]
-    stores += [f"    after[{i}] = {value};" for i, value in enumerate(names["after"])]
+    after = names["after"] or ["0.0"]
+    stores += [f"    after[{i}] = {value};" for i, value in enumerate(after)]
     stores += [
         f"    answer->slack = {names['slack'][0]};",
         f"    answer->status = ({prefix}_status)(int){names['status'][0]};",

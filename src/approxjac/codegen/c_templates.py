@@ -58,7 +58,7 @@ typedef struct {
 /* The answer to one measurement. */
 typedef struct {
     double torque[$nv];   /* joint torques to send [$tau_units]; always finite */
-    double e[$m];        /* task error of x to the target [$e_units]; not finite where x is lost */
+    double e[$m];        /* task error [$e_units]; not finite where x is lost */
     double gravity[$nv];  /* gravity torque within the law's torque [$tau_units] */
     double J_hat[$m][$nv]; /* believed task Jacobian [$e_units, per unit of a joint] */
     double slack;       /* what limits add to V' [W]; 0 where it is not known */
@@ -68,8 +68,10 @@ typedef struct {
 
 /* Set the state before the first step.
  *
- * x: the first measured task value [$x_units]. Only a law that differentiates x looks at it: then
- * it has to be finite, and else 0 is returned and the state is not usable. Otherwise returns 1.
+ * x: the first measured task value [$x_units].
+ *
+ * Only a law that differentiates x looks at it: then it has to be finite, and else 0 is returned
+ * and the state is not usable. Otherwise returns 1.
  */
 int ${prefix}_init(${prefix}_state *state, const double x[$n_x]);
 
@@ -77,8 +79,8 @@ int ${prefix}_init(${prefix}_state *state, const double x[$n_x]);
  *
  * q:      joint positions [$q_units].
  * v:      joint velocities [$v_units].
- * x:      measured task value [$x_units]. One that is not finite is lost: the torque is damping
- *         and gravity, and nothing is learnt.
+ * x:      measured task value [$x_units].
+ *         One that is not finite is lost: the torque is damping and gravity, nothing is learnt.
  * target: wanted task value, at rest [$x_units].
  * dt:     time for which the torque is held [s].
  */
@@ -146,7 +148,7 @@ static void evaluate(const double *q, const double *v, const double *x, const do
     const double *state, double dt, ${prefix}_answer *answer, double *after)
 {
 $lines
-    (void)q, (void)v, (void)x, (void)target, (void)state, (void)dt, (void)after;
+    (void)q, (void)v, (void)x, (void)target, (void)state, (void)dt;
 $stores
 }
 

@@ -73,8 +73,8 @@ def _made_from(
     yield "joints", ", ".join(f"{name} [{unit}]" for name, unit in named)
     yield "task", f"{task!r}, x in {_units_of_x(task)}"
     yield "law", number
-    yield "K_p", f"{_numbers(kp)} [N or N m per unit of e]"
-    yield "K_v", f"{_numbers(kv)} [N s or N m s per unit of e]"
+    yield "K_p", f"{_numbers(kp)} [J per unit of e squared]"
+    yield "K_v", f"{_numbers(kv)} [J s per unit of e squared]"
     yield "B_c", f"{_numbers(damping)} [N m s/rad or N s/m]"
     gamma = getattr(law.saturation, "gamma", None)
     of = "" if gamma is None else f", gamma = {_numbers(np.asarray(gamma))}"
@@ -140,7 +140,7 @@ def _units_of_q(step: SampledStep) -> str:
 
 def _units_of_x(task: Task) -> str:
     if isinstance(task, PoseTask):
-        return "m; the last four are a quaternion (x, y, z, w)"
+        return "m, and a quaternion (x, y, z, w)"
     return joined(task.units) + ("" if task.n_x == task.m else ", and m of depths")
 
 
