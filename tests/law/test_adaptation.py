@@ -111,5 +111,5 @@ def test_further_bounds_are_kept_and_the_potential_falls(
     assert error @ np.linalg.solve(L, projected - rate) >= -1e-7
     assert projected @ np.linalg.solve(L, projected) <= (1 + 1e-9) * rate @ np.linalg.solve(L, rate)
     assert (outward @ projected <= 1e-7).all()
-    assert (projected[theta_hat <= LOWER] >= -1e-7).all()
-    assert (projected[theta_hat >= UPPER] <= 1e-7).all()
+    assert (projected[theta_hat <= LOWER] >= 0.0).all()
+    assert (projected[theta_hat >= UPPER] <= 0.0).all()

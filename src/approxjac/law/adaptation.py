@@ -8,7 +8,9 @@ from approxjac.law.products import dot
 from approxjac.validation import Array
 
 _TINY = np.finfo(float).tiny
-_ROUND_OFF = 1e-12  # of bounds that depend on each other
+_ROUND_OFF = (
+    1e-8  # bounds nearer to dependent count as dependent: λ grows as 1/angle, its error too
+)
 
 
 def passive_output(v: Array, J_hat_pinv_s: Array, alpha: float | Array) -> Array:
@@ -57,37 +59,43 @@ def within_bounds(
         N = np.concatenate([N, outward])
     if not (N.dot(rate) > 0.0).any():
         return rate
-    NL = N * L if L.ndim == 1 else N.dot(L)
-    A = NL.dot(N.T)
-    size = np.sqrt(np.maximum(A.diagonal(), _TINY))
-    multipliers = _nonnegative(A / size / size[:, np.newaxis], N.dot(rate) / size) / size
-    return np.asarray(rate - multipliers.dot(NL))
+    if L.ndim == 1:
+        root = np.sqrt(L)
+        F, c = root[:, np.newaxis] * N.T, rate / np.maximum(root, _TINY)
+    else:
+        root = np.linalg.cholesky(L)
+        F, c = root.T.dot(N.T), np.linalg.solve(root, rate)
+    F = F / np.maximum(np.sqrt((F * F).sum(axis=0)), _TINY)
+    kept = c - F.dot(_nonnegative(F, c))
+    projected = root * kept if L.ndim == 1 else root.dot(kept)
+    projected = np.where(low, np.maximum(projected, 0.0), projected)  # the box to the last bit
+    return np.where(high, np.minimum(projected, 0.0), projected)
 
 
-def _nonnegative(A: Array, b: Array) -> Array:
-    """Minimum of ½λᵀAλ − bᵀλ over λ ≥ 0, for a semidefinite A (k, k) with ones on its diagonal.
+def _nonnegative(F: Array, c: Array) -> Array:
+    """The λ ≥ 0 with the smallest |Fλ − c|, for an F (p, k) with columns of length one.
 
     The active set method of C. Lawson and R. Hanson, "Solving Least Squares Problems" (1974),
     chapter 23. What is minimized falls from iterate to iterate, each of which is ≥ 0: wherever
     rounding of bounds that depend on each other ends it, the rate is no longer than it was.
     """
-    found = np.zeros(len(b))
-    free = np.zeros(len(b), dtype=bool)
-    least = _ROUND_OFF * np.abs(b).max()
-    for _ in range(3 * len(b)):
-        slope = np.where(free, -np.inf, b - A.dot(found))
+    count = F.shape[1]
+    found = np.zeros(count)
+    free = np.zeros(count, dtype=bool)
+    least = 1e-14 * np.abs(c).max()
+    for _ in range(3 * count):
+        slope = np.where(free, -np.inf, (c - F.dot(found)).dot(F))
         if slope.max() <= least:
             break
         free[slope.argmax()] = True
         while free.any():
-            wanted = np.zeros(len(b))
-            part = A[np.ix_(free, free)]
-            wanted[free] = np.linalg.lstsq(part, b[free], rcond=_ROUND_OFF)[0]
+            wanted = np.zeros(count)
+            wanted[free] = np.linalg.lstsq(F[:, free], c, rcond=_ROUND_OFF)[0]
             below = free & (wanted <= 0.0)
             if not below.any():
                 found = wanted
                 break
-            shares = np.full(len(b), np.inf)
+            shares = np.full(count, np.inf)
             shares[below] = found[below] / np.maximum(found[below] - wanted[below], _TINY)
             first = shares.argmin()
             found = found + shares[first] * (wanted - found)
