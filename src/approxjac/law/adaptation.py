@@ -69,7 +69,7 @@ def within_bounds(
     kept = c - F.dot(_nonnegative(F, c))
     projected = root * kept if L.ndim == 1 else root.dot(kept)
     projected = np.where(low, np.maximum(projected, 0.0), projected)  # the box to the last bit
-    return np.where(high, np.minimum(projected, 0.0), projected)
+    return np.asarray(np.where(high, np.minimum(projected, 0.0), projected))
 
 
 def _nonnegative(F: Array, c: Array) -> Array:
