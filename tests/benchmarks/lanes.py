@@ -1,9 +1,10 @@
 """Steps of the closed loop a second, of everything that can take them, in one process and one core.
 
 A Panda with a tool that is truly longer and heavier, semi-implicit Euler at 1 ms: law (6) with the
-believed gravity. All take turns; runs that are many differ in tool, start and target.
+believed gravity. All take turns; runs that are many differ in tool, start and target. JAX takes
+part where it is installed (`pip install jax`, without a GPU).
 
-    OMP_NUM_THREADS=1 python tests/benchmarks/lanes.py
+    OMP_NUM_THREADS=1 taskset -c 0 python tests/benchmarks/lanes.py
 """
 
 import functools
@@ -20,7 +21,8 @@ import approxjac as aj
 from approxjac.codegen.closed_loop import Box
 from approxjac.codegen.lanes import Begun, Lanes
 from approxjac.codegen.llvm import LlvmLanes
-from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.codegen.numpy_source import NumpyLanes, numpy_function
+from approxjac.codegen.program import STEP
 from approxjac.robots import Dynamics
 from approxjac.stability.rollout_study import Study
 
@@ -111,6 +113,41 @@ def mujoco_rollout():
     return run
 
 
+def in_jax():
+    """The same operations as lanes, compiled by XLA: a function as above, or None without JAX."""
+    try:
+        import jax
+    except ImportError:
+        return None, None
+    jax.config.update("jax_enable_x64", True)
+    law, first, begun, box = study(False)
+    lanes = Lanes(law, first.plant, begun, box, DT, 1e-3, "semi_implicit_euler", NumpyLanes)
+    program = lanes.compiled._program
+    numbers = [number for name in program.stepped for number in program.stepped[name]]
+    function = numpy_function(program.graph, numbers)
+    function.__globals__["np"] = jax.numpy
+    kept, given = (np.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in lanes.packed(begun))
+    places = [program.rows[name] for name in program.stepped]
+    rows = np.concatenate([np.arange(at, at + size) for at, size in places])
+    fixed = {name: given[at : at + size] for name, (at, size) in program.parameters.items()}
+
+    def step(k, state):
+        values = {name: state[at : at + size] for name, (at, size) in program.rows.items()}
+        computed = function(**values, **fixed, **{STEP: [k.astype(float)]})
+        computed = [jax.numpy.broadcast_to(row, state.shape[1:]) for row in computed]
+        return state.at[rows].set(jax.numpy.stack(computed))
+
+    many = jax.jit(lambda state, steps: jax.lax.fori_loop(0, steps, step, state))
+
+    def run(steps):
+        many(kept, steps).block_until_ready()
+        return steps * LANES
+
+    start = time.process_time()
+    run(1)
+    return run, time.process_time() - start
+
+
 def measured():
     """Steps a second of each, the median of rounds in which all take turns."""
     runs, built = {}, {}
@@ -127,6 +164,10 @@ def measured():
     ):
         run, built[title] = in_lanes(make, **options)
         runs[title] = run, steps
+    run, took = in_jax()
+    if run is not None:
+        title = "JAX, 1024 runs at once"
+        runs[title], built[title] = (run, 3), took
     times = {name: [] for name in runs}
     for _ in range(ROUNDS):
         for name, (run, steps) in runs.items():
