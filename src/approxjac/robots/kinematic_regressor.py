@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property, partial
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.lib.stride_tricks import as_strided
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots.robot import Robot
@@ -18,12 +17,8 @@ from approxjac.validation import Array, as_array, as_vector, require
 _RANK_TOLERANCE = 1e-4  # axes in URDFs are rounded, such as 1.5708 for a right angle
 _COEFFICIENT = 1e-3  # below which a parameter has no part in a combination
 _SAMPLES = 60
-# a @ _CROSS is [a]ₓ, row by row
-_CROSS = np.array([
-    [0, 0, 0, 0, 0, -1, 0, 1, 0],
-    [0, 0, 1, 0, 0, 0, -1, 0, 0],
-    [0, -1, 0, 1, 0, 0, 0, 0, 0],
-], dtype=float)  # fmt: skip
+_IN_WORLD = pin.LOCAL_WORLD_ALIGNED
+_JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
 
 
 class PointMotion(NamedTuple):
@@ -103,18 +98,14 @@ class KinematicRegressor:
                 )
         paths = [list(model.supports[each.parentJoint])[1:] for each in placed]
         joints = sorted({joint for path in paths for joint in path})
-        n, k = len(joints), self.k
-        self._n, self._terms = n, n + k
+        self._n = n = len(joints)
         self._movers: tuple[str, ...] = tuple(model.names[joint] for joint in joints)
         slides = np.array(
             [model.joints[joint].shortname().startswith("JointModelP") for joint in joints]
         )
         axes = np.array([direction(list(robot.tree.joints[name].axis)) for name in self._movers])
-        self._vectors = np.zeros((n + k + n, 3, 2))  # scratch memory, but for the axes
-        self._vectors[n + k :, :, 0] = axes
         rotations = [placed[f].placement.rotation for f in of_frame]
         own = [R @ point for R, point in zip(rotations, known, strict=True)]
-        self._known = np.concatenate([np.zeros((n, 3)), own]) if known.any() else None
         # two directions across the axis of each joint that turns, on the link that carries it
         self._turning = np.flatnonzero(~slides)
         self.turning = tuple(self._movers[i] for i in self._turning)
@@ -129,30 +120,41 @@ class KinematicRegressor:
         ends = ("tool",) if len(placed) == 1 else self.frames
         self.names = tuple(f"{part}.{axis}" for part in (*self._movers, *ends) for axis in "xyz")
 
-        # terms of p: the origin of each joint, then the tool of each point
-        of_term = np.concatenate([np.arange(n), n + of_frame])
-        self._of_term = None if np.array_equal(of_term, np.arange(n + k)) else of_term
-        parents = [model.parents[joint] for joint in joints]
-        ends_on = [each.parentJoint for each in placed]
-        carriers = parents + [ends_on[f] for f in of_frame]
-        self._links = np.array(carriers + joints)  # that turn the terms, and the joints' axes
-        self._y_links = np.array(parents + ends_on)
+        # A translation is a joint, too, of three axes that slide: then θ are numbers of q, Y and
+        # J are columns of one Jacobian, and Pinocchio has the rates of both.
+        self._freed, links = pin.Model(), {0: 0}
+
+        def freed(link: int, what: str) -> int:
+            kind, here = pin.JointModelTranslation(), pin.SE3.Identity()
+            return int(self._freed.addJoint(links[link], kind, here, f"origin of {what}"))
+
+        shifts = []
+        for joint, name in zip(joints, self._movers, strict=True):
+            shifts.append(freed(model.parents[joint], f"joint {name}"))
+            turned = pin.SE3(model.jointPlacements[joint].rotation, np.zeros(3))
+            links[joint] = self._freed.addJoint(shifts[-1], model.joints[joint], turned, name)
+        ends_at = [
+            freed(each.parentJoint, f"frame {name}")
+            for name, each in zip(self.frames, placed, strict=True)
+        ]
+        self._points = [
+            self._freed.addFrame(
+                pin.Frame(f"point {i}", ends_at[f], pin.SE3(R, point), pin.FrameType.OP_FRAME)
+            )
+            for i, (f, R, point) in enumerate(zip(of_frame, rotations, own, strict=True))
+        ]
+        added = [self._freed.joints[i] for i in (*map(links.get, joints), *shifts, *ends_at)]
+        places = np.array([each.idx_v + i for each in added for i in range(each.nv)])
+        self._of_joints, self._of_theta = np.split(places, [n])
+        # from (q, θ) and (q̇, θ') to numbers of that model
+        self._order_v = np.argsort(places)
+        self._order_q = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
+        self._turning_links = [links[joints[i]] for i in self._turning]
         on = np.array([[joint in paths[f] for joint in joints] for f in of_frame], dtype=float)
-        mask = np.hstack([on, np.eye(len(placed))[of_frame]])
-        self._mask = None if mask.all() else mask[:, np.newaxis, :, np.newaxis]
-        self._sum = np.hstack([on, np.eye(k)])  # p of the terms
-
-        def moves(joint: int, link: int) -> bool:
-            return joint in model.supports[link]
-
-        # the lever of a joint to a point: its terms on links that the joint moves
-        moved = np.array([[moves(joint, link) for link in carriers] for joint in joints], float)
-        moved[slides] = 0.0
-        self._levers = (self._sum[:, np.newaxis] * moved).reshape(k * n, n + k)
-        self._along = (on * slides)[:, :, np.newaxis] if slides.any() else None
-        turned = [[moves(joint, link) for joint in joints] for link in carriers + parents]
-        self._spins = np.array(turned, float) * ~slides  # ω of the links of the speeds of joints
-        self._sliding = [(i, model.joints[joints[i]].idx_q) for i in np.flatnonzero(slides)]
+        self._moves = on[:, self._turning, np.newaxis]
+        own_q = [model.joints[joint] for joint in joints]
+        own_q = [each.idx_q + i for each in own_q for i in range(each.nq)]
+        self._own_q = None if own_q == list(range(model.nq)) else np.array(own_q)
         columns = [model.joints[joint].idx_v for joint in joints]
         self._columns = robot.mimic_joints.columns(np.eye(model.nv))[columns]
         self._plain = np.array_equal(self._columns, np.eye(n))
@@ -175,76 +177,53 @@ class KinematicRegressor:
 
     def Y(self, q: Array) -> Array:
         """Return Y(q), shape (3k, p)."""
-        self._place(q)
-        R = self._rotations.take(self._y_links, 0).transpose(1, 0, 2)
-        if self._mask is None and self.k == 1:
-            return R.reshape(3, -1)
-        mask = 1.0 if self._mask is None else self._mask
-        each = np.broadcast_to(R, (self.k, *R.shape)) * mask
-        return np.asarray(each.reshape(3 * self.k, -1))
+        pin.computeJointJacobians(self._freed, self._data, self._all(q, self._nothing))
+        return self._jacobians(pin.getFrameJacobian).take(self._of_theta, 1)
 
     def offset(self, q: Array) -> Array:
         """Return p − Y(q)θ, shape (3k,) [m]: what slides, and points beside the frame's origin."""
         if not self.has_offset:
             return np.zeros(3 * self.k)
-        return self.position(q, np.zeros(self.p))
+        return self.position(q, self._nothing)
 
     def position(self, q: Array, theta: Array) -> Array:
         """Return p = Y(q)θ + offset(q), shape (3k,) [m], of parameters θ (p,)."""
-        c = self._placed(q, theta)[: self._terms, :, 0]
-        return np.asarray(self._sum.dot(c).ravel())
+        pin.forwardKinematics(self._freed, self._data, self._all(q, theta))
+        return self._positions()
 
     def jacobian(self, q: Array, theta: Array) -> Array:
         """Return ∂p/∂q with parameters θ (p,), shape (3k, n_v)."""
-        placed = self._placed(q, theta)[:, :, 0]
-        c, z = placed[: self._terms], placed[self._terms :]
-        J = (_skews(z) @ self._levers.dot(c).reshape(self.k, -1, 3, 1))[..., 0]
-        if self._along is not None:
-            J = J + self._along * z
-        J = J.transpose(0, 2, 1).reshape(3 * self.k, -1)
-        return J if self._plain else np.asarray(J.dot(self._columns))
+        pin.computeJointJacobians(self._freed, self._data, self._all(q, theta))
+        return self._along_joints(self._jacobians(pin.getFrameJacobian))
 
     def jacobian_dot(self, q: Array, v: Array, theta: Array) -> Array:
         """Return the rate of `jacobian` along q̇ (n_v,), at fixed θ (p,); shape (3k, n_v)."""
-        return self.motion(q, v, theta, np.zeros(self.p)).J_dot
+        return self.motion(q, v, theta, self._nothing).J_dot
 
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
         """Return positions and derivatives at q (nq,) and q̇ (n_v,), with θ and θ' (p,) [m, m/s]."""
         speeds = as_vector("v", v, self.robot.nv)
         if not self._plain:
             speeds = self._columns.dot(speeds)
-        placed = self._placed(q, theta, theta_dot)
-        n, k, terms = self._n, self.k, self._terms
-        c, z = placed[:terms], placed[terms:]  # terms of p and, beside them, of Yθ'; joints' axes
-        p, drift = self._sum.dot(c.reshape(terms, 6)).reshape(3 * k, 2).T
-        # both turn with their links: beside each vector is its rate, then
-        turning = _skews(self._spins.dot(z[:, :, 0] * speeds[:, np.newaxis]))
-        placed[:, :, 1:] += turning @ placed[:, :, :1]
-        for i, _ in self._sliding:
-            c[i, :, 1] += z[i, :, 0] * speeds[i]
-        levers = self._levers.dot(c.reshape(terms, 6)).reshape(k, n, 3, 2)
-        crossed = _skews(z.transpose(0, 2, 1).reshape(2 * n, 3)).reshape(n, 6, 3) @ levers
-        J, J_dot = crossed[:, :, :3, 0], crossed[:, :, :3, 1] + crossed[:, :, 3:, 0]
-        if self._along is not None:
-            J = J + self._along * z[:, :, 0]
-            J_dot = J_dot + self._along * z[:, :, 1]
-        J = J.transpose(0, 2, 1).reshape(3 * k, n)
-        J_dot = J_dot.transpose(0, 2, 1).reshape(3 * k, n)
-        if not self._plain:
-            J, J_dot = J.dot(self._columns), J_dot.dot(self._columns)
-        return PointMotion(p, J, J_dot, drift)
+        rates = np.concatenate([speeds, theta_dot]).take(self._order_v)
+        pin.computeJointJacobiansTimeVariation(self._freed, self._data, self._all(q, theta), rates)
+        p = self._positions()
+        J, J_dot = self._jacobians(pin.getFrameJacobian), self._jacobians(_JACOBIAN_DOT)
+        drift = J.take(self._of_theta, 1).dot(theta_dot)
+        return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
 
     def tilts(self, q: Array, theta: Array) -> Array:
         """Return ∂p/∂(tilts of the axes of joints that turn), shape (3k, 2 t) [m/rad].
 
         Two for each of the t joints in `turning`, about directions across its axis.
         """
-        c = self._placed(q, theta)[: self._terms, :, 0]
-        levers = self._levers.dot(c).reshape(self.k, -1, 3).take(self._turning, 1)
-        across = self._rotations.take(self._y_links.take(self._turning), 0) @ self._across
-        columns = -_skews(levers.reshape(-1, 3)).reshape(*levers.shape, 3) @ across
-        t = 2 * len(self.turning)
-        return np.asarray(columns.transpose(0, 2, 1, 3).reshape(3 * self.k, t))
+        points = self.position(q, theta).reshape(-1, 1, 3)
+        # where a joint begins, in the axes of the link that carries it
+        begins = [self._data.oMi[self._freed.parents[link]] for link in self._turning_links]
+        levers = self._moves * (points - [each.translation for each in begins])
+        across = np.array([each.rotation for each in begins]) @ self._across
+        columns = np.cross(across.transpose(0, 2, 1), levers[:, :, np.newaxis])
+        return np.asarray(columns.reshape(self.k, -1, 3).transpose(0, 2, 1).reshape(3 * self.k, -1))
 
     # -- what can be told apart, and the robot with it -----------------------------------
 
@@ -322,49 +301,37 @@ class KinematicRegressor:
     # -- forward kinematics --------------------------------------------------------------
 
     @cached_property
-    def _forward(self) -> partial[None]:
-        return partial(pin.forwardKinematics, self._model, self._data)
-
-    @cached_property
     def _data(self) -> pin.Data:
-        return self._model.createData()
+        return self._freed.createData()
 
     @cached_property
-    def _rotations(self) -> Array:
-        """Rotations of all links, shape (n + 1, 3, 3): a live view of what Pinocchio computes."""
-        views = [placement.rotation for placement in self._data.oMi]
-        starts = [view.__array_interface__["data"][0] for view in views]
-        (apart,) = set(np.diff(starts))
-        return as_strided(views[0], (len(views), 3, 3), (apart, *views[0].strides))
+    def _nothing(self) -> Array:
+        return np.zeros(self.p)
 
-    def _place(self, q: Array) -> None:
+    def _all(self, q: Array, theta: Array) -> Array:
+        """Return q and θ as the model with translations as joints has them."""
         q = as_vector("q", q, self._nq) if self._is_vector else self.robot.configuration(q)
-        self._q = q if self._map is None else self._map.q(q)
-        self._forward(self._q)
+        if self._map is not None:
+            q = self._map.q(q)
+        if self._own_q is not None:
+            q = q.take(self._own_q)
+        return np.concatenate([q, theta]).take(self._order_q)
 
-    def _placed(self, q: Array, theta: Array, theta_dot: Array | None = None) -> Array:
-        """Return terms of p and Yθ', then the joints' axes, in the world; (k + 2 n, 3, 2).
+    def _positions(self) -> Array:
+        """Return the positions of all points, (3k,) [m], where they are placed."""
+        update, (model, data) = pin.updateFramePlacement, (self._freed, self._data)
+        return np.concatenate([update(model, data, point).translation for point in self._points])
 
-        Without θ' the last axis has length 1.
-        """
-        self._place(q)
-        vectors = self._vectors
-        vectors[: self._terms, :, 0] = self._shared(theta)
-        if self._known is not None:
-            vectors[: self._terms, :, 0] += self._known
-        if theta_dot is None:
-            vectors = vectors[:, :, :1]
-        else:
-            vectors[: self._terms, :, 1] = self._shared(theta_dot)
-        placed: Array = self._rotations.take(self._links, 0) @ vectors
-        for i, at in self._sliding:
-            placed[i, :, 0] += placed[self._terms + i, :, 0] * self._q[at]
-        return placed
+    def _jacobians(self, of_point: Callable[..., Array]) -> Array:
+        """Return a Jacobian of all points in the world's axes, (3k, n + p)."""
+        model, data = self._freed, self._data
+        each = [of_point(model, data, point, _IN_WORLD)[:3] for point in self._points]
+        return each[0] if len(each) == 1 else np.concatenate(each)
 
-    def _shared(self, theta: Array) -> Array:
-        """Return parameters as vectors, that of the tool once for each of its points."""
-        each = theta.reshape(-1, 3)
-        return each if self._of_term is None else each.take(self._of_term, 0)
+    def _along_joints(self, J: Array) -> Array:
+        """Return the columns of the robot's own joints, (3k, n_v)."""
+        J = J.take(self._of_joints, 1)
+        return J if self._plain else np.asarray(J.dot(self._columns))
 
     @cached_property
     def _independent(self) -> tuple[list[int], Array]:
@@ -377,11 +344,6 @@ class KinematicRegressor:
         alone = np.abs(np.diag(np.linalg.qr(A, mode="r")))
         kept: list[int] = np.flatnonzero(alone > _RANK_TOLERANCE).tolist()
         return kept, np.linalg.lstsq(A[:, kept], A, rcond=None)[0]
-
-
-def _skews(vectors: Array) -> Array:
-    """Return the matrices [a]ₓ with [a]ₓ b = a × b for each row a, shape (k, 3, 3)."""
-    return np.asarray(vectors.dot(_CROSS)).reshape(-1, 3, 3)
 
 
 def _in_words(parts: Sequence[tuple[float, str]]) -> str:
