@@ -112,6 +112,7 @@ class AdaptiveKinematics(Kinematics):
         self._estimator: KnownCamera | UnknownCamera = kind(unknowns, self.noise)
         self._turns, self._d = unknowns.turns, unknowns.d
         self._is_turned, self._n_p = unknowns.is_turned, len(unknowns.constant)
+        self._constant = unknowns.constant if unknowns.constant.any() else None
         m, n, turns, n_p = task.m, unknowns.n_u, self._turns, self._n_p
         is_pose = self._orientation is not None
         sizes = {
@@ -123,6 +124,8 @@ class AdaptiveKinematics(Kinematics):
             "T_spin": 3 if is_pose else 0,
         }  # fmt: skip
         self._at, self.n_state = parts_of(sizes)
+        self._moving = slice(self._at["u"].start, self._at["b"].stop)
+        self._rates = slice(self._at["u_dot"].start, self._at["b_dot"].stop)
         learnt = "sums told integral averaged left chi placed u b R T"
         self._kept = tuple(self._at[name] for name in learnt.split())
 
@@ -180,6 +183,11 @@ class AdaptiveKinematics(Kinematics):
         A measurement whose x is lost, or was seen before, or that jumps, teaches nothing.
         """
         state = state.copy()
+        self.go_on(state, measurement, dt)
+        return state
+
+    def go_on(self, state: Array, measurement: Measurement, dt: float) -> None:
+        """Make a state that of `step`, in place."""
         numbers = state[self._at["frames"]]
         measurement = self._frames.on_time(numbers, measurement, dt)
         is_time = self._frames.remember(numbers, measurement)
@@ -195,7 +203,6 @@ class AdaptiveKinematics(Kinematics):
         if is_time:  # the rates of smoothed estimates may wait for some milliseconds
             self._aim(state, measurement.q, dt)
         self._advance(state, dt)
-        return state
 
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt; shape (…, p).
@@ -293,8 +300,7 @@ class AdaptiveKinematics(Kinematics):
     def _advance(self, state: Array, dt: float) -> None:
         """Let the smoothed estimates follow for dt [s], in place."""
         at = self._at
-        state[at["u"]] += dt * state[at["u_dot"]]
-        state[at["b"]] += dt * state[at["b_dot"]]
+        state[self._moving] += dt * state[self._rates]
         if self._turns:
             turned = law.rotation_exp(dt * state[at["spin"]]).dot(self._rotation(state))
             state[at["R"]] = turned.ravel()
@@ -342,24 +348,22 @@ class AdaptiveKinematics(Kinematics):
         p, J, J_dot, drift = motion
         if not isinstance(unknowns.rows, slice):
             p, J, J_dot, drift = (part[unknowns.rows] for part in motion)
-        p = p + unknowns.constant
+        if self._constant is not None:
+            p = p + self._constant
         nothing = np.zeros(len(p))
         feed = nothing if v_d is None else v_d
         feed_dot = nothing if a_d is None else a_d
-        away, b_dot = x_d - state[at["b"]], state[at["b_dot"]]
+        away, b_dot = state[at["b"]] - x_d, state[at["b_dot"]]
         if not self._is_turned:
-            return Prediction(p - away, J, J_dot, feed, feed_dot, drift + b_dot)
-        R = self._rotation(state)
-        # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀ changes by ([ω]ₓR)ᵀ
-        vectors = np.array([away, feed, feed_dot, b_dot]).reshape(-1, self._d)
-        away, feed, feed_dot, b_dot = vectors.dot(R).reshape(4, -1)
-        drift = drift + b_dot
+            return Prediction(p + away, J, J_dot, feed, feed_dot, drift + b_dot)
+        # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀx changes by Rᵀ(x' + [ω]ₓᵀx)
+        vectors = np.array([away, feed, b_dot, feed_dot]).reshape(-1, self._d)
         if self._turns:
-            KR = law.cross_matrix(state[at["spin"]]).dot(R)
             half = len(vectors) // 2
-            turned = vectors[:half].dot(KR).reshape(2, -1)
-            drift, feed_dot = drift - turned[0], feed_dot + turned[1]
-        return Prediction(p - away, J, J_dot, feed, feed_dot, drift)
+            vectors[half:] += vectors[:half].dot(law.cross_matrix(state[at["spin"]]))
+        back = vectors.dot(self._rotation(state))
+        away, feed, b_dot, feed_dot = back if len(back) == 4 else back.reshape(4, -1)
+        return Prediction(p + away, J, J_dot, feed, feed_dot, drift + b_dot)
 
     # -- what was learnt -----------------------------------------------------------------
 

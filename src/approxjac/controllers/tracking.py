@@ -249,7 +249,7 @@ class TrackingController(ProvenLaw):
         now = self.kinematics.status(known, measurement)
         J_hat, v_r, a_r, status = self._reference(known, q, v, target, now)
         after, learns = state.copy(), status is not _UNPREDICTED
-        after[self._n_dynamics : self._end] = self.kinematics.step(known, measurement, dt)
+        self.kinematics.go_on(after[self._n_dynamics : self._end], measurement, dt)
         e = self.task.error(x, target.x)
         if status is _OK and (now is _PREDICTED or not math.isfinite(math.hypot(*e.tolist()))):
             status = _PREDICTED

@@ -7,12 +7,12 @@ is (m, n_v), q̇, q̇_r, q̈_r, σ, n₀ are (n_v,).
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 
 import numpy as np
 
-from approxjac.law.products import dot
-from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solve, damping_rate
+from approxjac.law.products import dot, root
+from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solver, damping_rate
 from approxjac.validation import Array
 
 
@@ -22,9 +22,9 @@ def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
     s is along z, and with k = α/v no α sᵢ(z) is above vᵢ; with one v for all, ‖α s(z)‖ is not.
     """
     u = k * z
-    r = 1.0 + float(dot(u, u))
-    root = math.sqrt(r)
-    return z / root, (z_dot - z * (float(dot(u, k * z_dot)) / r)) / root
+    r = 1.0 + dot(u, u)
+    size = root(r)
+    return z / size, (z_dot - z * (dot(u, k * z_dot) / r)) / size
 
 
 def reference(
@@ -39,10 +39,6 @@ def reference(
 ) -> tuple[Array, Array, float]:
     """q̇_r = Ĵ⁺(u − Ĵn₀) + n₀ and its derivative, with Ĵ⁺ of `damped_gram_solve`.
 
-    With w = (ĴĴᵀ + λ²I)⁻¹(u − Ĵn₀) and h = Ĵ'ᵀw + n₀', differentiating the definition gives
-
-        q̈_r = h + Ĵ⁺(u' − Ĵ'q̇_r − Ĵh − (λ²)'w).
-
     Args:
         J_hat: Ĵ.
         J_hat_dot: Ĵ', its derivative along the motion.
@@ -56,15 +52,34 @@ def reference(
     Returns:
         q̇_r, q̈_r and λ.
     """
-    G = dot(J_hat, J_hat.T)
-    w, damped = damped_gram_solve(G, u - dot(J_hat, null), singular_ratio, scale)
+    solve, damped = damped_gram_solver(dot(J_hat, J_hat.T), singular_ratio, scale)
+    rate = damping_rate(J_hat, J_hat_dot, singular_ratio, scale) if damped > 0.0 else 0.0
+    return *solved_reference(solve, rate, J_hat, J_hat_dot, u, u_dot, null, null_dot), damped
+
+
+def solved_reference(
+    solve: Callable[[Array], Array],
+    rate: float,
+    J_hat: Array,
+    J_hat_dot: Array,
+    u: Array,
+    u_dot: Array,
+    null: Array,
+    null_dot: Array,
+) -> tuple[Array, Array]:
+    """q̇_r and q̈_r of `reference`, with b ↦ (ĴĴᵀ + λ²I)⁻¹b and (λ²)' given.
+
+    With w = (ĴĴᵀ + λ²I)⁻¹(u − Ĵn₀) and h = Ĵ'ᵀw + n₀', differentiating the definition gives
+
+        q̈_r = h + Ĵ⁺(u' − Ĵ'q̇_r − Ĵh − (λ²)'w).
+    """
+    w = solve(u - dot(J_hat, null))
     velocity = dot(w, J_hat) + null
     h = dot(w, J_hat_dot) + null_dot
     rest = u_dot - dot(J_hat_dot, velocity) - dot(J_hat, h)
-    if damped > 0.0:
-        rest = rest - w * damping_rate(J_hat, J_hat_dot, singular_ratio, scale)
-    w_dot, _ = damped_gram_solve(G, rest, singular_ratio, scale)
-    return velocity, h + dot(w_dot, J_hat), damped
+    if rate != 0.0:
+        rest = rest - rate * w
+    return velocity, h + dot(solve(rest), J_hat)
 
 
 def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple[Array, Array]:

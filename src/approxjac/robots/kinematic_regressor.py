@@ -17,6 +17,12 @@ from approxjac.validation import Array, as_array, as_vector, require
 _RANK_TOLERANCE = 1e-4  # axes in URDFs are rounded, such as 1.5708 for a right angle
 _COEFFICIENT = 1e-3  # below which a parameter has no part in a combination
 _SAMPLES = 60
+# a @ _CROSS is −[a]ₓ, row by row
+_CROSS = np.array([
+    [0, 0, 0, 0, 0, 1, 0, -1, 0],
+    [0, 0, -1, 0, 0, 0, 1, 0, 0],
+    [0, 1, 0, -1, 0, 0, 0, 0, 0],
+], dtype=float)  # fmt: skip
 _IN_WORLD = pin.LOCAL_WORLD_ALIGNED
 _JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
 
@@ -222,8 +228,8 @@ class KinematicRegressor:
         begins = [self._data.oMi[self._freed.parents[link]] for link in self._turning_links]
         levers = self._moves * (points - [each.translation for each in begins])
         across = np.array([each.rotation for each in begins]) @ self._across
-        columns = np.cross(across.transpose(0, 2, 1), levers[:, :, np.newaxis])
-        return np.asarray(columns.reshape(self.k, -1, 3).transpose(0, 2, 1).reshape(3 * self.k, -1))
+        columns = levers.dot(_CROSS).reshape(*levers.shape, 3) @ across
+        return np.asarray(columns.transpose(0, 2, 1, 3).reshape(3 * self.k, -1))
 
     # -- what can be told apart, and the robot with it -----------------------------------
 
