@@ -236,6 +236,37 @@ def test_usual_steps_are_compiled_whatever_the_arrays_are(panda, name, rng, aske
     assert asked == []
 
 
+@pytest.mark.parametrize("learns", [False, True])
+@pytest.mark.parametrize("proof", [True, False])
+def test_limits_of_effort_are_compiled_with_it(panda, learns, proof, rng):
+    """The same torques, statuses, slack and learning, whether the limits bind or not."""
+    task = aj.PositionTask(panda)
+    law = aj.SetpointController(task, gravity=learning(panda) if learns else None)
+    limits = aj.Limits(effort=0.4 * panda.effort_limits)
+    plain = aj.TorqueLimited(law, limits, proof=proof)
+    ours = compiled(plain)
+    assert isinstance(ours, aj.TorqueLimited)
+    seen = set()
+    for k in range(60):
+        spread = 10.0 ** rng.uniform(-3.0, 0.0)
+        measurement, target = measured(task, rng, spread, BENT + 0.3 * rng.normal(size=7))
+        if k == 7:
+            measurement = measurement._replace(x=np.full(3, np.nan))
+        state = law.initial_state(measurement)
+        state *= rng.uniform(0.9, 1.1, len(state))
+        after, answer = ours.step(state, measurement, target, 1e-3)
+        expected_after, expected = plain.step(state, measurement, target, 1e-3)
+        assert_allclose(answer.slack, expected.slack, rtol=1e-8, atol=1e-10)
+        assert_same(answer._replace(slack=0.0), expected._replace(slack=0.0))
+        assert_allclose(after, expected_after, rtol=1e-12, atol=1e-12)
+        seen.add(answer.limit_status)
+    kinds = {"FREE", "PROOF_KEPT", "PROOF_GIVEN_UP"} if proof else {"FREE", "LIMITED"}
+    assert kinds <= {each.name for each in seen}
+    again = pickle.loads(pickle.dumps(ours))
+    assert_array_equal(again.step(state, measurement, target, 1e-3)[1].torque, answer.torque)
+    assert type(ours.ordinary) is aj.TorqueLimited
+
+
 def test_an_answer_is_the_users_to_keep(panda, rng):
     task = aj.PositionTask(panda)
     _, ours = pair(task, gravity=learning(panda))

@@ -84,25 +84,26 @@ def answer(
     """Return what `setpoint.answer` does, with the rate of what does not rest; and its limits."""
     law = law_of(controller)
     found = setpoint.answer(law, arm, q, v, x, x_d, state, may_lose=may_lose)
-    if not isinstance(controller, TorqueLimited):
-        return found, Limited(found.torque, float(LimitStatus.UNLIMITED), 0.0, False)
     within = limited(controller, found, v)
     rate = symbols(found.rate)
     rate[: law.resting] = np.where(within.rests, 0.0, rate[: law.resting])
     return found._replace(rate=rate), within
 
 
-def limited(limiter: TorqueLimited, answer: setpoint.Answer, v: Symbols) -> Limited:
+def limited(controller: Controller, answer: setpoint.Answer, v: Symbols) -> Limited:
     """Return what `TorqueLimited.step` does with an answer, with limits of effort alone.
 
     Joints that are not at a limit go on learning where the proof is given up, but not where the law
     asks for more than the motors have: so nothing does, with these limits.
 
     Args:
-        limiter: The limiter.
+        controller: The limiter; any other controller leaves the answer as it is.
         answer: Answer of the law inside of it.
         v: Joint velocity, shape (n_v,).
     """
+    if not isinstance(controller, TorqueLimited):
+        return Limited(answer.torque, float(LimitStatus.UNLIMITED), 0.0, False)
+    limiter = controller
     upper = np.asarray(limiter.limits.effort)
     lower, torque = -upper, answer.torque
     clipped = np.minimum(np.maximum(torque, lower), upper)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
-from approxjac.codegen import setpoint, tasks
+from approxjac.codegen import limits, setpoint, tasks
 from approxjac.codegen.graph import Scalar, select
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.program import Program
@@ -16,32 +16,35 @@ from approxjac.codegen.run import WholeLoops
 from approxjac.codegen.symbols import symbols
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.setpoint import SetpointController
-from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
+from approxjac.controllers.torque_limits import TorqueLimited
+from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array
 
 _ROUND_OFF = 1e-12
 _OK = float(setpoint.STATUSES.index(Status.OK))
 
 
-def step_program(controller: SetpointController, *, may_lose: bool) -> Program:
-    """Return the program of one evaluation of a law, for a target at rest.
+def step_program(controller: Controller, *, may_lose: bool) -> Program:
+    """Return the program of one evaluation of a law with its limits, for a target at rest.
 
     What is kept are its arguments "q", "v", "x", "target" and "state", and its answer "torque",
-    "rate", "e", "gravity", "J_hat", "status" (its place in `setpoint.STATUSES`), "left" (whether
-    all that does not hold) and "usual" (whether it holds, all numbers are small, and the status is
-    OK).
+    "rate" (the law's own), "e", "gravity", "J_hat", "status" (its place in `setpoint.STATUSES`),
+    "limit_status", "slack", "left" (whether all that does not hold) and "usual" (whether it holds,
+    all numbers are small, and the status is OK).
 
     Args:
-        controller: The law, one that `setpoint.require_covered` takes.
+        controller: A controller that `limits.require_covered` takes.
         may_lose: Whether x may be lost.
     """
-    task, robot = controller.task, controller.task.robot
+    inside = limits.law_of(controller)
+    task, robot = inside.task, inside.task.robot
     program = Program()
     arm = Arm(program.given, "belief", robot, tasks.frames(task))
     q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
     x, target = program.kept("x", task.n_x), program.kept("target", task.n_x)
-    state = program.kept("state", setpoint.n_state(controller))
-    answer = setpoint.answer(controller, arm.at(q), q, v, x, target, state, may_lose=may_lose)
+    state = program.kept("state", setpoint.n_state(inside))
+    answer = setpoint.answer(inside, arm.at(q), q, v, x, target, state, may_lose=may_lose)
+    within = limits.limited(controller, answer, v)
     numbers = (q, v, x, target, state, answer.e, answer.torque, answer.rate)
     size = sum(((each * each).sum() for each in numbers), 0.0)
     usual = (answer.status == _OK) & (size < HUGE**2)
@@ -51,8 +54,9 @@ def step_program(controller: SetpointController, *, may_lose: bool) -> Program:
             usual = usual & (abs(cosine * cosine + sine * sine - 1.0) < _ROUND_OFF)
     usual = usual & ~answer.left if isinstance(answer.left, Scalar) else usual
     found = {
-        "torque": answer.torque, "rate": answer.rate, "e": answer.e, "gravity": answer.gravity,
-        "J_hat": answer.J_hat, "status": answer.status, "left": select(answer.left, 1.0, 0.0),
+        "torque": within.torque, "rate": answer.rate, "e": answer.e, "gravity": answer.gravity,
+        "J_hat": answer.J_hat, "status": answer.status, "limit_status": within.status,
+        "slack": within.slack, "left": select(answer.left, 1.0, 0.0),
         "usual": select(usual, 1.0, 0.0),
     }  # fmt: skip
     for name, value in found.items():
@@ -61,45 +65,53 @@ def step_program(controller: SetpointController, *, may_lose: bool) -> Program:
     return program
 
 
-def compiled(controller: SetpointController) -> SetpointController:
-    """Return a law that computes the same to rounding, with its usual steps as machine code.
+def compiled(controller: Controller) -> Any:
+    """Return a controller that computes the same to rounding, with its usual steps as machine code.
 
     A usual step is one whose status is OK. Whatever is not (x is lost, Ĵ near a singular pose,
     torques beyond the limits where gravity is learnt, a target that moves, wrong arguments) is left
-    to the law as it is, from the beginning.
+    to the controller as it is, from the beginning.
 
     It needs llvmlite (`pip install 'approxjac[fast]'`), and some tenths of a second to be built. A
     copy of it, as another process gets, is built again.
 
     Args:
         controller: A `SetpointController` with a task, a saturation and gravity that code can be
-            made of: see `codegen.setpoint.require_covered`.
+            made of, or such a law in a `TorqueLimited` with limits of effort alone.
+
+    Returns:
+        A `SetpointController`, or a `TorqueLimited`.
 
     Raises:
         InvalidInputError: Another controller, or one with what is not covered.
         MissingPackageError: llvmlite is not installed.
     """
-    if isinstance(controller, _Compiled):
+    if isinstance(controller, _MachineCode):
         return controller
-    setpoint.require_covered(controller)
-    found = object.__new__(_Compiled)
+    limits.require_covered(controller)
+    kind = _Compiled if isinstance(controller, SetpointController) else _CompiledLimits
+    found: Any = object.__new__(kind)
     vars(found).update(vars(controller))
     found._build()
     return found
 
 
-class _Compiled(SetpointController):
-    """A `SetpointController` with machine code."""
+class _MachineCode:
+    """What a compiled controller has besides: machine code, in the variables `_MADE`."""
 
-    def __init_subclass__(cls) -> NoReturn:
-        raise TypeError(f"{cls.__name__} cannot be derived from a law that is compiled")
+    _MADE = ("evaluate", "step", "whole_run")
+
+    def __init_subclass__(cls) -> None:
+        if _MachineCode not in cls.__bases__:
+            raise TypeError(f"{cls.__name__} cannot be derived from a law that is compiled")
 
     @property
-    def ordinary(self) -> SetpointController:
-        """The law without machine code."""
-        plain = object.__new__(SetpointController)
-        own = ("evaluate", "step", "whole_run")
-        vars(plain).update({name: each for name, each in vars(self).items() if name not in own})
+    def ordinary(self) -> Any:
+        """The controller without machine code."""
+        plain: Any = object.__new__(type(self).__mro__[2])
+        vars(plain).update(
+            {name: each for name, each in vars(self).items() if name not in self._MADE}
+        )
         return plain
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -113,8 +125,12 @@ class _Compiled(SetpointController):
 
         They are variables: methods that looked attributes up would take twice as long.
         """
-        ordinary, ordinary_step = super().evaluate, super().step
-        program = step_program(self, may_lose=False)
+        controller = self.ordinary
+        inside = limits.law_of(controller)
+        usually: Any = super()
+        ordinary: Any = getattr(usually, "evaluate", None)
+        ordinary_step: Any = usually.step
+        program = step_program(controller, may_lose=False)
         buffer = np.zeros((1, program.n_rows, 1))
         flat = buffer[0, :, 0]
         run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
@@ -128,10 +144,17 @@ class _Compiled(SetpointController):
             slice(place[name].start - first, place[name].stop - first)
             for name in ("torque", "rate", "e", "gravity", "J_hat")
         )
-        usual_at = place["usual"].start - first
-        J_shape, shapes, no_rate = (self.task.m, self.task.robot.nv), self._shapes, self._no_rate
+        usual_at, limit_at, slack_at = (
+            place[name].start - first for name in ("usual", "limit_status", "slack")
+        )
+        J_shape = inside.task.m, inside.task.robot.nv
+        p, shapes, no_rate = inside.resting, inside._shapes, inside._no_rate
+        is_limited = controller is not inside
+        unlimited, limited = LimitStatus.UNLIMITED, LimitStatus.LIMITED
+        learns = unlimited, LimitStatus.FREE, LimitStatus.PROOF_KEPT
+        statuses = {float(each): each for each in LimitStatus}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
-        ok, unlimited = Status.OK, LimitStatus.UNLIMITED
+        ok = Status.OK
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             """Return the answer of a usual step, or None."""
@@ -153,24 +176,40 @@ class _Compiled(SetpointController):
                     if found[usual_at]:
                         if state.size:
                             rate = found[rate_at]
+                        status, slack = unlimited, 0.0
+                        if is_limited:
+                            status = statuses[found[limit_at]]
+                            slack = math.nan if status is limited else float(found[slack_at])
                         return made(Evaluation, (
                             found[torque_at], rate, ok, found[e_at], found[J_at].reshape(J_shape),
-                            found[gravity_at], unlimited, 0.0, None,
+                            found[gravity_at], status, slack, None,
                         ))  # fmt: skip
             except (AttributeError, TypeError, ValueError):
                 pass
             return None
 
-        def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Evaluation:
+        def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             return answer(state, measurement, target) or ordinary(state, measurement, target)
 
         def step(
             state: Array, measurement: Measurement, target: Target | Array, dt: float
-        ) -> tuple[Array, Evaluation]:
+        ) -> Any:
             found = answer(state, measurement, target)
             if found is None or not (isinstance(dt, float) and 0.0 < dt < math.inf):
                 return ordinary_step(state, measurement, target, dt)
-            return (state + dt * found.state_rate if state.size else state.copy()), found
+            after = state + dt * found.state_rate if state.size else state.copy()
+            if p and found.limit_status not in learns:
+                after[:p] = state[:p]
+            return after, found
 
-        loops = WholeLoops(self.ordinary)
-        vars(self).update(evaluate=evaluate, step=step, whole_run=loops.run)
+        vars(self)["step"] = step
+        if controller is inside:
+            vars(self).update(evaluate=evaluate, whole_run=WholeLoops(controller).run)
+
+
+class _Compiled(_MachineCode, SetpointController):
+    """A law with machine code."""
+
+
+class _CompiledLimits(_MachineCode, TorqueLimited):
+    """A law within limits of effort, with machine code."""
