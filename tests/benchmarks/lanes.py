@@ -19,7 +19,7 @@ from mujoco import rollout
 
 import approxjac as aj
 from approxjac.codegen.closed_loop import Box
-from approxjac.codegen.lanes import Begun, Lanes
+from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes, numpy_function
 from approxjac.codegen.program import STEP
@@ -41,14 +41,14 @@ def study(learns):
     region = aj.JointBox.around(task.robot, q, 0.3)
     whole = Study(law, errors, region, None, 1.0, DT, 1e-3, 0)
     starts = [whole.start(index) for index in range(LANES)]
-    begun = [Begun.of(law, each.plant, each.q, each.target) for each in starts]
+    begun = [each.begun(law) for each in starts]
     return law, starts[0], begun, Box(region.center, region.lower, region.upper)
 
 
 def in_lanes(engine, learns=False, integrator="semi_implicit_euler"):
     """A function of a number of steps, and how long it took to be compiled [s]."""
     law, first, begun, box = study(learns)
-    lanes = Lanes(law, first.plant, begun, box, DT, 1e-3, integrator, engine)
+    lanes = Lanes(law, first.plant, begun, box, DT, 1000, 1e-3, integrator, engine)
     start = time.process_time()
     compiled = lanes.compiled
     took = time.process_time() - start

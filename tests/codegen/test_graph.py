@@ -1,5 +1,6 @@
 """Arithmetic on numbers that are not known yet, and what carries it out."""
 
+import itertools
 import math
 
 import numpy as np
@@ -12,7 +13,7 @@ from approxjac.codegen.graph import Graph, select
 from approxjac.codegen.linear import Factors, damped_gram_solve, eigensystem
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes, numpy_function
-from approxjac.codegen.program import Program
+from approxjac.codegen.program import Block, Program
 from approxjac.codegen.symbols import any_of, inputs, symbols
 
 
@@ -137,12 +138,14 @@ def test_factors_and_eigenvalues(graph, rng):
 
 
 def program():
-    """Pendulums with a ring, a record and two rare blocks, one of which needs the other."""
+    """Pendulums with a late v, noise, a record and two rare blocks, one needs the other."""
     p = Program()
-    q, v, late, n = p.kept("q", 3), p.kept("v", 3), p.ring("late", 3, 4), p.kept("n", 1)
+    q, v, late, n = p.kept("q", 3), p.kept("v", 3), p.history("late", 3, 5), p.kept("n", 1)
+    noise, wave = p.drawn("noise", 3), p.timed("wave", 2)
     stiffness = p.given("stiffness", np.linspace(0.5, 2.0, 48).reshape(16, 3))
     same = p.given("same", np.full((16, 3), 0.1))
-    v_end = v + 0.01 * (-stiffness * np.sin(q) - same * np.tanh(v) - 0.1 * late)
+    push = noise * wave[1] - 0.1 * late
+    v_end = v + 0.01 * (-stiffness * np.sin(q) - same * np.tanh(v) + push)
     q_end = q + 0.01 * v_end
     far = any_of(np.abs(q_end) > 0.5)
     held = np.where(np.abs(q_end) > 0.5, 0.5 * np.cos(q_end), q_end)
@@ -154,8 +157,15 @@ def program():
     return p
 
 
-def kept_after(lanes, program, steps=300):
+def kept_after(lanes, program, blocks=(0, 301), last=300):
     rng = np.random.default_rng(0)
+    k = np.arange(last + 1.0)
+    # v of three steps ago: written to another place than the one that is read
+    known = {"late.from": k % 5, "late.to": (k + 3) % 5, "wave": np.sin(k)}
+    times = np.zeros((last + 1, program.n_times))
+    for name, (at, size) in program.times.items():
+        times[:, at : at + size] = known[name][:, np.newaxis]
+    draws = rng.standard_normal((last + 1, program.n_draws, 16))
     state = np.zeros((16, program.n_rows))
     state[:, :6] = rng.standard_normal((16, 6))
     given = program.filled(
@@ -168,7 +178,10 @@ def kept_after(lanes, program, steps=300):
         )
 
     kept = packed(state)
-    lanes.run(kept, packed(given), steps, 7)
+    for first, end in itertools.pairwise(blocks):
+        own = draws[first:end].reshape(end - first, program.n_draws, -1, lanes.width)
+        block = Block(first, times[first:end], np.array(np.moveaxis(own, 2, 0), order="C"))
+        lanes.run(kept, packed(given), last, 7, block)
     return kept.swapaxes(1, 2).reshape(16, -1)
 
 
@@ -179,7 +192,9 @@ def test_the_same_bits_on_vectors_of_any_width(width, features):
     p = program()
     expected = kept_after(NumpyLanes(p), p)
     assert np.isfinite(expected).all()
-    np.testing.assert_array_equal(kept_after(LlvmLanes(p, width, features), p), expected)
+    lanes = LlvmLanes(p, width, features)
+    np.testing.assert_array_equal(kept_after(lanes, p), expected)
+    np.testing.assert_array_equal(kept_after(lanes, p, (0, 1, 128, 301)), expected)
 
 
 def test_what_does_not_differ_is_a_constant():

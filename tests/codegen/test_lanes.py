@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.codegen.closed_loop import TOLD, Box
-from approxjac.codegen.lanes import Begun, Lanes
+from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.errors import MissingPackageError, UnknownNameError
@@ -86,7 +86,7 @@ def starts_of(loop, n):
     controller, errors, region = loop
     whole = rollout_study.Study(controller, errors, region, None, 1.0, 1e-3, 1e-3, 0)
     starts = [whole.start(index) for index in range(n)]
-    return starts[0].plant, [Begun.of(controller, s.plant, s.q, s.target) for s in starts]
+    return starts[0].plant, [start.begun(controller) for start in starts]
 
 
 @pytest.mark.parametrize("name", ["known gravity", "learnt gravity"])
@@ -97,7 +97,7 @@ def test_the_same_bits_in_numpy(name):
     plant, starts = starts_of(loop, 16)
     box = Box(region.center, region.lower, region.upper)
     found = [
-        Lanes(loop[0], plant, starts, box, 1e-3, 1e-3, engine=engine).run(starts, 250, 10)
+        Lanes(loop[0], plant, starts, box, 1e-3, 250, 1e-3, engine=engine).run(starts, 10)
         for engine in (LlvmLanes, NumpyLanes)
     ]
     for told in TOLD:

@@ -15,6 +15,7 @@ from approxjac.codegen.graph import Condition, Number, Scalar, select
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.program import Program
 from approxjac.codegen.rigid_body import Arm, Configured, moved
+from approxjac.codegen.senses import Measured, Senses
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
@@ -71,10 +72,12 @@ class ClosedLoop(NamedTuple):
     Attributes:
         program: The program.
         truth: The true arms.
+        senses: Sensors and motors.
     """
 
     program: Program
     truth: Arm
+    senses: Senses
 
 
 def require_covered(controller: Controller, plant: Plant) -> None:
@@ -85,9 +88,10 @@ def require_covered(controller: Controller, plant: Plant) -> None:
     """
     limits.require_covered(controller)
     tasks.require_covered(plant.sensor)
-    if plant.needs_sampling or plant.torque_limits is not None:
+    if plant.servo is not None or plant.torque_limits is not None:
         raise InvalidInputError(
-            f"plant must have ideal sensors and motors to make code of it, got {plant!r}",
+            "plant must be one without a servo and torque_limits to make code of it, got "
+            f"{plant!r}",
             given=plant,
         )
 
@@ -100,6 +104,7 @@ def closed_loop(
     targets: Array,
     region: Box,
     dt: float,
+    steps: int,
     tolerance: float,
     integrator: str = "semi_implicit_euler",
 ) -> ClosedLoop:
@@ -107,19 +112,21 @@ def closed_loop(
 
     Args:
         controller: The law, or `TorqueLimited` around it.
-        plant: One of the true robots, with its sensor and friction.
+        plant: One of the true robots, with its sensor, friction and lateness.
         numbers: Of true robots, stacked, such that all differ in what ever differs.
         sensors: Numbers of their sensors, as `tasks.numbers` has them.
         targets: x_d of each of them, shape (N, n_x).
         region: Where runs are to stay.
         dt: Sampling time [s].
+        steps: Number of steps of a run.
         tolerance: Error below which a task counts as done.
         integrator: One of `INTEGRATORS`.
     """
     program = Program()
     x_d = program.given("target", targets)
     sensor = {name: program.given(name, values) for name, values in sensors.items()}
-    loop = _Loop.of(program, controller, plant, numbers, sensor, x_d, dt, integrator)
+    senses = Senses(plant, dt, steps)
+    loop = _Loop.of(program, controller, plant, numbers, sensor, x_d, dt, integrator, senses)
     answer, robot = loop.answer, plant.robot
     told = {name: program.kept(name, 1)[0] for name in TOLD}
     program.step(loop.after | {
@@ -135,13 +142,13 @@ def closed_loop(
         TOLD.speed: _larger(told[TOLD.speed], loop.v / robot.velocity_limits),
         TOLD.outside: select(_outside(loop.q, region), 1.0, told[TOLD.outside]),
     })  # fmt: skip
-    return ClosedLoop(program, loop.truth)
+    return ClosedLoop(program, loop.truth, senses)
 
 
 def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: str) -> Program:
     """Return the program of one run that is recorded: "x", "torque", "e", "J_hat" and "status".
 
-    Its target is kept as "target"; "rate" is that of the state.
+    Of a plant with ideal sensors. Its target is kept as "target"; "rate" is that of the state.
     """
     program = Program()
     x_d = program.kept("target", plant.sensor.n_x)
@@ -186,6 +193,7 @@ class _Loop(NamedTuple):
         x_d: Symbols,
         dt: float,
         integrator: str,
+        senses: Senses | None = None,
     ) -> _Loop:
         robot, task = plant.robot, controller.task
         truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
@@ -196,22 +204,31 @@ class _Loop(NamedTuple):
         value = tasks.value(plant.sensor, here, sensor)
         x = tasks.seen(plant.sensor, value)
         error = tasks.error(plant.sensor, value, x_d)
-        may_lose = tasks.may_lose(plant.sensor)
+        told, may_lose, left = Measured(q, v, x, 0.0, {}), tasks.may_lose(plant.sensor), False
+        if senses is not None:
+            told, may_lose = senses.measured(program, q, v, x), may_lose or senses.may_lose
+            law = limits.law_of(controller)
+            if law.velocity is not None:  # which begins with the first x
+                followed = np.where(symbols(program.k > 0.0), state[law.resting :], told.x)
+                state = np.concatenate([state[: law.resting], followed])
         answer, within = limits.answer(
-            controller, belief.at(q), q, v, x, x_d, state, may_lose=may_lose
+            controller, belief.at(told.q), told.q, told.v, told.x, x_d, state, may_lose=may_lose
         )
-        answer = answer._replace(torque=within.torque)
-        q_end, v_end = _advanced(plant, truth, here, q, v, answer.torque, dt, integrator)
+        answer, acting, kept = answer._replace(torque=within.torque), within.torque, told.kept
+        if senses is not None:
+            acting, late = senses.acting(program, answer.torque)
+            kept = kept | late
+        q_end, v_end = _advanced(plant, truth, here, q, v, acting, dt, integrator)
         touched, left = _touched(plant, q_end), answer.left
         if isinstance(touched, Scalar):
-            q_held, v_held, wrong = _held(plant, here, q, v, answer.torque, dt)
+            q_held, v_held, wrong = _held(plant, here, q, v, acting, dt)
             n, ends = len(q), [*q_end.tolist(), *v_end.tolist(), 0.0]
             held = [*q_held.tolist(), *v_held.tolist(), select(wrong, 1.0, 0.0)]
             *ends, is_wrong = program.graph.rare(touched, held, ends)
             q_end, v_end, left = symbols(ends[:n]), symbols(ends[n:]), left | (is_wrong > 0.0)
         left = left | any_of(np.abs(q_end) > LARGEST_ANGLE)
         squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state)]
-        after = {"q": q_end, "v": v_end, "state": state + dt * answer.rate}
+        after = {"q": q_end, "v": v_end, "state": state + dt * answer.rate} | kept
         diverged = ~(sum(squares, 0.0) < _FINITE)
         return cls(truth, q, v, x, error, answer, after, diverged, left)
 

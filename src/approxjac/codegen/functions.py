@@ -43,6 +43,11 @@ LARGEST_ANGLE = 1e6
 """Angle up to which `sine_and_cosine` keeps its digits [rad]."""
 
 
+def nearest_integer(x: Scalar) -> Number:
+    """Return the integer next to x, the even one of two."""
+    return select(abs(x) < 2.0**51, (x + 1.5 * 2.0**52) - 1.5 * 2.0**52, x)
+
+
 def sine_and_cosine(x: Scalar) -> tuple[Number, Number]:
     """Return sin x and cos x, for x up to `LARGEST_ANGLE`."""
     quarter = (x * (2.0 / 3.14159265358979323846) + 0.5).floor()

@@ -14,10 +14,12 @@ from approxjac.codegen.closed_loop import TOLD, Box, ClosedLoop, closed_loop
 from approxjac.codegen.limits import law_of
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
-from approxjac.codegen.program import Program
+from approxjac.codegen.program import Block, Program
 from approxjac.interface import Controller, Measurement
 from approxjac.simulation import Plant
 from approxjac.validation import Array
+
+_BLOCK = 256  # steps that are drawn at once: some 20 MB of 1024 runs
 
 
 class Begun(NamedTuple):
@@ -29,6 +31,8 @@ class Begun(NamedTuple):
         state: State of the controller, shape (n_state,).
         numbers: Those of the true robot.
         sensor: Those of its sensor, as `tasks.numbers` has them.
+        seed: Of noise and dropouts.
+        holding: Torque that holds it until the first one acts, shape (n_v,).
     """
 
     q: Array
@@ -36,15 +40,20 @@ class Begun(NamedTuple):
     state: Array
     numbers: ArmNumbers
     sensor: dict[str, Array]
+    seed: int
+    holding: Array
 
     @classmethod
-    def of(cls, controller: Controller, plant: Plant, q: Array, target: Array) -> Begun:
+    def of(
+        cls, controller: Controller, plant: Plant, q: Array, target: Array, seed: int = 0
+    ) -> Begun:
         """Return that of a plant at rest."""
-        # only law (5) begins with x
+        # only law (5) begins with x, once it is measured
         x = target if law_of(controller).velocity is None else plant.sensor.value(q)
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
-        return cls(q, target, state, numbers, tasks.numbers([plant.sensor]))
+        holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
+        return cls(q, target, state, numbers, tasks.numbers([plant.sensor]), seed, holding)
 
 
 class Lanes:
@@ -56,6 +65,7 @@ class Lanes:
         examples: Runs that differ in all that will ever differ.
         region: Where runs are to stay.
         dt: Sampling time [s].
+        steps: Number of steps of a run.
         tolerance: Error below which a task counts as done.
         integrator: Of the plant: one of `INTEGRATORS`.
         engine: What carries the program out.
@@ -68,14 +78,16 @@ class Lanes:
         examples: Sequence[Begun],
         region: Box,
         dt: float,
+        steps: int,
         tolerance: float,
         integrator: str = "semi_implicit_euler",
         engine: Callable[[Program], LlvmLanes | NumpyLanes] = LlvmLanes,
     ) -> None:
         numbers, sensors, targets = _stacked(examples)
         self._loop: ClosedLoop = closed_loop(
-            controller, plant, numbers, sensors, targets, region, dt, tolerance, integrator
+            controller, plant, numbers, sensors, targets, region, dt, steps, tolerance, integrator
         )
+        self._steps = steps
         self._engine = engine
 
     @functools.cached_property
@@ -91,23 +103,31 @@ class Lanes:
         columns["q"][:] = [start.q for start in starts]
         columns["state"][:] = [start.state for start in starts]
         columns[TOLD.last_bad][:] = -1.0
+        self._loop.senses.begun(program, kept, np.array([start.holding for start in starts]))
         numbers, sensors, targets = _stacked(starts)
         named = self._loop.truth.named(numbers) | sensors | {"target": targets}
         return _packed(kept, width), _packed(program.filled(named), width)
 
-    def run(self, starts: Sequence[Begun], steps: int, every: int) -> dict[str, Array]:
+    @functools.cached_property
+    def _times(self) -> Array:
+        return self._loop.senses.times(self._loop.program)
+
+    def run(self, starts: Sequence[Begun], every: int) -> dict[str, Array]:
         """Return what is told of some runs: the names of `TOLD`, each with an array (N,).
 
         Args:
             starts: How they begin.
-            steps: Number of steps.
             every: Which instants are recorded: each so many steps, and the last.
         """
         kept, parameters = self.packed(starts)
-        self.compiled.run(kept, parameters, steps, every)
-        rows = self._loop.program.rows
+        program, width = self._loop.program, self.compiled.width
+        draws = self._loop.senses.drawn(program, [start.seed for start in starts], width)
+        for first in range(0, self._steps + 1, _BLOCK):
+            times = self._times[first : first + _BLOCK]
+            block = Block(first, times, draws.block(first, first + len(times)))
+            self.compiled.run(kept, parameters, self._steps, every, block)
         columns = kept.swapaxes(1, 2).reshape(-1, kept.shape[1])[: len(starts)]
-        return {name: columns[:, rows[name][0]] for name in TOLD}
+        return {name: columns[:, program.rows[name][0]] for name in TOLD}
 
 
 def _stacked(starts: Sequence[Begun]) -> tuple[ArmNumbers, dict[str, Array], Array]:

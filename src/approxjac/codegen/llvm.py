@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from itertools import chain
 
 from approxjac.codegen.graph import Number
-from approxjac.codegen.program import STEP, Language, Program, Writer
+from approxjac.codegen.program import STEP, Block, Language, Program, Writer
 from approxjac.extras import package_of
 from approxjac.validation import Array
 
@@ -43,8 +43,12 @@ define internal D @power(D %a) alwaysinline {
 }
 """
 _RUN = """
-define void @run(ptr %kept, ptr %given, i64 %groups, i64 %last, i64 %every) {{
+define void @run(
+  ptr %kept, ptr %given, ptr %times, ptr %draws,
+  i64 %groups, i64 %first, i64 %until, i64 %last, i64 %every
+) {{
 entry:
+  %steps = sub i64 %until, %first
   br label %group
 group:
   %g = phi i64 [ 0, %entry ], [ %g_next, %group_end ]
@@ -54,7 +58,14 @@ group:
   %p = getelementptr D, ptr %given, i64 %from
   br label %step
 step:
-  %k = phi i64 [ 0, %group ], [ %k_next, %step_end ]
+  %k = phi i64 [ %first, %group ], [ %k_next, %step_end ]
+  %i = sub i64 %k, %first
+  %of_time = mul i64 %i, {n_times}
+  %t = getelementptr double, ptr %times, i64 %of_time
+  %of_group = mul i64 %g, %steps
+  %of_step = add i64 %of_group, %i
+  %of_draws = mul i64 %of_step, {n_draws}
+  %d = getelementptr D, ptr %draws, i64 %of_draws
   %number_0 = sitofp i64 %k to double
   %number_1 = insertelement D undef, double %number_0, i64 0
   %number = shufflevector D %number_1, D undef, ZERO
@@ -70,7 +81,7 @@ record:
 step_end:
 {stores}
   %k_next = add i64 %k, 1
-  %goes_on = icmp sle i64 %k_next, %last
+  %goes_on = icmp slt i64 %k_next, %until
   br i1 %goes_on, label %step, label %group_end
 group_end:
   %g_next = add i64 %g, 1
@@ -114,18 +125,22 @@ class LlvmLanes:
         self._engine = llvm.create_mcjit_compiler(module, machine)  # the function lives in it
         self._engine.finalize_object()
         pointer, number = ctypes.c_void_p, ctypes.c_int64
-        self._run = ctypes.CFUNCTYPE(None, pointer, pointer, number, number, number)(
+        self._run = ctypes.CFUNCTYPE(None, *[pointer] * 4, *[number] * 5)(
             self._engine.get_function_address("run")
         )
 
-    def run(self, kept: Array, parameters: Array, last: int, every: int) -> None:
-        """Take all steps, in place: see `NumpyLanes.run`. Other threads go on meanwhile."""
+    def run(
+        self, kept: Array, parameters: Array, last: int, every: int, block: Block | None = None
+    ) -> None:
+        """Take steps, in place: see `NumpyLanes.run`. Other threads go on meanwhile."""
+        first, times, draws = block or Block.until(last)
         if len(kept):
-            self._run(kept.ctypes.data, parameters.ctypes.data, len(kept), last, every)
+            arrays = (each.ctypes.data for each in (kept, parameters, times, draws))
+            self._run(*arrays, len(kept), first, first + len(times), last, every)
 
     def bound(self, kept: Array, parameters: Array) -> Callable[[], None]:
         """Return a function that takes one step of these arrays, in place."""
-        run, arguments = self._run, (kept.ctypes.data, parameters.ctypes.data, 1, 0, 1)
+        run, arguments = self._run, (kept.ctypes.data, parameters.ctypes.data, 0, 0, 1, 0, 1, 0, 1)
 
         def step(_: object = (self, kept, parameters)) -> None:  # which have to stay
             run(*arguments)
@@ -137,23 +152,45 @@ def _source(program: Program, width: int) -> str:
     """Return a program in LLVM's language."""
     pointers: list[str] = []
 
-    def place(name: str, i: int) -> str:
+    def pointer(base: str, at: int, kind: str = "D") -> str:
         """Return a pointer to a row."""
-        base, at = "%s", i
-        if name in program.rows:
-            at += program.rows[name][0]
-        elif name in program.rings:
-            base = f"%{name}.ring"
-        else:
-            base, at = "%p", at + program.parameters[name][0]
-        pointer = f"%pointer{len(pointers)}"
-        pointers.append(f"  {pointer} = getelementptr D, ptr {base}, i64 {at}")
-        return pointer
+        name = f"%pointer{len(pointers)}"
+        pointers.append(f"  {name} = getelementptr {kind}, ptr {base}, i64 {at}")
+        return name
+
+    def time(name: str, i: int) -> str:
+        """Return a number that is the same in all runs."""
+        at = pointer("%t", program.times[name][0] + i, "double")
+        pointers.append(f"  {at}.time = load double, ptr {at}, align 8")
+        return f"{at}.time"
+
+    def place(name: str, i: int, way: str) -> str:
+        """Return a pointer to a row, to read from it or to write to it."""
+        if name in program.histories:
+            return pointer(f"%{name}.{way}", i)
+        places = {"%s": program.rows, "%p": program.parameters, "%d": program.draws}
+        base = next(base for base, names in places.items() if name in names)
+        return pointer(base, places[base][name][0] + i)
 
     def read(name: str, i: int) -> str:
-        return (
-            "bitcast D %number to D" if name == STEP else f"load D, ptr {place(name, i)}, align 8"
-        )
+        if name == STEP:
+            return "bitcast D %number to D"
+        if name not in program.times:
+            return f"load D, ptr {place(name, i, 'from')}, align 8"
+        number = time(name, i)
+        one = f"{number}.one"
+        pointers.append(f"  {one} = insertelement D undef, double {number}, i64 0")
+        return f"shufflevector D {one}, D undef, ZERO"
+
+    for name, (start, size) in program.histories.items():
+        for way in ("from", "to"):
+            at = f"%{name}.{way}"
+            pointers += [
+                f"  {at}.number = fptosi double {time(f'{name}.{way}', 0)} to i64",
+                f"  {at}.of = mul i64 {at}.number, {size}",
+                f"  {at}.row = add i64 {at}.of, {start}",
+                f"  {at} = getelementptr D, ptr %s, i64 {at}.row",
+            ]
 
     def constant(value: float) -> str:
         (bits,) = struct.unpack("<Q", struct.pack("<d", value))
@@ -189,27 +226,19 @@ def _source(program: Program, width: int) -> str:
         lines, names = writer.lines([each for numbers in values.values() for each in numbers])
         places = [(name, i) for name, numbers in values.items() for i in range(len(numbers))]
         stores = [
-            f"  store D {value}, ptr {place(*at)}, align 8"
+            f"  store D {value}, ptr {place(*at, 'to')}, align 8"
             for at, value in zip(places, names, strict=True)
         ]
         return lines, stores
 
     step, stores = computed(program.stepped)
     record = list(chain(*computed(program.recorded)))
-    slots = [
-        line
-        for name, (at, size, steps) in program.rings.items()
-        for line in (
-            f"  %{name}.slot = urem i64 %k, {steps}",
-            f"  %{name}.row = mul i64 %{name}.slot, {size}",
-            f"  %{name}.place = add i64 %{name}.row, {at}",
-            f"  %{name}.ring = getelementptr D, ptr %s, i64 %{name}.place",
-        )
-    ]
     run = _RUN.format(
         rows=program.n_rows,
         parameters=max(program.n_parameters, 1),
-        step="\n".join(slots + pointers + step),
+        n_times=program.n_times,
+        n_draws=program.n_draws,
+        step="\n".join(pointers + step),
         record="\n".join(record),
         stores="\n".join(stores),
     )

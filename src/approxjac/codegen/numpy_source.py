@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.graph import Graph, Number
-from approxjac.codegen.program import STEP, Language, Program, Writer
+from approxjac.codegen.program import STEP, Block, Language, Program, Writer
 from approxjac.validation import Array
 
 _TEMPLATES = {
@@ -64,35 +64,44 @@ class NumpyLanes:
         numbers = chain(*program.stepped.values(), *program.recorded.values())
         self._function = numpy_function(program.graph, list(numbers))
 
-    def run(self, kept: Array, parameters: Array, last: int, every: int) -> None:
-        """Take all steps, in place.
+    def run(
+        self, kept: Array, parameters: Array, last: int, every: int, block: Block | None = None
+    ) -> None:
+        """Take steps, in place.
 
         Args:
             kept: What is kept, shape (groups, rows, width).
             parameters: What stays, shape (groups, parameters, width).
-            last: Number of the last step, from 0.
+            last: Number of the last step of all, from 0.
             every: Which steps to record: its multiples, and the last.
+            block: Which steps to take; all by default.
         """
+        first, times, draws = block or Block.until(last)
         state, given = (np.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in (kept, parameters))
         state = state.copy()
+        groups, steps, n_draws, width = draws.shape
+        drawn = np.moveaxis(draws, 0, 2).reshape(steps, n_draws, groups * width)
         with np.errstate(all="ignore"):
-            for k in range(last + 1):
-                self._step(state, given, k, is_recorded=k % every == 0 or k == last)
+            for k, now, own in zip(range(first, first + len(times)), times, drawn, strict=True):
+                self._step(state, given, now, own, k, k % every == 0 or k == last)
         kept[...] = np.moveaxis(state.reshape(len(state), len(kept), -1), 0, 1)
 
-    def _step(self, state: Array, given: Array, k: int, is_recorded: bool) -> None:
+    def _step(
+        self, state: Array, given: Array, now: Array, own: Array, k: int, is_recorded: bool
+    ) -> None:
         program = self._program
-        places = dict(program.rows)
-        places |= {
-            name: (at + size * (k % steps), size)
-            for name, (at, size, steps) in program.rings.items()
-        }
-        values: dict[str, Any] = {name: state[at : at + n] for name, (at, n) in places.items()}
-        values |= {name: given[at : at + n] for name, (at, n) in program.parameters.items()}
-        computed = self._function(**values | {STEP: [np.float64(k)]})
+        known = (program.rows, state), (program.parameters, given), (program.draws, own)
+        values: dict[str, Any] = {STEP: [np.float64(k)]}
+        for places, array in (*known, (program.times, now)):
+            values |= {name: array[at : at + size] for name, (at, size) in places.items()}
+        goes_to = program.rows.copy()
+        for name, (start, size) in program.histories.items():
+            at, to = (start + size * int(values[f"{name}.{way}"][0]) for way in ("from", "to"))
+            values[name], goes_to[name] = state[at : at + size], (to, size)
+        computed = self._function(**values)
         rows = [np.array(np.broadcast_to(row, state.shape[1:])) for row in computed]
         names = [*program.stepped, *(program.recorded if is_recorded else ())]
         for name in names:
-            at, size = places[name]
+            at, size = goes_to[name]
             if size:
                 state[at : at + size], rows = rows[:size], rows[size:]

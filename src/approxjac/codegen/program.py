@@ -16,17 +16,38 @@ STEP = "k"
 """Name of the input that is the number of the step."""
 
 
+class Block(NamedTuple):
+    """Steps that follow one another, with what is known of each.
+
+    Attributes:
+        first: Number of the first one.
+        times: What is the same in all runs, shape (steps, times).
+        draws: What is drawn for each, shape (groups, steps, draws, width).
+    """
+
+    first: int
+    times: Array
+    draws: Array
+
+    @classmethod
+    def until(cls, last: int) -> Block:
+        """Return the steps from 0 to a last one, of which nothing is to be known."""
+        return cls(0, np.zeros((last + 1, 0)), np.zeros((0, last + 1, 0, 1)))
+
+
 class Program:
     """Steps of many runs that differ in numbers only, each a column of an array.
 
-    Declare what is kept with `kept`, `ring` and `given`, compute with what they return, and say
-    with `step` and `record` what follows.
+    Declare what there is with `kept`, `history`, `given`, `timed` and `drawn`, compute with what
+    they return, and say with `step` and `record` what follows.
 
     Attributes:
         graph: All that is computed.
         rows: Name → place and number of rows of what is kept.
         parameters: Name → place and number of rows of what stays, and differs from run to run.
-        rings: Name → place, number of rows and number of steps of what arrives late.
+        histories: Name → place of the first row, and number of rows, of what is read later.
+        times: Name → place and number of what is the same in all runs, step by step.
+        draws: Name → place and number of what is drawn for each run, step by step.
         stepped: What follows at a step: names and their numbers.
         recorded: What else is kept of steps that are recorded.
     """
@@ -35,12 +56,13 @@ class Program:
         self.graph = Graph()
         self.rows: dict[str, tuple[int, int]] = {}
         self.parameters: dict[str, tuple[int, int]] = {}
-        self.rings: dict[str, tuple[int, int, int]] = {}
+        self.histories: dict[str, tuple[int, int]] = {}
+        self.times: dict[str, tuple[int, int]] = {}
+        self.draws: dict[str, tuple[int, int]] = {}
         self.stepped: dict[str, list[Number]] = {}
         self.recorded: dict[str, list[Number]] = {}
         self._given: dict[str, tuple[Any, Array]] = {}  # which differ, and the others
-        self.n_rows = 0
-        self.n_parameters = 0
+        self.n_rows = self.n_parameters = self.n_times = self.n_draws = 0
 
     def kept(self, name: str, size: int) -> Symbols:
         """Return numbers that are kept from step to step, as they are before it."""
@@ -48,10 +70,28 @@ class Program:
         self.n_rows += size
         return inputs(self.graph, name, size)
 
-    def ring(self, name: str, size: int, steps: int) -> Symbols:
-        """Return numbers as they were kept some steps ago; what is kept now arrives later."""
-        self.rings[name] = self.n_rows, size, steps
-        self.n_rows += size * steps
+    def history(self, name: str, size: int, places: int) -> Symbols:
+        """Return numbers from one of several places, as they are there before the step.
+
+        What `step` keeps under this name goes to another one of them. Times decide which, the same
+        for all runs: `name.from` and `name.to`, counted from 0.
+        """
+        self.histories[name] = self.n_rows, size
+        self.n_rows += size * places
+        for which in ("from", "to"):
+            self.timed(f"{name}.{which}", 1)
+        return inputs(self.graph, name, size)
+
+    def timed(self, name: str, size: int) -> Symbols:
+        """Return numbers that differ from step to step, and are the same in all runs."""
+        self.times[name] = self.n_times, size
+        self.n_times += size
+        return inputs(self.graph, name, size)
+
+    def drawn(self, name: str, size: int) -> Symbols:
+        """Return numbers that differ from step to step and from run to run."""
+        self.draws[name] = self.n_draws, size
+        self.n_draws += size
         return inputs(self.graph, name, size)
 
     def given(self, name: str, values: Array) -> Symbols:

@@ -44,6 +44,8 @@ class WholeLoops:
         if key not in self._loops:
             if loop.steps < _STEPS or not isinstance(loop.path, np.ndarray):
                 return None
+            if plant.needs_sampling:
+                return None
             try:
                 require_covered(self._law, plant)
             except InvalidInputError:

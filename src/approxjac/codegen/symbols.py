@@ -36,6 +36,7 @@ _FUNCTIONS: dict[np.ufunc, np.ufunc] = {
     np.cos: _of_one(np.cos, lambda a: functions.sine_and_cosine(a)[1]),
     np.tanh: _of_one(np.tanh, functions.tanh),
     np.sqrt: _of_one(np.sqrt, Scalar.sqrt),
+    np.rint: _of_one(np.rint, functions.nearest_integer),
     np.minimum: np.frompyfunc(_smaller, 2, 1),
     np.maximum: np.frompyfunc(_larger, 2, 1),
     np.isfinite: np.frompyfunc(lambda a: abs(a) < np.inf, 1, 1),

@@ -78,9 +78,13 @@ class _Pose(PoseTask):
     def error(self, x: Symbols, x_d: Symbols) -> Symbols:
         return np.concatenate([x[:3] - x_d[:3], _rotation_between(x[3:], x_d[3:])])
 
+    def displaced(self, x: Symbols, e: Symbols) -> Symbols:
+        return np.concatenate([x[:3] + e[:3], _turned(x[3:], symbols(e[3:]))])
+
 
 class _PoseTracker(PoseTrackerTask):
     error = _Pose.error
+    displaced = _Pose.displaced
 
     def value(self, q: Symbols) -> Symbols:
         return _pose(*self._placement(q))
@@ -97,6 +101,15 @@ def _rotation_between(a: Symbols, b: Symbols) -> Symbols:
     sign = select(w < 0.0, -1.0, 1.0)
     factor = sign * select(sine > 1e-150, angle / sine, 2.0)
     return np.where(told[0] & told[1], xyz * factor, math.nan)
+
+
+def _turned(quaternion: Symbols, phi: Symbols) -> Symbols:
+    """Return a quaternion (4,) after a turn by a rotation vector (3,), but for its sign."""
+    angle = np.sqrt((phi * phi).sum())
+    half = symbols([0.5 * angle])
+    sine = select(angle > 1e-8, np.sin(half)[0] / select(angle > 1e-8, angle, 1.0), 0.5)
+    inverse = symbols(quaternion) * np.array([-1.0, -1.0, -1.0, 1.0])
+    return symbols(quaternion_between([*(phi * sine), np.cos(half)[0]], inverse.tolist()))
 
 
 class _Image(ImageTask):

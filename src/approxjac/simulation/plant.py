@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import pinocchio as pin
@@ -125,6 +125,15 @@ class Plant(Immutable):
         vars(plant).update(vars(self), **arguments, _arguments=self._arguments | arguments)
         for name in ("dynamics", "_data"):
             vars(plant).pop(name, None)
+        return plant
+
+    def _sensed(self, sensing: Sensing | None, actuator_delay: float) -> Self:
+        """Return this plant with sensing and lateness that were checked, without building it."""
+        if sensing is None and actuator_delay == 0.0:
+            return self
+        changed: dict[str, Any] = {"sensing": sensing, "actuator_delay": actuator_delay}
+        plant = object.__new__(type(self))
+        vars(plant).update(vars(self), **changed, _arguments=self._arguments | changed)
         return plant
 
     @property

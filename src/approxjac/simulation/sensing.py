@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,12 +13,13 @@ import pinocchio as pin
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.interface import Measurement
+from approxjac.simulation.frames import Frames
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_diagonal, as_number, shape_of
 
-_FOREVER = 1e15  # samples
-_TINY = 1e-6  # of a frame or a sample: more than round-off in k dt, less than anyone means
+DRAWN = ("x_noise", "q_noise", "x_dropout")
+"""What is drawn while a run goes on."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,7 +93,10 @@ class Sensing:
 
 
 class SensorReadings:
-    """The readings of one run, sample by sample; the same seed gives the same ones."""
+    """The readings of one run, sample by sample; the same seed gives the same ones.
+
+    What is drawn depends on time alone: each kind has a generator of its own, see `generator`.
+    """
 
     def __init__(self, sensing: Sensing, task: Task, dt: float, seed: int) -> None:
         m, nv = task.m, task.robot.nv
@@ -104,17 +107,11 @@ class SensorReadings:
         self._q_noise = as_diagonal("q_noise", sensing.q_noise, nv, positive=False)
         self._q_quantum = as_diagonal("q_quantum", sensing.q_quantum, nv, positive=False)
         self._dropout, self._filter = sensing.x_dropout, sensing.velocity_filter
-        self._lost = [(start, end, _entries(task, *part)) for start, end, *part in sensing.x_lost]
-        self._frozen = sensing.x_frozen
-        per_sample = None if sensing.x_rate is None else sensing.x_rate * dt
-        self._per_sample = None if per_sample is None or per_sample > 1.0 - _TINY else per_sample
-        late = round(min(sensing.x_delay / dt, _FOREVER))
-        self._late: deque[tuple[int, float, Array]] = deque(maxlen=late + 1)
-        self._samples, self._number, self._arrived = 0, -1, -1
-        self._image: Array | None = None
-        self._taken_at = 0.0
+        self._lost = lost_entries(sensing, task)
+        self._frames = frames_of(sensing, dt)
+        self._images: dict[int, Array] = {}
         self._reading = np.full(task.n_x, np.nan)
-        self._rng = np.random.default_rng(seed)
+        self._of_x, self._of_q, self._of_dropouts = (generator(seed, kind) for kind in DRAWN)
         self._before: Array | None = None
         self._v = np.zeros(nv)
 
@@ -127,60 +124,77 @@ class SensorReadings:
 
     def _read_x(self, t: float, x: Array) -> tuple[Array, float]:
         """Return the x that arrives at time t [s], and the time at which it was taken."""
-        number = self._samples
-        if self._per_sample is not None:  # counted from the start, so that no rounding adds up
-            number = math.floor(self._samples * self._per_sample + _TINY)
-        self._samples += 1
-        if number != self._number or self._image is None:
-            self._number, self._image = number, self._taken(t, x)
-        self._late.append((number, self._taken_at, self._image))
-        arriving, t_x, image = self._late[0]  # before the first one arrives, the first is seen
-        if arriving != self._arrived or self._per_sample is None:
-            self._arrived = arriving
-            lost = self._dropout and self._rng.random() < self._dropout
+        frame = self._frames.next(t)
+        if frame.is_taken:
+            self._images[frame.kept_at] = self._taken(x, frame.lost)
+        if frame.is_new:
+            lost = self._dropout and self._of_dropouts.random() < self._dropout
+            image = self._images[frame.read_at]
             self._reading = np.full(self._task.n_x, np.nan) if lost else image
-        return self._reading, t_x
+        return self._reading, frame.t_x
 
-    def _taken(self, t: float, x: Array) -> Array:
-        """Return the image that the camera has after it was to take one of x at time t [s]."""
-        now, t = t, t + _TINY * self._dt
-        if self._image is not None and any(start <= t < end for start, end in self._frozen):
-            return self._image
-        self._taken_at = now
+    def _taken(self, x: Array, lost: list[int]) -> Array:
+        """Return the image that is taken of x, with what is lost of it."""
         if self._x_noise.any():
-            x = self._task.displaced(x, self._x_noise * self._rng.standard_normal(self._task.m))
+            noise = self._x_noise * self._of_x.standard_normal(self._task.m)
+            x = self._task.displaced(x, noise)
         if self._x_quantum.any():
             origin = self._task._origin
-            e = _rounded(self._task.error(x, origin), self._x_quantum)
+            e = rounded(self._task.error(x, origin), self._x_quantum)
             x = with_error(self._task, x, origin, e)
-        lost = [entries for start, end, entries in self._lost if start <= t < end]
         if lost:
             x = x.copy()
-        for entries in lost:
-            x[entries] = np.nan
+        for interval in lost:
+            x[self._lost[interval]] = np.nan
         return x
 
     def _read_q(self, q: Array) -> Array:
         if self._q_noise.any():
-            noise = self._q_noise * self._rng.standard_normal(len(self._q_noise))
+            noise = self._q_noise * self._of_q.standard_normal(len(self._q_noise))
             q = pin.integrate(self._model, q, noise)
         if self._q_quantum.any():
             motion = pin.difference(self._model, self._neutral, q)
-            q = pin.integrate(self._model, self._neutral, _rounded(motion, self._q_quantum))
+            q = pin.integrate(self._model, self._neutral, rounded(motion, self._q_quantum))
         return q
 
     def _difference(self, q: Array, time_constant: float) -> Array:
         if self._before is not None:
             slope = pin.difference(self._model, self._before, q) / self._dt
-            self._v = self._v + self._dt / (time_constant + self._dt) * (slope - self._v)
+            self._v = filtered(self._v, slope, time_constant, self._dt)
         self._before = q
         return self._v
 
 
-def _rounded(values: Array, steps: Array) -> Array:
+def generator(seed: int, kind: str) -> np.random.Generator:
+    """Return what one of `DRAWN` is drawn from in the run of a seed.
+
+    A run draws m normal numbers for each frame of x that is taken, n_v for each sample of q, and a
+    number from 0 to 1 for each frame that arrives. So they may be drawn in blocks.
+    """
+    i = DRAWN.index(kind)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,) if i else ()))
+
+
+def rounded(values: Array, steps: Array) -> Array:
     """Round to multiples of steps; a step of 0 rounds nothing."""
     safe = np.where(steps > 0.0, steps, 1.0)
-    return np.where(steps > 0.0, safe * np.round(values / safe), values)
+    return np.where(steps > 0.0, safe * np.rint(values / safe), values)
+
+
+def filtered(v: Array, slope: Array, time_constant: float, dt: float) -> Array:
+    """Return v of T dv/dt + v = slope after a step dt [s], by implicit Euler."""
+    return v + dt / (time_constant + dt) * (slope - v)
+
+
+def frames_of(sensing: Sensing, dt: float) -> Frames:
+    """Return the frames of x of one run, at a sampling time [s]."""
+    lost = [(start, end) for start, end, *_ in sensing.x_lost]
+    return Frames(dt, sensing.x_rate, sensing.x_delay, lost, sensing.x_frozen)
+
+
+def lost_entries(sensing: Sensing, task: Task) -> list[slice]:
+    """Return the entries of x that each of the intervals `x_lost` takes."""
+    return [_entries(task, *part) for _, _, *part in sensing.x_lost]
 
 
 def _intervals(name: str, value: Any, *, parts: bool) -> tuple[Any, ...]:

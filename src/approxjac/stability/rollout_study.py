@@ -22,7 +22,7 @@ import numpy as np
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
 from approxjac.extras import package_of
 from approxjac.interface import Controller
-from approxjac.simulation import Plant, Trajectory, simulate
+from approxjac.simulation import Plant, Sensing, Trajectory, simulate
 from approxjac.simulation.simulate import whole
 from approxjac.stability.region import JointBox, Region
 from approxjac.stability.uncertainty import Uncertainty
@@ -31,7 +31,7 @@ from approxjac.validation import Array
 
 if TYPE_CHECKING:
     from approxjac.codegen.closed_loop import Box
-    from approxjac.codegen.lanes import Lanes
+    from approxjac.codegen.lanes import Begun, Lanes
 
 COLUMNS = (
     "index", "values", "q0", "target", "final_error", "settling_time", "peak_torque", "peak_speed",
@@ -57,6 +57,7 @@ class Start:
         plant: The true robot.
         q: Configuration, at rest, shape (nq,).
         target: x_d, shape (n_x,).
+        seed: Of noise and dropouts.
     """
 
     index: int
@@ -64,6 +65,13 @@ class Start:
     plant: Plant
     q: Array
     target: Array
+    seed: int
+
+    def begun(self, controller: Controller) -> Begun:
+        """Return what lanes keep of it."""
+        from approxjac.codegen.lanes import Begun
+
+        return Begun.of(controller, self.plant, self.q, self.target, self.seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +87,8 @@ class Study:
         dt: Sampling time [s].
         tolerance: Error below which a task counts as done [unit of the task].
         seed: Of the drawing.
+        sensing: How measurements differ from the truth, or None.
+        actuator_delay: Time from a torque to its effect [s].
         engine: "lanes" or "python".
         reason: Why it is not lanes; empty where it is, or where Python was asked for.
         examples: Number of runs that show what differs.
@@ -93,6 +103,8 @@ class Study:
     dt: float
     tolerance: float
     seed: int
+    sensing: Sensing | None = None
+    actuator_delay: float = 0.0
     engine: str = "python"
     reason: str = ""
     examples: int = 0
@@ -107,8 +119,7 @@ class Study:
         try:
             from approxjac.codegen.closed_loop import require_covered
 
-            plant = self.uncertainty.plant(self.uncertainty.believed)
-            require_covered(self.controller, plant)
+            require_covered(self.controller, self.plant(self.uncertainty.believed))
             self._box()
         except InvalidInputError as error:
             if engine is not None:
@@ -147,11 +158,16 @@ class Study:
         """Number of steps from one recorded instant to the next."""
         return max(1, round(self.duration / self.dt / _RECORDS))
 
+    def plant(self, values: Array) -> Plant:
+        """Return the true robot at values (d,), with its sensors and motors."""
+        plant = self.uncertainty.plant(values)
+        return plant._sensed(self.sensing, self.actuator_delay)
+
     def start(self, index: int) -> Start:
         """Return how a run begins, drawn from a generator of its own."""
         rng = np.random.default_rng([self.seed, index])
         values = self.uncertainty.sample(rng)
-        plant = self.uncertainty.plant(values)
+        plant = self.plant(values)
         seen = VisiblePart(self.region, plant.sensor)
         try:
             q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
@@ -162,13 +178,13 @@ class Study:
         except UnattainedError as error:
             told = f"{error}, with {self.uncertainty.describe(values)}"
             raise UnattainedError(told, given=values, truth=index) from error
-        return Start(index, values, plant, q0, target)
+        return Start(index, values, plant, q0, target, int(rng.integers(2**63)))
 
     def simulated(self, start: Start) -> Trajectory:
         """Return a run in Python."""
         return simulate(
             start.plant, self.controller, start.target, start.q, self.duration, dt=self.dt,
-            record_every=self.every * self.dt, integrator="semi_implicit_euler",
+            record_every=self.every * self.dt, integrator="semi_implicit_euler", seed=start.seed,
         )  # fmt: skip
 
     # -- portions ---------------------------------------------------------------------------
@@ -217,15 +233,13 @@ class Study:
 
     def _of_lanes(self, indices: range) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
-        from approxjac.codegen.lanes import Begun
-
         lanes, rows, begun = _lanes_of(self), [], []
         for index in indices:
             start = self.start(index)
             at = index, start.values, start.q, start.target
             rows.append((*at, *([math.nan] * 4), *([False] * 3)))
-            begun.append(Begun.of(self.controller, start.plant, start.q, start.target))
-        told: dict[str, Any] = lanes.run(begun, self.steps, self.every)
+            begun.append(start.begun(self.controller))
+        told: dict[str, Any] = lanes.run(begun, self.every)
         found: dict[str, Any] = _columns(rows)
         diverged, last_bad = told["diverged"] > 0.0, told["last_bad"]
         found["diverged"] = diverged
@@ -289,7 +303,7 @@ _compiling = threading.Lock()
 
 def _lanes_of(study: Study) -> Lanes:
     """Return the compiled loop of a study, compiled once in each process."""
-    from approxjac.codegen.lanes import Begun, Lanes
+    from approxjac.codegen.lanes import Lanes
 
     with _compiling:
         if study.key not in _lanes:
@@ -297,8 +311,8 @@ def _lanes_of(study: Study) -> Lanes:
                 del _lanes[next(iter(_lanes))]
             starts = [study.start(index) for index in range(study.examples)]
             law = study.controller
-            examples = [Begun.of(law, each.plant, each.q, each.target) for each in starts]
+            examples = [each.begun(law) for each in starts]
             _lanes[study.key] = Lanes(
-                law, starts[0].plant, examples, study._box(), study.dt, study.tolerance
+                law, starts[0].plant, examples, study._box(), study.dt, study.steps, study.tolerance
             )
         return _lanes[study.key]

@@ -15,7 +15,7 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Controller
-from approxjac.simulation import Trajectory
+from approxjac.simulation import Plant, Sensing, Trajectory
 from approxjac.simulation.sampled_loop import require_fit
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_study import COLUMNS, Study
@@ -181,6 +181,8 @@ def rollouts(
     dt: float = 1e-3,
     tolerance: float = 1e-3,
     seed: int = 0,
+    sensing: Sensing | None = None,
+    actuator_delay: float = 0.0,
     engine: Engine | None = None,
     executor: Executor | None = None,
     folder: str | PathLike[str] | None = None,
@@ -189,9 +191,9 @@ def rollouts(
     """Simulate the sampled closed loop from random starts, with random true robots.
 
     Starts and targets are those that the true robot's sensor sees. Run k draws from a generator
-    of its own, `numpy.random.default_rng([seed, k])`: the true values, the start, and the
-    configuration that attains the target. So the result is the same whatever carries out the runs,
-    and more runs of the same seed begin with the same ones.
+    of its own, `numpy.random.default_rng([seed, k])`: the true values, the start, the
+    configuration that attains the target, and the seed of its noise and dropouts. So the result is
+    the same whatever carries out the runs, and more runs of the same seed begin with the same ones.
 
     Args:
         controller: The controller with its believed robot: anything with the interface of
@@ -206,6 +208,8 @@ def rollouts(
         tolerance: > 0; a run converged if ‖e‖ is below it at every recorded instant of the last
             tenth [unit of the task].
         seed: ≥ 0.
+        sensing: How measurements differ from the truth, as of `Plant`; not at all by default.
+        actuator_delay: Time from a torque to its effect [s], as of `Plant`.
         engine: "lanes" traces the closed loop and carries out many runs at once in the machine's
             vectors, some hundred times as fast; "python" runs `simulate`, with anything. By default
             lanes where they cover the loop and llvmlite is there (the extra `fast`); the study of
@@ -226,7 +230,9 @@ def rollouts(
     """
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
     dt = as_number("dt", dt, unit="s", above=0.0)
-    require_fit(uncertainty.plant(uncertainty.believed), controller, dt)
+    plant = uncertainty.plant(uncertainty.believed)
+    require_fit(plant, controller, dt)
+    late = Plant(plant.robot, plant.sensor, sensing=sensing, actuator_delay=actuator_delay)
     require("region", region, Region, "a Region, such as JointBox(robot)")
     require("executor", executor, _EXECUTOR, "an executor of concurrent.futures or None")
     require("progress", progress, _FUNCTION, "a function of the number of runs done")
@@ -234,7 +240,10 @@ def rollouts(
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)
     x_d = None if target is None else uncertainty.believed_task().target(target)
-    study = Study(controller, uncertainty, region, x_d, duration, dt, tolerance, seed)
+    study = Study(
+        controller, uncertainty, region, x_d, duration, dt, tolerance, seed, late.sensing,
+        late.actuator_delay,
+    )  # fmt: skip
     study = study.with_engine(engine, runs)
     parts: list[dict[str, Array]] = []
     for part in study.parts(runs, executor, folder):

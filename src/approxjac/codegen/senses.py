@@ -1,0 +1,183 @@
+"""`Senses`: what real sensors and late motors make of a run, on symbols and step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac.codegen import tasks
+from approxjac.codegen.graph import select
+from approxjac.codegen.program import Program
+from approxjac.codegen.symbols import Symbols, symbols
+from approxjac.simulation import Plant, Sensing
+from approxjac.simulation.sensing import (
+    filtered,
+    frames_of,
+    generator,
+    lost_entries,
+    rounded,
+)
+from approxjac.tasks.analysis import with_error
+from approxjac.validation import Array, as_diagonal
+
+_IMAGE, _TORQUE = "image", "late_torque"
+
+
+class Measured(NamedTuple):
+    """What a controller is told.
+
+    Attributes:
+        q: Shape (nq,).
+        v: Shape (n_v,).
+        x: Shape (n_x,); NaN where it is lost.
+        t_x: Time at which x was taken [s].
+        kept: What the sensors keep of this step, by name.
+    """
+
+    q: Symbols
+    v: Symbols
+    x: Symbols
+    t_x: Any
+    kept: dict[str, Any]
+
+
+class Senses:
+    """Sensors and motors of all runs of a plant: noise, rounding, lateness, dropouts.
+
+    As `SensorReadings` and `HeldCommands` have them. Time decides which frame arrives, so that is
+    the same in all runs; what is random is drawn beforehand, from the generators of each run.
+
+    Args:
+        plant: The plant, of an arm without continuous joints.
+        dt: Sampling time [s].
+        steps: Number of steps of a run.
+
+    Attributes:
+        late: By how many steps torques are late.
+        may_lose: Whether x may be lost on its way.
+    """
+
+    def __init__(self, plant: Plant, dt: float, steps: int) -> None:
+        self._sensor, self._dt = plant.sensor, dt
+        sensing = self._sensing = plant.sensing or Sensing()
+        m, nv = plant.sensor.m, plant.robot.nv
+        self._x_noise, self._x_quantum, self._q_noise, self._q_quantum = (
+            as_diagonal(name, getattr(sensing, name), size, positive=False)
+            for name, size in (("x_noise", m), ("x_quantum", m), ("q_noise", nv), ("q_quantum", nv))
+        )
+        self._lost = lost_entries(sensing, plant.sensor)
+        self.may_lose = sensing.x_dropout > 0.0 or bool(self._lost)
+        self.late = round(min(plant.actuator_delay / dt, float(steps)))
+        self._k = np.arange(steps + 1)
+        frames = frames_of(sensing, dt)
+        self._frames = [frames.next(k * dt) for k in range(steps + 1)]
+        self._is_taken, self._kept_at, self._read_at, self._is_new = (
+            np.array([getattr(frame, name) for frame in self._frames])
+            for name in ("is_taken", "kept_at", "read_at", "is_new")
+        )
+        self._is_now = self._is_taken & (self._kept_at == self._read_at)
+        self._places = int(self._kept_at.max()) + 1
+
+    def measured(self, program: Program, q: Symbols, v: Symbols, x: Symbols) -> Measured:
+        """Return what is measured where q, v and x are so, x as the sensor delivers it."""
+        sensing, sensor = self._sensing, tasks.on_symbols(self._sensor)
+        kept: dict[str, Any] = {}
+        if self._q_noise.any():
+            q = q + self._q_noise * program.drawn("q_noise", len(self._q_noise))
+        if self._q_quantum.any():
+            q = rounded(q, self._q_quantum)
+        if sensing.velocity_filter is not None:
+            before, v = program.kept("q_before", len(q)), program.kept("v_filtered", len(v))
+            slope = np.where(symbols(program.k > 0.0), q - before, 0.0) / self._dt
+            v = filtered(v, slope, sensing.velocity_filter, self._dt)
+            kept |= {"q_before": q, "v_filtered": v}
+        if self._x_noise.any():
+            x = sensor.displaced(x, self._x_noise * program.drawn("x_noise", len(self._x_noise)))
+        if self._x_quantum.any():
+            origin = symbols(sensor._origin)
+            x = with_error(sensor, x, origin, rounded(sensor.error(x, origin), self._x_quantum))
+        if self._lost:
+            x = np.where(program.timed("lost", len(x)) > 0.0, np.nan, x)
+        if not self._is_now.all():
+            kept[_IMAGE] = x
+            image = program.history(_IMAGE, len(x), self._places + 1)  # one for what nobody reads
+            x = np.where(program.timed("now", 1) > 0.0, x, image)
+        if sensing.x_dropout > 0.0:
+            drops = program.drawn("x_dropout", 1)[0] < sensing.x_dropout
+            before = program.kept("dropped", 1)[0]
+            is_new = program.timed("new", 1)[0] > 0.0
+            kept["dropped"] = select(is_new, select(drops, 1.0, 0.0), before)
+            x = np.where(symbols(kept["dropped"] > 0.0), np.nan, x)
+        return Measured(q, v, x, program.timed("t_x", 1)[0], kept)
+
+    def acting(self, program: Program, torque: Symbols) -> tuple[Symbols, dict[str, Any]]:
+        """Return the torque that acts when one is asked for, and what is kept of the latter."""
+        if not self.late:
+            return torque, {}
+        return program.history(_TORQUE, len(torque), self.late), {_TORQUE: torque}
+
+    def begun(self, program: Program, kept: Array, holding: Array) -> None:
+        """Let what is kept of runs (N, rows) begin: with the torques (N, n_v) that hold them."""
+        if self.late:
+            at, size = program.histories[_TORQUE]
+            kept[:, at : at + size * self.late] = np.tile(holding, self.late)
+
+    def times(self, program: Program) -> Array:
+        """Return what is the same in all runs of the steps of a program, shape (steps, times)."""
+        nobody = self._places
+        known: dict[str, Any] = {
+            f"{_IMAGE}.from": self._read_at,
+            f"{_IMAGE}.to": np.where(self._is_taken, self._kept_at, nobody),
+            "now": self._is_now,
+            "new": self._is_new,
+            "t_x": [frame.t_x for frame in self._frames],
+        }
+        if self.late:
+            known |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
+        found = np.zeros((len(self._k), program.n_times))
+        for name, (at, size) in program.times.items():
+            if name == "lost":
+                for row, frame in zip(found, self._frames, strict=True):
+                    for interval in frame.lost:
+                        row[at : at + size][self._lost[interval]] = 1.0
+            else:
+                found[:, at] = known[name]
+        return found
+
+    def drawn(self, program: Program, seeds: Sequence[int], width: int) -> Draws:
+        """Return what is drawn for the runs of some seeds, as vectors of a width."""
+        always = np.ones(len(self._k), dtype=bool)
+        drawn_at = {"x_noise": self._is_taken, "q_noise": always, "x_dropout": self._is_new}
+        return Draws(program, drawn_at, seeds, width)
+
+
+class Draws:
+    """What is drawn for some runs, in blocks of steps that follow one another."""
+
+    def __init__(
+        self, program: Program, drawn_at: dict[str, Array], seeds: Sequence[int], width: int
+    ) -> None:
+        self._shape = -(-len(seeds) // width), program.n_draws, width
+        self._each = [
+            (drawn_at[name], *place, [_draw(seed, name) for seed in seeds])
+            for name, place in program.draws.items()
+        ]
+
+    def block(self, first: int, end: int) -> Array:
+        """Return what is drawn of the next steps, shape (groups, steps, draws, width)."""
+        groups, n_draws, width = self._shape
+        found = np.zeros((groups, end - first, n_draws, width))
+        for drawn_at, at, size, draws in self._each:
+            steps = np.flatnonzero(drawn_at[first:end])
+            for lane, draw in enumerate(draws):
+                group, i = divmod(lane, width)
+                found[group, steps, at : at + size, i] = draw((len(steps), size))
+        return found
+
+
+def _draw(seed: int, name: str) -> Callable[[tuple[int, int]], Array]:
+    """Return what draws numbers of a kind in the run of a seed."""
+    own = generator(seed, name)
+    return own.random if name == "x_dropout" else own.standard_normal

@@ -1,0 +1,154 @@
+"""Real sensors and late motors in lanes, compared with the same runs in Python."""
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import test_lanes
+import test_task_loops
+from numpy.testing import assert_array_equal
+
+import approxjac as aj
+from approxjac.codegen.closed_loop import TOLD, Box, require_covered
+from approxjac.codegen.lanes import Lanes
+from approxjac.codegen.llvm import LlvmLanes
+from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.controllers import DifferentiatedVelocity
+from approxjac.simulation import Sensing, VelocityServo
+from approxjac.stability import rollout_study
+
+SHORT = {"runs": 5, "duration": 0.4, "dt": 2e-3, "tolerance": 0.3}
+ROUGH = {
+    "q_noise": 1e-4, "q_quantum": 1e-5, "velocity_filter": 0.01, "x_rate": 60.0, "x_delay": 0.03,
+    "x_dropout": 0.1, "x_lost": [(0.2, 0.25)], "x_frozen": [(0.1, 0.15)],
+}  # fmt: skip
+ALL = {"actuator_delay": 0.006, "sensing": Sensing(x_noise=1e-3, **ROUGH)}
+PIXELS = {"actuator_delay": 0.004, "sensing": Sensing(x_noise=0.5, x_quantum=0.25, **ROUGH)}
+
+
+def moves(learns=True, **options):
+    return test_lanes.study("panda", learns=learns, **options)
+
+
+STUDIES = {
+    "late torque": (moves, {"actuator_delay": 0.006}),
+    "late x": (moves, {"sensing": Sensing(x_delay=0.02)}),
+    "differences": (moves, {"sensing": Sensing(velocity_filter=0.0)}),
+    "noise": (moves, {"sensing": Sensing(x_noise=[1e-3, 0.0, 2e-3], q_noise=1e-4)}),
+    "quanta": (moves, {"sensing": Sensing(x_quantum=[1e-3, 0.0, 1e-2], q_quantum=1e-3)}),
+    "frames": (moves, {"sensing": Sensing(x_rate=70.0)}),
+    "dropouts": (moves, {"sensing": Sensing(x_dropout=0.3)}),
+    "lost and frozen": (
+        moves,
+        {"sensing": Sensing(x_lost=[(0.1, 0.2, 0)], x_frozen=[(0.0, 0.05), (0.3, 0.32)])},
+    ),
+    "later than the run": (
+        lambda: moves(False),
+        {"actuator_delay": 1e9, "sensing": Sensing(x_delay=1e20)},
+    ),
+    "all": (moves, ALL),
+    "all, (5)": (lambda: moves(False, velocity=DifferentiatedVelocity(0.02)), ALL),
+    "all, limits": (lambda: test_lanes.limited(moves(), 0.4), ALL),
+    "a turned hand": (
+        test_task_loops.STUDIES["pose, learnt"],
+        {"sensing": Sensing(x_noise=0.01, x_quantum=0.02, x_rate=100.0, x_dropout=0.1)},
+    ),
+    "three points, a lens": (test_task_loops.STUDIES["three points, a lens"], PIXELS),
+    "measured depth": (test_task_loops.STUDIES["measured depth"], PIXELS),
+    "lost at times, (5)": (test_task_loops.STUDIES["lost at times, (5), learnt"], PIXELS),
+    "image and position": (
+        test_task_loops.STUDIES["image and position"],
+        {"sensing": Sensing(x_noise=[1.0, 1.0, 1e-3], x_lost=[(0.1, 0.2, 1)], x_delay=0.01)},
+    ),
+}
+BY_DEFAULT = ("all, (5)", "image and position")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(k, marks=() if k in BY_DEFAULT else pytest.mark.study) for k in STUDIES],
+)
+def test_runs_are_those_of_python(name):
+    loop, options = STUDIES[name]
+    ours = aj.rollouts(*loop(), engine="lanes", **options, **SHORT)
+    python = aj.rollouts(*loop(), engine="python", **options, **SHORT)
+    test_lanes.require_agreement(ours, python)
+    ideal = aj.rollouts(*loop(), engine="lanes", **SHORT)
+    assert (ours.columns["final_error"] != ideal.columns["final_error"]).all()
+
+
+def test_each_run_has_noise_of_its_own():
+    errors = aj.Uncertainty(aj.load_robot("two_link"))  # none, so that all runs are alike
+    task = errors.believed_task()
+    loop = aj.SetpointController(task), errors, aj.JointBox.around(task.robot, [0.5, 1.2], 0.0)
+    target = task.value(np.array([0.6, 1.0]))
+    many = aj.rollouts(*loop, target=target, sensing=Sensing(x_noise=1e-3), **SHORT)
+    assert many.study.engine == "lanes"
+    assert len({*many.columns["final_error"]}) == SHORT["runs"]
+    run = many.replay(3)
+    assert run.error_norm[-1] == pytest.approx(many.runs[3].final_error, abs=1e-12)
+    assert (run.x_measured - run.x).std() == pytest.approx(1e-3, rel=0.1)
+
+
+def test_the_same_bits_in_numpy():
+    """And on vectors of any width."""
+    controller, errors, region = test_lanes.study("two_link", "xz")
+    whole = rollout_study.Study(
+        controller, errors, region, None, 0.3, 1e-3, 1e-3, 0, ALL["sensing"], 0.006
+    )
+    starts = [whole.start(index) for index in range(9)]
+    begun, box = [each.begun(controller) for each in starts], whole._box()
+    assert isinstance(box, Box)
+    engines = (NumpyLanes, LlvmLanes, lambda p: LlvmLanes(p, 2, "+sse2"))
+    expected, *found = (
+        Lanes(controller, starts[0].plant, begun, box, 1e-3, 300, 0.3, engine=each).run(begun, 10)
+        for each in engines
+    )
+    for told in TOLD:
+        for each in found:
+            assert_array_equal(each[told], expected[told], err_msg=told)
+    assert np.isfinite(expected[TOLD.error]).all()
+
+
+MANY = test_lanes.study("two_link", "xz"), {"runs": 70, "duration": 0.2, "dt": 2e-3} | ALL
+
+
+@pytest.mark.study
+def test_the_same_bits_in_processes():
+    loop, options = MANY
+    expected = test_lanes.digest(aj.rollouts(*loop, **options))
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        assert test_lanes.digest(aj.rollouts(*loop, executor=pool, **options)) == expected
+
+
+def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
+    """Threads, stopped and gone on with, portions and blocks of other sizes."""
+    loop, options = MANY
+    expected = test_lanes.digest(aj.rollouts(*loop, **options))
+    with ThreadPoolExecutor(2) as pool:
+        assert test_lanes.digest(aj.rollouts(*loop, executor=pool, **options)) == expected
+
+    def stop(done):
+        if done >= 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        aj.rollouts(*loop, folder=tmp_path, progress=stop, **options)
+    assert len(list(tmp_path.iterdir())) == 10
+    assert test_lanes.digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
+    monkeypatch.setattr(rollout_study, "_PORTION", 16)
+    monkeypatch.setattr("approxjac.codegen.lanes._BLOCK", 7)
+    assert test_lanes.digest(aj.rollouts(*loop, **options)) == expected
+
+
+def test_what_is_refused(two_link):
+    controller = aj.SetpointController(aj.PositionTask(two_link))
+    for options in ({"servo": VelocityServo()}, {"torque_limits": 1.0}):
+        with pytest.raises(aj.InvalidInputError, match="without a servo and torque_limits to make"):
+            require_covered(controller, aj.Plant(two_link, controller.task, **options))
+    loop = test_lanes.study("ur5")
+    with pytest.raises(aj.InvalidInputError, match="x_noise"):
+        aj.rollouts(*loop, sensing=Sensing(x_noise=[1.0, 2.0]), runs=1)
+    with pytest.raises(aj.InvalidInputError, match="actuator_delay"):
+        aj.rollouts(*loop, actuator_delay=-1.0, runs=1)
