@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +13,8 @@ from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
+from approxjac.stability import task_terms
+from approxjac.stability.configurations import Arms, Configurations
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import JointBox, Region, RegularPart, require_setpoint
@@ -19,7 +22,7 @@ from approxjac.stability.samples import Indices, Samples
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import jacobian_gradient, require_jacobian_of_q, vanishing
+from approxjac.tasks.analysis import require_jacobian_of_q, vanishing
 from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5
@@ -29,6 +32,7 @@ _STARTS = 20  # of the search for configurations that attain a target
 _DECADES = 6.0  # of the sizes of small errors
 _LEAST_REGULAR, _NEWTON_STEPS, _HALVINGS = 5, 20, 8  # of the search for singular configurations
 _VANISHING = 1e-4  # σ_min that is found there, of a tenth of the typical σ_max
+_PORTION = 500  # configurations at once, as many as fit into a processor's cache
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
 
 
@@ -163,11 +167,11 @@ class ClosedLoop:
         away = np.choose(kinds, [np.zeros(n), sizes, np.ones(n)])  # as a share of the way
         if self.target is None:
             others = self._seen(truths, self.region.sample(n, rng), rng)
-            x_d = [
-                self.plants[t].sensor.value(self.parts[t].between(q, other, share))
+            ends = [
+                self.parts[t].between(q, other, share)
                 for t, q, other, share in zip(truths, drawn, others, away, strict=True)
             ]
-            return self.samples_at(truths, drawn, np.array(x_d))
+            return self.samples_at(truths, drawn, self._values(truths, np.array(ends)))
         known, model = self.attained(rng), self.region.robot.model
         for i, (t, share) in enumerate(zip(truths, away, strict=True)):
             end = known[t][rng.integers(len(known[t]))]
@@ -210,13 +214,17 @@ class ClosedLoop:
         M, dM = np.empty((N, n, n)), np.empty((N, n, n, n))
         J, J_e, J_hat = np.empty((N, m, n)), np.empty((N, m, n)), np.empty((N, m, n))
         dJ_hat, e = np.empty((N, n, m, n)), np.empty((N, m))
-        for i, (t, q) in enumerate(zip(truths, configurations, strict=True)):
-            dynamics, sensor = self.plants[t].dynamics, self.plants[t].sensor
-            M[i], dM[i] = dynamics.M(q), dynamics.M_gradient(q)
-            e[i] = sensor.error(sensor.value(q), x_d[i])
-            J[i] = sensor._sensor_jacobian(q)
-            J_e[i] = sensor._error_jacobian(e[i], J[i])
-            J_hat[i], dJ_hat[i] = task.jacobian(q), jacobian_gradient(task, q)
+        for rows in _portions(N):
+            of_portion, q = truths[rows], configurations[rows]
+            at = self._true_arms.at(of_portion, q)
+            M[rows], dM[rows] = at.M(), at.M_gradient()
+            for sensor, each, here in self._by_sensor(of_portion, at):
+                e_here = task_terms.errors(sensor, task_terms.values(sensor, here), x_d[rows][each])
+                J_here = task_terms.sensor_jacobians(sensor, here)
+                e[rows][each], J[rows][each] = e_here, J_here
+                J_e[rows][each] = task_terms.error_jacobians(sensor, e_here, J_here)
+            at = self._believed_arm.at(np.zeros_like(of_portion), q)
+            J_hat[rows], dJ_hat[rows] = task_terms.jacobians(task, at), task_terms.gradients(task, at)
         values = np.linalg.svd(J_hat, compute_uv=False)
         singular = values[:, -1] <= _SINGULAR * values[:, 0]
         if singular.any():
@@ -228,6 +236,31 @@ class ClosedLoop:
             )
         s, slope = saturation.s(e), saturation.ds(e)
         return Samples(truths, configurations, x_d, M, dM, J, J_e, J_hat, dJ_hat, s, slope)
+
+    def _values(self, truths: Indices, configurations: Array) -> Array:
+        """What true robots (N,) measure at configurations (N, nq), shape (N, n_x)."""
+        at = self._true_arms.at(truths, configurations)
+        found = np.empty((len(truths), self.plants[0].sensor.n_x))
+        for sensor, each, here in self._by_sensor(truths, at):
+            found[each] = task_terms.values(sensor, here)
+        return found
+
+    def _by_sensor(
+        self, truths: Indices, at: Configurations
+    ) -> Iterator[tuple[Task, Array, Configurations]]:
+        """Each true robot's sensor, which of the configurations are of it, and these."""
+        for t in dict.fromkeys(truths.tolist()):
+            each = truths == t
+            yield self.plants[t].sensor, each, at if each.all() else at.take(each)
+
+    @cached_property
+    def _true_arms(self) -> Arms:
+        robots = [plant.robot for plant in self.plants]
+        return task_terms.arms_of(robots, [plant.sensor for plant in self.plants])
+
+    @cached_property
+    def _believed_arm(self) -> Arms:
+        return task_terms.arms_of([self.controller.task.robot], [self.controller.task])
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.
@@ -267,6 +300,11 @@ class ClosedLoop:
         for t, part in enumerate(self.parts):
             drawn[truths == t] = part.replace_unseen(drawn[truths == t], rng)
         return drawn
+
+
+def _portions(N: int) -> Iterator[slice]:
+    for start in range(0, N, _PORTION):
+        yield slice(start, start + _PORTION)
 
 
 def require_law(controller: SetpointController) -> None:
