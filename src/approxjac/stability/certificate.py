@@ -18,6 +18,7 @@ _REFINED = 6  # closer looks at the worst sample, each from the worst of the las
 _NEAR = 40  # samples of a closer look
 _CLOSER = 0.15  # of the region's spread
 _NOTABLE = 1e-3  # margin
+_SAME = 1e-9  # relative, of constants
 _MISSED = 0.05 / 3  # three families share the 5 %
 
 
@@ -82,17 +83,30 @@ def refine_constants(loop: ClosedLoop, samples: Samples, rng: np.random.Generato
     """Look closer around the worst sample of each constant of Theorem 1."""
     setting = loop.setting
     values = constants(samples, setting)
+    more: list[Samples] = []
     for name in CONSTANTS:
         for _ in range(_REFINED):
-            k = int(badness(name, values[name]).argmax())
-            nearby = loop.near(samples, k, _NEAR, _CLOSER, rng)
+            bad = badness(name, values[name])
+            k = _first_largest(bad)
+            known, k = (samples, k) if k < len(samples) else (more[k - len(samples)], 0)
+            nearby = loop.near(known, k, _NEAR, _CLOSER, rng)
             found = constants(nearby, setting)
-            worst = np.array([badness(name, found[name]).argmax()])
-            if badness(name, found[name]).max() <= badness(name, values[name])[k]:
+            its_bad = badness(name, found[name])
+            if its_bad.max() <= bad.max() + _SAME * abs(bad.max()):
                 break
-            samples = samples.join(nearby.take(worst))
+            worst = np.array([_first_largest(its_bad)])
+            more.append(nearby.take(worst))
             values = {key: np.append(values[key], found[key][worst]) for key in values}
-    return samples
+    return samples.join(*more)
+
+
+def _first_largest(values: Array) -> int:
+    """Return the first of the largest values, which round-off alone may tell apart.
+
+    Such as ‖Jᵀ − Ĵᵀ‖ of a longer tool, which is the same wherever the tool can be turned to.
+    """
+    most = float(values.max())
+    return int((values >= most - _SAME * abs(most)).argmax())
 
 
 def refine_weights(
@@ -112,7 +126,7 @@ def refine_weights(
         found.append(worst.take(np.array([k])))
     if not found:
         return form, best
-    form = MatrixForm(form.samples.join(*found), form.setting)
+    form = form.join(*found)
     return form, best_weights(form, family, best)
 
 

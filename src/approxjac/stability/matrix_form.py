@@ -7,8 +7,11 @@ SciPy) take less than a conic solver takes to read the problem.
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -73,15 +76,42 @@ class Setting:
         return FAMILIES if self.fixed_alpha is None else ("paper", "free")
 
 
+class Best(NamedTuple):
+    """The Lyapunov function of a family with the largest least margin."""
+
+    weights: Weights
+    margins: Array  # in every sample, shape (N,)
+    active: Indices  # of the samples that decided it
+    unknowns: Array  # the scaled ones of `weights`, to start from again
+
+
 class MatrixForm:
     """Matrices that have to be positive for V to be a Lyapunov function, at many samples."""
 
     def __init__(self, samples: Samples, setting: Setting) -> None:
         self.samples, self.setting = samples, setting
         J_hat, dJ_hat, kv = samples.J_hat, samples.dJ_hat, setting.kv
-        self._D = law.dissipation(J_hat, kv, setting.B)
-        self._pinv = law.cross_weight_pinv(J_hat, dJ_hat, setting.weight)
-        self._damped = law.cross_weight_damped(self._D, J_hat, dJ_hat, kv)
+        D = law.dissipation(J_hat, kv, setting.B)
+        pinv = law.cross_weight_pinv(J_hat, dJ_hat, setting.weight)
+        damped = law.cross_weight_damped(D, J_hat, dJ_hat, kv)
+        self._of_samples = _OfSamples(D, np.linalg.inv(np.linalg.cholesky(D)), *pinv, *damped)
+
+    def take(self, which: Indices | slice) -> Self:
+        """Return the matrices of some of the samples."""
+        return self._with(self.samples.take(which), lambda values: values[which])
+
+    def join(self, *others: Samples) -> Self:
+        """Return the matrices of these samples and of others after them."""
+        more = MatrixForm(others[0].join(*others[1:]), self.setting)
+        each = iter(more._of_samples)
+        joined = self.samples.join(more.samples)
+        return self._with(joined, lambda values: np.concatenate([values, next(each)]))
+
+    def _with(self, samples: Samples, changed: Callable[[Array], Array]) -> Self:
+        other = copy.copy(self)
+        other.samples = samples
+        other._of_samples = _OfSamples(*map(changed, self._of_samples))
+        return other
 
     def pencils(self, weights: Weights) -> tuple[Array, Array]:
         """Return X and Y with the margin as the largest μ for which X − μY ≥ 0.
@@ -89,22 +119,16 @@ class MatrixForm:
         X holds Q of V̇ = −zᵀQz and P of V ≥ ½zᵀPz, one after the other, Y the same without their
         cross blocks and inertia; both of shape (2, N, n_v + m, n_v + m) and affine in the weights.
         """
-        at, setting = self.samples, self.setting
-        (G1, dG1), (G2, dG2) = self._pinv, self._damped
-        G = G1 @ weights.A1 + G2 @ weights.A2
-        N = np.zeros_like(at.M)
-        if not setting.large_gains:
-            dG = dG1 @ weights.A1 + dG2 @ weights.A2
-            N = law.inertial_block(at.M, at.dM, at.J_e, G, dG, at.s, at.slope)
-        Q = law.decrease_matrix(self._D, N, at.J_e, at.J_hat, G, setting.kp, weights.w)
-        P = law.potential_matrix(at.M, G, weights.w, setting.c_bar)
+        D, M = self._of_samples.D, self.samples.M
+        Q, G = self._decrease(weights)
+        P = law.potential_matrix(M, G, weights.w, self.setting.c_bar)
         X = np.stack([Q, P])
         Y = np.zeros_like(X)
-        n = self._D.shape[-1]
-        Y[0, :, :n, :n] = self._D
-        Y[1, :, :n, :n] = at.M
+        n = D.shape[-1]
+        Y[0, :, :n, :n] = D
+        Y[1, :, :n, :n] = M
         Y[:, :, n:, n:] = X[:, :, n:, n:]
-        if setting.large_gains:  # V is all potential
+        if self.setting.large_gains:  # V is all potential
             X[1] = Y[1]
         return X, Y
 
@@ -117,18 +141,67 @@ class MatrixForm:
         margins = np.full(len(self.samples), -np.inf)
         if (weights.w <= 0.0).any():
             return margins
-        (Q, P), (Y, _) = self.pencils(weights)
-        n = self._D.shape[-1]
-        positive = np.linalg.eigvalsh(Y[:, n:, n:])[:, 0] > 0.0
-        factor = np.linalg.inv(np.linalg.cholesky(Y[positive]))
-        decrease = np.linalg.eigvalsh(factor @ Q[positive] @ factor.mT)[:, 0]
+        Q, G = self._decrease(weights)
+        n = Q.shape[-1] - len(weights.w)
+        stiffness = Q[:, n:, n:]
+        positive = np.linalg.eigvalsh(stiffness)[:, 0] > 0.0
+        whole = bool(positive.all())
+        chosen: Any = slice(None) if whole else positive
+        factor = np.zeros_like(Q[chosen])
+        factor[:, :n, :n] = self._of_samples.root[chosen]
+        factor[:, n:, n:] = np.linalg.inv(np.linalg.cholesky(stiffness[chosen]))
+        decrease = np.linalg.eigvalsh(factor @ Q[chosen] @ factor.mT)[:, 0]
+        if self.setting.large_gains:  # V is all potential
+            margins[chosen] = np.minimum(decrease, 1.0)
+            return margins
         # of P the margin is 1 less the largest singular value of the whitened cross block
-        cross, M = P[positive, :n, n:], self.samples.M[positive]
-        square = cross.mT @ np.linalg.solve(M, cross)
+        G = G[chosen]
         roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
-        size = np.linalg.eigvalsh(square / np.outer(roots, roots))[:, -1]
-        margins[positive] = np.minimum(decrease, 1.0 - np.sqrt(np.maximum(size, 0.0)))
+        square = G.mT @ self.samples.M[chosen] @ G / np.outer(roots, roots)
+        size = np.linalg.eigvalsh(square)[:, -1]
+        margins[chosen] = np.minimum(decrease, 1.0 - np.sqrt(np.maximum(size, 0.0)))
         return margins
+
+    def evaluated(self, best: Best) -> Best:
+        """Return what was found on the first of these samples, with its margins in all of them."""
+        more = len(best.margins)
+        if more == len(self.samples):
+            return best
+        rest = self.take(slice(more, None)).margins(best.weights)
+        return best._replace(margins=np.concatenate([best.margins, rest]))
+
+    def violations(self, weights: Weights) -> int:
+        """Return in how many samples the margin is not positive."""
+        if (weights.w > 0.0).all():
+            with suppress(np.linalg.LinAlgError):  # faster than eigenvalues where there are none
+                Q, G = self._decrease(weights)
+                np.linalg.cholesky(Q)
+                if not self.setting.large_gains:
+                    M, c_bar = self.samples.M, self.setting.c_bar
+                    np.linalg.cholesky(law.potential_matrix(M, G, weights.w, c_bar))
+                return 0
+        return int((self.margins(weights) <= 0.0).sum())
+
+    def _decrease(self, weights: Weights) -> tuple[Array, Array]:
+        """Q of V̇ = −zᵀQz, (N, n_v + m, n_v + m), and the cross weight G, (N, n_v, m)."""
+        at, of, setting = self.samples, self._of_samples, self.setting
+        G = of.pinv @ weights.A1 + of.damped @ weights.A2
+        N = np.zeros_like(at.M)
+        if not setting.large_gains:
+            dG = of.dpinv @ weights.A1 + of.ddamped @ weights.A2
+            N = law.inertial_block(at.M, at.dM, at.J_e, G, dG, at.s, at.slope)
+        return law.decrease_matrix(of.D, N, at.J_e, at.J_hat, G, setting.kp, weights.w), G
+
+
+class _OfSamples(NamedTuple):
+    """What no weights change, of each sample: D, L⁻¹ of D = LLᵀ, and both G of `law` with ∂G."""
+
+    D: Array
+    root: Array
+    pinv: Array
+    dpinv: Array
+    damped: Array
+    ddamped: Array
 
 
 class _Unknowns:
@@ -163,15 +236,6 @@ class _Unknowns:
         return found
 
 
-class Best(NamedTuple):
-    """The Lyapunov function of a family with the largest least margin."""
-
-    weights: Weights
-    margins: Array  # in every sample, shape (N,)
-    active: Indices  # of the samples that decided it
-    unknowns: Array  # the scaled ones of `weights`, to start from again
-
-
 def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
     """Choose the Lyapunov function of a family whose least margin is largest.
 
@@ -187,8 +251,7 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
     while True:
         inner = np.inf
         if unknowns.basis:
-            few = MatrixForm(form.samples.take(active), form.setting)
-            y, inner = _cutting_planes(few, unknowns, y)
+            y, inner = _cutting_planes(form.take(active), unknowns, y)
         weights = unknowns.weights(y)
         margins = form.margins(weights)
         others = np.setdiff1d(np.argsort(margins)[:_MORE], active)

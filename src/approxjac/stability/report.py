@@ -17,7 +17,7 @@ from approxjac.simulation import Plant
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
 from approxjac.stability.closed_loop import EXACT_GRAVITY, ClosedLoop
 from approxjac.stability.local import LocalTest, local_test
-from approxjac.stability.matrix_form import Family, MatrixForm, Weights
+from approxjac.stability.matrix_form import Best, Family, MatrixForm
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
 from approxjac.stability.samples import Samples
@@ -248,21 +248,23 @@ def stability_report(
     setting = loop.setting
     samples = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
-    chosen: dict[Family, Weights] = {}
-    weights: Weights | None = None
+    chosen: dict[Family, Best] = {}
+    known: Best | None = None
     for k, family in enumerate(setting.families):
         tell("matrix form", k / len(setting.families))
         form, best = refine_weights(loop, form, family, rng)
         # a family holds those before it, whatever the search for it has found
-        if weights is None or form.margins(weights).min() <= best.margins.min():
-            weights = best.weights
-        chosen[family] = weights
+        if known is not None:
+            known = form.evaluated(known)
+        if known is None or known.margins.min() <= best.margins.min():
+            known = best
+        chosen[family] = known
     samples = form.samples
     matrix: dict[Family, MatrixTest] = {}
-    for family, weights in chosen.items():
-        violations = int((check.margins(weights) <= 0.0).sum())
+    for family, best in chosen.items():
+        weights, margins = best.weights, form.evaluated(best).margins
         matrix[family] = MatrixTest(
-            family, weights, form.margins(weights), len(fresh), violations, loop.region.independent
+            family, weights, margins, len(fresh), check.violations(weights), loop.region.independent
         )
     tell("local", 0.0)
     truths, configured = samples.truth, samples.q

@@ -34,11 +34,13 @@ class Samples:
     def __len__(self) -> int:
         return len(self.q)
 
-    def take(self, which: Indices) -> Samples:
+    def take(self, which: Indices | slice) -> Samples:
         """Return the samples of some indices."""
         return Samples(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def join(self, *others: Samples) -> Samples:
         """Return these samples and others after them."""
+        if not others:
+            return self
         each = (self, *others)
         return Samples(*(np.concatenate([getattr(s, f.name) for s in each]) for f in fields(self)))
