@@ -11,8 +11,8 @@ import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Posture, RegressorGravity
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
-from approxjac.stability import local as local_module
 from approxjac.stability import lyapunov
+from approxjac.stability import targets as targets_module
 from approxjac.tasks import PlanarCamera
 
 
@@ -320,7 +320,7 @@ def test_the_manifold_of_equilibria_is_recognised(panda):
 @pytest.mark.parametrize(
     "wrong",
     [
-        lambda still: still[:, 1:],  # one more eigenvalue is zero than was expected
+        lambda still: still[..., 1:],  # one more eigenvalue is zero than was expected
         lambda still: still + 1e-3,  # no equilibria there
     ],
 )
@@ -328,8 +328,8 @@ def test_the_manifold_of_equilibria_is_recognised(panda):
 def test_a_manifold_that_is_none_decides_nothing(panda, monkeypatch, wrong, dt):
     plant, controller, q = panda_loop(panda, (5.0, 2.0))
     assert not aj.local_stability(plant, controller, q, dt).singular
-    right = local_module.equilibria
-    monkeypatch.setattr(local_module, "equilibria", lambda *given: wrong(right(*given)))
+    right = targets_module.equilibria
+    monkeypatch.setattr(targets_module, "equilibria", lambda *given: wrong(right(*given)))
     assert aj.local_stability(plant, controller, q, dt).singular
 
 

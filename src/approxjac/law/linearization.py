@@ -50,23 +50,24 @@ def adaptive_closed_loop_matrix(
     the two cancel. Ĵ and Z in (29) are taken at the target: what multiplies their changes is zero
     there.
 
-    The arguments are those of `closed_loop_matrix`, without leading axes; Ĵ⁺ as the law has it,
-    shape (n_v, m); the gravity regressor Z at the target, shape (n_v, p); the adaptation gain L, a
-    diagonal (p,) or a matrix (p, p); and α > 0 [1/s].
+    The arguments are those of `closed_loop_matrix`; Ĵ⁺ as the law has it, shape (…, n_v, m); the
+    gravity regressor Z at the target, shape (…, n_v, p); the adaptation gain L, a diagonal (p,) or
+    a matrix (p, p); and α > 0 [1/s].
 
     Returns:
-        A, shape (2 n_v + p, 2 n_v + p).
+        A, shape (…, 2 n_v + p, 2 n_v + p).
     """
-    n, p = Z.shape
+    n, p = Z.shape[-2:]
     LZ = learning_gain(L, Z)
-    A = np.zeros((2 * n + p, 2 * n + p))
-    A[: 2 * n, : 2 * n] = closed_loop_matrix(M, J, J_hat, kp, kv, B)
-    A[n : 2 * n, 2 * n :] = np.linalg.solve(M, Z)
-    A[2 * n :, :n] = -alpha * LZ @ J_hat_pinv @ J
-    A[2 * n :, n : 2 * n] = -LZ
+    A = np.zeros((*M.shape[:-2], 2 * n + p, 2 * n + p))
+    A[..., : 2 * n, : 2 * n] = closed_loop_matrix(M, J, J_hat, kp, kv, B)
+    if p:
+        A[..., n : 2 * n, 2 * n :] = np.linalg.solve(M, Z)
+        A[..., 2 * n :, :n] = -alpha * LZ @ J_hat_pinv @ J
+        A[..., 2 * n :, n : 2 * n] = -LZ
     return A
 
 
 def learning_gain(L: Array, Z: Array) -> Array:
-    """L Zᵀ of (29), shape (p, n_v), with L a diagonal (p,) or a matrix (p, p)."""
-    return L[:, np.newaxis] * Z.T if L.ndim == 1 else L @ Z.T
+    """L Zᵀ of (29), shape (…, p, n_v), with L a diagonal (p,) or a matrix (p, p)."""
+    return L[:, np.newaxis] * Z.mT if L.ndim == 1 else np.asarray(L @ Z.mT)

@@ -16,9 +16,11 @@ from approxjac.simulation import Plant
 from approxjac.stability import task_terms
 from approxjac.stability.configurations import Arms, Configurations
 from approxjac.stability.inverse_kinematics import inverse_kinematics
+from approxjac.stability.linearization import Timing, linear_loops
 from approxjac.stability.matrix_form import Setting
 from approxjac.stability.region import JointBox, Region, RegularPart, require_setpoint
 from approxjac.stability.samples import Indices, Samples
+from approxjac.stability.targets import Targets
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.tasks import Task
@@ -45,6 +47,7 @@ class ClosedLoop:
     Attributes:
         corners: Values of the uncertain coordinates of each true robot, shape (k, d).
         plants: The true robots.
+        diagonals: The gains.
         parts: The region as each true robot's sensor sees it.
 
     Raises:
@@ -63,7 +66,7 @@ class ClosedLoop:
         if isinstance(truth, Robot):
             truth = Plant(truth, controller.task.on(truth))
         require("truth", truth, (Plant, Uncertainty), "a Plant, a Robot or an Uncertainty")
-        self.controller, self.truth = controller, truth
+        self.controller, self.truth, self.diagonals = controller, truth, controller.diagonals
         self.corners = truth.corners() if isinstance(truth, Uncertainty) else np.zeros((1, 0))
         self.plants = [truth] if isinstance(truth, Plant) else [*map(truth.plant, self.corners)]
         for plant in self.plants:
@@ -84,15 +87,15 @@ class ClosedLoop:
         return ClosedLoop(self.controller, self.truth.scaled(factor), self.region, self.target)
 
     def with_gains(self, gains: Gains) -> ClosedLoop:
-        """Return the loop with other gains of its controller."""
-        other = copy.copy(self)
-        other.controller = self.controller.with_gains(gains)
+        """Return the loop with other gains than its controller's."""
+        task, other = self.controller.task, copy.copy(self)
+        other.diagonals = gains.diagonals(task.m, task.robot.nv)
         return other
 
     @property
     def setting(self) -> Setting:
         """Gains and damping, as the conditions need them."""
-        (kp, kv, damping), learning = self.controller.diagonals, self.controller.adaptation
+        (kp, kv, damping), learning = self.diagonals, self.controller.adaptation
         alpha = None if learning is None else learning.alpha
         B, c_bar = damping + self.plants[0].friction, self.controller.saturation.c_bar
         return Setting(kp, kv, B, c_bar, alpha, self.controller.pinv.weight)
@@ -224,7 +227,8 @@ class ClosedLoop:
                 e[rows][each], J[rows][each] = e_here, J_here
                 J_e[rows][each] = task_terms.error_jacobians(sensor, e_here, J_here)
             at = self._believed_arm.at(np.zeros_like(of_portion), q)
-            J_hat[rows], dJ_hat[rows] = task_terms.jacobians(task, at), task_terms.gradients(task, at)
+            J_hat[rows] = task_terms.jacobians(task, at)
+            dJ_hat[rows] = task_terms.gradients(task, at)
         values = np.linalg.svd(J_hat, compute_uv=False)
         singular = values[:, -1] <= _SINGULAR * values[:, 0]
         if singular.any():
@@ -261,6 +265,28 @@ class ClosedLoop:
     @cached_property
     def _believed_arm(self) -> Arms:
         return task_terms.arms_of([self.controller.task.robot], [self.controller.task])
+
+    def linearised(
+        self, truths: Indices, configurations: Array, timing: Timing | None = None
+    ) -> Targets:
+        """Linearise at true robots (N,) with configurations (N, nq), taken as targets."""
+        task, at = self.controller.task, self._true_arms.at(truths, configurations)
+        M, G = at.M(), np.zeros((len(truths), task.robot.nv, task.robot.nv))
+        if timing is not None:  # gravity and its compensation do not quite cancel
+            pairs = zip(truths, configurations, strict=True)
+            G = np.array([self.plants[t].dynamics.g_gradient(q) for t, q in pairs])
+        J = np.empty((len(truths), task.m, task.robot.nv))
+        for sensor, each, here in self._by_sensor(truths, at):
+            J[each] = task_terms.sensor_jacobians(sensor, here)
+        if task._uses_x:
+            x = self._values(truths, configurations)
+            J_hat = np.array(list(map(task.jacobian, configurations, x)))
+        else:
+            at = self._believed_arm.at(np.zeros_like(truths), configurations)
+            J_hat = task_terms.jacobians(task, at)
+        friction = self.plants[0].friction
+        parts = linear_loops(self.controller, friction, configurations, M, G, J, J_hat)
+        return Targets(parts, float(np.linalg.norm(self.plants[0].robot.gravity)), timing)
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.

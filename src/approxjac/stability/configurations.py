@@ -192,7 +192,7 @@ class Configurations:
 
 def _before(carries: Array) -> Array:
     """Whether the first joint carries the second one, which is another one."""
-    return carries & ~np.eye(len(carries), dtype=bool)
+    return np.asarray(carries & ~np.eye(len(carries), dtype=bool))
 
 
 def _times(A: Array, a: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,10 @@ from approxjac.validation import Array
 
 
 class LinearLoop(NamedTuple):
-    """Parts of the linearised laws (6) and (28), (29), as of `law.adaptive_closed_loop_matrix`."""
+    """Parts of the linearised laws (6) and (28), (29), as of `law.adaptive_closed_loop_matrix`.
+
+    Those of many targets have an axis N in front, but for what targets have in common.
+    """
 
     M: Array
     G: Array  # ∂g/∂q at the target, of the robot and of its exact compensation, (n_v, n_v)
@@ -28,6 +31,18 @@ class LinearLoop(NamedTuple):
     Z: Array  # of all that is learnt, Y of `Adaptation`, (n_v, p); p = 0 where gravity is known
     L: Array
     alpha: float
+
+    def take(self, which: Any) -> LinearLoop:
+        """Return the parts of some of many targets, or of one of them."""
+        return self._replace(**{name: getattr(self, name)[which] for name in OF_TARGETS})
+
+    def stacked(self) -> LinearLoop:
+        """Return the parts of one target as those of many."""
+        return self.take(np.newaxis)
+
+
+OF_TARGETS = ("M", "G", "J", "J_hat", "J_hat_pinv", "Z")
+"""Parts of a `LinearLoop` that each target has of its own."""
 
 
 class Timing(NamedTuple):
@@ -45,7 +60,7 @@ class Timing(NamedTuple):
 
     def states(self, loop: LinearLoop) -> tuple[int, ...]:
         """Lengths of the parts of the state: δq, q̇, δθ̂, filter, late x, late torques."""
-        (n, p), m = loop.Z.shape, len(loop.J)
+        (n, p), m = loop.Z.shape[-2:], loop.J.shape[-2]
         filtered = 0 if self.velocity_filter is None else n
         return n, n, p, filtered, self.x_late * m, self.torque_late * n
 
@@ -56,21 +71,34 @@ def linear_loop(plant: Plant, controller: SetpointController, q: Array) -> Linea
     Where Ĵ uses the measured x it is taken at that of the target: its change with x is multiplied
     by e and q̇, which are zero there.
     """
-    n, m = plant.robot.nv, plant.sensor.m
     J_hat = np.array(controller.task.jacobian(q, plant.sensor.value(q)))
-    learning = controller.adaptation
-    Z, L, alpha, J_hat_pinv = np.zeros((n, 0)), np.zeros(0), 0.0, np.zeros((n, m))
-    if learning is not None:
-        Z, L, alpha = learning.Y(q, J_hat), learning.L, learning.alpha
-        J_hat_pinv = controller.pinv.matrix(J_hat)
     M, G = plant.dynamics.M(q), plant.dynamics.g_gradient(q)
     J = np.array(plant.sensor._sensor_jacobian(q))
+    terms = [each[np.newaxis] for each in (q, M, G, J, J_hat)]
+    return linear_loops(controller, plant.friction, *terms).take(0)
+
+
+def linear_loops(
+    controller: SetpointController,
+    friction: Array,
+    q: Array,
+    M: Array,
+    G: Array,
+    J: Array,
+    J_hat: Array,
+) -> LinearLoop:
+    """Return the parts of `linear_loop` at many configurations, all with an axis N in front."""
+    (N, m, n), learning = J.shape, controller.adaptation
+    Z, L, alpha, J_hat_pinv = np.zeros((N, n, 0)), np.zeros(0), 0.0, np.zeros((N, n, m))
+    if learning is not None:
+        Z, L, alpha = np.array(list(map(learning.Y, q, J_hat))), learning.L, learning.alpha
+        J_hat_pinv = np.array(list(map(controller.pinv.matrix, J_hat)))
     kp, kv, damping = controller.diagonals
-    return LinearLoop(M, G, J, J_hat, J_hat_pinv, kp, kv, plant.friction, damping, Z, L, alpha)
+    return LinearLoop(M, G, J, J_hat, J_hat_pinv, kp, kv, friction, damping, Z, L, alpha)
 
 
 def continuous_matrix(loop: LinearLoop) -> Array:
-    """A of ż = A z with z = (δq, q̇, δθ̂), shape (2 n_v + p, 2 n_v + p)."""
+    """A of ż = A z with z = (δq, q̇, δθ̂), shape (…, 2 n_v + p, 2 n_v + p)."""
     M, _, J, J_hat, J_hat_pinv, kp, kv, friction, damping, Z, L, alpha = loop
     B = friction + damping
     return law.adaptive_closed_loop_matrix(M, J, J_hat, J_hat_pinv, kp, kv, B, Z, L, alpha)
@@ -116,19 +144,21 @@ def equilibria(loop: LinearLoop, unseen: Array, timing: Timing | None = None) ->
     """Directions in which the equilibria with e = 0 continue, as columns of the state z.
 
     Self-motion, along which the held torque follows gravity, and changes of θ̂ that no joint feels
-    at the target, of which `unseen` is a basis, shape (p, p − rank Z).
+    at the target, of which `unseen` is a basis, shape (…, p, p − rank Z).
     """
-    n, m = loop.M.shape[0], len(loop.J)
-    self_motion = np.linalg.svd(loop.J)[2][m:].T
+    m, n = loop.J.shape[-2:]
+    self_motion = np.linalg.svd(loop.J)[2][..., m:, :].mT
     sizes = Timing(1.0).states(loop) if timing is None else timing.states(loop)
-    directions = np.zeros((sum(sizes), self_motion.shape[1] + unseen.shape[1]))
-    q, _, theta, w, _, torque_late = np.split(directions, np.cumsum(sizes)[:-1])  # views
-    q[:, : n - m] = self_motion
-    theta[:, n - m :] = unseen
+    directions = np.zeros((*loop.J.shape[:-2], sum(sizes), n - m + unseen.shape[-1]))
+    parts = np.split(directions, np.cumsum(sizes)[:-1], axis=-2)  # views
+    q, _, theta, w, _, torque_late = parts
+    q[..., : n - m] = self_motion
+    theta[..., n - m :] = unseen
     if timing is not None:
         if timing.velocity_filter is not None:  # standing still, (a/dt) δq + w = 0
-            w[:, : n - m] = -self_motion / (timing.velocity_filter + timing.dt)
-        torque_late[:, : n - m] = np.tile(loop.G @ self_motion, (timing.torque_late, 1))
+            w[..., : n - m] = -self_motion / (timing.velocity_filter + timing.dt)
+        for late in range(timing.torque_late):
+            torque_late[..., late * n : (late + 1) * n, : n - m] = loop.G @ self_motion
     return directions
 
 

@@ -14,19 +14,12 @@ from approxjac.controllers.gravity import Adaptation
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant, Sensing
 from approxjac.stability.closed_loop import ClosedLoop, require_law
-from approxjac.stability.linearization import (
-    Timing,
-    continuous_matrix,
-    equilibria,
-    linear_loop,
-    sampled_matrix,
-)
+from approxjac.stability.linearization import Timing, linear_loop
 from approxjac.stability.region import require_seen
 from approxjac.stability.samples import Indices
+from approxjac.stability.targets import Targets
 from approxjac.validation import Array, as_number, require
 
-_SINGULAR = 1e-10  # relative smallest singular value that counts as zero
-_ZERO = 1e-11  # size of an eigenvalue relative to the largest that counts as zero
 _EXACT = 1e-6  # relative error of a gravity compensation that counts as none
 _NEAR = 1e-2  # how far from the target gravity is compared [rad or m]
 _MOST_STATES = 1000  # eigenvalues of more take many seconds
@@ -145,32 +138,24 @@ def local_stability(
     q = plant.robot.configuration(q_target, "q_target")
     require_seen("q_target", q, plant.sensor)
     _require_gravity(plant, controller, q)
-    return linearised(plant, controller, q, timing)
+    return _at_target(plant, controller, q, timing)
 
 
-def linearised(
-    plant: Plant, controller: SetpointController, q: Array, timing: Timing | None = None
+def _at_target(
+    plant: Plant, controller: SetpointController, q: Array, timing: Timing | None
 ) -> LocalStability:
-    """Return `local_stability` of what has been checked: gravity is taken as exact, or learnt."""
+    """Return `local_stability` of what has been checked."""
     loop = linear_loop(plant, controller, q)
-    unseen = _null_space(loop.Z, float(np.linalg.norm(plant.robot.gravity)))
-    still = equilibria(loop, unseen, timing)
-    A = continuous_matrix(loop) if timing is None else sampled_matrix(loop, timing)
-    values, is_manifold = _eigenvalues_across(A, still, 0.0 if timing is None else 1.0)
-    if timing is not None:  # λ = ln(μ)/dt; −∞ for a mode that is over after one sample
-        sizes, angles = np.abs(values), np.angle(values)
-        with np.errstate(divide="ignore"):
-            values.real, values.imag = np.log(sizes) / timing.dt, angles / timing.dt
-    across = np.linalg.svd(loop.J @ np.linalg.solve(loop.M, loop.J_hat.T), compute_uv=False)
-    sizes = np.abs(values[np.isfinite(values)])
-    has_zero = np.min(sizes, initial=np.inf) <= _ZERO * np.max(sizes, initial=0.0)
+    gravity = float(np.linalg.norm(plant.robot.gravity))
+    targets = Targets(loop.stacked(), gravity, timing)
+    (values,), (singular,) = targets.eigenvalues(controller.diagonals)
     return LocalStability(
         values[np.argsort(-values.real)],
         self_motion=plant.robot.nv - plant.sensor.m,
-        unseen_parameters=unseen.shape[1],
-        singular=bool(across[-1] <= _SINGULAR * across[0] or not is_manifold or has_zero),
+        unseen_parameters=int(targets.unseen[0]),
+        singular=bool(singular),
         dt=None if timing is None else timing.dt,
-        dead_time=0.0 if timing is None else timing.dead_time,
+        dead_time=targets.dead_time,
     )
 
 
@@ -219,16 +204,8 @@ def local_test(
     They are true robots (N,) with configurations (N, nq), of which the first thousand are taken.
     """
     truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
-    at = [
-        linearised(loop.plants[t], loop.controller, q, timing)
-        for t, q in zip(truths, configurations, strict=True)
-    ]
-    return LocalTest(
-        np.array([0.0 if each.singular else each.decay_rate for each in at]),
-        np.array([each.damping_ratio for each in at]),
-        configurations,
-        truths,
-    )
+    targets = loop.linearised(truths, configurations, timing)
+    return LocalTest(*targets.rates(loop.diagonals), configurations, truths)
 
 
 def _timing(plant: Plant, dt: float | None) -> Timing | None:
@@ -295,23 +272,3 @@ def _learnt(learning: Adaptation, nearby: list[Array], wanted: Array) -> Array:
                 given=learning.bounds,
             )
     return np.asarray(Z @ theta)
-
-
-def _null_space(Z: Array, gravity: float) -> Array:
-    """Orthonormal basis of the θ without torque, shape (p, p − rank Z)."""
-    _, values, rows = np.linalg.svd(Z)
-    # the columns of first moments are g times a sine: where all are 1e-16, none counts
-    rank = int((values > _SINGULAR * values.max(initial=gravity)).sum())
-    return np.asarray(rows[rank:].T)
-
-
-def _eigenvalues_across(
-    A: Array, still: Array, at_rest: float
-) -> tuple[NDArray[np.complex128], bool]:
-    """Eigenvalues of A without those of the columns d of `still`, and whether A d = `at_rest` d."""
-    count = still.shape[1]
-    basis = np.linalg.qr(still, mode="complete")[0]
-    along, across = basis[:, :count], basis[:, count:]
-    residual = np.abs(A @ along - at_rest * along).max(initial=0.0)
-    rest = np.linalg.eigvals(across.T @ A @ across).astype(np.complex128)
-    return rest, bool(residual <= 1e-9 * np.abs(A).max())

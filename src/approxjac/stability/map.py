@@ -17,7 +17,8 @@ from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.local import local_test
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import rollouts
-from approxjac.stability.samples import Indices, Samples
+from approxjac.stability.samples import Samples
+from approxjac.stability.targets import Targets
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
 from approxjac.validation import Array, as_array, require
@@ -135,19 +136,19 @@ def stability_map(
         return scaled, scaled.draw(configurations, np.random.default_rng(seed))
 
     @functools.lru_cache(maxsize=1)
-    def hard_targets(scale: float) -> tuple[ClosedLoop, Indices, Array]:
+    def hard_targets(scale: float) -> Targets:
         scaled = loop.scaled(scale)
         truths, pool = scaled.targets(max(targets, _POOL), np.random.default_rng(seed))
         rates = local_test(scaled, truths, pool).decay_rates
         hard = np.argsort(rates, kind="stable")[: targets // 2]
         others = np.setdiff1d(np.arange(len(rates)), hard)
         chosen = np.concatenate([hard, others[: targets - targets // 2]])
-        return scaled, truths[chosen], pool[chosen]
+        return scaled.linearised(truths[chosen], pool[chosen])
 
     def result(kind: str, scale: float, gains: Gains) -> float:
         if kind == "local":
-            scaled, truths, chosen = hard_targets(scale)
-            return float(local_test(scaled.with_gains(gains), truths, chosen).decay_rates.min())
+            rates, _ = hard_targets(scale).rates(loop.with_gains(gains).diagonals)
+            return float(rates.min())
         if kind == "rollouts":
             return rollouts(
                 controller.with_gains(gains), uncertainty.scaled(scale), loop.region,

@@ -83,6 +83,7 @@ class Best(NamedTuple):
     margins: Array  # in every sample, shape (N,)
     active: Indices  # of the samples that decided it
     unknowns: Array  # the scaled ones of `weights`, to start from again
+    cuts: Array  # that are known, see `_cutting_planes`
 
 
 class MatrixForm:
@@ -243,27 +244,39 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
     the last ones of the samples, to go on from.
     """
     unknowns, N = _Unknowns(family, form.setting), len(form.samples)
+    y, cuts = unknowns.start, np.empty((2, 0, 1 + len(unknowns.start)))
     active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
-    y = unknowns.start
     if known is not None:
         active = np.union1d(known.active, np.arange(len(known.margins), N))
-        y = known.unknowns
+        y, cuts = known.unknowns, known.cuts
     while True:
         inner = np.inf
         if unknowns.basis:
-            y, inner = _cutting_planes(form.take(active), unknowns, y)
+            y, inner, cuts = _cutting_planes(form.take(active), unknowns, y, cuts)
         weights = unknowns.weights(y)
         margins = form.margins(weights)
         others = np.setdiff1d(np.argsort(margins)[:_MORE], active)
         if not unknowns.basis or margins.min() >= inner - _PRECISION or len(others) == 0:
-            return Best(weights, margins, active, y)
+            return Best(weights, margins, active, y, cuts)
         active = np.concatenate([active, others])
 
 
-def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tuple[Array, float]:
+def _cutting_planes(
+    form: MatrixForm, unknowns: _Unknowns, start: Array, cuts: Array
+) -> tuple[Array, float, Array]:
     """Maximise the least margin: μ is raised to that of the best point until no point beats it.
 
     X − μY is affine in the unknowns; its eigenvectors v bound its least eigenvalue by vᵀ(X − μY)v.
+    These bounds, the cuts, hold of the same samples among others, too.
+
+    Args:
+        form: Of the samples.
+        unknowns: The unknowns.
+        start: Those to begin with, shape (d,).
+        cuts: vᵀXv and vᵀYv that are known, as affine functions, shape (2, c, 1 + d).
+
+    Returns:
+        The best unknowns, their least margin, and all cuts.
     """
     from scipy.optimize import linprog
 
@@ -279,7 +292,6 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
     if best_margin == -np.inf:  # found where some of these samples were not known yet
         best, best_margin = unknowns.start, least(unknowns.start)
     y, mu = best, max(best_margin, -1.0)
-    cuts_X, cuts_Y = np.empty((0, 1 + d)), np.empty((0, 1 + d))
     for _ in range(_ROUNDS):
         # eigenvectors in the metric of the best point, where Y is positive
         factor = np.linalg.inv(np.linalg.cholesky(Y0 + np.tensordot(best, Y1, 1)))
@@ -288,12 +300,12 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
         which = np.unravel_index(np.argsort(values[..., 0], axis=None)[:_CUTS], values.shape[:2])
         for column in range(2):
             v = (factor.mT[which] @ vectors[which][..., column, None])[..., 0]
-            cuts_X = np.concatenate([cuts_X, _along(v, X0, X1, which)])
-            cuts_Y = np.concatenate([cuts_Y, _along(v, Y0, Y1, which)])
-        bound = cuts_X - mu * cuts_Y
+            more = np.stack([_along(v, X0, X1, which), _along(v, Y0, Y1, which)])
+            cuts = np.concatenate([cuts, more], axis=1)
+        bound = cuts[0] - mu * cuts[1]
         answer = linprog(
             np.append(np.zeros(d), -1.0),
-            A_ub=np.column_stack([-bound[:, 1:], cuts_Y @ np.append(1.0, best)]),
+            A_ub=np.column_stack([-bound[:, 1:], cuts[1] @ np.append(1.0, best)]),
             b_ub=bound[:, 0],
             bounds=[*[(-_BOX, _BOX)] * d, (None, 10.0)],
             method="highs-ds",
@@ -306,7 +318,7 @@ def _cutting_planes(form: MatrixForm, unknowns: _Unknowns, start: Array) -> tupl
         margin = least(y)
         if margin > best_margin:
             best, best_margin, mu = y, margin, max(mu, margin)
-    return best, best_margin
+    return best, best_margin, cuts
 
 
 def _along(v: Array, A0: Array, A1: Array, which: tuple[Indices, ...]) -> Array:

@@ -34,16 +34,14 @@ def arms_of(robots: list[Robot], tasks: Iterable[Task]) -> Arms:
 
 def values(task: Task, at: Configurations) -> Array:
     """Return the values x, shape (N, n_x)."""
-    kind = type(task)
-    if kind is StackedTask:
-        return np.concatenate([values(part, at) for part in task.tasks], axis=1)  # type: ignore[attr-defined]
-    if kind is CombinedTask:
-        return values(task.task, at)  # type: ignore[attr-defined]
-    if kind in (PositionTask, TrackerTask) and _is_known(task, at):
-        p = at.position(task.frame)  # type: ignore[attr-defined]
-        if kind is PositionTask:
-            return p[:, axis_rows("axes", task.axes)]  # type: ignore[attr-defined]
-        return np.asarray(p @ task._R.T + task.offset)  # type: ignore[attr-defined]
+    if type(task) is StackedTask:
+        return np.concatenate([values(part, at) for part in task.tasks], axis=1)
+    if type(task) is CombinedTask:
+        return values(task.task, at)
+    if type(task) is PositionTask and task.frame in at.arms.frames:
+        return np.asarray(at.position(task.frame)[:, axis_rows("axes", task.axes)])
+    if type(task) is TrackerTask and task.frame in at.arms.frames:
+        return np.asarray(at.position(task.frame) @ task._R.T + task.offset)
     return np.array([task.value(q) for q in at.q]).reshape(-1, task.n_x)
 
 
@@ -83,15 +81,14 @@ _Term = Literal["jacobian", "_sensor_jacobian", "gradient"]
 
 def _jacobians(task: Task, at: Configurations, term: _Term) -> Array:
     # of just these classes, as one that is derived from them may have a Jacobian of its own
-    kind = type(task)
-    if kind is StackedTask:
-        parts = [_jacobians(part, at, term) for part in task.tasks]  # type: ignore[attr-defined]
-        return np.concatenate(parts, axis=-2)
-    if kind is CombinedTask:
-        return np.asarray(task.C @ _jacobians(task.task, at, term))  # type: ignore[attr-defined]
-    if kind in _FRAMED and _is_known(task, at):
-        of_frame = at.jacobian_gradient if term == "gradient" else at.jacobian
-        return _of_frame(task, of_frame(task.frame))  # type: ignore[attr-defined]
+    if type(task) is StackedTask:
+        return np.concatenate([_jacobians(part, at, term) for part in task.tasks], axis=-2)
+    if type(task) is CombinedTask:
+        return np.asarray(task.C @ _jacobians(task.task, at, term))
+    frame = _frame(task)
+    if frame in at.arms.frames:
+        J = at.jacobian_gradient(frame) if term == "gradient" else at.jacobian(frame)
+        return _of_frame(task, J)
     n = task.robot.nv
     if term == "gradient":
         found = [jacobian_gradient(task, q) for q in at.q]
@@ -99,29 +96,27 @@ def _jacobians(task: Task, at: Configurations, term: _Term) -> Array:
     return np.array([getattr(task, term)(q) for q in at.q]).reshape(-1, task.m, n)
 
 
-_FRAMED = (PositionTask, PoseTask, TrackerTask, PoseTrackerTask)
-
-
 def _frames(task: Task) -> Iterator[str]:
-    kind = type(task)
-    if kind is StackedTask:
-        for part in task.tasks:  # type: ignore[attr-defined]
+    if type(task) is StackedTask:
+        for part in task.tasks:
             yield from _frames(part)
-    elif kind is CombinedTask:
-        yield from _frames(task.task)  # type: ignore[attr-defined]
-    elif kind in _FRAMED:
-        yield task.frame  # type: ignore[attr-defined]
+    elif type(task) is CombinedTask:
+        yield from _frames(task.task)
+    elif frame := _frame(task):
+        yield frame
 
 
-def _is_known(task: Task, at: Configurations) -> bool:
-    return task.frame in at.arms.frames  # type: ignore[attr-defined]
+def _frame(task: Task) -> str:
+    """The frame whose Jacobian that of a task is made of by `_of_frame`, or "" of another task."""
+    kinds = PositionTask, PoseTask, TrackerTask, PoseTrackerTask
+    return task.frame if type(task) in kinds else ""  # type: ignore[attr-defined]
 
 
 def _of_frame(task: Task, J: Array) -> Array:
     """Return the Jacobian of a task from that of its frame (…, 6, n_v), or the same of its rate."""
     if isinstance(task, PositionTask):
-        return J[..., axis_rows("axes", task.axes), :]
+        return np.asarray(J[..., axis_rows("axes", task.axes), :])
     if not isinstance(task, TrackerTask | PoseTrackerTask):
         return J
     turned = task._R @ J.reshape(*J.shape[:-2], 2, 3, J.shape[-1])
-    return turned.reshape(J.shape)[..., : task.m, :]
+    return np.asarray(turned.reshape(J.shape)[..., : task.m, :])

@@ -83,8 +83,11 @@ def seen_configurations(task: Task, count: int) -> list[Array]:
 
 def vanishing(task: Task) -> float:
     """Return σ_max [unit of the task/rad] below which Ĵ vanishes: a tenth of what it usually is."""
-    largest = [np.linalg.norm(task.jacobian(q), 2) for q in seen_configurations(task, 20)]
-    return 0.1 * float(np.median(largest))
+    found: float | None = vars(task).get("_vanishing")  # which no task changes
+    if found is None:
+        largest = [np.linalg.norm(task.jacobian(q), 2) for q in seen_configurations(task, 20)]
+        found = vars(task)["_vanishing"] = 0.1 * float(np.median(largest))
+    return found
 
 
 def require_jacobian_of_q(task: Task, what: str) -> None:
