@@ -1,0 +1,236 @@
+"""The matrix form of the loop as it runs: torque held and late, x in frames that are late.
+
+The torque that acts is the law's own and an error, τ = u + w, M q̈ = −C q̇ − D q̇ − ĴᵀK_p s + w, and
+the V of `law.matrix_form` obeys V̇ = −zᵀQz + yᵀw with y = q̇ + G s. A torque that was computed
+earlier has missed what u did since, so that w is small where u̇ is, in the mean over any time:
+
+    ∫ wᵀD⁻¹w dt ≤ γ² (1 + δ) ∫ u̇ᵀD⁻¹u̇ dt,   γ of `hold_gain`, 1 + δ of `drift`.
+
+u̇ = T₀z + Uw and a rest that is quadratic in q̇, which is at most κ |q̇|_M |q̇|_D. With |q̇|_M ≤ v̄ and
+b = γκv̄, the form `held_form` is positive for some λ ≥ 0 wherever V is bounded by its start.
+Where x comes in frames, s in the torque is s + w_x with
+
+    ∫ w_xᵀX w_x dt ≤ γ_x² ∫ |s' J_e q̇|²_X dt,   X constant and diagonal.
+
+Shapes are those of `law.matrix_form`; D_c is D without the arm's own friction.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from approxjac.law.matrix_form import stiffness_block
+from approxjac.validation import Array
+
+
+def hold_gain(period: float, late: float) -> float:
+    """γ = late + 2/π · period [s], of what is held between samples and acts late.
+
+    What is held starts each period without an error: Wirtinger's inequality with one free end has
+    2/π of the longest period. Being late adds its own time, as ∫|u(t) − u(t − d)|² ≤ d²∫|u̇|².
+
+    Args:
+        period: Longest time from sample to sample [s].
+        late: How late what was sampled acts [s].
+    """
+    return late + 2.0 * period / math.pi
+
+
+def drift(rate: float, period: float, late: float) -> float:
+    """1 + δ = e^(2 r (h + d)), for a weight that changes by at most e^(r t) in a time t [1/s]."""
+    return math.exp(2.0 * rate * (period + late))
+
+
+class TorqueRate(NamedTuple):
+    """u̇ = T z + U w + T_x w_x, but for what is quadratic in q̇.
+
+    Attributes:
+        T: Shape (…, n_v, n_v + m).
+        U: Shape (…, n_v, n_v).
+        T_x: Shape (…, n_v, m); None where x is read with the rest of the state.
+    """
+
+    T: Array
+    U: Array
+    T_x: Array | None
+
+
+def torque_rate(
+    M: Array,
+    D: Array,
+    D_c: Array,
+    J_hat: Array,
+    dJ_hat: Array,
+    J_e: Array,
+    s: Array,
+    slope: Array,
+    kp: Array,
+    dg: Array | None = None,
+) -> TorqueRate:
+    """Rate of u = −ĴᵀK_p s − D_c q̇ + g along the loop.
+
+    `dg` is ∂g/∂q of the gravity torque that is held with it, (…, n_v, n_v).
+    """
+    E = (dJ_hat.mT @ (kp * s)[..., np.newaxis, :, np.newaxis])[..., 0].mT
+    rate = damping_rate_of_torque(M, D, D_c, J_hat, kp, dg)
+    n = M.shape[-1]
+    T = rate.T.copy()
+    T[..., :n] -= E + J_hat.mT @ ((kp * slope)[..., np.newaxis] * J_e)
+    return TorqueRate(T, rate.U, None)
+
+
+def damping_rate_of_torque(
+    M: Array, D: Array, D_c: Array, J_hat: Array, kp: Array, dg: Array | None = None
+) -> TorqueRate:
+    """Rate of u = −D_c q̇ + g along the loop with −ĴᵀK_p(s + w_x), whose s comes in frames."""
+    pull = np.linalg.solve(M, D_c).mT  # D_c M⁻¹, both symmetric
+    stiffness = pull @ (J_hat.mT * kp)
+    along = pull @ D
+    if dg is not None:
+        along = along + dg
+    return TorqueRate(np.concatenate([along, stiffness], axis=-1), -pull, stiffness)
+
+
+def torque_curvature(
+    M: Array, dM: Array, D: Array, D_c: Array, J_hat: Array, dJ_hat: Array, kv: Array
+) -> Array:
+    """κ, (…): what of u̇ is quadratic in q̇ is at most κ |q̇|_M |q̇|_D in the norm of D⁻¹.
+
+    D_cM⁻¹C(q, q̇)q̇ − ∂D_c[q̇]q̇, whose tensor is bounded by `tensor_bound`.
+    """
+    coriolis = np.swapaxes(dM, -3, -2) - 0.5 * dM  # [a, i, j] of (C q̇)_a
+    pull = np.linalg.solve(M, D_c).mT
+    shape = coriolis.shape
+    tensor = (pull @ coriolis.reshape(*shape[:-2], -1)).reshape(shape)
+    tensor = tensor - np.swapaxes(_damping_gradient(J_hat, dJ_hat, kv), -3, -2)
+    tensor = 0.5 * (tensor + tensor.mT)
+    root, root_M = _inverse_root(D), _inverse_root(M)
+    return tensor_bound(_turned(tensor, root, root_M, root))
+
+
+def damping_turn(M: Array, D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> Array:
+    """k_R, (…): D changes by at most the factor e^(k_R v̄ t) in a time t with |q̇|_M ≤ v̄."""
+    root, root_M = _inverse_root(D), _inverse_root(M)
+    gradient = _damping_gradient(J_hat, dJ_hat, kv)
+    return tensor_bound(_turned(gradient, root_M, root, root))
+
+
+def stiffness_turn(D: Array, dJ_hat: Array, kp: Array) -> Array:
+    """ē, (…): |∂Ĵᵀ[q̇]K_p s| is at most ē |q̇|_D |s| in the norm of D⁻¹."""
+    root, gradient = _inverse_root(D), dJ_hat.mT * kp  # [k, a, j]
+    return tensor_bound(_turned(gradient, root, root, np.eye(len(kp))))
+
+
+def tensor_bound(tensor: Array) -> Array:
+    """At least the largest |T(x, y, z)| of vectors of length one, (…), of T (…, a, b, c).
+
+    The least of the spectral norms of the three matrices that it unfolds to.
+    """
+    norms = []
+    for axis in (-3, -2, -1):
+        first = np.moveaxis(tensor, axis, -3)
+        rows = first.reshape(*first.shape[:-2], -1)
+        norms.append(np.linalg.eigvalsh(rows @ rows.mT)[..., -1])
+    return np.sqrt(np.maximum(np.min(norms, axis=0), 0.0))
+
+
+def held_form(
+    Q: Array,
+    G: Array,
+    D: Array,
+    J_hat: Array,
+    kp: Array,
+    rate: TorqueRate,
+    multiplier: float,
+    gain: float,
+    b: float,
+    frames: tuple[Array, Array, float] | None = None,
+) -> Array:
+    """F, (…, N, N): ∫zᵀQz − yᵀw of the loop that runs is at least that of (z, w)ᵀF(z, w).
+
+    Affine in (Q, G), in the multiplier λ and in X.
+
+    Args:
+        Q: Of `decrease_matrix`.
+        G: Cross weight.
+        D: Of `dissipation`.
+        J_hat: Ĵ.
+        kp: Diagonal of K_p.
+        rate: Of `torque_rate`; of `damping_rate_of_torque` where x comes in frames.
+        multiplier: λ ≥ 0.
+        gain: γ² (1 + δ) [s²].
+        b: Of what is quadratic in q̇, γκv̄, and with frames (h + d) ē s̄ more; constant.
+        frames: The diagonal of X (m,), s'(e) J_e (…, m, n_v), and γ_x² [s²], where x comes in
+            frames: N is 2 n_v + 2 m then, 2 n_v + m without.
+    """
+    n, m = G.shape[-2:]
+    sizes = (n, m, n) if frames is None else (n, m, n, m)
+    at = np.cumsum((0, *sizes))
+    v, s, w = (slice(*at[k : k + 2]) for k in range(3))
+    z = slice(0, n + m)
+    F = np.zeros((*Q.shape[:-2], at[-1], at[-1]))
+    F[..., z, z] = Q
+    F[..., v, w] = -0.5 * np.eye(n)
+    F[..., s, w] = -0.5 * G.mT
+    R = np.linalg.inv(D)
+    F[..., w, w] = multiplier * R
+    parts = [rate.T, rate.U]
+    if frames is not None:
+        X, seen, gain_x = frames
+        x = slice(at[3], at[4])
+        assert rate.T_x is not None
+        parts.append(rate.T_x)
+        pull = 0.5 * J_hat.mT * kp
+        F[..., v, x] = pull
+        F[..., s, x] = G.mT @ pull
+        F[..., x, x] = np.diag(X)
+        F[..., v, v] -= gain_x * (seen.mT @ (X[:, np.newaxis] * seen))
+    whole = np.concatenate(parts, axis=-1)
+    scale = multiplier * gain
+    F -= scale * (1.0 + b) * (whole.mT @ R @ whole)
+    F[..., v, v] -= multiplier * (b + b * b) * D
+    upper = np.triu(np.ones(F.shape[-2:], dtype=bool), 1)
+    filled = np.where(upper, F, 0.0)
+    filled = filled + filled.mT
+    filled[..., range(at[-1]), range(at[-1])] = F[..., range(at[-1]), range(at[-1])]
+    return filled
+
+
+def held_margin(F: Array, D: Array, J_hat: Array, G: Array, kp: Array) -> Array:
+    """Largest μ of F ⪰ μ diag(D, sym K_pĴG, 0), (…); −∞ where its last blocks are not positive."""
+    n, m = G.shape[-2:]
+    k = n + m
+    lower = F[..., k:, k:]
+    margins = np.full(F.shape[:-2], -np.inf)
+    stiffness = stiffness_block(J_hat, G, kp)
+    good = (np.linalg.eigvalsh(lower)[..., 0] > 0.0) & (np.linalg.eigvalsh(stiffness)[..., 0] > 0.0)
+    part, cross = F[good], F[good][..., :k, k:]
+    left = part[..., :k, :k] - cross @ np.linalg.solve(part[..., k:, k:], cross.mT)
+    whole = np.zeros_like(left)
+    whole[..., :n, :n], whole[..., n:, n:] = D[good], stiffness[good]
+    root = _inverse_root(whole)
+    margins[good] = np.linalg.eigvalsh(root @ left @ root.mT)[..., 0]
+    return margins
+
+
+def _damping_gradient(J_hat: Array, dJ_hat: Array, kv: Array) -> Array:
+    """∂D/∂q_k, (…, k, n_v, n_v)."""
+    half = dJ_hat.mT @ (kv[:, np.newaxis] * J_hat)[..., np.newaxis, :, :]
+    return half + half.mT
+
+
+def _turned(tensor: Array, A: Array, B: Array, C: Array) -> Array:
+    """A_xa B_yi C_zj T_aij of stacks."""
+    last = tensor @ C.mT[..., np.newaxis, :, :]
+    middle = B[..., np.newaxis, :, :] @ last
+    shape = middle.shape
+    flat = middle.reshape(*shape[:-2], -1)
+    return np.asarray((A @ flat).reshape(shape))
+
+
+def _inverse_root(A: Array) -> Array:
+    """L⁻¹ of A = L Lᵀ."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(A)))
