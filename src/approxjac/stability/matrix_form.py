@@ -45,6 +45,8 @@ class Weights(NamedTuple):
     A1: Array  # shape (m, m) [1/s]; αI in the paper
     A2: Array  # shape (m, m) [1/s]; zero in the paper
     w: Array  # shape (m,) [N per unit of the task]; k_p + αk_v in the paper
+    multiplier: float = 0.0  # λ of `law.sampled_form`
+    X: Array | float = 0.0  # its X, shape (m,)
 
     def plus(self, share: float, other: Weights) -> Weights:
         """Return these weights and a share of others."""
@@ -133,6 +135,14 @@ class MatrixForm:
             X[1] = Y[1]
         return X, Y
 
+    def unknowns(self, family: Family) -> Unknowns:
+        """Return what is sought in a family."""
+        return Unknowns(family, self.setting)
+
+    def metric(self, weights: Weights, Y: Array) -> Array:
+        """Return what eigenvectors are sought in, positive and of the size of X; Y of these weights."""
+        return Y
+
     def margins(self, weights: Weights) -> Array:
         """Return the margin of each sample, at most 1, positive where V proves stability; (N,).
 
@@ -205,7 +215,7 @@ class _OfSamples(NamedTuple):
     ddamped: Array
 
 
-class _Unknowns:
+class Unknowns:
     """The unknowns y of a family, scaled to be of the order of one: `fixed` + Σ yₖ `basis`ₖ."""
 
     def __init__(self, family: Family, setting: Setting) -> None:
@@ -228,6 +238,15 @@ class _Unknowns:
             self.fixed, cross, start = self.fixed.plus(1.0, cross[0]), [], []
         self.basis = [*cross, *potentials]
         self.start = np.array([*start, *np.ones(len(potentials))])
+        self.least = np.full(len(self.start), -_BOX)
+
+    def with_positive(self, more: list[Weights]) -> Unknowns:
+        """Return these and others that are not negative, each 1 to begin with."""
+        other = copy.copy(self)
+        other.basis = [*self.basis, *more]
+        other.start = np.append(self.start, np.ones(len(more)))
+        other.least = np.append(self.least, np.zeros(len(more)))
+        return other
 
     def weights(self, y: Array) -> Weights:
         """Return the Lyapunov function of some unknowns."""
@@ -243,7 +262,7 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
     The worst samples are gathered until no other one is worse. `known` is what was found without
     the last ones of the samples, to go on from.
     """
-    unknowns, N = _Unknowns(family, form.setting), len(form.samples)
+    unknowns, N = form.unknowns(family), len(form.samples)
     y, cuts = unknowns.start, np.empty((2, 0, 1 + len(unknowns.start)))
     active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
     if known is not None:
@@ -262,7 +281,7 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
 
 
 def _cutting_planes(
-    form: MatrixForm, unknowns: _Unknowns, start: Array, cuts: Array
+    form: MatrixForm, unknowns: Unknowns, start: Array, cuts: Array
 ) -> tuple[Array, float, Array]:
     """Maximise the least margin: μ is raised to that of the best point until no point beats it.
 
@@ -294,7 +313,8 @@ def _cutting_planes(
     y, mu = best, max(best_margin, -1.0)
     for _ in range(_ROUNDS):
         # eigenvectors in the metric of the best point, where Y is positive
-        factor = np.linalg.inv(np.linalg.cholesky(Y0 + np.tensordot(best, Y1, 1)))
+        metric = form.metric(unknowns.weights(best), Y0 + np.tensordot(best, Y1, 1))
+        factor = np.linalg.inv(np.linalg.cholesky(metric))
         violated = X0 + np.tensordot(y, X1, 1) - mu * (Y0 + np.tensordot(y, Y1, 1))
         values, vectors = np.linalg.eigh(factor @ violated @ factor.mT)
         which = np.unravel_index(np.argsort(values[..., 0], axis=None)[:_CUTS], values.shape[:2])
@@ -307,7 +327,7 @@ def _cutting_planes(
             np.append(np.zeros(d), -1.0),
             A_ub=np.column_stack([-bound[:, 1:], cuts[1] @ np.append(1.0, best)]),
             b_ub=bound[:, 0],
-            bounds=[*[(-_BOX, _BOX)] * d, (None, 10.0)],
+            bounds=[*((least, _BOX) for least in unknowns.least), (None, 10.0)],
             method="highs-ds",
             options={"presolve": False},
         )

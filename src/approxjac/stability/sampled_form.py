@@ -1,0 +1,203 @@
+"""`SampledForm`: the matrix form of the loop that is sampled, held and late, over many samples."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.latency import Latency
+from approxjac.law import sampled_form
+from approxjac.stability.matrix_form import Family, MatrixForm, Setting, Unknowns, Weights
+from approxjac.stability.samples import Samples
+from approxjac.validation import Array
+
+_HALF = 0.5  # λ where nothing but one damped mass is held
+_MULTIPLE = 1e-6  # frames of so nearly whole numbers of periods fall on samples
+
+
+class Hold(NamedTuple):
+    """What holds and delays amount to.
+
+    Attributes:
+        gain: γ of the torque, or of its part with D_c where x comes in frames [s].
+        span: Longest time that a torque is out of date [s].
+        lag: Of the filter of q̇ [s].
+        frames: γ_x of x that comes in frames [s]; None where x is read with the rest.
+    """
+
+    gain: float
+    span: float
+    lag: float
+    frames: float | None
+
+    @classmethod
+    def of(cls, latency: Latency) -> Hold:
+        """Return that of a loop.
+
+        A filter of differences of q, with its time constant τ, is late by τ and half a period: of
+        each q̇ it has the means over earlier periods.
+        """
+        h, d = latency.period, latency.torque_delay
+        lag = latency.velocity_filter + 0.5 * h if latency.velocity_filter > 0.0 else 0.0
+        gain, span = sampled_form.hold_gain(h, d) + lag, h + d + lag
+        if not (lag or latency.image_period or latency.image_age):
+            return cls(gain, span, lag, None)
+        held, late = max(latency.image_period, h), h * math.ceil(latency.image_age / h - _MULTIPLE)
+        if abs(held / h - round(held / h)) > _MULTIPLE:
+            held += h
+        return cls(gain, span, lag, sampled_form.hold_gain(held, late + d))
+
+
+class Turning(NamedTuple):
+    """Largest rates at which samples turn: of `law.sampled_form`.
+
+    Attributes:
+        curvature: κ.
+        damping: k_R.
+        stiffness: ē.
+    """
+
+    curvature: float
+    damping: float
+    stiffness: float
+
+
+class SampledForm(MatrixForm):
+    """The form of a loop that runs with a latency, for motions with |q̇|_M ≤ v̄.
+
+    Its weights have a multiplier and, where x comes in frames or q̇ through a filter, X.
+
+    Args:
+        samples: Where it is evaluated.
+        setting: The closed loop's part.
+        friction: Diagonal of the arm's own part of B, shape (n_v,).
+        latency: Of the loop.
+        speed: v̄ [√J].
+        reach: s̄, at least |s(e)| along these motions; it counts where x comes in frames.
+        dg: ∂g/∂q of the gravity torque that the law adds, shape (N, n_v, n_v).
+        turning: Of these samples and of others; of these by default.
+    """
+
+    def __init__(
+        self,
+        samples: Samples,
+        setting: Setting,
+        friction: Array,
+        latency: Latency,
+        speed: float,
+        reach: float = 0.0,
+        dg: Array | None = None,
+        turning: Turning | None = None,
+    ) -> None:
+        super().__init__(samples, setting)
+        self.hold, self.speed, self.reach = Hold.of(latency), speed, reach
+        at, D = samples, self._of_samples.D
+        D_c = D - np.diag(friction)
+        self.turning = self._turning(D_c) if turning is None else turning
+        self._gain, self._b = self._allowed()
+        if self.hold.frames is None:
+            self._rate = sampled_form.torque_rate(
+                at.M, D, D_c, at.J_hat, at.dJ_hat, at.J_e, at.s, at.slope, setting.kp, dg
+            )
+            return
+        self._rate = sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, setting.kp, dg)
+
+    def _turning(self, D_c: Array) -> Turning:
+        at, D, kv = self.samples, self._of_samples.D, self.setting.kv
+        if not self.speed:
+            return Turning(0.0, 0.0, 0.0)
+        kappa = sampled_form.torque_curvature(at.M, at.dM, D, D_c, at.J_hat, at.dJ_hat, kv)
+        k_R = sampled_form.damping_turn(at.M, D, at.J_hat, at.dJ_hat, kv)
+        e_bar = 0.0
+        if self.hold.frames is not None:
+            e_bar = float(sampled_form.stiffness_turn(D, at.dJ_hat, self.setting.kp).max())
+        return Turning(float(kappa.max()), float(k_R.max()), e_bar)
+
+    def _allowed(self) -> tuple[float, float]:
+        """γ²(1 + δ), and b."""
+        hold, (kappa, k_R, e_bar), speed = self.hold, self.turning, self.speed
+        gain = hold.gain**2 * sampled_form.drift(k_R * speed, hold.span, 0.0)
+        b = hold.gain * kappa * speed + hold.span * e_bar * self.reach + k_R * speed * hold.lag
+        return gain, b
+
+    def _with(self, samples: Samples, changed: Any) -> Any:
+        other = super()._with(samples, changed)
+        other._rate = self._rate._replace(
+            **{name: None if value is None else changed(value) for name, value in self._rate._asdict().items()}
+        )
+        return other
+
+    def unknowns(self, family: Family) -> Unknowns:
+        """Return those of the family, with the multiplier and X."""
+        found, setting = super().unknowns(family), self.setting
+        m = len(setting.kp)
+        zero, none = np.zeros((m, m)), np.zeros(m)
+        more = [Weights(zero, zero, none, _HALF)]
+        if self.hold.frames is not None:
+            sizes = _HALF * setting.kp / self.hold.frames
+            more += [Weights(zero, zero, none, 0.0, row) for row in np.diag(sizes)]
+        return found.with_positive(more)
+
+    def _form(self, weights: Weights, Q: Array, G: Array) -> Array:
+        of, at, frames = self._of_samples, self.samples, None
+        if self.hold.frames is not None:
+            X = np.zeros(len(weights.w)) + weights.X
+            frames = X, at.slope[..., np.newaxis] * at.J_e, self.hold.frames**2
+        return sampled_form.held_form(
+            Q, G, of.D, at.J_hat, self.setting.kp, self._rate, weights.multiplier, self._gain,
+            self._b, frames,
+        )  # fmt: skip
+
+    def pencils(self, weights: Weights) -> tuple[Array, Array]:
+        """Return X and Y as `MatrixForm` has them, with F in place of Q and as large.
+
+        P is filled up with a block that is always positive.
+        """
+        X, Y = super().pencils(weights)
+        Q, G = self._decrease(weights)
+        F = self._form(weights, Q, G)
+        k, N = X.shape[-1], F.shape[-1]
+        whole, less = np.zeros((2, *F.shape)), np.zeros((2, *F.shape))
+        whole[0], whole[1, :, :k, :k] = F, X[1]
+        less[:, :, :k, :k] = Y
+        rest = range(k, N)
+        whole[1, :, rest, rest] = 1.0
+        return whole, less
+
+    def metric(self, weights: Weights, Y: Array) -> Array:
+        """Return Y, filled up where it is zero."""
+        n, (k, N) = self.samples.M.shape[-1], (sum(self.samples.J_e.shape[-2:]), Y.shape[-1])
+        found = Y.copy()
+        found[0, :, k : k + n, k : k + n] = _HALF * np.linalg.inv(self._of_samples.D)
+        sizes = 1.0 if self.hold.frames is None else _HALF * self.setting.kp / self.hold.frames
+        rest = range(k + n, N)
+        found[0, :, rest, rest] = np.broadcast_to(sizes, N - k - n)[:, np.newaxis]
+        rest = range(k, N)
+        found[1, :, rest, rest] = 1.0
+        return found
+
+    def margins(self, weights: Weights) -> Array:
+        """Return the margin of each sample with F in place of Q, shape (N,)."""
+        margins = super().margins(weights)
+        positive = margins > -np.inf
+        if not positive.all() or weights.multiplier <= 0.0:
+            return np.full(len(margins), -np.inf)
+        Q, G = self._decrease(weights)
+        at = self.samples
+        F = self._form(weights, Q, G)
+        held = sampled_form.held_margin(F, self._of_samples.D, at.J_hat, G, self.setting.kp)
+        return np.minimum(margins, held)
+
+    def kinetic_share(self, weights: Weights) -> float:
+        """σ², (0, 1): V ≥ ½(1 − σ²)|q̇|²_M at these samples."""
+        _, G = self._decrease(weights)
+        roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
+        square = G.mT @ self.samples.M @ G / np.outer(roots, roots)
+        return float(np.linalg.eigvalsh(square)[:, -1].max())
+
+    def level(self, weights: Weights) -> float:
+        """c [J]: from V ≤ c on, |q̇|_M stays below v̄."""
+        return 0.5 * (1.0 - self.kinetic_share(weights)) * self.speed**2
