@@ -18,6 +18,7 @@ Shapes are those of `law.matrix_form`; D_c is D without the arm's own friction.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,10 @@ class TorqueRate(NamedTuple):
     U: Array
     T_x: Array | None
 
+    def changed(self, change: Callable[[Array], Array]) -> TorqueRate:
+        """Return this with each array changed, such as to some of a stack."""
+        return TorqueRate(*(None if each is None else change(each) for each in self))  # type: ignore[arg-type]
+
 
 def torque_rate(
     M: Array,
@@ -91,7 +96,8 @@ def damping_rate_of_torque(
     along = pull @ D
     if dg is not None:
         along = along + dg
-    return TorqueRate(np.concatenate([along, stiffness], axis=-1), -pull, stiffness)
+    T: Array = np.concatenate([along, stiffness], axis=-1)
+    return TorqueRate(T, -np.asarray(pull, dtype=np.float64), stiffness)
 
 
 def torque_curvature(
@@ -134,7 +140,7 @@ def tensor_bound(tensor: Array) -> Array:
         first = np.moveaxis(tensor, axis, -3)
         rows = first.reshape(*first.shape[:-2], -1)
         norms.append(np.linalg.eigvalsh(rows @ rows.mT)[..., -1])
-    return np.sqrt(np.maximum(np.min(norms, axis=0), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.min(norms, axis=0), 0.0)))
 
 
 def held_form(

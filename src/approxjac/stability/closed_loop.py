@@ -239,7 +239,15 @@ class ClosedLoop:
                 given=configurations,
             )
         s, slope = saturation.s(e), saturation.ds(e)
-        return Samples(truths, configurations, x_d, M, dM, J, J_e, J_hat, dJ_hat, s, slope)
+        return Samples(truths, configurations, x_d, M, dM, J, J_e, J_hat, dJ_hat, e, s, slope)
+
+    def gravity_gradients(self, samples: Samples) -> Array:
+        """Return ∂g/∂q of the true robots at samples, shape (N, n_v, n_v) [N m/rad or N/m]."""
+        return self._gravity_gradients(samples.truth, samples.q)
+
+    def _gravity_gradients(self, truths: Indices, configurations: Array) -> Array:
+        pairs = zip(truths, configurations, strict=True)
+        return np.array([self.plants[t].dynamics.g_gradient(q) for t, q in pairs])
 
     def _values(self, truths: Indices, configurations: Array) -> Array:
         """What true robots (N,) measure at configurations (N, nq), shape (N, n_x)."""
@@ -273,8 +281,7 @@ class ClosedLoop:
         task, at = self.controller.task, self._true_arms.at(truths, configurations)
         M, G = at.M(), np.zeros((len(truths), task.robot.nv, task.robot.nv))
         if timing is not None:  # gravity and its compensation do not quite cancel
-            pairs = zip(truths, configurations, strict=True)
-            G = np.array([self.plants[t].dynamics.g_gradient(q) for t, q in pairs])
+            G = self._gravity_gradients(truths, configurations)
         J = np.empty((len(truths), task.m, task.robot.nv))
         for sensor, each, here in self._by_sensor(truths, at):
             J[each] = task_terms.sensor_jacobians(sensor, here)

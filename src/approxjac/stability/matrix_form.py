@@ -50,7 +50,7 @@ class Weights(NamedTuple):
 
     def plus(self, share: float, other: Weights) -> Weights:
         """Return these weights and a share of others."""
-        return Weights(*(mine + share * its for mine, its in zip(self, other, strict=True)))
+        return Weights(*(mine + share * its for mine, its in zip(self, other, strict=True)))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +240,14 @@ class Unknowns:
         self.start = np.array([*start, *np.ones(len(potentials))])
         self.least = np.full(len(self.start), -_BOX)
 
+    @classmethod
+    def none(cls, weights: Weights) -> Unknowns:
+        """Return a function with nothing unknown."""
+        found = object.__new__(cls)
+        found.fixed, found.basis = weights, []
+        found.start = found.least = np.zeros(0)
+        return found
+
     def with_positive(self, more: list[Weights]) -> Unknowns:
         """Return these and others that are not negative, each 1 to begin with."""
         other = copy.copy(self)
@@ -262,7 +270,12 @@ def best_weights(form: MatrixForm, family: Family, known: Best | None = None) ->
     The worst samples are gathered until no other one is worse. `known` is what was found without
     the last ones of the samples, to go on from.
     """
-    unknowns, N = form.unknowns(family), len(form.samples)
+    return best_of(form, form.unknowns(family), known)
+
+
+def best_of(form: MatrixForm, unknowns: Unknowns, known: Best | None = None) -> Best:
+    """Choose the unknowns whose least margin is largest, as `best_weights`."""
+    N = len(form.samples)
     y, cuts = unknowns.start, np.empty((2, 0, 1 + len(unknowns.start)))
     active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
     if known is not None:

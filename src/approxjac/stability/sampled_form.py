@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from approxjac import law
 from approxjac.controllers.latency import Latency
 from approxjac.law import sampled_form
-from approxjac.stability.matrix_form import Family, MatrixForm, Setting, Unknowns, Weights
+from approxjac.law.sampled_form import TorqueRate
+from approxjac.stability.matrix_form import (
+    Best,
+    Family,
+    MatrixForm,
+    Setting,
+    Unknowns,
+    Weights,
+    best_of,
+)
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
 
@@ -65,6 +75,13 @@ class Turning(NamedTuple):
     stiffness: float
 
 
+class _Rates(NamedTuple):
+    """Rates of all of the torque, and of its part with D_c."""
+
+    whole: TorqueRate
+    damping: TorqueRate
+
+
 class SampledForm(MatrixForm):
     """The form of a loop that runs with a latency, for motions with |q̇|_M ≤ v̄.
 
@@ -96,14 +113,41 @@ class SampledForm(MatrixForm):
         self.hold, self.speed, self.reach = Hold.of(latency), speed, reach
         at, D = samples, self._of_samples.D
         D_c = D - np.diag(friction)
-        self.turning = self._turning(D_c) if turning is None else turning
-        self._gain, self._b = self._allowed()
-        if self.hold.frames is None:
-            self._rate = sampled_form.torque_rate(
+        self._rates = _Rates(
+            sampled_form.torque_rate(
                 at.M, D, D_c, at.J_hat, at.dJ_hat, at.J_e, at.s, at.slope, setting.kp, dg
-            )
-            return
-        self._rate = sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, setting.kp, dg)
+            ),
+            sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, setting.kp, dg),
+        )
+        self.turning = self._turning(D_c) if turning is None else turning
+
+    @property
+    def _rate(self) -> TorqueRate:
+        return self._rates.whole if self.hold.frames is None else self._rates.damping
+
+    @property
+    def _gain(self) -> float:
+        """γ²(1 + δ) [s²]."""
+        drift = sampled_form.drift(self.turning.damping * self.speed, self.hold.span, 0.0)
+        return self.hold.gain**2 * drift
+
+    @property
+    def _b(self) -> float:
+        hold, (kappa, k_R, e_bar) = self.hold, self.turning
+        along = hold.gain * kappa + k_R * hold.lag
+        return along * self.speed + (0.0 if hold.frames is None else hold.span * e_bar * self.reach)
+
+    def with_latency(self, latency: Latency) -> Self:
+        """Return this of a loop with another latency."""
+        other = copy.copy(self)
+        other.hold = Hold.of(latency)
+        return other
+
+    def with_reach(self, reach: float) -> Self:
+        """Return this with another s̄."""
+        other = copy.copy(self)
+        other.reach = reach
+        return other
 
     def _turning(self, D_c: Array) -> Turning:
         at, D, kv = self.samples, self._of_samples.D, self.setting.kv
@@ -116,30 +160,36 @@ class SampledForm(MatrixForm):
             e_bar = float(sampled_form.stiffness_turn(D, at.dJ_hat, self.setting.kp).max())
         return Turning(float(kappa.max()), float(k_R.max()), e_bar)
 
-    def _allowed(self) -> tuple[float, float]:
-        """γ²(1 + δ), and b."""
-        hold, (kappa, k_R, e_bar), speed = self.hold, self.turning, self.speed
-        gain = hold.gain**2 * sampled_form.drift(k_R * speed, hold.span, 0.0)
-        b = hold.gain * kappa * speed + hold.span * e_bar * self.reach + k_R * speed * hold.lag
-        return gain, b
-
-    def _with(self, samples: Samples, changed: Any) -> Any:
+    def _with(self, samples: Samples, changed: Callable[[Array], Array]) -> Self:
         other = super()._with(samples, changed)
-        other._rate = self._rate._replace(
-            **{name: None if value is None else changed(value) for name, value in self._rate._asdict().items()}
-        )
+        other._rates = _Rates(*(each.changed(changed) for each in self._rates))
         return other
 
-    def unknowns(self, family: Family) -> Unknowns:
-        """Return those of the family, with the multiplier and X."""
-        found, setting = super().unknowns(family), self.setting
-        m = len(setting.kp)
+    def is_possible(self) -> bool:
+        """Return whether some multiplier may do: the hold is not beyond what this can certify."""
+        D, U = self._of_samples.D, self._rate.U
+        root = np.linalg.inv(self._of_samples.root)  # D = L Lᵀ
+        turned = self._of_samples.root @ U @ root
+        largest = np.linalg.svd(turned, compute_uv=False)[:, 0].max()
+        return bool(self._gain * (1.0 + self._b) * largest**2 < 1.0 and np.isfinite(D).all())
+
+    def best_multiplier(self, weights: Weights) -> Best:
+        """Choose the multiplier, and X, of a function that is known."""
+        fixed = weights._replace(multiplier=0.0, X=0.0)
+        return best_of(self, Unknowns.none(fixed).with_positive(self._multipliers()))
+
+    def _multipliers(self) -> list[Weights]:
+        m = len(self.setting.kp)
         zero, none = np.zeros((m, m)), np.zeros(m)
         more = [Weights(zero, zero, none, _HALF)]
         if self.hold.frames is not None:
-            sizes = _HALF * setting.kp / self.hold.frames
+            sizes = _HALF * self.setting.kp / self.hold.frames
             more += [Weights(zero, zero, none, 0.0, row) for row in np.diag(sizes)]
-        return found.with_positive(more)
+        return more
+
+    def unknowns(self, family: Family) -> Unknowns:
+        """Return those of the family, with the multiplier and X."""
+        return super().unknowns(family).with_positive(self._multipliers())
 
     def _form(self, weights: Weights, Q: Array, G: Array) -> Array:
         of, at, frames = self._of_samples, self.samples, None

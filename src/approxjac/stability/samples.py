@@ -25,6 +25,7 @@ class Samples:
     J_e: Array  # true ∂e/∂q, which is J where e = x − x_d, shape (N, m, n_v)
     J_hat: Array  # Ĵ, shape (N, m, n_v)
     dJ_hat: Array  # ∂Ĵ/∂q_k, shape (N, n_v, m, n_v), k first
+    e: Array  # shape (N, m)
     s: Array  # s(e), shape (N, m)
     slope: Array  # s'(e), shape (N, m)
 

@@ -1,0 +1,177 @@
+"""The certificate of the loop as it runs: one function for all samples, and the starts it covers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from approxjac import law
+from approxjac.controllers.latency import Latency
+from approxjac.law import LinearLaw, Saturation
+from approxjac.stability.certificate import MatrixTest
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.matrix_form import Best, Family, MatrixForm, Weights, best_weights
+from approxjac.stability.sampled_form import SampledForm
+from approxjac.stability.samples import Samples
+from approxjac.validation import Array
+
+_SPEEDS = (1.0, 0.5, 0.25, 0.06)  # of what all starts need, that are tried
+_SPARE = 1.4  # c is at most so many times what starts need: σ² is known afterwards only
+_WORST = 120  # samples that largest periods and delays are sought with
+_HALVINGS = 7
+_LONGEST = 64.0  # times the period of the loop
+_SELF_MOTION = 1e-6
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledTest(MatrixTest):
+    """Verdict of the form that is held and late, over a region.
+
+    Attributes:
+        latency: Of the loop that it speaks of.
+        speed: v̄ of `law.sampled_form`, √(q̇ᵀMq̇) along the motions that it speaks of stays below it
+            [√J].
+        level: c [J]: motions that begin with V ≤ c stay below v̄.
+        covered: Share of the samples that may be started from, at rest.
+        reach: Largest error of one task coordinate that may be started from at rest, the others
+            being zero, shape (m,) [units of the task].
+        form: What it rests on.
+    """
+
+    latency: Latency
+    speed: float
+    level: float
+    covered: float
+    reach: Array
+    form: SampledForm
+
+    def largest_period(self) -> float:
+        """Return the largest period that this function certifies, all else the same [s]."""
+        return self._largest(lambda period: replace(self.latency, period=period), self.latency.period)
+
+    def largest_delay(self) -> float:
+        """Return the largest delay of torques that this function certifies, all else the same [s]."""
+        if not self._passes(self.latency):
+            return 0.0
+        ahead = self.latency.torque_delay + self.latency.period
+        return self._largest(lambda delay: replace(self.latency, torque_delay=delay), ahead)
+
+    def _largest(self, at: Callable[[float], Latency], first: float) -> float:
+        low, high = 0.0, first
+        while high < _LONGEST * first and self._passes(at(high)):
+            low, high = high, 2.0 * high
+        if low == 0.0:  # at least its order of magnitude
+            while high > first / _LONGEST and not self._passes(at(0.5 * high)):
+                high *= 0.5
+            low = 0.5 * high
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self._passes(at(middle)) else (low, middle)
+        return low
+
+    def _passes(self, latency: Latency) -> bool:
+        """Return whether some multiplier certifies another latency in the worst samples."""
+        worst = np.argsort(self.margins)[:_WORST]
+        form = self.form.take(worst).with_latency(latency)
+        return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
+
+
+def sampled_test(
+    loop: ClosedLoop, known: Best, samples: Samples, fresh: Samples, latency: Latency
+) -> SampledTest:
+    """Choose a function that certifies the loop with a latency, for starts at rest.
+
+    v̄ is such that all samples may be started from, or less where that is not certified.
+
+    Args:
+        loop: The closed loop, with gravity that is known.
+        known: What was found for continuous time, to begin with.
+        samples: To choose it on.
+        fresh: To check it on.
+        latency: Of the loop.
+    """
+    setting, saturation = loop.setting, loop.controller.saturation
+    friction = loop.plants[0].friction
+    everywhere = samples.join(fresh)
+    potential = setting.kp + setting.alpha * setting.kv
+    needed = _SPARE * float(_at_rest(saturation, everywhere, potential).max(initial=0.0))
+    dg = loop.gravity_gradients(everywhere)
+    for share in _SPEEDS:
+        speed = share * math.sqrt(2.0 * needed)
+        reach = speed / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
+        whole = SampledForm(everywhere, setting, friction, latency, speed, reach, dg)
+        form, check = whole.take(slice(len(samples))), whole.take(slice(len(samples), None))
+        best, family = _best(form, known)
+        margins = check.margins(best.weights)
+        # s̄ is of the weights that were begun with: of smaller ones errors may be larger
+        if float(best.weights.w.min()) < float(potential.min()):
+            whole = whole.with_reach(speed / math.sqrt(2.0 * setting.c_bar * float(best.weights.w.min())))
+            form, check = whole.take(slice(len(samples))), whole.take(slice(len(samples), None))
+            best = best._replace(margins=form.margins(best.weights))
+            margins = check.margins(best.weights)
+        if best.margins.min() > 0.0 and (margins > 0.0).all():
+            break
+    violations = int((margins <= 0.0).sum())
+    level = max(0.0, whole.level(best.weights))
+    energies = _at_rest(saturation, everywhere, best.weights.w)
+    return SampledTest(
+        family, best.weights, best.margins, len(fresh), violations, loop.region.independent,
+        latency, speed, level, float((energies <= level).mean()),
+        _largest_errors(saturation, best.weights.w, level), form,
+    )  # fmt: skip
+
+
+def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:
+    """Return the function of the smallest family that is positive, or the best."""
+    if not form.is_possible():
+        nowhere = np.full(len(form.samples), -np.inf)
+        return known._replace(weights=known.weights._replace(multiplier=0.5), margins=nowhere), "free"
+    best = best_weights(form, "free")
+    if best.margins.min() > 0.0 or "wide" not in form.setting.families:
+        return best, "free"
+    return best_weights(form, "wide"), "wide"
+
+
+def _at_rest(saturation: Saturation, samples: Samples, w: Array) -> Array:
+    """V of the samples at rest, Σ wᵢSᵢ(eᵢ), shape (N,)."""
+    return np.asarray(saturation.S(samples.e) @ w)
+
+
+def _largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
+    """The largest eᵢ with wᵢSᵢ(eᵢ) ≤ c, shape (m,)."""
+    low, high = np.zeros(len(w)), np.full(len(w), 1e-9)
+    while ((w * saturation.S(high) < level) & (high < 1e6)).any():
+        high = np.where(w * saturation.S(high) < level, 2.0 * high, high)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        inside = w * saturation.S(middle) <= level
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return low
+
+
+def exact_radius(loop: ClosedLoop, samples: Samples, latency: Latency) -> Array:
+    """Return by what errors near targets are multiplied from frame to frame at most, shape (N,).
+
+    The spectral radius of `law.frame_map`, without the self-motion; friction counts as held. From 1
+    on the loop is unstable at that target.
+    """
+    kp, kv, damping = loop.controller.diagonals
+    n, m = samples.M.shape[-1], len(kp)
+    D = law.dissipation(samples.J_hat, kv, damping + loop.plants[0].friction)
+    none = np.zeros_like(samples.M)
+    M_inv: Array = np.asarray(np.linalg.inv(samples.M))
+    linear = LinearLaw(
+        M_inv, samples.J, samples.J_hat.mT * kp, D, none, samples.J_hat.mT * 0.0
+    )
+    dt, frames, age, late = latency.in_samples()
+    of_loop = law.frame_map(linear, dt, frames, age, late, latency.velocity_filter)
+    moving = np.r_[0 : 2 * n, 3 * n : of_loop.shape[-1]]  # nothing is learnt
+    values = np.linalg.eigvals(of_loop[:, moving[:, np.newaxis], moving])
+    still = np.argsort(np.abs(values - 1.0), axis=1)[:, : n - m]
+    near = np.take_along_axis(np.abs(values - 1.0), still, axis=1)
+    sizes = np.abs(values)
+    np.put_along_axis(sizes, still, np.where(near < _SELF_MOTION, 0.0, np.inf), axis=1)
+    return np.asarray(sizes.max(axis=1))
