@@ -1,15 +1,15 @@
-"""`stability_report`: the four tests over a region, before anything moves."""
+"""`stability_report`: the tests over a region, before anything moves."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import SetpointController
+from approxjac.controllers import Latency, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import plain
 from approxjac.robots import Robot
@@ -20,29 +20,38 @@ from approxjac.stability.local import LocalTest, local_test
 from approxjac.stability.matrix_form import Best, Family, MatrixForm
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
+from approxjac.stability.sampled_test import SampledTest, growth, largest, sampled_test
 from approxjac.stability.samples import Samples
 from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
 from approxjac.stability.uncertainty import Uncertainty
-from approxjac.validation import Array, as_integer
+from approxjac.validation import Array, as_integer, require
 
+_TARGETS = 1000  # that the loop as it runs is linearised at
+_WORST = 60
 _THEOREM1 = ("holds", "p", "allowed_p", "alpha", "margin", "allowed_p_large_gains", "alpha_range")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StabilityReport:
-    """Findings of the four tests about a controller, strongest claim first.
+    """Findings of the tests about a controller.
 
-    The first two are sufficient conditions that sampling found to hold; that a region has no
-    other configuration where they fail is not proven, only bounded
+    The word "certified" is about the loop as it runs, sampled and late. Theorem 1 and the matrix
+    form are about continuous time. All three are sufficient conditions that sampling found to hold;
+    that a region has no other configuration where they fail is not proven, only bounded
     (`MatrixTest.violating_at_most`). They speak of motions that stay in the region.
 
     Attributes:
         loop: The closed loop: controller, truth, region and target.
-        samples: What the tests 1 and 2 were evaluated on; those that the Lyapunov functions were
-            chosen on come first.
-        theorem1: Test 1.
-        matrix: Test 2 by family.
-        local: Test 3.
+        latency: When it measures and acts.
+        samples: What all but the local test and the rollouts were evaluated on; those that the
+            Lyapunov functions were chosen on come first.
+        sampled: The loop as it runs, or None where gravity is learnt, which it does not cover.
+        theorem1: Test 1, in continuous time.
+        matrix: Test 2 by family, in continuous time.
+        local: Test 3, in continuous time.
+        growth: By what errors near targets are multiplied from one frame of x to the next at most,
+            in the exact linearisation of the loop as it runs, shape (k,); below 1 where it is
+            stable.
         rollouts: Test 4, or None if it was not asked for.
         gravity_error: Largest gravity torque in the region that the controller neither
             compensates nor can learn [N m or N]. All tests but the rollouts take it as zero.
@@ -52,10 +61,13 @@ class StabilityReport:
     """
 
     loop: ClosedLoop
+    latency: Latency
     samples: Samples
+    sampled: SampledTest | None
     theorem1: Theorem1
     matrix: Mapping[Family, MatrixTest]
     local: LocalTest
+    growth: Array
     rollouts: Rollouts | None
     gravity_error: float
     singular_q: Array | None
@@ -67,13 +79,44 @@ class StabilityReport:
         return self.gravity_error <= EXACT_GRAVITY
 
     @property
-    def certified_by(self) -> str | None:
-        """The strongest test that certifies the region: "theorem1", "matrix", or None."""
+    def certified(self) -> bool:
+        """Return whether the loop as it runs is certified: see `reason` where it is not."""
+        return not self.reason
+
+    @property
+    def certified_in_continuous_time(self) -> str | None:
+        """The strongest test that certifies the region: "theorem1", "matrix", or None.
+
+        It says nothing of what sampling and delays do.
+        """
         if not self.gravity_is_exact or self.singular_q is not None or not self.local.stable:
             return None
         if self.theorem1.holds:
             return "theorem1"
         return "matrix" if any(test.certified for test in self.matrix.values()) else None
+
+    @property
+    def reason(self) -> str:
+        """Why the loop as it runs is not certified; empty where it is."""
+        sampled, unstable = self.sampled, self.growth >= 1.0
+        if not self.gravity_is_exact:
+            return f"gravity is off by up to {self.gravity_error:.3g} N m"
+        if self.singular_q is not None:
+            return "the estimated Jacobian loses rank in the region"
+        if unstable.any():
+            return (
+                f"errors grow at {100.0 * unstable.mean():.3g} % of the targets, by the exact "
+                "linearisation of the loop as it runs"
+            )
+        if not self.local.stable:
+            return "errors grow at some targets, in continuous time too"
+        if self.rollouts is not None and self.rollouts.n_diverged:
+            return f"{self.rollouts.n_diverged} of {self.rollouts.n} rollouts diverged"
+        if sampled is None:
+            return "where gravity is learnt, there is a certificate for continuous time only"
+        if not sampled.certified:
+            return "no Lyapunov function was found that allows for the hold and the delays"
+        return ""
 
     def describe_truth(self, index: int) -> str:
         """Return in words which true robot the index of a sample's `truth` means."""
@@ -91,7 +134,7 @@ class StabilityReport:
         """Return the table: test, verdict, and the figures it rests on."""
         rows = []
         assumed = self.gravity_is_exact and self.singular_q is None
-        passed = "certified" if assumed else "would certify"
+        passed = "holds" if assumed else "would hold"
         if not self.gravity_is_exact:
             figures = (
                 f"off by up to {self.gravity_error:.3g} N m: the error does not go to 0 but to "
@@ -106,13 +149,14 @@ class StabilityReport:
                 "holds there; RegularPart leaves such configurations out"
             )
             rows.append(("0 rank", "not regular", figures))
+        rows += self._as_it_runs()
         first = self.theorem1
         figures = (
             f"p = {first.p:.3g} {'<' if first.holds else '>='} {max(first.allowed_p, 0.0):.3g} "
             f"allowed at alpha = {first.alpha:.3g}/s; worst p with "
             f"{self._case(self.samples, first.worst['p'])}"
         )
-        rows.append(("1 Theorem 1", passed if first.holds else "not certified", figures))
+        rows.append(("1 Theorem 1", passed if first.holds else "does not hold", figures))
         titles = {"paper": "paper's weights", "free": "free potential", "wide": "widened"}
         for family, test in self.matrix.items():
             if test.certified:
@@ -123,7 +167,7 @@ class StabilityReport:
                 text = f"violated in {test.violations} of {test.checked} further configurations"
             else:
                 text = f"holds in {100 * test.share:.3g} % of the configurations"
-            verdict = passed if test.certified else "not certified"
+            verdict = passed if test.certified else "does not hold"
             worst = self._case(self.samples, test.worst)
             figures = f"margin {test.margin:.3g}; {text}; worst with {worst}"
             rows.append((f"2 matrix form, {titles[family]}", verdict, figures))
@@ -140,22 +184,80 @@ class StabilityReport:
             rows.append(("4 rollouts", "", str(self.rollouts)))
         return rows
 
+    def _as_it_runs(self) -> list[tuple[str, str, str]]:
+        """Rows about the loop that is sampled and late."""
+        sampled, unstable = self.sampled, self.growth >= 1.0
+        figures = (
+            f"at {100.0 * (1.0 - unstable.mean()):.4g} % of {len(unstable)} targets; errors are "
+            f"multiplied by at most {self.growth.max():.6g} from frame to frame"
+        )
+        exact = "0 as it runs, exact near targets", "unstable" if unstable.any() else "stable", figures
+        if sampled is None:
+            told = "not covered: a form that allows for hold and delays is for known gravity"
+            return [("0 as it runs, form", "", told), exact]
+        name = {"free": "free potential", "wide": "widened"}[sampled.family]
+        figures = f"margin {sampled.margin:.3g}, {name}; {self._starts()}; {self._timing()}"
+        verdict = "holds" if sampled.certified else "does not hold"
+        return [("0 as it runs, form", verdict, figures), exact]
+
+    def _starts(self) -> str:
+        """Which starts the form covers, in words."""
+        sampled = self.sampled
+        assert sampled is not None
+        units = self.loop.controller.task.units
+        reach = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(sampled.reach, units, strict=True))
+        return (
+            f"for starts at rest whose error is at most {reach} in one coordinate alone, "
+            f"{100.0 * sampled.covered:.3g} % of those drawn"
+        )
+
+    def _timing(self) -> str:
+        """Largest period and delay, in words."""
+        sampled = self.sampled
+        assert sampled is not None
+        period, delay = sampled.largest_period(), sampled.largest_delay()
+        exact = self._exact_period()
+        return (
+            f"certified up to a period of {1e3 * period:.3g} ms (the exact linearisation is "
+            f"stable up to {1e3 * exact:.3g} ms) and a torque delay of {1e3 * delay:.3g} ms"
+        )
+
+    def _exact_period(self) -> float:
+        """Largest period for which the linearisation is stable at the targets that grow most [s]."""
+        worst = self.samples.take(np.argsort(-self.growth)[:_WORST])
+        return largest(
+            lambda latency: bool((growth(self.loop, worst, latency) < 1.0).all()),
+            lambda period: replace(self.latency, period=period),
+            self.latency.period,
+        )
+
+    def verdict(self) -> str:
+        """Return in one line whether the loop as it runs is certified, and why not."""
+        if self.certified and self.sampled is not None:
+            return f"certified: yes, margin {self.sampled.margin:.2g}"
+        return f"certified: no, {self.reason}"
+
+    def covers(self) -> str:
+        """Return what the verdict is about."""
+        truth, errors = self.loop.truth, "the true robot"
+        if isinstance(truth, Uncertainty):
+            errors = truth.describe_box()
+        return f"covers: {self.latency!r}; errors: {errors}; {self.loop.region!r}"
+
     def __repr__(self) -> str:
-        name, by = self.loop.controller.task.robot.name, self.certified_by
-        verdict = "not certified" if by is None else f"certified by {by}"
+        name = self.loop.controller.task.robot.name
         where = repr(self.loop.region)
-        return f"StabilityReport({name!r}: {verdict} on {where}; print it for the tests)"
+        return f"StabilityReport({name!r}: {self.verdict()}, on {where}; print it for the tests)"
 
     def __str__(self) -> str:
         rows, paper = self.lines(), self.matrix["paper"]
         first, second = (max(len(row[k]) for row in rows) for k in range(2))
         table = [f"{test:<{first}}  {verdict:<{second}}  {text}" for test, verdict, text in rows]
         head = (
-            f"{self.loop.controller!r}\non {self.loop.region!r}: "
-            f"{len(paper.margins)} configurations, {paper.checked} further ones to "
-            f"check, seed {self.seed}"
+            f"{self.loop.controller!r}: {len(paper.margins)} configurations, {paper.checked} "
+            f"further ones to check, seed {self.seed}"
         )
-        return "\n".join([head, *table])
+        return "\n".join([self.verdict(), self.covers(), head, *table])
 
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
@@ -166,7 +268,12 @@ class StabilityReport:
             "region": repr(self.loop.region),
             "configurations": len(self.matrix["paper"].margins),
             "seed": self.seed,
-            "certified_by": self.certified_by,
+            "certified": self.certified,
+            "reason": self.reason,
+            "latency": plain(asdict(self.latency)),
+            "certified_in_continuous_time": self.certified_in_continuous_time,
+            "largest_growth": self.growth.max(),
+            "sampled": self._sampled_summary(names),
             "singular_q": self.singular_q,
             "theorem1": {
                 **{name: getattr(first, name) for name in _THEOREM1},
@@ -195,12 +302,24 @@ class StabilityReport:
         return {name: plain(value) for name, value in found.items()}
 
 
+    def _sampled_summary(self, names: tuple[str, ...]) -> dict[str, Any] | None:
+        test = self.sampled
+        if test is None:
+            return None
+        return {
+            **{name: getattr(test, name) for name in (*names, "speed", "level", "covered", "reach")},
+            "worst_q": self.samples.q[test.worst],
+            **test.weights._asdict(),
+        }
+
+
 def stability_report(
     controller: SetpointController,
     truth: Plant | Robot | Uncertainty,
     region: Region | None = None,
     *,
     target: Sequence[float] | Array | None = None,
+    latency: Latency | None = None,
     configurations: int = 2000,
     runs: int = 0,
     seed: int = 0,
@@ -220,6 +339,8 @@ def stability_report(
             near-singular configurations by default.
         target: x_d, shape (n_x,), for the one target; by default the values of other
             configurations of the region, so that the report speaks of all targets within it.
+        latency: When the loop measures and acts, which "certified" is about; by default that of
+            the controller, or 1 kHz with ideal sensors.
         configurations: How many to draw, ≥ 20.
         runs: How many rollouts to add; none by default.
         seed: Of all drawing, ≥ 0.
@@ -231,6 +352,9 @@ def stability_report(
             an empty region or one that a true camera sees nothing of, a target that no
             configuration of a true robot attains, or numbers out of range.
     """
+    if latency is None:
+        latency = controller.latency or Latency()
+    require("latency", latency, Latency, "Latency(period=...) or None")
     loop = ClosedLoop(controller, truth, region, target)
     half = as_integer("configurations", configurations, 20) // 2
     rng = np.random.default_rng(as_integer("seed", seed, 0))
@@ -266,6 +390,10 @@ def stability_report(
         matrix[family] = MatrixTest(
             family, weights, margins, len(fresh), check.violations(weights), loop.region.independent
         )
+    sampled = None
+    if controller.adaptation is None:
+        tell("as it runs", 0.0)
+        sampled = sampled_test(loop, chosen["free"], samples, fresh, latency)
     tell("local", 0.0)
     truths, configured = samples.truth, samples.q
     if loop.target is not None:
@@ -279,6 +407,8 @@ def stability_report(
         )  # fmt: skip
     first, singular_q = theorem1(everywhere, setting), loop.singular_configuration(samples)
     gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
+    growing = growth(loop, samples.take(np.arange(len(samples))[:_TARGETS]), latency)
     return StabilityReport(
-        loop, everywhere, first, matrix, local, outcome, gravity_error, singular_q, seed
-    )
+        loop, latency, everywhere, sampled, first, matrix, local, growing, outcome, gravity_error,
+        singular_q, seed,
+    )  # fmt: skip

@@ -23,7 +23,7 @@ _SPARE = 1.4  # c is at most so many times what starts need: σ² is known after
 _WORST = 120  # samples that largest periods and delays are sought with
 _HALVINGS = 7
 _LONGEST = 64.0  # times the period of the loop
-_SELF_MOTION = 1e-6
+_STILL = 1e-7  # from 1, what neither grows nor dies out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,8 +32,8 @@ class SampledTest(MatrixTest):
 
     Attributes:
         latency: Of the loop that it speaks of.
-        speed: v̄ of `law.sampled_form`, √(q̇ᵀMq̇) along the motions that it speaks of stays below it
-            [√J].
+        speed: v̄ of `law.sampled_form`: √(q̇ᵀMq̇) stays below it along the motions that this speaks
+            of [√J].
         level: c [J]: motions that begin with V ≤ c stay below v̄.
         covered: Share of the samples that may be started from, at rest.
         reach: Largest error of one task coordinate that may be started from at rest, the others
@@ -48,35 +48,50 @@ class SampledTest(MatrixTest):
     reach: Array
     form: SampledForm
 
+    def __repr__(self) -> str:
+        verdict = "certified" if self.certified else "not certified"
+        return f"SampledTest({self.latency!r}: {verdict}, margin {self.margin:.3g})"
+
     def largest_period(self) -> float:
         """Return the largest period that this function certifies, all else the same [s]."""
-        return self._largest(lambda period: replace(self.latency, period=period), self.latency.period)
+        return largest(self._passes, self._of_period, self.latency.period)
 
     def largest_delay(self) -> float:
-        """Return the largest delay of torques that this function certifies, all else the same [s]."""
-        if not self._passes(self.latency):
-            return 0.0
-        ahead = self.latency.torque_delay + self.latency.period
-        return self._largest(lambda delay: replace(self.latency, torque_delay=delay), ahead)
+        """Return the largest delay of torques that this function certifies, all else the same [s].
 
-    def _largest(self, at: Callable[[float], Latency], first: float) -> float:
-        low, high = 0.0, first
-        while high < _LONGEST * first and self._passes(at(high)):
-            low, high = high, 2.0 * high
-        if low == 0.0:  # at least its order of magnitude
-            while high > first / _LONGEST and not self._passes(at(0.5 * high)):
-                high *= 0.5
-            low = 0.5 * high
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if self._passes(at(middle)) else (low, middle)
-        return low
+        0 where it certifies none.
+        """
+        return largest(self._passes, self._of_delay, self.latency.period)
+
+    def _of_period(self, period: float) -> Latency:
+        return replace(self.latency, period=period)
+
+    def _of_delay(self, delay: float) -> Latency:
+        return replace(self.latency, torque_delay=delay)
 
     def _passes(self, latency: Latency) -> bool:
         """Return whether some multiplier certifies another latency in the worst samples."""
         worst = np.argsort(self.margins)[:_WORST]
         form = self.form.take(worst).with_latency(latency)
         return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
+
+
+def largest(passes: Callable[[Latency], bool], at: Callable[[float], Latency], first: float) -> float:
+    """Return the largest time that passes, by halving from `first` on; 0 where none does."""
+    low, high = 0.0, first
+    while high < _LONGEST * first and passes(at(high)):
+        low, high = high, 2.0 * high
+    while low == 0.0 and high > first / _LONGEST:
+        if passes(at(0.5 * high)):
+            low = 0.5 * high
+        else:
+            high *= 0.5
+    if low == 0.0:
+        return 0.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if passes(at(middle)) else (low, middle)
+    return low
 
 
 def sampled_test(
@@ -152,26 +167,29 @@ def _largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
     return low
 
 
-def exact_radius(loop: ClosedLoop, samples: Samples, latency: Latency) -> Array:
+def growth(loop: ClosedLoop, samples: Samples, latency: Latency) -> Array:
     """Return by what errors near targets are multiplied from frame to frame at most, shape (N,).
 
-    The spectral radius of `law.frame_map`, without the self-motion; friction counts as held. From 1
-    on the loop is unstable at that target.
+    The spectral radius of `law.frame_map` at each sample taken as a target, without what neither
+    grows nor dies out: self-motion, and what no joint feels of what is learnt. Friction counts as
+    held. From 1 on the loop is unstable there.
     """
     kp, kv, damping = loop.controller.diagonals
-    n, m = samples.M.shape[-1], len(kp)
+    learning, n = loop.controller.adaptation, samples.M.shape[-1]
     D = law.dissipation(samples.J_hat, kv, damping + loop.plants[0].friction)
-    none = np.zeros_like(samples.M)
+    rate, pull = np.zeros_like(samples.M), np.zeros_like(samples.J_hat.mT)
+    if learning is not None:
+        Y = np.array(list(map(learning.Y, samples.q, samples.J_hat)))
+        rate = Y @ law.learning_gain(learning.L, Y)
+        inverse = np.array(list(map(loop.controller.pinv.matrix, samples.J_hat)))
+        pull = learning.alpha * inverse
     M_inv: Array = np.asarray(np.linalg.inv(samples.M))
-    linear = LinearLaw(
-        M_inv, samples.J, samples.J_hat.mT * kp, D, none, samples.J_hat.mT * 0.0
-    )
+    linear = LinearLaw(M_inv, samples.J, samples.J_hat.mT * kp, D, rate, pull)
     dt, frames, age, late = latency.in_samples()
-    of_loop = law.frame_map(linear, dt, frames, age, late, latency.velocity_filter)
-    moving = np.r_[0 : 2 * n, 3 * n : of_loop.shape[-1]]  # nothing is learnt
-    values = np.linalg.eigvals(of_loop[:, moving[:, np.newaxis], moving])
-    still = np.argsort(np.abs(values - 1.0), axis=1)[:, : n - m]
-    near = np.take_along_axis(np.abs(values - 1.0), still, axis=1)
-    sizes = np.abs(values)
-    np.put_along_axis(sizes, still, np.where(near < _SELF_MOTION, 0.0, np.inf), axis=1)
+    whole = law.frame_map(linear, dt, frames, age, late, latency.velocity_filter)
+    if learning is None:  # nothing is learnt
+        kept = np.r_[0 : 2 * n, 3 * n : whole.shape[-1]]
+        whole = whole[:, kept[:, np.newaxis], kept]
+    values = np.linalg.eigvals(whole)
+    sizes = np.where(np.abs(values - 1.0) < _STILL, 0.0, np.abs(values))
     return np.asarray(sizes.max(axis=1))
