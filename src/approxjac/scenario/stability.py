@@ -114,7 +114,7 @@ def analyse(
 
     tolerances = tolerance(controller, uncertainty, progress=partial(tell, "tolerance"), **where)
     raised = part = map_ = None
-    if report.certified_by is None:
+    if not report.passed:
         raised = damping_that_certifies(
             controller, uncertainty, progress=partial(tell, "more damping"), **drawn
         )

@@ -79,9 +79,21 @@ class StabilityReport:
         return self.gravity_error <= EXACT_GRAVITY
 
     @property
-    def certified(self) -> bool:
-        """Return whether the loop as it runs is certified: see `reason` where it is not."""
-        return not self.reason
+    def certified_by(self) -> str | None:
+        """ "sampled form" where the loop as it runs is certified; None, and `reason`, where not."""
+        return None if self.reason else "sampled form"
+
+    @property
+    def passed(self) -> bool:
+        """Return whether it is certified as far as there are certificates.
+
+        Where gravity is learnt there is none of the loop as it runs: the one in continuous time has
+        to do, with nothing that contradicts it.
+        """
+        learns = self.sampled is None and not self._contradiction
+        return self.certified_by is not None or (
+            learns and self.certified_in_continuous_time is not None
+        )
 
     @property
     def certified_in_continuous_time(self) -> str | None:
@@ -98,7 +110,18 @@ class StabilityReport:
     @property
     def reason(self) -> str:
         """Why the loop as it runs is not certified; empty where it is."""
-        sampled, unstable = self.sampled, self.growth >= 1.0
+        if self._contradiction:
+            return self._contradiction
+        if self.sampled is None:
+            return "gravity is learnt, of which there are certificates in continuous time only"
+        if not self.sampled.certified:
+            return "no Lyapunov function was found that allows for the hold and the delays"
+        return ""
+
+    @property
+    def _contradiction(self) -> str:
+        """What no certificate can stand beside; empty where there is nothing."""
+        unstable = self.growth >= 1.0
         if not self.gravity_is_exact:
             return f"gravity is off by up to {self.gravity_error:.3g} N m"
         if self.singular_q is not None:
@@ -112,10 +135,6 @@ class StabilityReport:
             return "errors grow at some targets, in continuous time too"
         if self.rollouts is not None and self.rollouts.n_diverged:
             return f"{self.rollouts.n_diverged} of {self.rollouts.n} rollouts diverged"
-        if sampled is None:
-            return "where gravity is learnt, there is a certificate for continuous time only"
-        if not sampled.certified:
-            return "no Lyapunov function was found that allows for the hold and the delays"
         return ""
 
     def describe_truth(self, index: int) -> str:
@@ -191,7 +210,11 @@ class StabilityReport:
             f"at {100.0 * (1.0 - unstable.mean()):.4g} % of {len(unstable)} targets; errors are "
             f"multiplied by at most {self.growth.max():.6g} from frame to frame"
         )
-        exact = "0 as it runs, exact near targets", "unstable" if unstable.any() else "stable", figures
+        exact = (
+            "0 as it runs, exact near targets",
+            "unstable" if unstable.any() else "stable",
+            figures,
+        )
         if sampled is None:
             told = "not covered: a form that allows for hold and delays is for known gravity"
             return [("0 as it runs, form", "", told), exact]
@@ -233,8 +256,11 @@ class StabilityReport:
 
     def verdict(self) -> str:
         """Return in one line whether the loop as it runs is certified, and why not."""
-        if self.certified and self.sampled is not None:
+        if self.certified_by is not None and self.sampled is not None:
             return f"certified: yes, margin {self.sampled.margin:.2g}"
+        if self.passed:
+            margin = max(test.margin for test in self.matrix.values())
+            return f"certified: in continuous time only, as gravity is learnt; margin {margin:.2g}"
         return f"certified: no, {self.reason}"
 
     def covers(self) -> str:
@@ -268,7 +294,7 @@ class StabilityReport:
             "region": repr(self.loop.region),
             "configurations": len(self.matrix["paper"].margins),
             "seed": self.seed,
-            "certified": self.certified,
+            "certified_by": self.certified_by,
             "reason": self.reason,
             "latency": plain(asdict(self.latency)),
             "certified_in_continuous_time": self.certified_in_continuous_time,
@@ -301,13 +327,14 @@ class StabilityReport:
         }
         return {name: plain(value) for name, value in found.items()}
 
-
     def _sampled_summary(self, names: tuple[str, ...]) -> dict[str, Any] | None:
         test = self.sampled
         if test is None:
             return None
         return {
-            **{name: getattr(test, name) for name in (*names, "speed", "level", "covered", "reach")},
+            **{
+                name: getattr(test, name) for name in (*names, "speed", "level", "covered", "reach")
+            },
             "worst_q": self.samples.q[test.worst],
             **test.weights._asdict(),
         }

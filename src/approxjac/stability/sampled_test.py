@@ -76,7 +76,9 @@ class SampledTest(MatrixTest):
         return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
 
 
-def largest(passes: Callable[[Latency], bool], at: Callable[[float], Latency], first: float) -> float:
+def largest(
+    passes: Callable[[Latency], bool], at: Callable[[float], Latency], first: float
+) -> float:
     """Return the largest time that passes, by halving from `first` on; 0 where none does."""
     low, high = 0.0, first
     while high < _LONGEST * first and passes(at(high)):
@@ -123,7 +125,9 @@ def sampled_test(
         margins = check.margins(best.weights)
         # s̄ is of the weights that were begun with: of smaller ones errors may be larger
         if float(best.weights.w.min()) < float(potential.min()):
-            whole = whole.with_reach(speed / math.sqrt(2.0 * setting.c_bar * float(best.weights.w.min())))
+            whole = whole.with_reach(
+                speed / math.sqrt(2.0 * setting.c_bar * float(best.weights.w.min()))
+            )
             form, check = whole.take(slice(len(samples))), whole.take(slice(len(samples), None))
             best = best._replace(margins=form.margins(best.weights))
             margins = check.margins(best.weights)
@@ -143,7 +147,9 @@ def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:
     """Return the function of the smallest family that is positive, or the best."""
     if not form.is_possible():
         nowhere = np.full(len(form.samples), -np.inf)
-        return known._replace(weights=known.weights._replace(multiplier=0.5), margins=nowhere), "free"
+        return known._replace(
+            weights=known.weights._replace(multiplier=0.5), margins=nowhere
+        ), "free"
     best = best_weights(form, "free")
     if best.margins.min() > 0.0 or "wide" not in form.setting.families:
         return best, "free"

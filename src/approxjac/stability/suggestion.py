@@ -206,7 +206,7 @@ def damping_that_certifies(
         if progress is not None:
             progress(k / len(_RAISED))
         raised = controller.with_gains(Gains(kp, kv, factor * damping))
-        if stability_report(raised, uncertainty, region, **options).certified_by is not None:
+        if stability_report(raised, uncertainty, region, **options).passed:
             return factor
     return None
 
@@ -230,6 +230,6 @@ def part_that_certifies(
         if progress is not None:
             progress(k / len(_SHARES))
         part = uncertainty.scaled(share * largest)
-        if stability_report(controller, part, region, **options).certified_by is not None:
+        if stability_report(controller, part, region, **options).passed:
             return part
     return None
