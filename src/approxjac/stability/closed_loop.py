@@ -249,6 +249,14 @@ class ClosedLoop:
         pairs = zip(truths, configurations, strict=True)
         return np.array([self.plants[t].dynamics.g_gradient(q) for t, q in pairs])
 
+    def errors(self, truths: Indices, configurations: Array, x_d: Array) -> Array:
+        """Return e of true robots (N,) at configurations (N, nq), of targets (N, n_x), (N, m)."""
+        x, found = self._values(truths, configurations), np.empty((len(truths), self.controller.task.m))
+        for t in dict.fromkeys(truths.tolist()):
+            each = truths == t
+            found[each] = task_terms.errors(self.plants[t].sensor, x[each], x_d[each])
+        return found
+
     def _values(self, truths: Indices, configurations: Array) -> Array:
         """What true robots (N,) measure at configurations (N, nq), shape (N, n_x)."""
         at = self._true_arms.at(truths, configurations)

@@ -193,10 +193,15 @@ class MatrixForm:
                 return 0
         return int((self.margins(weights) <= 0.0).sum())
 
+    def cross_weight(self, weights: Weights) -> Array:
+        """Return G, shape (N, n_v, m)."""
+        of = self._of_samples
+        return np.asarray(of.pinv @ weights.A1 + of.damped @ weights.A2)
+
     def _decrease(self, weights: Weights) -> tuple[Array, Array]:
         """Q of V̇ = −zᵀQz, (N, n_v + m, n_v + m), and the cross weight G, (N, n_v, m)."""
         at, of, setting = self.samples, self._of_samples, self.setting
-        G = of.pinv @ weights.A1 + of.damped @ weights.A2
+        G = self.cross_weight(weights)
         N = np.zeros_like(at.M)
         if not setting.large_gains:
             dG = of.dpinv @ weights.A1 + of.ddamped @ weights.A2

@@ -36,12 +36,14 @@ class Hold(NamedTuple):
         span: Longest time that a torque is out of date [s].
         lag: Of the filter of q̇ [s].
         frames: γ_x of x that comes in frames [s]; None where x is read with the rest.
+        age: Longest time that x is out of date [s].
     """
 
     gain: float
     span: float
     lag: float
-    frames: float | None
+    frames: float | None = None
+    age: float = 0.0
 
     @classmethod
     def of(cls, latency: Latency) -> Hold:
@@ -54,11 +56,11 @@ class Hold(NamedTuple):
         lag = latency.velocity_filter + 0.5 * h if latency.velocity_filter > 0.0 else 0.0
         gain, span = sampled_form.hold_gain(h, d) + lag, h + d + lag
         if not (lag or latency.image_period or latency.image_age):
-            return cls(gain, span, lag, None)
+            return cls(gain, span, lag)
         held, late = max(latency.image_period, h), h * math.ceil(latency.image_age / h - _MULTIPLE)
         if abs(held / h - round(held / h)) > _MULTIPLE:
             held += h
-        return cls(gain, span, lag, sampled_form.hold_gain(held, late + d))
+        return cls(gain, span, lag, sampled_form.hold_gain(held, late + d), held + late + d)
 
 
 class Turning(NamedTuple):
@@ -141,6 +143,13 @@ class SampledForm(MatrixForm):
         """Return this of a loop with another latency."""
         other = copy.copy(self)
         other.hold = Hold.of(latency)
+        return other
+
+    def at_rate(self, rate: float) -> Self:
+        """Return this for e^(ρt)(z, w) with a rate ρ [1/s], whose gains are larger."""
+        other, hold = copy.copy(self), self.hold
+        frames = None if hold.frames is None else hold.frames * math.exp(rate * hold.age)
+        other.hold = hold._replace(gain=hold.gain * math.exp(rate * hold.span), frames=frames)
         return other
 
     def with_reach(self, reach: float) -> Self:
@@ -240,6 +249,10 @@ class SampledForm(MatrixForm):
         F = self._form(weights, Q, G)
         held = sampled_form.held_margin(F, self._of_samples.D, at.J_hat, G, self.setting.kp)
         return np.minimum(margins, held)
+
+    def decrease(self, weights: Weights) -> Array:
+        """Return F, shape (N, k, k), of (z, w) and what else there is."""
+        return self._form(weights, *self._decrease(weights))
 
     def kinetic_share(self, weights: Weights) -> float:
         """σ², (0, 1): V ≥ ½(1 − σ²)|q̇|²_M at these samples."""

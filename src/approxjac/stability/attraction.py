@@ -1,0 +1,179 @@
+"""`Attraction`: starts from which the arm provably never leaves the region."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from approxjac import law
+from approxjac.law import Saturation
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.matrix_form import MatrixForm, Weights
+from approxjac.stability.region import JointBox
+from approxjac.stability.sampled_test import SampledTest
+from approxjac.stability.samples import Indices
+from approxjac.validation import Array
+
+_RATES = (0.05, 0.1, 0.2, 0.4, 0.6, 0.9, 1.2, 1.6, 2.0, 2.7, 3.6)  # ρ that are tried [1/s]
+_MULTIPLES = (0.6, 0.8, 1.0, 1.3, 1.8)  # of the multipliers
+_PAIRS = 300  # of a start and a target, for the largest V at the start
+_EDGES = 1500  # configurations on the boundary
+_CLOSER, _AROUND = 4, 300  # closer looks at the lowest place of the boundary, and of how many
+_HALVINGS = 20
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Attraction:
+    """Starts at rest from which a certified motion stays in a box of configurations.
+
+    With joints to spare, or any: |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which
+    V dies out. With as many joints as task coordinates also: V ≤ `level` is left by no motion, as
+    on the boundary of the box V is larger whatever the speed.
+
+    Attributes:
+        travel: Shape (n_v,) [rad/√J or m/√J]; infinite where no rate was found.
+        rate: ρ of that rate [1/s].
+        level: Smallest V on the boundary, and at most `SampledTest.level` [J]; 0 with joints to
+            spare.
+        radius: Starts at rest, and targets of configurations, within so much of the middle of the
+            box in every joint never leave it [rad or m]; 0 where there are none.
+        error: Largest ‖e‖ of such starts [units of the task].
+    """
+
+    travel: Array
+    rate: float
+    level: float
+    radius: float
+    error: float
+
+    def __repr__(self) -> str:
+        return f"Attraction(radius={self.radius:.3g}, error={self.error:.3g})"
+
+
+def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) -> Attraction | None:
+    """Return which starts stay, or None: of what is not certified, or of a region that is no box."""
+    box = loop.region
+    if not test.certified or not isinstance(box, JointBox) or not test.level:
+        return None
+    saturation = loop.controller.saturation
+    travel, rate = _travel(test, saturation)
+    level = 0.0
+    starts = _Starts(loop, box, test.weights, rng)
+    spare = box.robot.nv - loop.controller.task.m
+
+    def stays(radius: float) -> bool:
+        energy, _ = starts.largest(radius)
+        if energy > test.level:
+            return False
+        if (radius + travel * np.sqrt(energy) <= box.upper).all():
+            return True
+        return not spare and energy < starts.lowest(radius)
+
+    low, high = 0.0, float(box.upper.min())
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stays(middle) else (low, middle)
+    if not spare:
+        level = min(test.level, starts.lowest(low))
+    return Attraction(travel, rate, level, low, starts.largest(low)[1] if low else 0.0)
+
+
+def _travel(test: SampledTest, saturation: Saturation) -> tuple[Array, float]:
+    """The least `Attraction.travel` of all joints, and its rate."""
+    form, weights = test.form, test.weights
+    n = form.samples.M.shape[-1]
+    best, chosen = np.full(n, np.inf), 0.0
+    G = form.cross_weight(weights)
+    largest = _largest_ratio(saturation, test.reach)
+    P = law.potential_matrix(form.samples.M, G, weights.w, largest)
+    k = P.shape[-1]
+    for rate in _RATES:
+        faster = form.at_rate(rate)
+        for multiple in _MULTIPLES:
+            scaled = weights._replace(multiplier=multiple * weights.multiplier)
+            F = faster.decrease(scaled)
+            F[:, :k, :k] -= rate * P
+            try:
+                np.linalg.cholesky(F)
+            except np.linalg.LinAlgError:
+                continue
+            inverse = np.linalg.inv(F)
+            found = np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, :n].max(axis=0) / (2.0 * rate))
+            if found.max() < best.max():
+                best, chosen = found, rate
+    return best, chosen
+
+
+def _largest_ratio(saturation: Saturation, reach: Array) -> float:
+    """Largest S(e)/s(e)² of errors up to `reach`: ½ where s(e) = e."""
+    errors = np.linspace(0.0, 1.0, 200)[1:, np.newaxis] * reach
+    s = saturation.s(errors)
+    positive = s > 0.0
+    return float((saturation.S(errors)[positive] / s[positive] ** 2).max(initial=0.5))
+
+
+class _Starts:
+    """Starts and targets near the middle of a box, and its boundary, the same at each asking."""
+
+    def __init__(
+        self, loop: ClosedLoop, box: JointBox, weights: Weights, rng: np.random.Generator
+    ) -> None:
+        self._loop, self._box, self._weights, self._rng = loop, box, weights, rng
+        n = box.robot.nv
+        # corners are where errors are largest
+        drawn = rng.uniform(-1.0, 1.0, (2, _PAIRS, n))
+        drawn[:, ::2] = np.sign(drawn[:, ::2])
+        drawn[1, ::4] = -drawn[0, ::4]
+        self._pairs = drawn
+        self._truths = np.arange(_PAIRS) % len(loop.plants)
+        edges = rng.uniform(-1.0, 1.0, (_EDGES, n))
+        edges[np.arange(_EDGES), np.arange(_EDGES) % n] = np.where(rng.random(_EDGES) < 0.5, -1.0, 1.0)
+        self._edges = edges
+
+    def largest(self, radius: float) -> tuple[float, float]:
+        """Return the largest V at rest within a radius [J], and the largest ‖e‖."""
+        starts, ends = (self._at(radius * motions) for motions in self._pairs)
+        e = self._loop.errors(self._truths, starts, self._targets(self._truths, ends))
+        energy = self._loop.controller.saturation.S(e) @ self._weights.w
+        return float(energy.max()), float(np.linalg.norm(e, axis=1).max())
+
+    def lowest(self, radius: float) -> float:
+        """Return the smallest V on the boundary, with any speed, of targets within a radius [J]."""
+        truths = np.arange(_EDGES) % len(self._loop.plants)
+        motions = self._edges
+        ends = np.resize(self._pairs[1], motions.shape)
+        least = np.inf
+        for look in range(1 + _CLOSER):
+            values = self._least(truths, self._box.upper * motions, radius * ends)
+            k = int(values.argmin())
+            least = min(least, float(values[k]))
+            if look == _CLOSER:
+                break
+            size = 0.2 * 0.4**look
+            near = motions[k] + size * self._rng.normal(size=(_AROUND, motions.shape[1]))
+            on = np.abs(motions[k]) >= 1.0
+            near = np.where(on, motions[k], np.clip(near, -1.0, 1.0))
+            ends = np.clip(ends[k] + size * self._rng.normal(size=near.shape), -1.0, 1.0)
+            truths, motions = np.full(_AROUND, truths[k]), near
+        return least
+
+    def _least(self, truths: Indices, motions: Array, ends: Array) -> Array:
+        """min over q̇ of V, ΣwS − ½|Gs|²_M, shape (N,)."""
+        q = self._at(motions)
+        at = self._loop.samples_at(truths, q, self._targets(truths, self._at(ends)))
+        w = self._weights.w
+        G = MatrixForm(at, self._loop.setting).cross_weight(self._weights)
+        turned = (G @ at.s[..., np.newaxis])[..., 0]
+        kinetic = 0.5 * np.einsum("ni,nij,nj->n", turned, at.M, turned)
+        return np.asarray(self._loop.controller.saturation.S(at.e) @ w - kinetic)
+
+    def _targets(self, truths: Indices, ends: Array) -> Array:
+        if self._loop.target is not None:
+            return np.repeat(np.asarray(self._loop.target)[np.newaxis], len(truths), axis=0)
+        return self._loop._values(truths, ends)
+
+    def _at(self, motions: Array) -> Array:
+        model, center = self._box.robot.model, self._box.center
+        return np.array([pin.integrate(model, center, motion) for motion in motions])
