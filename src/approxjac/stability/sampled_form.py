@@ -9,6 +9,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from approxjac import law
 from approxjac.controllers.latency import Latency
 from approxjac.law import sampled_form
 from approxjac.law.sampled_form import TorqueRate
@@ -113,6 +114,7 @@ class SampledForm(MatrixForm):
     ) -> None:
         super().__init__(samples, setting)
         self.hold, self.speed, self.reach = Hold.of(latency), speed, reach
+        self._decay = 0.0, 0.5
         at, D = samples, self._of_samples.D
         D_c = D - np.diag(friction)
         self._rates = _Rates(
@@ -145,11 +147,23 @@ class SampledForm(MatrixForm):
         other.hold = Hold.of(latency)
         return other
 
-    def at_rate(self, rate: float) -> Self:
-        """Return this for e^(ρt)(z, w) with a rate ρ [1/s], whose gains are larger."""
+    def at_rate(self, rate: float, largest: float = 0.5) -> Self:
+        """Return this with F − ρP in place of F, and gains of e^(ρt)(z, w): V e^(2ρt) never rises.
+
+        Args:
+            rate: ρ [1/s].
+            largest: Of S(e)/s(e)².
+        """
         other, hold = copy.copy(self), self.hold
         frames = None if hold.frames is None else hold.frames * math.exp(rate * hold.age)
         other.hold = hold._replace(gain=hold.gain * math.exp(rate * hold.span), frames=frames)
+        other._decay = rate, largest
+        return other
+
+    def with_speed(self, speed: float) -> Self:
+        """Return this with another v̄ > 0, and s̄ in proportion."""
+        other = copy.copy(self)
+        other.speed, other.reach = speed, self.reach * speed / self.speed
         return other
 
     def with_reach(self, reach: float) -> Self:
@@ -205,10 +219,16 @@ class SampledForm(MatrixForm):
         if self.hold.frames is not None:
             X = np.zeros(len(weights.w)) + weights.X
             frames = X, at.slope[..., np.newaxis] * at.J_e, self.hold.frames**2
-        return sampled_form.held_form(
+        F = sampled_form.held_form(
             Q, G, of.D, at.J_hat, self.setting.kp, self._rate, weights.multiplier, self._gain,
             self._b, frames,
         )  # fmt: skip
+        rate, largest = self._decay
+        if rate:
+            P = law.potential_matrix(at.M, G, weights.w, largest)
+            k = P.shape[-1]
+            F[:, :k, :k] -= rate * P
+        return F
 
     def pencils(self, weights: Weights) -> tuple[Array, Array]:
         """Return X and Y as `MatrixForm` has them, with F in place of Q and as large.
