@@ -119,7 +119,7 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
         ours = aj.rollouts(*loop, executor=pool, progress=done.append, **options)
         assert digest(ours) == expected
     assert done[-1] == 70
-    assert len(done) == 35
+    assert len(done) == 9  # portions of a vector
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         assert digest(aj.rollouts(*loop, executor=pool, **options)) == expected
 
@@ -130,11 +130,11 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         aj.rollouts(*loop, folder=tmp_path, progress=stop, **options)
     kept = sorted(tmp_path.iterdir())
-    assert len(kept) == 10
+    assert len(kept) == 3
     times = [file.stat().st_mtime_ns for file in kept]
     assert digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
     assert [file.stat().st_mtime_ns for file in kept] == times
-    assert len(list(tmp_path.iterdir())) == 35
+    assert len(list(tmp_path.iterdir())) == 9
     monkeypatch.setattr(rollout_study, "_PORTION", 16)
     assert digest(aj.rollouts(*loop, **options)) == expected
     few = aj.rollouts(*loop, **options | {"runs": 9})

@@ -191,9 +191,7 @@ class _MachineCode:
         def evaluate(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             return answer(state, measurement, target) or ordinary(state, measurement, target)
 
-        def step(
-            state: Array, measurement: Measurement, target: Target | Array, dt: float
-        ) -> Any:
+        def step(state: Array, measurement: Measurement, target: Target | Array, dt: float) -> Any:
             found = answer(state, measurement, target)
             if found is None or not (isinstance(dt, float) and 0.0 < dt < math.inf):
                 return ordinary_step(state, measurement, target, dt)

@@ -10,8 +10,9 @@ import os
 import pickle
 import threading
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -43,8 +44,12 @@ _RECORDS = 500  # of a run: 50 in its last tenth
 _CHUNKS = 64  # that runs are handed to an executor in, at least
 _PORTION = 1024  # runs in lanes at once, at most
 _EXAMPLES = 16  # runs that show what differs from run to run
+_VECTOR = 8  # runs that lanes take at once, at least
 _ENGINES = ("lanes", "python")
 _COMPILED = 4  # loops that a process keeps
+
+
+Progress = Callable[[int], None] | bool | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,34 +192,6 @@ class Study:
             record_every=self.every * self.dt, integrator="semi_implicit_euler", seed=start.seed,
         )  # fmt: skip
 
-    # -- portions ---------------------------------------------------------------------------
-
-    def parts(
-        self, runs: int, executor: Executor | None, folder: str | os.PathLike[str] | None
-    ) -> Iterator[dict[str, Array]]:
-        """Return the columns of portions of runs, in order, as they are done."""
-        size = _PORTION if self.engine == "lanes" else 1
-        if executor is not None or folder is not None:
-            size = max(1, min(_PORTION, math.ceil(runs / _CHUNKS)))
-        indices = range(runs)
-        portions = [indices[at : at + size] for at in indices[::size]]
-        part = partial(_part, self)
-        if folder is not None:
-            part = partial(_kept_part, self, Path(folder))
-        if executor is None:
-            return map(part, portions)
-        if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
-            try:
-                pickle.dumps(part)
-            except (pickle.PicklingError, AttributeError, TypeError) as error:
-                raise InvalidInputError(
-                    "controller, uncertainty and region must be picklable to go to other processes "
-                    "(functools.partial(PositionTask, axes='xz') is, a lambda is not): "
-                    f"{error}",
-                    given=executor,
-                ) from error
-        return executor.map(part, portions)  # cancels the others where one fails
-
     def _of_python(self, start: Start) -> tuple[Any, ...]:
         """Return a run in Python, as its row."""
         begins = start.index, start.values, start.q, start.target
@@ -260,6 +237,90 @@ class Study:
         return found
 
 
+def carried_out(
+    studies: Sequence[Study],
+    runs: int,
+    failures: int | None,
+    executor: Executor | None,
+    folder: str | os.PathLike[str] | None,
+    progress: Progress,
+) -> list[dict[str, Array]]:
+    """Return the columns of the runs of some studies.
+
+    What they are does not depend on how they are shared out.
+
+    Args:
+        studies: The studies.
+        runs: Of each.
+        failures: Each ends with its so many-th run that does not converge.
+        executor: What carries out portions; this thread by default.
+        folder: Where portions that are done are kept.
+        progress: See `rollouts`.
+    """
+    shared = max(1, math.ceil(len(studies) * runs / _CHUNKS))
+    pieces: list[tuple[int, range]] = []
+    for k, study in enumerate(studies):
+        if study.engine == "lanes":
+            whole_ones = executor is None and folder is None and failures is None
+            size = _PORTION if whole_ones else min(max(_VECTOR, shared), _PORTION)
+        else:
+            size = 1 if executor is None and folder is None else min(shared, _PORTION)
+        pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
+    part = _part if folder is None else partial(_kept_part, Path(folder))
+    if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
+        for study in studies:
+            _require_picklable(study, executor)
+    futures = [executor.submit(part, studies[k], indices) for k, indices in pieces if executor]
+    found: list[list[dict[str, Array]]] = [[] for _ in studies]
+    left = [math.inf if failures is None else failures] * len(studies)
+    try:
+        with told(progress, len(studies) * runs) as tell:
+            done = 0
+            for i, (k, indices) in enumerate(pieces):
+                if left[k] > 0:
+                    columns = futures[i].result() if futures else part(studies[k], indices)
+                    failed = np.cumsum(np.logical_not(columns["converged"]))
+                    kept = np.searchsorted(failed, left[k]) + 1  # with the last failure
+                    found[k].append({name: column[:kept] for name, column in columns.items()})
+                    left[k] -= failed[-1]
+                elif futures:
+                    futures[i].cancel()
+                done += len(indices)
+                tell(done)
+    finally:
+        for future in futures:
+            future.cancel()
+    return [{name: np.concatenate([p[name] for p in each]) for name in COLUMNS} for each in found]
+
+
+@contextmanager
+def told(progress: Progress, total: int) -> Iterator[Callable[[int], None]]:
+    """Return what is called with the number of runs that are done, of a total."""
+    if progress is not True:
+        yield progress or (lambda done: None)
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=" runs") as bar:
+
+        def tell(done: int) -> None:
+            bar.update(done - bar.n)
+
+        yield tell
+
+
+def _require_picklable(study: Study, executor: Executor) -> None:
+    try:
+        pickle.dumps(study)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise InvalidInputError(
+            "controller, uncertainty and region must be picklable to go to other processes "
+            "(functools.partial(PositionTask, axes='xz') is, a lambda is not): "
+            f"{error}",
+            given=executor,
+        ) from error
+
+
 def _part(study: Study, indices: range) -> dict[str, Array]:
     """Return the columns of some runs."""
     study = copy.deepcopy(study)  # tasks and controllers have scratch memory: one instance a thread
@@ -268,7 +329,7 @@ def _part(study: Study, indices: range) -> dict[str, Array]:
     return _columns([study._of_python(study.start(index)) for index in indices])
 
 
-def _kept_part(study: Study, folder: Path, indices: range) -> dict[str, Array]:
+def _kept_part(folder: Path, study: Study, indices: range) -> dict[str, Array]:
     """Return the columns of some runs, from their file if there is one."""
     name = hashlib.sha256(pickle.dumps((study, indices))).hexdigest()[:20]
     file = folder / f"{name}.npz"
