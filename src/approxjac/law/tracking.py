@@ -27,6 +27,14 @@ def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
     return z / size, (z_dot - z * (dot(u, k * z_dot) / r)) / size
 
 
+def task_velocity(
+    z: Array, z_dot: Array, feed: Array, feed_dot: Array, alpha: float | Array, k: float | Array
+) -> tuple[Array, Array]:
+    """u = ẋ_d − αs(z) and its derivative, with ẋ_d and ẍ_d; k is that of `saturated`."""
+    s, s_dot = saturated(z, z_dot, k)
+    return feed - alpha * s, feed_dot - alpha * s_dot
+
+
 def reference(
     J_hat: Array,
     J_hat_dot: Array,
