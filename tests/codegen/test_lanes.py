@@ -12,6 +12,7 @@ from approxjac.codegen.closed_loop import TOLD, Box
 from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.controllers import PredictedMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
 from approxjac.stability import rollout_study
@@ -179,12 +180,12 @@ def test_columns_and_table():
 
 def test_what_is_not_covered_runs_in_python_and_says_so(panda):
     controller, errors, region = study("panda")
-    held = aj.HeldMeasurement(controller, 0.01)
-    many = aj.rollouts(held, errors, region, runs=1, duration=0.01)
+    predicted = PredictedMeasurement(controller, aj.AdaptiveKinematics(controller.task))
+    many = aj.rollouts(predicted, errors, region, runs=1, duration=0.01)
     assert many.study.engine == "python"
     assert many.study.reason.startswith("controller must be a SetpointController to make code of")
     with pytest.raises(aj.InvalidInputError, match="must be a SetpointController to make code"):
-        aj.rollouts(held, errors, region, runs=1, duration=0.01, engine="lanes")
+        aj.rollouts(predicted, errors, region, runs=1, duration=0.01, engine="lanes")
     with pytest.raises(UnknownNameError, match="engine"):
         aj.rollouts(controller, errors, region, engine="cuda")
 

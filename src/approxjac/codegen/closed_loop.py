@@ -12,11 +12,13 @@ from approxjac.codegen import limits, setpoint, tasks
 from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.functions import LARGEST_ANGLE
 from approxjac.codegen.graph import Condition, Number, Scalar, select
+from approxjac.codegen.held import Held, inside
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.program import Program
 from approxjac.codegen.rigid_body import Arm, Configured, moved
 from approxjac.codegen.senses import Measured, Senses
 from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.controllers import HeldMeasurement
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.simulation import Plant
@@ -86,7 +88,7 @@ def require_covered(controller: Controller, plant: Plant) -> None:
     Raises:
         InvalidInputError: Another law, task or plant than those covered.
     """
-    limits.require_covered(controller)
+    limits.require_covered(inside(controller))
     tasks.require_covered(plant.sensor)
     if plant.servo is not None or plant.torque_limits is not None:
         raise InvalidInputError(
@@ -111,7 +113,7 @@ def closed_loop(
     """Return the program of a sampled closed loop.
 
     Args:
-        controller: The law, or `TorqueLimited` around it.
+        controller: The law, `TorqueLimited` around it, or `HeldMeasurement` around them.
         plant: One of the true robots, with its sensor, friction and lateness.
         numbers: Of true robots, stacked, such that all differ in what ever differs.
         sensors: Numbers of their sensors, as `tasks.numbers` has them.
@@ -199,36 +201,51 @@ class _Loop(NamedTuple):
         truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         belief = Arm(program.given, "belief", task.robot, tasks.frames(task))
         q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
-        state = program.kept("state", setpoint.n_state(limits.law_of(controller)))
+        controller, holds = inside(controller), controller
+        law = limits.law_of(controller)
+        n_state, n_memory = setpoint.n_state(law), 0
+        if isinstance(holds, HeldMeasurement):
+            n_memory = holds._memory
+        whole = program.kept("state", n_state + n_memory)
+        state, memory = whole[:n_state], whole[n_state:]
         here = truth.at(q)
         value = tasks.value(plant.sensor, here, sensor)
         x = tasks.seen(plant.sensor, value)
         error = tasks.error(plant.sensor, value, x_d)
-        told, may_lose, left = Measured(q, v, x, 0.0, {}), tasks.may_lose(plant.sensor), False
+        told, may_lose = Measured(q, v, x, {}), tasks.may_lose(plant.sensor)
+        left: Condition = False
         if senses is not None:
             told, may_lose = senses.measured(program, q, v, x), may_lose or senses.may_lose
-            law = limits.law_of(controller)
-            if law.velocity is not None:  # which begins with the first x
-                followed = np.where(symbols(program.k > 0.0), state[law.resting :], told.x)
+            if law.velocity is not None:  # which begins with the first x, and refuses a lost one
+                is_first = symbols(program.k < 1.0)
+                followed = np.where(is_first, told.x, state[law.resting :])
                 state = np.concatenate([state[: law.resting], followed])
+                left = any_of(is_first & ~np.isfinite(told.x))
+        if isinstance(holds, HeldMeasurement):
+            assert senses is not None
+            held = Held.of(holds, memory, told.x, senses.time_of_x(program))
+            told, may_lose = told._replace(x=held.x), True
         answer, within = limits.answer(
             controller, belief.at(told.q), told.q, told.v, told.x, x_d, state, may_lose=may_lose
         )
         answer, acting, kept = answer._replace(torque=within.torque), within.torque, told.kept
+        if isinstance(holds, HeldMeasurement):
+            memory = held.after(answer.J_hat, told.v, dt)
         if senses is not None:
             acting, late = senses.acting(program, answer.torque)
             kept = kept | late
         q_end, v_end = _advanced(plant, truth, here, q, v, acting, dt, integrator)
-        touched, left = _touched(plant, q_end), answer.left
+        touched, left = _touched(plant, q_end), left | answer.left
         if isinstance(touched, Scalar):
             q_held, v_held, wrong = _held(plant, here, q, v, acting, dt)
             n, ends = len(q), [*q_end.tolist(), *v_end.tolist(), 0.0]
-            held = [*q_held.tolist(), *v_held.tolist(), select(wrong, 1.0, 0.0)]
-            *ends, is_wrong = program.graph.rare(touched, held, ends)
+            stopped = [*q_held.tolist(), *v_held.tolist(), select(wrong, 1.0, 0.0)]
+            *ends, is_wrong = program.graph.rare(touched, stopped, ends)
             q_end, v_end, left = symbols(ends[:n]), symbols(ends[n:]), left | (is_wrong > 0.0)
         left = left | any_of(np.abs(q_end) > LARGEST_ANGLE)
-        squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state)]
-        after = {"q": q_end, "v": v_end, "state": state + dt * answer.rate} | kept
+        after_it = np.concatenate([state + dt * answer.rate, memory])
+        squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state, memory)]
+        after = {"q": q_end, "v": v_end, "state": after_it} | kept
         diverged = ~(sum(squares, 0.0) < _FINITE)
         return cls(truth, q, v, x, error, answer, after, diverged, left)
 

@@ -11,6 +11,7 @@ import numpy as np
 from approxjac.codegen import tasks
 from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.closed_loop import TOLD, Box, ClosedLoop, closed_loop
+from approxjac.codegen.held import inside
 from approxjac.codegen.limits import law_of
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
@@ -49,7 +50,8 @@ class Begun(NamedTuple):
     ) -> Begun:
         """Return that of a plant at rest."""
         # only law (5) begins with x, once it is measured
-        x = target if law_of(controller).velocity is None else plant.sensor.value(q)
+        law = law_of(inside(controller))
+        x = target if law.velocity is None else plant.sensor.value(q)
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
@@ -60,7 +62,7 @@ class Lanes:
     """Closed loops that differ in their true robots, starts and targets.
 
     Args:
-        controller: The law.
+        controller: The law, with what is around it.
         plant: A true robot, with its sensor and friction.
         examples: Runs that differ in all that will ever differ.
         region: Where runs are to stay.

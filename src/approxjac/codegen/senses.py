@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.codegen import tasks
-from approxjac.codegen.graph import select
+from approxjac.codegen.graph import Number, select
 from approxjac.codegen.program import Program
 from approxjac.codegen.symbols import Symbols, symbols
 from approxjac.simulation import Plant, Sensing
@@ -32,14 +32,12 @@ class Measured(NamedTuple):
         q: Shape (nq,).
         v: Shape (n_v,).
         x: Shape (n_x,); NaN where it is lost.
-        t_x: Time at which x was taken [s].
         kept: What the sensors keep of this step, by name.
     """
 
     q: Symbols
     v: Symbols
     x: Symbols
-    t_x: Any
     kept: dict[str, Any]
 
 
@@ -72,11 +70,10 @@ class Senses:
         self.late = round(min(plant.actuator_delay / dt, float(steps)))
         self._k = np.arange(steps + 1)
         frames = frames_of(sensing, dt)
-        self._frames = [frames.next(k * dt) for k in range(steps + 1)]
-        self._is_taken, self._kept_at, self._read_at, self._is_new = (
-            np.array([getattr(frame, name) for frame in self._frames])
-            for name in ("is_taken", "kept_at", "read_at", "is_new")
-        )
+        each = (frames.next(k * dt) for k in range(steps + 1))
+        taken, kept_at, self._lost_in, read_at, new, self._t_x = zip(*each, strict=True)
+        self._is_taken, self._is_new = np.array(taken), np.array(new)
+        self._kept_at, self._read_at = np.array(kept_at), np.array(read_at)
         self._is_now = self._is_taken & (self._kept_at == self._read_at)
         self._places = int(self._kept_at.max()) + 1
 
@@ -110,7 +107,11 @@ class Senses:
             is_new = program.timed("new", 1)[0] > 0.0
             kept["dropped"] = select(is_new, select(drops, 1.0, 0.0), before)
             x = np.where(symbols(kept["dropped"] > 0.0), np.nan, x)
-        return Measured(q, v, x, program.timed("t_x", 1)[0], kept)
+        return Measured(q, v, x, kept)
+
+    def time_of_x(self, program: Program) -> Number:
+        """Return the time at which x was taken [s]."""
+        return program.timed("t_x", 1)[0]
 
     def acting(self, program: Program, torque: Symbols) -> tuple[Symbols, dict[str, Any]]:
         """Return the torque that acts when one is asked for, and what is kept of the latter."""
@@ -132,15 +133,15 @@ class Senses:
             f"{_IMAGE}.to": np.where(self._is_taken, self._kept_at, nobody),
             "now": self._is_now,
             "new": self._is_new,
-            "t_x": [frame.t_x for frame in self._frames],
+            "t_x": self._t_x,
         }
         if self.late:
             known |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
         found = np.zeros((len(self._k), program.n_times))
         for name, (at, size) in program.times.items():
             if name == "lost":
-                for row, frame in zip(found, self._frames, strict=True):
-                    for interval in frame.lost:
+                for row, intervals in zip(found, self._lost_in, strict=True):
+                    for interval in intervals:
                         row[at : at + size][self._lost[interval]] = 1.0
             else:
                 found[:, at] = known[name]
@@ -170,10 +171,12 @@ class Draws:
         groups, n_draws, width = self._shape
         found = np.zeros((groups, end - first, n_draws, width))
         for drawn_at, at, size, draws in self._each:
-            steps = np.flatnonzero(drawn_at[first:end])
+            here = drawn_at[first:end]
+            number = int(here.sum())
+            steps: Any = slice(None) if number == len(here) else np.flatnonzero(here)
             for lane, draw in enumerate(draws):
                 group, i = divmod(lane, width)
-                found[group, steps, at : at + size, i] = draw((len(steps), size))
+                found[group, :, at : at + size, i][steps] = draw((number, size))
         return found
 
 
