@@ -280,7 +280,8 @@ def _bounded(
             multipliers[i] = after = select(after > 0.0, after, 0.0)
             found = found - np.multiply(after - before, NL[i])
     least = _ROUND_OFF * np.abs(N @ rate).max()
-    wrong = any_of(N @ found > least)
+    beside = N @ found
+    wrong = any_of((beside > least) | ((symbols(multipliers) > 0.0) & (beside < -least)))
     *kept, is_wrong = rate[0].graph.rare(
         any_of(outward), [*found.tolist(), select(wrong, 1.0, 0.0)], [*rate.tolist(), 0.0]
     )
