@@ -171,7 +171,7 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
 
     with pytest.raises(KeyboardInterrupt):
         aj.rollouts(*loop, folder=tmp_path, progress=stop, **options)
-    assert len(list(tmp_path.iterdir())) == 10
+    assert 0 < len(list(tmp_path.iterdir())) < 9
     assert test_lanes.digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
     monkeypatch.setattr(rollout_study, "_PORTION", 16)
     monkeypatch.setattr("approxjac.codegen.lanes._BLOCK", 7)
