@@ -18,11 +18,11 @@ import turns
 from mujoco import rollout
 
 import approxjac as aj
-from approxjac.codegen.closed_loop import Box
 from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes, numpy_function
 from approxjac.codegen.program import STEP
+from approxjac.codegen.regions import Box
 from approxjac.robots import Dynamics
 from approxjac.stability.rollout_study import Study
 

@@ -4,14 +4,16 @@ import functools
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.codegen.closed_loop import TOLD, Box
+from approxjac.codegen.closed_loop import TOLD
 from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.codegen.regions import Box
 from approxjac.controllers import PredictedMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
@@ -201,3 +203,44 @@ def test_without_llvmlite(monkeypatch):
     monkeypatch.setattr(rollout_study, "package_of", missing)
     with pytest.raises(MissingPackageError):
         aj.rollouts(*loop, runs=1, duration=0.01, engine="lanes")
+
+
+REGIONS = {
+    "regular part": lambda loop: aj.stability.RegularPart(loop[2], loop[0].task, 0.12),
+    "regular part, joints left over": lambda loop: aj.stability.RegularPart(
+        loop[2], aj.PoseTask(loop[0].task.robot), 0.05
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REGIONS)
+def test_regular_parts_of_a_box(name):
+    """Left by some runs, as Python says."""
+    loop = study("ur5")
+    region = REGIONS[name](loop)
+    ours, python = (
+        aj.rollouts(*loop[:2], region, engine=engine, **SHORT) for engine in (None, "python")
+    )
+    assert ours.study.engine == "lanes"
+    require_agreement(ours, python)
+    assert 0 < ours.columns["stayed"].sum() < 24
+    plain = aj.rollouts(*loop, **SHORT)
+    assert ours.n_left != plain.n_left
+
+
+def test_boxes_of_continuous_joints():
+    errors = aj.Uncertainty(aj.load_robot("kinova"), object_length=(0.0, 0.2))
+    robot = errors.belief()
+    assert robot.nq > robot.nv
+    start = robot.random_configuration(np.random.default_rng(1))
+    loop = aj.SetpointController(errors.believed_task()), errors
+    stayed = []
+    for radius in (0.5, 4.0):  # which is all around
+        region = aj.JointBox.around(robot, start, radius)
+        ours, python = (
+            aj.rollouts(*loop, region, engine=engine, **SHORT) for engine in (None, "python")
+        )
+        assert ours.study.engine == "lanes"
+        require_agreement(ours, python)
+        stayed.append(ours.columns["stayed"].sum())
+    assert 0 < stayed[0] < stayed[1]

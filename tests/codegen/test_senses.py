@@ -11,10 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.codegen import compiled
-from approxjac.codegen.closed_loop import TOLD, Box, require_covered
+from approxjac.codegen.closed_loop import TOLD, require_covered
 from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
+from approxjac.codegen.regions import Box
 from approxjac.controllers import DifferentiatedVelocity
 from approxjac.simulation import Sensing, VelocityServo
 from approxjac.stability import rollout_study

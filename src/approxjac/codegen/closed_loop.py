@@ -15,6 +15,7 @@ from approxjac.codegen.graph import Condition, Number, Scalar, select
 from approxjac.codegen.held import Held, inside
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.program import Program
+from approxjac.codegen.regions import Box, outside
 from approxjac.codegen.rigid_body import Arm, Configured, moved
 from approxjac.codegen.senses import Measured, Senses
 from approxjac.codegen.symbols import Symbols, any_of, symbols
@@ -52,20 +53,6 @@ class Told(NamedTuple):
 
 
 TOLD = Told()
-
-
-class Box(NamedTuple):
-    """Configurations between bounds, of an arm without continuous joints.
-
-    Attributes:
-        center: Shape (n_v,).
-        lower: Smallest motion from it, shape (n_v,).
-        upper: Largest motion from it, shape (n_v,).
-    """
-
-    center: Array
-    lower: Array
-    upper: Array
 
 
 class ClosedLoop(NamedTuple):
@@ -142,7 +129,7 @@ def closed_loop(
         TOLD.error: error,
         TOLD.torque: _larger(told[TOLD.torque], answer.torque / plant.motor_limits),
         TOLD.speed: _larger(told[TOLD.speed], loop.v / robot.velocity_limits),
-        TOLD.outside: select(_outside(loop.q, region), 1.0, told[TOLD.outside]),
+        TOLD.outside: select(outside(loop.q, plant.robot, region), 1.0, told[TOLD.outside]),
     })  # fmt: skip
     return ClosedLoop(program, loop.truth, senses)
 
@@ -341,9 +328,3 @@ def _depth(plant: Plant, q: Symbols) -> tuple[Symbols, Symbols, Array]:
         side[i] = select(above > below, 1.0, -1.0)
         limited[i] = True
     return depth, side, limited
-
-
-def _outside(q: Symbols, region: Box) -> Condition:
-    """Return whether a configuration is not in a box."""
-    motion = q - region.center
-    return any_of((motion < region.lower - 1e-12) | (motion > region.upper + 1e-12))

@@ -10,12 +10,13 @@ import numpy as np
 
 from approxjac.codegen import tasks
 from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
-from approxjac.codegen.closed_loop import TOLD, Box, ClosedLoop, closed_loop
+from approxjac.codegen.closed_loop import TOLD, ClosedLoop, closed_loop
 from approxjac.codegen.held import inside
 from approxjac.codegen.limits import law_of
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.codegen.program import Block, Program
+from approxjac.codegen.regions import Box
 from approxjac.interface import Controller, Measurement
 from approxjac.simulation import Plant
 from approxjac.validation import Array

@@ -25,7 +25,6 @@ from approxjac.stability.rollout_map import (
     shares_over_parameters,
     shares_over_runs,
 )
-from approxjac.stability.rollouts import rollouts
 from approxjac.stability.samples import Samples
 from approxjac.stability.targets import Targets
 from approxjac.stability.uncertainty import Uncertainty
@@ -160,10 +159,10 @@ def stability_map(
     if len(set(names)) != 2:
         raise InvalidInputError(f"names must be two different parameters, got {names}", given=names)
     xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
+    tell = progress or (lambda share: None)
     if by == "rollouts":
         region = usual_region(controller.task) if region is None else region
         runs = as_integer("runs", 100 if runs is None else runs, 1)
-        tell = progress or (lambda share: None)
         total = runs * xs.size * ys.size
         made = shares_over_runs if is_drawn(names, uncertainty) else shares_over_parameters
         shares = made(
@@ -201,12 +200,6 @@ def stability_map(
         if kind == "local":
             rates, _ = hard_targets(scale).rates(loop.with_gains(gains).diagonals)
             return float(rates.min())
-        if kind == "rollouts":
-            return rollouts(
-                controller.with_gains(gains), uncertainty.scaled(scale), loop.region,
-                target=loop.target, runs=runs, duration=duration, seed=seed, executor=executor,
-                **options,
-            ).share  # fmt: skip
         scaled, samples = drawn(scale)
         if not rank_is_lost:
             rank_is_lost.append(scaled.singular_configuration(samples) is not None)
@@ -214,9 +207,11 @@ def stability_map(
             return -1.0
         return max(-1.0, margin(kind, samples, scaled.with_gains(gains).setting))
 
-    grids = {"local": (xs, ys), "theorem1": (xs, ys), "matrix": few, "rollouts": few}
-    costs = {"local": 1, "theorem1": bool(coarse), "matrix": 60, "rollouts": 60 * runs}  # about, ms
+    grids = {"local": (xs, ys), "theorem1": (xs, ys), "matrix": few}
+    costs = {"local": 1, "theorem1": bool(coarse), "matrix": 60}  # about, ms
+    per_run = 5  # ms, too
     total = sum(costs[kind] * len(a) * len(b) for kind, (a, b) in grids.items())
+    total += per_run * runs * coarse**2
     done, found = 0, {}
     for kind, (first, second) in grids.items():
         found[kind] = np.full((len(second), len(first)), np.nan)
@@ -230,11 +225,14 @@ def stability_map(
                 if scale <= 1.0:
                     raise  # grown errors may put the target out of reach, the given ones not
             done += costs[kind]
-            if progress is not None:
-                progress(done / total)
-    share = found.pop("rollouts")
-    made_at = np.isfinite(share)
-    shares = Shares.of(np.rint(runs * np.where(made_at, share, 0.0)), np.where(made_at, runs, 0))
+            tell(done / total)
+    shares = Shares.of(*np.zeros((2, coarse, coarse), dtype=int))
+    if runs and coarse:
+        shares = shares_over_parameters(
+            controller, uncertainty, loop.region, names, few[0], few[1], target=loop.target,
+            runs=runs, duration=duration, seed=seed, executor=executor,
+            progress=lambda ran: tell((done + per_run * ran) / total), **options,
+        )  # fmt: skip
     return StabilityMap(
         names, xs, ys, found["local"], targets, few[0], few[1], found["theorem1"], found["matrix"],
         *shares,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +13,10 @@ from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.stability.region import Region, require_setpoint
-from approxjac.stability.rollouts import clopper_pearson, rollouts
+from approxjac.stability.rollouts import Rollouts, clopper_pearson, rollouts
 from approxjac.stability.sweep import sweep
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.stability.visibility import UnattainedError
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array
 
@@ -60,31 +62,48 @@ def shares_over_parameters(
     names: tuple[str, str],
     x: Array,
     y: Array,
+    *,
+    runs: int,
+    progress: Callable[[int], None] | None = None,
     **options: Any,
 ) -> Shares:
-    """Return the shares with other gains, or scales of the errors; each point its own runs."""
+    """Return the shares with other gains, or scales of the errors; each point its own runs.
+
+    There are none where grown errors put the target out of reach.
+    """
     axes = dict(zip(names, (x.tolist(), y.tolist()), strict=True))
     scales = axes.pop("error", [1.0])
-    if axes:
-        require_setpoint(controller)  # type: ignore[arg-type]
     laws: dict[tuple[float, ...], Controller] = {(): controller}
     if axes:
-        assert isinstance(controller, SetpointController)
+        setpoint: Any = controller
+        require_setpoint(setpoint)
         laws = {}
         for values in itertools.product(*axes.values()):
-            gains = gains_at(controller, dict(zip(axes, values, strict=True)))
-            laws[values] = controller.with_gains(gains)
-    errors = {scale: uncertainty.scaled(scale) for scale in scales}
-    found = sweep(laws, errors, region, **options).points
+            gains = gains_at(setpoint, dict(zip(axes, values, strict=True)))
+            laws[values] = setpoint.with_gains(gains)
+    found: dict[tuple[tuple[float, ...], float], Rollouts] = {}
+    each = len(laws) * runs
 
-    def at(x: float, y: float) -> tuple[int, int]:
-        values = dict(zip(names, (x, y), strict=True))
-        scale = values.pop("error", 1.0)
-        runs = found[tuple(values.values()), scale]
-        return runs.n_converged, runs.n
+    def tell(done: int, before: int) -> None:
+        if progress is not None:
+            progress(before + done)
 
-    counts = np.array([[at(each, other) for each in x.tolist()] for other in y.tolist()])
-    return Shares.of(counts[..., 0], counts[..., 1])
+    for k, scale in enumerate(scales):
+        errors = {scale: uncertainty.scaled(scale)}
+        told = partial(tell, before=k * each)
+        try:
+            found |= sweep(laws, errors, region, runs=runs, progress=told, **options).points
+        except UnattainedError:
+            if scale <= 1.0:
+                raise  # grown errors may put the target out of reach, the given ones not
+            told(each)
+    counts = np.zeros((2, y.size, x.size), dtype=int)
+    for j, i in itertools.product(range(y.size), range(x.size)):
+        at = dict(zip(names, (float(x[i]), float(y[j])), strict=True))
+        point = found.get((tuple(at[name] for name in axes), at.get("error", 1.0)))
+        if point is not None:
+            counts[:, j, i] = point.n_converged, point.n
+    return Shares.of(*counts)
 
 
 def shares_over_runs(

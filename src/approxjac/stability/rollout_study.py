@@ -25,14 +25,14 @@ from approxjac.extras import package_of
 from approxjac.interface import Controller
 from approxjac.simulation import Plant, Sensing, Trajectory, simulate
 from approxjac.simulation.simulate import whole
-from approxjac.stability.region import JointBox, Region
+from approxjac.stability.region import JointBox, Region, RegularPart
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.validation import Array
 
 if TYPE_CHECKING:
-    from approxjac.codegen.closed_loop import Box
     from approxjac.codegen.lanes import Begun, Lanes
+    from approxjac.codegen.regions import Box
 
 COLUMNS = (
     "index", "values", "q0", "target", "final_error", "settling_time", "peak_torque", "peak_speed",
@@ -142,16 +142,20 @@ class Study:
 
     def _box(self) -> Box:
         """Return the region as lanes take it, or refuse it."""
-        from approxjac.codegen.closed_loop import Box
+        from approxjac.codegen.regions import Box
+        from approxjac.codegen.tasks import require_covered
 
-        region = self.region
-        if type(region) is not JointBox or region.robot.nq != region.robot.nv:
+        part = self.region
+        region, task, sigma_min = part, None, 0.0
+        if type(part) is RegularPart:
+            region, task, sigma_min = part.region, part.task, part.sigma_min
+            require_covered(task)
+        if type(region) is not JointBox:
             raise InvalidInputError(
-                "region must be a JointBox of an arm without continuous joints for lanes, got "
-                f"{region!r}",
+                f"region must be a JointBox, or the RegularPart of one, for lanes, got {region!r}",
                 given=region,
             )
-        return Box(region.center, region.lower, region.upper)
+        return Box(region.center, region.lower, region.upper, task, sigma_min)
 
     @property
     def steps(self) -> int:
