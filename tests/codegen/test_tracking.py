@@ -169,19 +169,12 @@ def test_steps_are_the_same_to_rounding(kind, rng, asked):
             state = plain.initial_state(measurement)
             assert_array_equal(ours.initial_state(measurement), state)
             target = measurement.x + 0.01
-        moving = aj.Target(target, *0.02 * rng.normal(size=(2, m))) if step % 3 else target
+        size = 30.0 if step % 20 == 0 else 0.02  # as fast as joints may be, or slow
+        moving = aj.Target(target, *size * rng.normal(size=(2, m))) if step % 3 else target
         expected = plain.step(state, measurement, moving, DT)
         assert_same(ours.step(state, measurement, moving, DT), expected)
         state = expected[0]
-    usual = sum(answer_is_usual(each, plain) for each in asked)
-    assert usual == 0
-
-
-def answer_is_usual(arguments, plain):
-    """Return whether a step that was asked for is one that need not be."""
-    _, answer = plain.step(*arguments)
-    slowed = np.abs(answer.reference / plain._fastest).max() > 1.0 - 1e-9
-    return answer.status is aj.Status.OK and not slowed
+    assert [plain.step(*each)[1].status for each in asked].count(aj.Status.OK) == 0
 
 
 def test_a_whole_circle_is_the_same(panda):
@@ -219,7 +212,6 @@ def test_what_is_not_usual_is_answered_as_in_numpy(ur5, rng, asked):
         "x lost in part": (usual._replace(x=usual.x * [1, np.nan, 1]), target, None),
         "x old": (usual._replace(t=9.001), target, aj.Status.PREDICTED),
         "singular": (straight, target, aj.Status.NEAR_SINGULAR),
-        "fast": (usual, aj.Target(target, np.full(3, 30.0)), aj.Status.OK),
     }
     for name, (measurement, moving, status) in cases.items():
         before, begun = len(asked), late if name == "x old" else state

@@ -72,7 +72,7 @@ def compiled(controller: Controller) -> Any:
     A usual step is one whose status is OK. Whatever is not (x is lost, Ĵ near a singular pose,
     torques beyond the limits where gravity is learnt, a target that moves, wrong arguments) is left
     to the controller as it is, from the beginning. Of law T targets move; what is left is what is
-    not `OK`, or slowed down to the limits of speed, and its kinematics learn from frames in Python.
+    not `OK`, and its kinematics learn from frames in Python.
 
     It needs llvmlite (`pip install 'approxjac[fast]'`), and some tenths of a second to be built. A
     copy of it, as another process gets, is built again.

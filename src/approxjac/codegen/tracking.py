@@ -16,7 +16,7 @@ from approxjac.codegen.linear import Factors, is_regular
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.program import Program
 from approxjac.codegen.rigid_body import Arm
-from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.codegen.symbols import Symbols, symbols
 from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, TrackingController
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.predicted import pulled_back
@@ -63,8 +63,8 @@ def step_program(controller: TrackingController) -> Program:
     What is kept are its arguments "q", "v", "x", "x_d", "v_d", "a_d", "a_hat" (what the dynamics
     have learnt) and "smoothed" (what the kinematics go by, and its rates), and its answer "torque",
     "e", "J_hat", "gravity", "reference", "learnt" (a_hat after the step), "advanced" (the smoothed
-    estimates after it) and "usual" (whether all of that holds: numbers are small, Ĵ is far from
-    singular, and no joint is led faster than its limit).
+    estimates after it) and "usual" (whether all of that holds: numbers are small, and Ĵ is far from
+    singular).
 
     Args:
         controller: The law, one that `require_covered` takes.
@@ -100,7 +100,7 @@ def step_program(controller: TrackingController) -> Program:
     G = J @ J.T
     regular = is_regular(G, controller._ratio, controller._scale)
     v_r, a_r = law.solved_reference(_solver(G), 0.0, J, J_dot, u, u_dot, null, null_dot)
-    fast = any_of(np.abs(v_r) > controller._fastest)
+    v_r, a_r = _within_speeds(v_r, a_r, controller._fastest)
 
     # dynamics
     dynamics, sigma = controller.dynamics, v - v_r
@@ -118,7 +118,7 @@ def step_program(controller: TrackingController) -> Program:
     e = tasks.error(task, x, x_d)
     numbers = (q, v, x, x_d, v_d, a_d, a_hat, e, torque, v_r, a_r, J)
     size = sum(((each * each).sum() for each in numbers), 0.0)
-    usual = regular & ~symbols(fast)[()] & (size < HUGE)
+    usual = regular & (size < HUGE)
     for joint in list(robot.model.joints)[1:]:
         if joint.nq == 2:  # a (cos, sin) pair off the unit circle is for Python to judge
             cosine, sine = q[joint.idx_q], q[joint.idx_q + 1]
@@ -149,6 +149,20 @@ def _solver(G: Symbols) -> Callable[[Symbols], Symbols]:
         return Factors(G).solve
     rows, determinant, _, _ = law.adjugate(G.tolist())
     return lambda b: symbols(law.solution(rows, determinant, b.tolist()))
+
+
+def _within_speeds(v_r: Symbols, a_r: Symbols, fastest: Array) -> tuple[Symbols, Symbols]:
+    """Return what `law.within_speeds` does."""
+    shares = np.abs(v_r) / fastest
+    share, v_i, a_i = shares[0], v_r[0], a_r[0]
+    for each, v_next, a_next in zip(shares[1:], v_r[1:], a_r[1:], strict=True):
+        more = each > share
+        share, v_i, a_i = (
+            select(more, *pair) for pair in ((each, share), (v_next, v_i), (a_next, a_i))
+        )
+    slow_v, slow_a = law.slowed(v_r, a_r, share, a_i / v_i)
+    is_fast = symbols(share > 1.0)
+    return np.where(is_fast, slow_v, v_r), np.where(is_fast, slow_a, a_r)
 
 
 def _advanced(smoothed: dict[str, Symbols], dt: float) -> Symbols:

@@ -99,8 +99,13 @@ def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple
     i = int(share.argmax())
     if share[i] <= 1.0:
         return velocity, acceleration
-    c = 1.0 / float(share[i])
-    return c * velocity, c * (acceleration - velocity * (acceleration[i] / velocity[i]))
+    return slowed(velocity, acceleration, float(share[i]), acceleration[i] / velocity[i])
+
+
+def slowed(velocity: Array, acceleration: Array, share: float, rate: float) -> tuple[Array, Array]:
+    """c q̇_r and its derivative, with c = 1/share and c' = −c `rate`; see `within_speeds`."""
+    c = 1.0 / share
+    return velocity * c, (acceleration - velocity * rate) * c
 
 
 def tracking_torque(feedforward: Array, kappa: float, M_hat_sigma: Array) -> Array:
