@@ -1,4 +1,4 @@
-"""Real sensors and late motors in lanes, compared with the same runs in Python."""
+"""Real sensors, late motors and moving targets in lanes, compared with the same runs in Python."""
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -39,7 +39,33 @@ def held(loop, unseen):
     return aj.HeldMeasurement(controller, unseen), errors, region
 
 
+class Swing:
+    """A path of three points: they swing together."""
+
+    def __init__(self, x):
+        self.x = x
+
+    def at(self, t):
+        way = np.ones(len(self.x))
+        return aj.Target(self.x + 20.0 * np.sin(3.0 * t) * way, 60.0 * np.cos(3.0 * t) * way)
+
+
+CIRCLE = aj.Circle((0.4, 0.0, 0.4), 0.1, 1.0)
+POINTS = np.array([310.0, 240.0, 300.0, 250.0, 330.0, 260.0])
 STUDIES = {
+    "a circle": (lambda: moves(False), {"target": CIRCLE}),
+    "a circle, (5), limits": (
+        lambda: test_lanes.limited(moves(velocity=DifferentiatedVelocity(0.02)), 0.4),
+        ALL | {"target": CIRCLE},
+    ),
+    "points that swing": (
+        test_task_loops.STUDIES["balanced"],
+        {"sensing": Sensing(x_noise=0.5, x_rate=60.0, x_dropout=0.1), "target": Swing(POINTS)},
+    ),
+    "a target that only stands": (
+        lambda: moves(False),
+        {"target": aj.Target(np.array([0.4, 0.0, 0.4]))},
+    ),
     "late torque": (moves, {"actuator_delay": 0.006}),
     "late x": (moves, {"sensing": Sensing(x_delay=0.02)}),
     "differences": (moves, {"sensing": Sensing(velocity_filter=0.0)}),
@@ -99,7 +125,7 @@ STUDIES = {
         {"sensing": Sensing(x_rate=60.0, x_lost=[(0.1, 0.2, 1), (0.15, 0.3, 0)])},
     ),
 }
-BY_DEFAULT = ("all, (5)", "held", "image and position")
+BY_DEFAULT = ("a circle", "all, (5)", "held", "image and position")
 
 
 @pytest.mark.parametrize(
@@ -189,6 +215,15 @@ def test_a_compiled_law_runs_in_python_with_real_sensors(two_link):
     )
     assert_allclose(quick.x_measured, plain.x_measured, rtol=0, atol=1e-9)
     assert (quick.x_measured != quick.x).any()
+
+
+def test_a_run_on_a_path_again():
+    many = aj.rollouts(*test_lanes.study("panda"), target=CIRCLE, **SHORT)
+    assert many.study.engine == "lanes"
+    assert_array_equal(many.columns["target"], np.tile(CIRCLE.at(0.0).x, (SHORT["runs"], 1)))
+    run = many.replay(2)
+    assert_allclose(run.x_d[-1], CIRCLE.at(SHORT["duration"]).x, atol=1e-12)
+    assert run.error_norm[-1] == pytest.approx(many.runs[2].final_error, abs=1e-9)
 
 
 def test_what_is_refused(two_link):

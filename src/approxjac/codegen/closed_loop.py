@@ -21,7 +21,7 @@ from approxjac.codegen.senses import Measured, Senses
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers import HeldMeasurement
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller
+from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.validation import Array
@@ -96,6 +96,7 @@ def closed_loop(
     steps: int,
     tolerance: float,
     integrator: str = "semi_implicit_euler",
+    path: Target | TargetPath | None = None,
 ) -> ClosedLoop:
     """Return the program of a sampled closed loop.
 
@@ -110,12 +111,14 @@ def closed_loop(
         steps: Number of steps of a run.
         tolerance: Error below which a task counts as done.
         integrator: One of `INTEGRATORS`.
+        path: Where the target of all moves, in place of `targets`; or None.
     """
     program = Program()
-    x_d = program.given("target", targets)
+    at_rest = program.given("target", targets)
     sensor = {name: program.given(name, values) for name, values in sensors.items()}
-    senses = Senses(plant, dt, steps)
-    loop = _Loop.of(program, controller, plant, numbers, sensor, x_d, dt, integrator, senses)
+    senses = Senses(plant, dt, steps, path)
+    x_d, v_d = senses.target(program) or (at_rest, None)
+    loop = _Loop.of(program, controller, plant, numbers, sensor, x_d, dt, integrator, senses, v_d)
     answer, robot = loop.answer, plant.robot
     told = {name: program.kept(name, 1)[0] for name in TOLD}
     program.step(loop.after | {
@@ -183,6 +186,7 @@ class _Loop(NamedTuple):
         dt: float,
         integrator: str,
         senses: Senses | None = None,
+        v_d: Symbols | None = None,
     ) -> _Loop:
         robot, task = plant.robot, controller.task
         truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
@@ -213,8 +217,9 @@ class _Loop(NamedTuple):
             held = Held.of(holds, memory, told.x, senses.time_of_x(program))
             told, may_lose = told._replace(x=held.x), True
         answer, within = limits.answer(
-            controller, belief.at(told.q), told.q, told.v, told.x, x_d, state, may_lose=may_lose
-        )
+            controller, belief.at(told.q), told.q, told.v, told.x, x_d, state,
+            may_lose=may_lose, v_d=v_d,
+        )  # fmt: skip
         answer, acting, kept = answer._replace(torque=within.torque), within.torque, told.kept
         if isinstance(holds, HeldMeasurement):
             memory = held.after(answer.J_hat, told.v, dt)

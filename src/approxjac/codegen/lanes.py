@@ -17,7 +17,7 @@ from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.codegen.program import Block, Program
 from approxjac.codegen.regions import Box
-from approxjac.interface import Controller, Measurement
+from approxjac.interface import Controller, Measurement, Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.validation import Array
 
@@ -72,6 +72,7 @@ class Lanes:
         tolerance: Error below which a task counts as done.
         integrator: Of the plant: one of `INTEGRATORS`.
         engine: What carries the program out.
+        path: Where the target of all runs moves, in place of their own; None is at rest.
     """
 
     def __init__(
@@ -85,11 +86,13 @@ class Lanes:
         tolerance: float,
         integrator: str = "semi_implicit_euler",
         engine: Callable[[Program], LlvmLanes | NumpyLanes] = LlvmLanes,
+        path: Target | TargetPath | None = None,
     ) -> None:
         numbers, sensors, targets = _stacked(examples)
         self._loop: ClosedLoop = closed_loop(
-            controller, plant, numbers, sensors, targets, region, dt, steps, tolerance, integrator
-        )
+            controller, plant, numbers, sensors, targets, region, dt, steps, tolerance, integrator,
+            path,
+        )  # fmt: skip
         self._steps = steps
         self._engine = engine
 

@@ -80,10 +80,11 @@ def answer(
     state: Symbols,
     *,
     may_lose: bool,
+    v_d: Symbols | None = None,
 ) -> tuple[setpoint.Answer, Limited]:
     """Return what `setpoint.answer` does, with the rate of what does not rest; and its limits."""
     law = law_of(controller)
-    found = setpoint.answer(law, arm, q, v, x, x_d, state, may_lose=may_lose)
+    found = setpoint.answer(law, arm, q, v, x, x_d, state, may_lose=may_lose, v_d=v_d)
     within = limited(controller, found, v)
     rate = symbols(found.rate)
     rate[: law.resting] = np.where(within.rests, 0.0, rate[: law.resting])
@@ -115,7 +116,7 @@ def limited(controller: Controller, answer: setpoint.Answer, v: Symbols) -> Limi
     slack: Any = 0.0
     rests: Any = beyond
     if limiter.proof:
-        y = law.passive_output(v, answer.pinv_s, limiter.alpha)
+        y = law.passive_output(v - answer.reference, answer.pinv_s, limiter.alpha)
         found, slack = _nearest(limiter, torque, y, lower, upper, clipped)
         is_proven = answer.status == float(setpoint.STATUSES.index(Status.OK))
         kept, given_up = float(LimitStatus.PROOF_KEPT), float(LimitStatus.PROOF_GIVEN_UP)

@@ -11,7 +11,9 @@ from approxjac.codegen import tasks
 from approxjac.codegen.graph import Number, select
 from approxjac.codegen.program import Program
 from approxjac.codegen.symbols import Symbols, symbols
+from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing
+from approxjac.simulation.sampled_loop import target_at
 from approxjac.simulation.sensing import (
     filtered,
     frames_of,
@@ -51,14 +53,21 @@ class Senses:
         plant: The plant, of an arm without continuous joints.
         dt: Sampling time [s].
         steps: Number of steps of a run.
+        path: Where the target of all runs moves, or None.
 
     Attributes:
         late: By how many steps torques are late.
         may_lose: Whether x may be lost on its way.
     """
 
-    def __init__(self, plant: Plant, dt: float, steps: int) -> None:
+    def __init__(
+        self, plant: Plant, dt: float, steps: int, path: Target | TargetPath | None = None
+    ) -> None:
         self._sensor, self._dt = plant.sensor, dt
+        self._targets: list[Target] = []
+        if path is not None:
+            targets = (target_at(path, k * dt) for k in range(steps + 1))
+            self._targets = [each for each in targets if isinstance(each, Target)]
         sensing = self._sensing = plant.sensing or Sensing()
         m, nv = plant.sensor.m, plant.robot.nv
         self._x_noise, self._x_quantum, self._q_noise, self._q_quantum = (
@@ -109,6 +118,14 @@ class Senses:
             x = np.where(symbols(kept["dropped"] > 0.0), np.nan, x)
         return Measured(q, v, x, kept)
 
+    def target(self, program: Program) -> tuple[Symbols, Symbols | None] | None:
+        """Return x_d and its rate, where the target of all runs moves."""
+        if not self._targets:
+            return None
+        moves = any(each.v is not None for each in self._targets)
+        v_d = program.timed("target_v", self._sensor.m) if moves else None
+        return program.timed("target", self._sensor.n_x), v_d
+
     def time_of_x(self, program: Program) -> Number:
         """Return the time at which x was taken [s]."""
         return program.timed("t_x", 1)[0]
@@ -137,6 +154,10 @@ class Senses:
         }
         if self.late:
             known |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
+        if self._targets:
+            known["target"] = [each.x for each in self._targets]
+            at_rest = np.zeros(self._sensor.m)
+            known["target_v"] = [at_rest if t.v is None else t.v for t in self._targets]
         found = np.zeros((len(self._k), program.n_times))
         for name, (at, size) in program.times.items():
             if name == "lost":
@@ -144,7 +165,7 @@ class Senses:
                     for interval in intervals:
                         row[at : at + size][self._lost[interval]] = 1.0
             else:
-                found[:, at] = known[name]
+                found[:, at : at + size] = np.reshape(known[name], (-1, size))
         return found
 
     def drawn(self, program: Program, seeds: Sequence[int], width: int) -> Draws:

@@ -24,6 +24,7 @@ from approxjac.errors import InvalidInputError, SimulationError, UnknownNameErro
 from approxjac.extras import package_of
 from approxjac.interface import Controller
 from approxjac.simulation import Plant, Sensing, Trajectory, simulate
+from approxjac.simulation.sampled_loop import Wanted, target_at, x_of
 from approxjac.simulation.simulate import whole
 from approxjac.stability.region import JointBox, Region, RegularPart
 from approxjac.stability.uncertainty import Uncertainty
@@ -61,7 +62,7 @@ class Start:
         values: True values of the uncertain coordinates, shape (d,).
         plant: The true robot.
         q: Configuration, at rest, shape (nq,).
-        target: x_d, shape (n_x,).
+        target: x_d at the beginning, shape (n_x,).
         seed: Of noise and dropouts.
     """
 
@@ -87,7 +88,7 @@ class Study:
         controller: The controller.
         uncertainty: What the true robots are drawn from.
         region: Where starts and targets are drawn.
-        target: x_d of all, shape (n_x,), or None.
+        target: x_d of all, shape (n_x,), or what moves; or None.
         duration: Of each run [s].
         dt: Sampling time [s].
         tolerance: Error below which a task counts as done [unit of the task].
@@ -103,7 +104,7 @@ class Study:
     controller: Controller
     uncertainty: Uncertainty
     region: Region
-    target: Array | None
+    target: Wanted | None
     duration: float
     dt: float
     tolerance: float
@@ -181,9 +182,10 @@ class Study:
         try:
             q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
             q0 = seen.replace_unseen(q0[None], rng)[0]
-            target = self.target
-            if target is None:
+            if self.target is None:
                 target = plant.sensor.value(seen.sample(1, rng)[0])
+            else:
+                target = x_of(target_at(self.target, 0.0))
         except UnattainedError as error:
             told = f"{error}, with {self.uncertainty.describe(values)}"
             raise UnattainedError(told, given=values, truth=index) from error
@@ -191,8 +193,9 @@ class Study:
 
     def simulated(self, start: Start) -> Trajectory:
         """Return a run in Python."""
+        target = start.target if self.target is None else self.target
         return simulate(
-            start.plant, self.controller, start.target, start.q, self.duration, dt=self.dt,
+            start.plant, self.controller, target, start.q, self.duration, dt=self.dt,
             record_every=self.every * self.dt, integrator="semi_implicit_euler", seed=start.seed,
         )  # fmt: skip
 
@@ -378,6 +381,8 @@ def _lanes_of(study: Study) -> Lanes:
             law = study.controller
             examples = [each.begun(law) for each in starts]
             _lanes[study.key] = Lanes(
-                law, starts[0].plant, examples, study._box(), study.dt, study.steps, study.tolerance
-            )
+                law, starts[0].plant, examples, study._box(), study.dt, study.steps,
+                study.tolerance,
+                path=None if isinstance(study.target, np.ndarray) else study.target,
+            )  # fmt: skip
         return _lanes[study.key]

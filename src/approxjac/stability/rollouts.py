@@ -14,9 +14,9 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
-from approxjac.interface import Controller
+from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant, Sensing, Trajectory
-from approxjac.simulation.sampled_loop import require_fit
+from approxjac.simulation.sampled_loop import require_fit, wanted_of
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_study import Progress, Study, carried_out
 from approxjac.stability.uncertainty import Uncertainty
@@ -36,7 +36,7 @@ class Rollout:
         index: k, from 0. Seed and index decide all that is drawn.
         values: True values of the uncertain coordinates, shape (d,).
         q0: Start, at rest, shape (nq,).
-        target: x_d, shape (n_x,).
+        target: x_d at the beginning, shape (n_x,).
         final_error: ‖e‖ at the end [unit of the task]; infinite if the run diverged, or ended
             behind the camera, where there is no image.
         settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
@@ -175,7 +175,7 @@ def rollouts(
     uncertainty: Uncertainty,
     region: Region,
     *,
-    target: Sequence[float] | Array | None = None,
+    target: Sequence[float] | Array | Target | TargetPath | None = None,
     runs: int = 100,
     duration: float = 10.0,
     dt: float = 1e-3,
@@ -201,8 +201,9 @@ def rollouts(
             `Controller`.
         uncertainty: How the true robot may differ.
         region: Where starts, at rest, and targets are drawn.
-        target: x_d of all runs, shape (n_x,) [unit of the task]; by default, what the sensor of
-            the true robot measures in another configuration of the region.
+        target: x_d of all runs, shape (n_x,) [unit of the task], or what moves, as of `simulate`;
+            by default, what the sensor of the true robot measures in another configuration of the
+            region.
         runs: ≥ 1.
         duration: Of a run, a whole number of dt [s].
         dt: Sampling time [s].
@@ -247,7 +248,7 @@ def as_study(
     uncertainty: Uncertainty,
     region: Region,
     *,
-    target: Sequence[float] | Array | None = None,
+    target: Sequence[float] | Array | Target | TargetPath | None = None,
     runs: int = 100,
     duration: float = 10.0,
     dt: float = 1e-3,
@@ -267,7 +268,7 @@ def as_study(
     runs, seed = as_integer("runs", runs, 1), as_integer("seed", seed, 0)
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)
-    x_d = None if target is None else uncertainty.believed_task().target(target)
+    x_d = None if target is None else wanted_of(uncertainty.believed_task(), target, 0.0)
     study = Study(
         controller, uncertainty, region, x_d, duration, dt, tolerance, seed, late.sensing,
         late.actuator_delay,
