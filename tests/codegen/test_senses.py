@@ -39,6 +39,15 @@ def held(loop, unseen):
     return aj.HeldMeasurement(controller, unseen), errors, region
 
 
+def turning():
+    """An arm with joints that turn without end, somewhere."""
+    errors = aj.Uncertainty(aj.load_robot("kinova"), object_length=(0.0, 0.2))
+    robot = errors.belief()
+    start = robot.random_configuration(np.random.default_rng(1))
+    loop = aj.SetpointController(errors.believed_task()), errors
+    return *loop, aj.JointBox.around(robot, start, 3.0)
+
+
 class Swing:
     """A path of three points: they swing together."""
 
@@ -53,6 +62,10 @@ class Swing:
 CIRCLE = aj.Circle((0.4, 0.0, 0.4), 0.1, 1.0)
 POINTS = np.array([310.0, 240.0, 300.0, 250.0, 330.0, 260.0])
 STUDIES = {
+    "continuous joints": (
+        turning,
+        ALL | {"sensing": Sensing(x_noise=1e-3, **ROUGH | {"q_quantum": 1e-3})},
+    ),
     "a circle": (lambda: moves(False), {"target": CIRCLE}),
     "a circle, (5), limits": (
         lambda: test_lanes.limited(moves(velocity=DifferentiatedVelocity(0.02)), 0.4),

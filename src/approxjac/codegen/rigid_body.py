@@ -7,6 +7,7 @@ fold away. With mimic joints all joints move on their own, and q̇_all = G q̇ b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
@@ -15,14 +16,15 @@ import numpy as np
 
 from approxjac.codegen.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
 from approxjac.codegen.bodies import Body, Motion, Wrench, cross, force, gradient
-from approxjac.codegen.graph import Number
+from approxjac.codegen.functions import arctangent
+from approxjac.codegen.graph import Number, select
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.symbols import Symbols, symbols
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.robots.model import own_joints
 from approxjac.validation import Array
 
-__all__ = ["Arm", "ArmNumbers", "Configured", "arm_numbers", "moved"]
+__all__ = ["Arm", "ArmNumbers", "Configured", "arm_numbers", "difference", "moved"]
 
 Given = Callable[[str, Array], Symbols]
 _Z = symbols([0.0, 0.0, 1.0])
@@ -334,6 +336,22 @@ def moved(robot: Robot, q: Symbols, motion: Symbols) -> Symbols:
         # the first step of Newton's method to the unit circle
         scale = 0.5 * (3.0 - (x * x + y * y))
         found += [x * scale, y * scale]
+    return symbols(found)
+
+
+def difference(robot: Robot, a: Symbols, b: Symbols) -> Symbols:
+    """Return the motion (n_v,) from a to b, both (nq,), as `pin.difference` does."""
+    found: list[Any] = []
+    for joint in own_joints(robot.model).values():
+        at = joint.idx_q
+        if joint.nq == 1:
+            found.append(b[at] - a[at])
+            continue
+        cosine: Any = a[at] * b[at] + a[at + 1] * b[at + 1]
+        sine: Any = a[at] * b[at + 1] - a[at + 1] * b[at]
+        angle = arctangent(abs(sine), abs(cosine))
+        angle = select(cosine < 0.0, math.pi - angle, angle)
+        found.append(select(sine < 0.0, -angle, angle))
     return symbols(found)
 
 

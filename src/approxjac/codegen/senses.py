@@ -10,6 +10,7 @@ import numpy as np
 from approxjac.codegen import tasks
 from approxjac.codegen.graph import Number, select
 from approxjac.codegen.program import Program
+from approxjac.codegen.rigid_body import difference, moved
 from approxjac.codegen.symbols import Symbols, symbols
 from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing
@@ -50,7 +51,7 @@ class Senses:
     the same in all runs; what is random is drawn beforehand, from the generators of each run.
 
     Args:
-        plant: The plant, of an arm without continuous joints.
+        plant: The plant.
         dt: Sampling time [s].
         steps: Number of steps of a run.
         path: Where the target of all runs moves, or None.
@@ -88,15 +89,19 @@ class Senses:
 
     def measured(self, program: Program, q: Symbols, v: Symbols, x: Symbols) -> Measured:
         """Return what is measured where q, v and x are so, x as the sensor delivers it."""
-        sensing, sensor = self._sensing, tasks.on_symbols(self._sensor)
+        sensing, robot = self._sensing, self._sensor.robot
+        sensor = tasks.on_symbols(self._sensor)
         kept: dict[str, Any] = {}
         if self._q_noise.any():
-            q = q + self._q_noise * program.drawn("q_noise", len(self._q_noise))
+            q = moved(robot, q, self._q_noise * program.drawn("q_noise", len(self._q_noise)))
         if self._q_quantum.any():
-            q = rounded(q, self._q_quantum)
+            neutral = symbols(robot.neutral())
+            motion = difference(robot, neutral, q)
+            q = moved(robot, neutral, rounded(motion, self._q_quantum))
         if sensing.velocity_filter is not None:
             before, v = program.kept("q_before", len(q)), program.kept("v_filtered", len(v))
-            slope = np.where(symbols(program.k > 0.0), q - before, 0.0) / self._dt
+            motion = difference(robot, before, q)
+            slope = np.where(symbols(program.k > 0.0), motion, 0.0) / self._dt
             v = filtered(v, slope, sensing.velocity_filter, self._dt)
             kept |= {"q_before": q, "v_filtered": v}
         if self._x_noise.any():
