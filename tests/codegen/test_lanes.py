@@ -138,7 +138,7 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
     assert digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
     assert [file.stat().st_mtime_ns for file in kept] == times
     assert len(list(tmp_path.iterdir())) == 9
-    monkeypatch.setattr(rollout_study, "_PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollout_portions._PORTION", 16)
     assert digest(aj.rollouts(*loop, **options)) == expected
     few = aj.rollouts(*loop, **options | {"runs": 9})
     for name, column in few.columns.items():

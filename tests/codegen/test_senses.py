@@ -213,7 +213,7 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
         aj.rollouts(*loop, folder=tmp_path, progress=stop, **options)
     assert 0 < len(list(tmp_path.iterdir())) < 9
     assert test_lanes.digest(aj.rollouts(*loop, folder=tmp_path, **options)) == expected
-    monkeypatch.setattr(rollout_study, "_PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollout_portions._PORTION", 16)
     monkeypatch.setattr("approxjac.codegen.lanes._BLOCK", 7)
     assert test_lanes.digest(aj.rollouts(*loop, **options)) == expected
 

@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
-from approxjac.stability import rollout_study, sweep
+from approxjac.codegen.lanes import Lanes
+from approxjac.stability import sweep
 
 OPTIONS = {"runs": 40, "duration": 1.0, "dt": 2e-3, "tolerance": 0.02}
 DAMPING = (0.2, 2.0)
@@ -128,7 +129,7 @@ def test_the_same_bits_whatever_carries_it_out(
     assert digest(own(folder=tmp_path)) == expected
     assert kept.items() <= {f: f.stat().st_mtime_ns for f in tmp_path.iterdir()}.items()
     assert len(kept) < len([*tmp_path.iterdir()])
-    monkeypatch.setattr(rollout_study, "_PORTION", 16)
+    monkeypatch.setattr("approxjac.stability.rollout_portions._PORTION", 16)
     assert digest(own()) == expected
 
 
@@ -141,3 +142,45 @@ def test_what_it_refuses(laws, errors, region):
         sweep(laws, errors, region, failures=0)
     with pytest.raises(aj.InvalidInputError, match="uncertainty must be an Uncertainty"):
         sweep(laws, {1: 2.0}, region)
+
+
+@pytest.mark.parametrize("learns", [False, True])
+def test_one_compiled_loop_for_all_points(errors, region, learns, monkeypatch):
+    """Gains and scales are numbers of it; without errors, too."""
+    task = errors.believed_task()
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot) if learns else None)
+    kp, kv, damping = law.diagonals
+    laws = {
+        1: law,
+        2: law.with_gains(aj.Gains(kp, 2.0 * kv, damping)),
+        3: law.with_gains(aj.Gains([100.0, 200.0], kv, 3.0)),
+    }
+    scaled = {scale: errors.scaled(scale) for scale in (0.0, 0.3, 1.0)}
+    made = []
+    init = Lanes.__init__
+    monkeypatch.setattr(Lanes, "__init__", lambda *given: (made.append(1), init(*given))[1])
+    options = OPTIONS | {"runs": 6, "duration": 0.2}
+    found = sweep(laws, scaled, region, **options)
+    assert len(made) == 1
+    for (one, scale), runs in found.points.items():
+        alone = aj.rollouts(laws[one], scaled[scale], region, **options)
+        for name, column in alone.columns.items():
+            np.testing.assert_allclose(
+                runs.columns[name], column, rtol=1e-9, atol=1e-12, err_msg=name
+            )
+
+
+def test_what_follows_from_gains_has_a_loop_of_its_own(errors, laws, region):
+    """Limits, as their proof takes gains."""
+    effort = aj.Limits(effort=30.0)
+    limited = {times: aj.TorqueLimited(law, effort) for times, law in laws.items()}
+    options = OPTIONS | {"runs": 4, "duration": 0.2}
+    found = sweep(limited, errors, region, **options)
+    for times, runs in found.points.items():
+        assert runs.study.engine == "lanes"
+        assert runs.study.alike == ()
+        alone = aj.rollouts(limited[times], errors, region, **options)
+        assert_array_equal(runs.columns["final_error"], alone.columns["final_error"])
+    scaled = {scale: errors.scaled(scale) for scale in SCALES}
+    for runs in sweep(limited[2.0], scaled, region, **options).points.values():
+        assert len(runs.study.alike) == 1

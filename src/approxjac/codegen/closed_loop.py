@@ -20,6 +20,7 @@ from approxjac.codegen.rigid_body import Arm, Configured, moved
 from approxjac.codegen.senses import Measured, Senses
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers import HeldMeasurement
+from approxjac.controllers.gains import Diagonals
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant
@@ -91,6 +92,7 @@ def closed_loop(
     numbers: ArmNumbers,
     sensors: Mapping[str, Array],
     targets: Array,
+    gains: Array,
     region: Box,
     dt: float,
     steps: int,
@@ -106,6 +108,7 @@ def closed_loop(
         numbers: Of true robots, stacked, such that all differ in what ever differs.
         sensors: Numbers of their sensors, as `tasks.numbers` has them.
         targets: x_d of each of them, shape (N, n_x).
+        gains: Diagonals of the law of each, one after the other, shape (N, 2 m + n_v).
         region: Where runs are to stay.
         dt: Sampling time [s].
         steps: Number of steps of a run.
@@ -116,9 +119,12 @@ def closed_loop(
     program = Program()
     at_rest = program.given("target", targets)
     sensor = {name: program.given(name, values) for name, values in sensors.items()}
-    senses = Senses(plant, dt, steps, path)
+    senses, m = Senses(plant, dt, steps, path), controller.task.m
     x_d, v_d = senses.target(program) or (at_rest, None)
-    loop = _Loop.of(program, controller, plant, numbers, sensor, x_d, dt, integrator, senses, v_d)
+    own = Diagonals(*np.split(program.given("gains", gains), (m, 2 * m)))
+    loop = _Loop.of(
+        program, controller, plant, numbers, sensor, x_d, dt, integrator, senses, v_d, own
+    )
     answer, robot = loop.answer, plant.robot
     told = {name: program.kept(name, 1)[0] for name in TOLD}
     program.step(loop.after | {
@@ -187,6 +193,7 @@ class _Loop(NamedTuple):
         integrator: str,
         senses: Senses | None = None,
         v_d: Symbols | None = None,
+        gains: Diagonals | None = None,
     ) -> _Loop:
         robot, task = plant.robot, controller.task
         truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
@@ -218,7 +225,7 @@ class _Loop(NamedTuple):
             told, may_lose = told._replace(x=held.x), True
         answer, within = limits.answer(
             controller, belief.at(told.q), told.q, told.v, told.x, x_d, state,
-            may_lose=may_lose, v_d=v_d,
+            may_lose=may_lose, v_d=v_d, gains=gains,
         )  # fmt: skip
         answer, acting, kept = answer._replace(torque=within.torque), within.torque, told.kept
         if isinstance(holds, HeldMeasurement):

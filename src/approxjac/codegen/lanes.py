@@ -35,6 +35,7 @@ class Begun(NamedTuple):
         sensor: Those of its sensor, as `tasks.numbers` has them.
         seed: Of noise and dropouts.
         holding: Torque that holds it until the first one acts, shape (n_v,).
+        gains: Diagonals of the law, one after the other, shape (2 m + n_v,).
     """
 
     q: Array
@@ -44,6 +45,7 @@ class Begun(NamedTuple):
     sensor: dict[str, Array]
     seed: int
     holding: Array
+    gains: Array
 
     @classmethod
     def of(
@@ -56,7 +58,8 @@ class Begun(NamedTuple):
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
-        return cls(q, target, state, numbers, tasks.numbers([plant.sensor]), seed, holding)
+        sensor, gains = tasks.numbers([plant.sensor]), np.concatenate(law.diagonals)
+        return cls(q, target, state, numbers, sensor, seed, holding, gains)
 
 
 class Lanes:
@@ -89,9 +92,10 @@ class Lanes:
         path: Target | TargetPath | None = None,
     ) -> None:
         numbers, sensors, targets = _stacked(examples)
+        gains = np.array([each.gains for each in examples])
         self._loop: ClosedLoop = closed_loop(
-            controller, plant, numbers, sensors, targets, region, dt, steps, tolerance, integrator,
-            path,
+            controller, plant, numbers, sensors, targets, gains, region, dt, steps, tolerance,
+            integrator, path,
         )  # fmt: skip
         self._steps = steps
         self._engine = engine
@@ -112,6 +116,7 @@ class Lanes:
         self._loop.senses.begun(program, kept, np.array([start.holding for start in starts]))
         numbers, sensors, targets = _stacked(starts)
         named = self._loop.truth.named(numbers) | sensors | {"target": targets}
+        named["gains"] = np.array([start.gains for start in starts])
         return _packed(kept, width), _packed(program.filled(named), width)
 
     @functools.cached_property

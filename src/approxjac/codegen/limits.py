@@ -11,6 +11,7 @@ from approxjac.codegen import setpoint
 from approxjac.codegen.graph import Condition, Scalar
 from approxjac.codegen.rigid_body import Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.errors import InvalidInputError
@@ -81,10 +82,11 @@ def answer(
     *,
     may_lose: bool,
     v_d: Symbols | None = None,
+    gains: Diagonals | None = None,
 ) -> tuple[setpoint.Answer, Limited]:
     """Return what `setpoint.answer` does, with the rate of what does not rest; and its limits."""
     law = law_of(controller)
-    found = setpoint.answer(law, arm, q, v, x, x_d, state, may_lose=may_lose, v_d=v_d)
+    found = setpoint.answer(law, arm, q, v, x, x_d, state, may_lose=may_lose, v_d=v_d, gains=gains)
     within = limited(controller, found, v)
     rate = symbols(found.rate)
     rate[: law.resting] = np.where(within.rests, 0.0, rate[: law.resting])

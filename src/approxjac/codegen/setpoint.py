@@ -14,6 +14,7 @@ from approxjac.codegen.rigid_body import Arm, Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers import Posture
 from approxjac.controllers.default_gains import slow_rate
+from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,
@@ -114,6 +115,7 @@ def answer(
     *,
     may_lose: bool,
     v_d: Symbols | None = None,
+    gains: Diagonals | None = None,
 ) -> Answer:
     """Return what `SetpointController.evaluate` does.
 
@@ -127,9 +129,10 @@ def answer(
         state: State of the law.
         may_lose: Whether x may be lost.
         v_d: Motion of the target, shape (m,); None is at rest.
+        gains: In place of the law's own.
     """
     task, learning, scale = controller.task, controller.adaptation, controller.pinv.scale
-    (kp, kv, damping), p = controller.diagonals, controller.resting
+    (kp, kv, damping), p = gains or controller.diagonals, controller.resting
     e = tasks.error(task, x, x_d)
     lost: Condition = False
     s = _saturated(controller.saturation, e)

@@ -1,21 +1,14 @@
-"""`Study`: what all rollouts share, and how a portion of them is carried out."""
+"""`Study`: what all rollouts share, and how they are carried out, one by one or in lanes."""
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import importlib.util
 import math
-import os
 import pickle
 import threading
 import uuid
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,15 +35,9 @@ COLUMNS = (
 """What is told of each run: the fields of `Rollout`."""
 
 _RECORDS = 500  # of a run: 50 in its last tenth
-_CHUNKS = 64  # that runs are handed to an executor in, at least
-_PORTION = 1024  # runs in lanes at once, at most
 _EXAMPLES = 16  # runs that show what differs from run to run
-_VECTOR = 8  # runs that lanes take at once, at least
 _ENGINES = ("lanes", "python")
 _COMPILED = 4  # loops that a process keeps
-
-
-Progress = Callable[[int], None] | bool | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +86,8 @@ class Study:
         reason: Why it is not lanes; empty where it is, or where Python was asked for.
         examples: Number of runs that show what differs.
         key: What the compiled loop is known by.
+        alike: Controllers and errors of studies with the same compiled loop, which differ in all
+            that differs between them; itself alone by default.
     """
 
     controller: Controller
@@ -115,6 +104,7 @@ class Study:
     reason: str = ""
     examples: int = 0
     key: str = ""
+    alike: tuple[tuple[Controller, Uncertainty], ...] = ()
 
     def with_engine(self, engine: str | None, runs: int) -> Study:
         """Return this with an engine: the one that is asked for, or the fastest that covers it."""
@@ -215,6 +205,12 @@ class Study:
         stayed = all(bool(self.region.contains(q)) for q in record.q)
         return (*begins, final, settling, torque, speed, converged, False, stayed)
 
+    def columns(self, indices: range) -> dict[str, Array]:
+        """Return some runs, as columns; with a copy of this, where others go on meanwhile."""
+        if self.engine == "lanes":
+            return self._of_lanes(indices)
+        return _columns([self._of_python(self.start(index)) for index in indices])
+
     def _of_lanes(self, indices: range) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
         lanes, rows, begun = _lanes_of(self), [], []
@@ -244,114 +240,6 @@ class Study:
         return found
 
 
-def carried_out(
-    studies: Sequence[Study],
-    runs: int,
-    failures: int | None,
-    executor: Executor | None,
-    folder: str | os.PathLike[str] | None,
-    progress: Progress,
-) -> list[dict[str, Array]]:
-    """Return the columns of the runs of some studies.
-
-    What they are does not depend on how they are shared out.
-
-    Args:
-        studies: The studies.
-        runs: Of each.
-        failures: Each ends with its so many-th run that does not converge.
-        executor: What carries out portions; this thread by default.
-        folder: Where portions that are done are kept.
-        progress: See `rollouts`.
-    """
-    shared = max(1, math.ceil(len(studies) * runs / _CHUNKS))
-    pieces: list[tuple[int, range]] = []
-    for k, study in enumerate(studies):
-        if study.engine == "lanes":
-            whole_ones = executor is None and folder is None and failures is None
-            size = _PORTION if whole_ones else min(max(_VECTOR, shared), _PORTION)
-        else:
-            size = 1 if executor is None and folder is None else min(shared, _PORTION)
-        pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
-    part = _part if folder is None else partial(_kept_part, Path(folder))
-    if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
-        for study in studies:
-            _require_picklable(study, executor)
-    futures = [executor.submit(part, studies[k], indices) for k, indices in pieces if executor]
-    found: list[list[dict[str, Array]]] = [[] for _ in studies]
-    left = [math.inf if failures is None else failures] * len(studies)
-    try:
-        with told(progress, len(studies) * runs) as tell:
-            done = 0
-            for i, (k, indices) in enumerate(pieces):
-                if left[k] > 0:
-                    columns = futures[i].result() if futures else part(studies[k], indices)
-                    failed = np.cumsum(np.logical_not(columns["converged"]))
-                    kept = np.searchsorted(failed, left[k]) + 1  # with the last failure
-                    found[k].append({name: column[:kept] for name, column in columns.items()})
-                    left[k] -= failed[-1]
-                elif futures:
-                    futures[i].cancel()
-                done += len(indices)
-                tell(done)
-    finally:
-        for future in futures:
-            future.cancel()
-    return [{name: np.concatenate([p[name] for p in each]) for name in COLUMNS} for each in found]
-
-
-@contextmanager
-def told(progress: Progress, total: int) -> Iterator[Callable[[int], None]]:
-    """Return what is called with the number of runs that are done, of a total."""
-    if progress is not True:
-        yield progress or (lambda done: None)
-        return
-    from tqdm import tqdm
-
-    with tqdm(total=total, unit=" runs") as bar:
-
-        def tell(done: int) -> None:
-            bar.update(done - bar.n)
-
-        yield tell
-
-
-def _require_picklable(study: Study, executor: Executor) -> None:
-    try:
-        pickle.dumps(study)
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise InvalidInputError(
-            "controller, uncertainty and region must be picklable to go to other processes "
-            "(functools.partial(PositionTask, axes='xz') is, a lambda is not): "
-            f"{error}",
-            given=executor,
-        ) from error
-
-
-def _part(study: Study, indices: range) -> dict[str, Array]:
-    """Return the columns of some runs."""
-    study = copy.deepcopy(study)  # tasks and controllers have scratch memory: one instance a thread
-    if study.engine == "lanes":
-        return study._of_lanes(indices)
-    return _columns([study._of_python(study.start(index)) for index in indices])
-
-
-def _kept_part(folder: Path, study: Study, indices: range) -> dict[str, Array]:
-    """Return the columns of some runs, from their file if there is one."""
-    name = hashlib.sha256(pickle.dumps((study, indices))).hexdigest()[:20]
-    file = folder / f"{name}.npz"
-    if file.exists():
-        with np.load(file) as columns:
-            return dict(columns)
-    part = _part(study, indices)
-    folder.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
-    with unfinished.open("wb") as stream:
-        np.savez(stream, **part)  # type: ignore[arg-type]
-    unfinished.replace(file)  # at once, so that a file that is there is whole
-    return part
-
-
 def _columns(rows: list[tuple[Any, ...]]) -> dict[str, Array]:
     return {name: np.array(each) for name, each in zip(COLUMNS, zip(*rows), strict=True)}  # noqa: B905
 
@@ -377,9 +265,11 @@ def _lanes_of(study: Study) -> Lanes:
         if study.key not in _lanes:
             while len(_lanes) >= _COMPILED:
                 del _lanes[next(iter(_lanes))]
-            starts = [study.start(index) for index in range(study.examples)]
-            law = study.controller
-            examples = [each.begun(law) for each in starts]
+            examples = []
+            for law, errors in study.alike or ((study.controller, study.uncertainty),):
+                one = replace(study, controller=law, uncertainty=errors)
+                starts = [one.start(index) for index in range(study.examples)]
+                examples += [each.begun(law) for each in starts]
             _lanes[study.key] = Lanes(
                 law, starts[0].plant, examples, study._box(), study.dt, study.steps,
                 study.tolerance,

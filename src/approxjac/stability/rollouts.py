@@ -18,7 +18,8 @@ from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant, Sensing, Trajectory
 from approxjac.simulation.sampled_loop import require_fit, wanted_of
 from approxjac.stability.region import Region
-from approxjac.stability.rollout_study import Progress, Study, carried_out
+from approxjac.stability.rollout_portions import Progress, carried_out
+from approxjac.stability.rollout_study import Study
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array, as_integer, as_number, require
 

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import pickle
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
+from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.interface import Controller
 from approxjac.stability.region import Region
-from approxjac.stability.rollout_study import Progress, carried_out
+from approxjac.stability.rollout_portions import Progress, carried_out
+from approxjac.stability.rollout_study import Study
 from approxjac.stability.rollouts import Rollouts, as_study, checked
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array
@@ -123,9 +127,43 @@ def sweep(
         study = as_study(region=region, runs=runs, **point, **options)
         studies[label if len(names) == 2 else label[0]] = study
     runs, failures = checked(runs, failures, executor, progress)
-    each = carried_out([*studies.values()], runs, failures, executor, folder, progress)
-    found = zip(studies.items(), each, strict=True)
-    return Sweep(names, {label: Rollouts(columns, study) for (label, study), columns in found})
+    together = _sharing([*studies.values()])
+    each = carried_out(together, runs, failures, executor, folder, progress)
+    found = zip(studies, together, each, strict=True)
+    return Sweep(names, {label: Rollouts(columns, study) for label, study, columns in found})
+
+
+def _sharing(studies: list[Study]) -> list[Study]:
+    """Return studies of which those that differ in gains and scale alone share a compiled loop."""
+    groups: dict[bytes, list[int]] = {}
+    gains = [np.zeros(0)] * len(studies)
+    for k, study in enumerate(studies):
+        law = study.controller
+        # in code, gains are numbers like others; but limits and postures follow from them
+        if type(law) is SetpointController and law.posture is None:
+            gains[k] = np.concatenate(law.diagonals)
+            law = law.with_gains(Gains(1.0, 1.0, 1.0))
+        errors = replace(study.uncertainty, factor=1.0)
+        try:
+            rest = pickle.dumps(replace(study, controller=law, uncertainty=errors, key=""))
+        except (pickle.PicklingError, AttributeError, TypeError):
+            continue
+        groups.setdefault(rest, []).append(k)
+    found = list(studies)
+    for group in groups.values():
+        errors = max((studies[k].uncertainty for k in group), key=lambda each: each.factor)
+        shown: list[Controller] = []
+        known = np.zeros(gains[group[0]].shape, dtype=bool)  # numbers that differ
+        for k in group:
+            differs = gains[k] != gains[group[0]]
+            if not shown or (differs & ~known).any():
+                shown.append(studies[k].controller)
+                known |= differs
+        alike = tuple((law, errors) for law in shown)
+        key = hashlib.sha256(pickle.dumps((studies[group[0]].key, alike))).hexdigest()
+        for k in group if len(group) > 1 and studies[group[0]].engine == "lanes" else ():
+            found[k] = replace(studies[k], key=key, alike=alike)
+    return found
 
 
 def _column(labels: tuple[Label, ...]) -> Array:
