@@ -158,7 +158,9 @@ def test_one_compiled_loop_for_all_points(errors, region, learns, monkeypatch):
     scaled = {scale: errors.scaled(scale) for scale in (0.0, 0.3, 1.0)}
     made = []
     init = Lanes.__init__
-    monkeypatch.setattr(Lanes, "__init__", lambda *given: (made.append(1), init(*given))[1])
+    monkeypatch.setattr(
+        Lanes, "__init__", lambda *given, **more: (made.append(1), init(*given, **more))[1]
+    )
     options = OPTIONS | {"runs": 6, "duration": 0.2}
     found = sweep(laws, scaled, region, **options)
     assert len(made) == 1
