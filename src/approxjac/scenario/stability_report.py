@@ -161,7 +161,7 @@ def _own(result: StabilityResult, uncertainty: Uncertainty) -> tuple[float, floa
     at = {"a": float(np.mean(kp / kv))}  # the errors and all other gains are themselves, times 1
     at |= dict(zip(uncertainty.names, uncertainty.believed.tolist(), strict=True))
     first, second = result.map.names
-    return None if first in PLACES else (at.get(first, 1.0), at.get(second, 1.0))
+    return None if {first, second} & {*PLACES} else (at.get(first, 1.0), at.get(second, 1.0))
 
 
 def _draw_shares(result: StabilityResult, uncertainty: Uncertainty) -> Figure:
@@ -173,7 +173,7 @@ def _draw_shares(result: StabilityResult, uncertainty: Uncertainty) -> Figure:
         3,
         size=(14.0, 4.6),
         title=textwrap.fill(
-            f"{name}: share of {found.runs.sum()} runs that converge, with 95 % confidence; "
+            f"{name}: share of {found.runs.sum()} runs that converge, each with 95 % confidence; "
             f"errors are {uncertainty.describe_box()}",
             130,
         ),
@@ -190,9 +190,12 @@ def _draw_shares(result: StabilityResult, uncertainty: Uncertainty) -> Figure:
             np.where(none, np.nan, shares),
             labels=(named[found.names[0]], named[found.names[1]]),
             own=_own(result, uncertainty),
+            own_name="as given" if found.names[0] in PARAMETERS else "as believed",
             ax=ax,
             title=title,
         )
+        if found.names[0] in PLACES and found.names[1] in PLACES:
+            ax.set_aspect("equal", adjustable="datalim")
     return figure
 
 

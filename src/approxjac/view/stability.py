@@ -161,6 +161,7 @@ def plot_shares(
     *,
     labels: tuple[str, str],
     own: tuple[float, float] | None = None,
+    own_name: str = "as given",
     ax: Axes | None = None,
     title: str = "Share of runs that converge",
 ) -> Axes:
@@ -171,7 +172,8 @@ def plot_shares(
         y: Values of the second, shape (N_y,).
         shares: Shape (N_y, N_x), 0 to 1; NaN is left grey.
         labels: Of the axes.
-        own: Where the controller and its errors are.
+        own: Where the controller and its errors are, or what it believes.
+        own_name: What that is called.
         ax: Axes to draw into; new ones by default.
         title: Of the axes.
     """
@@ -183,7 +185,7 @@ def plot_shares(
         )  # fmt: skip
         ax.figure.colorbar(shown, ax=ax, label="share that converges [–]", shrink=0.8)
         if own is not None:
-            ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label="as given")
+            ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label=own_name)
         _scale(ax, x, y)
         ax.set(xlabel=labels[0], ylabel=labels[1], title=title)
         ax.grid(visible=False)
