@@ -1,5 +1,6 @@
 """Sweeps over controllers and errors."""
 
+import dataclasses
 import functools
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -186,3 +187,34 @@ def test_what_follows_from_gains_has_a_loop_of_its_own(errors, laws, region):
     scaled = {scale: errors.scaled(scale) for scale in SCALES}
     for runs in sweep(limited[2.0], scaled, region, **options).points.values():
         assert len(runs.study.alike) == 1
+
+
+# -- what else simulates ------------------------------------------------------------------------
+
+
+def test_a_tolerance_by_rollouts(errors, region):
+    """All runs converge up to a scale, and one does not beyond it."""
+    arm = errors.arm.with_gravity((0.0, 0.0, 0.0))
+    own = dataclasses.replace(errors, arm=arm)
+    law = aj.SetpointController(own.believed_task())
+    options = OPTIONS | {"runs": 20, "tolerance": 0.05, "duration": 2.0}
+    found = aj.tolerance(
+        law, own, region, tests=("rollouts",), largest=4.0, precision=0.2, **options
+    )["rollouts"]
+    assert 0.0 < found.scale < found.fails_at < 4.0
+    assert aj.rollouts(law, own.scaled(found.scale), region, **options).share == 1.0
+    grown = aj.rollouts(law, own.scaled(found.fails_at), region, failures=1, **options)
+    assert grown.n_converged == grown.n - 1
+    assert_array_equal(found.worst, grown.runs[-1].values)
+    with pytest.raises(aj.errors.UnknownNameError, match="test 'rollouts' not in the tests"):
+        aj.suggest_gains(own, region, test="rollouts")
+
+
+def test_the_rollouts_of_a_report_are_in_lanes(errors):
+    """Where nothing is said about the region, too."""
+    arm = errors.arm.with_gravity((0.0, 0.0, 0.0))
+    own = dataclasses.replace(errors.scaled(0.1), arm=arm)
+    law = aj.SetpointController(own.believed_task())
+    report = aj.stability_report(law, own, configurations=20, runs=8)
+    assert isinstance(report.loop.region, aj.stability.RegularPart)
+    assert (report.rollouts.study.engine, report.rollouts.study.reason) == ("lanes", "")
