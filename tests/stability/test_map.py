@@ -201,3 +201,21 @@ def test_by_rollouts_over_errors_and_places(plane):
 def test_refused_by_rollouts(plane, names, by, text):
     with pytest.raises(aj.errors.ApproxJacError, match=text):
         stability_map(*plane, by=by, names=names, x=(0.1, 1.0), y=(0.1, 1.0))
+
+
+def test_grown_errors_may_have_a_camera_look_elsewhere():
+    """Then nothing is told there; of the given ones it is refused."""
+    arm = aj.load_robot("two_link")
+    task = functools.partial(aj.PositionTask, axes="xz")
+    tip = task(arm).value([0.5, 1.2])
+    place = np.array([tip[0], 0.0, tip[1]])
+    camera = aj.PinholeCamera.looking_at(place, place + [0.0, -2.0, 0.0], 600.0, (640, 480))
+    errors = aj.Uncertainty(arm, camera=camera, distance=(-0.9, 0.0))
+    law = aj.SetpointController(errors.believed_task(), aj.Gains(2e-4, 4e-4, 1.0))
+    region = aj.JointBox.around(arm, [0.5, 1.2], 0.05)
+    options = {"by": "rollouts", "names": ("error", "kv"), "y": (0.5, 1.0), **RUNS, "runs": 8}
+    drawn = stability_map(law, errors, region, x=(0.5, 4.0), **options)
+    assert (drawn.runs == [[8, 0], [8, 0]]).all()
+    assert np.isnan(drawn.rollouts[:, 1]).all()
+    with pytest.raises(aj.InvalidInputError, match="must hold configurations that the true sensor"):
+        stability_map(law, errors.scaled(4.0), region, x=(0.5, 1.0), **options)

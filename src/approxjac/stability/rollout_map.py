@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,8 @@ from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Controller
 from approxjac.stability.region import Region, require_setpoint
-from approxjac.stability.rollouts import Rollouts, clopper_pearson, rollouts
+from approxjac.stability.rollout_study import Study
+from approxjac.stability.rollouts import as_study, clopper_pearson, rollouts
 from approxjac.stability.sweep import sweep
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
@@ -64,13 +65,15 @@ def shares_over_parameters(
     y: Array,
     *,
     runs: int,
-    progress: Callable[[int], None] | None = None,
+    target: Sequence[float] | Array | None,
+    seed: int,
     **options: Any,
 ) -> Shares:
     """Return the shares with other gains, or scales of the errors; each point its own runs.
 
-    There are none where grown errors put the target out of reach.
+    There are none where grown errors have a camera look elsewhere.
     """
+    where: dict[str, Any] = {"target": target, "seed": seed}
     axes = dict(zip(names, (x.tolist(), y.tolist()), strict=True))
     scales = axes.pop("error", [1.0])
     laws: dict[tuple[float, ...], Controller] = {(): controller}
@@ -81,22 +84,14 @@ def shares_over_parameters(
         for values in itertools.product(*axes.values()):
             gains = gains_at(setpoint, dict(zip(axes, values, strict=True)))
             laws[values] = setpoint.with_gains(gains)
-    found: dict[tuple[tuple[float, ...], float], Rollouts] = {}
-    each = len(laws) * runs
-
-    def tell(done: int, before: int) -> None:
-        if progress is not None:
-            progress(before + done)
-
-    for k, scale in enumerate(scales):
-        errors = {scale: uncertainty.scaled(scale)}
-        told = partial(tell, before=k * each)
-        try:
-            found |= sweep(laws, errors, region, runs=runs, progress=told, **options).points
-        except UnattainedError:
-            if scale <= 1.0:
-                raise  # grown errors may put the target out of reach, the given ones not
-            told(each)
+    study = as_study(controller, uncertainty, region, engine="python", **where)
+    errors = {scale: uncertainty.scaled(scale) for scale in scales}
+    reached = {
+        scale: each
+        for scale, each in errors.items()
+        if scale <= 1.0 or _is_seen(replace(study, uncertainty=each), runs)
+    }
+    found = sweep(laws, reached, region, runs=runs, **where, **options).points if reached else {}
     counts = np.zeros((2, y.size, x.size), dtype=int)
     for j, i in itertools.product(range(y.size), range(x.size)):
         at = dict(zip(names, (float(x[i]), float(y[j])), strict=True))
@@ -138,6 +133,18 @@ def shares_over_runs(
     good = np.logical_and(inside, many.columns["converged"])
     np.add.at(counts[0], (j[good], i[good]), 1)
     return Shares.of(*counts)
+
+
+def _is_seen(study: Study, runs: int) -> bool:
+    """Return whether cameras see something of the region in all runs; whatever else sees all."""
+    if study.uncertainty.camera is None:
+        return True
+    try:
+        for index in range(runs):
+            study.start(index)
+    except UnattainedError:
+        return False
+    return True
 
 
 def is_drawn(names: tuple[str, str], uncertainty: Uncertainty) -> bool:
