@@ -166,8 +166,8 @@ def _failing(
     if loop.singular_configuration(samples) is not None:
         return corners[0]  # whatever the errors: the arm may stand still there
     if test == "theorem1":
-        samples = refine_constants(loop, samples, rng)
-        first = theorem1(samples, loop.setting)
+        samples, constants = refine_constants(loop, samples, rng)
+        first = theorem1(samples, loop.setting, constants)
         return None if first.holds else corners[samples.truth[first.worst["p"]]]
     form = MatrixForm(samples, loop.setting)
     for family in form.setting.families:
