@@ -144,9 +144,10 @@ def closed_loop(
 
 
 def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: str) -> Program:
-    """Return the program of one run that is recorded: "x", "torque", "e", "J_hat" and "status".
+    """Return the program of one run that is recorded.
 
-    Of a plant with ideal sensors. Its target is kept as "target"; "rate" is that of the state.
+    Of a plant with ideal sensors. Its target is kept as "target"; "x", "torque", "e", "J_hat",
+    "status", "limit_status", "slack" and "rate", that of the state, are of each step.
     """
     program = Program()
     x_d = program.kept("target", plant.sensor.n_x)
@@ -159,7 +160,8 @@ def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: s
     }
     found = {
         "x": loop.x, "torque": answer.torque, "e": answer.e, "J_hat": answer.J_hat,
-        "status": answer.status, "rate": answer.rate,
+        "status": answer.status, "limit_status": loop.within.status, "slack": loop.within.slack,
+        "rate": answer.rate,
     }  # fmt: skip
     for name, value in found.items():
         program.kept(name, symbols(value).size)
@@ -176,6 +178,7 @@ class _Loop(NamedTuple):
     x: Symbols
     error: Symbols  # of what no sensor sees, too
     answer: setpoint.Answer
+    within: limits.Limited
     after: dict[str, Any]
     diverged: Condition
     left: Condition
@@ -246,7 +249,7 @@ class _Loop(NamedTuple):
         squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state, memory)]
         after = {"q": q_end, "v": v_end, "state": after_it} | kept
         diverged = ~(sum(squares, 0.0) < _FINITE)
-        return cls(truth, q, v, x, error, answer, after, diverged, left)
+        return cls(truth, q, v, x, error, answer, within, after, diverged, left)
 
 
 def _larger(known: Number, shares: Symbols) -> Number:

@@ -207,9 +207,9 @@ class _MachineCode:
                 after[:p] = state[:p]
             return after, found
 
-        vars(self)["step"] = step
+        vars(self).update(step=step, whole_run=WholeLoops(controller).run)
         if controller is inside:
-            vars(self).update(evaluate=evaluate, whole_run=WholeLoops(controller).run)
+            vars(self)["evaluate"] = evaluate
 
 
 class _Compiled(_MachineCode, SetpointController):
