@@ -48,7 +48,9 @@ extern "C" __global__ void many(double *kept, const double *fixed, int runs, int
 def kernel(learns):
     """The source of the kernel, and how many of each operation a step has, rare blocks included."""
     law, first, begun, box = lanes.study(learns)
-    loop = Lanes(law, first.plant, begun, box, lanes.DT, 1e-3, "semi_implicit_euler", NumpyLanes)
+    loop = Lanes(
+        law, first.plant, begun, box, lanes.DT, 1000, 1e-3, "semi_implicit_euler", NumpyLanes
+    )
     program, (kept, given) = loop.compiled._program, loop.packed(begun)
     rows = {**program.rows, **program.parameters}
 

@@ -18,11 +18,11 @@ import turns
 from mujoco import rollout
 
 import approxjac as aj
-from approxjac.codegen.closed_loop import Box
 from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes, numpy_function
 from approxjac.codegen.program import STEP
+from approxjac.codegen.regions import Box
 from approxjac.robots import Dynamics
 from approxjac.stability.rollout_study import Study
 
@@ -30,8 +30,11 @@ DT, LANES, ROUNDS = 1e-3, 1024, 5
 AVX2 = "+sse4.2,+avx,+avx2"
 
 
-def study(learns):
-    """The loop: within a box of ±0.3 rad about a usual posture, so that few touch a stop."""
+def study(learns, **late):
+    """The loop: within a box of ±0.3 rad about a usual posture, so that few touch a stop.
+
+    Sensors and motors are those of `late`, such as a `sensing`; else ideal.
+    """
     arm = aj.load_robot("panda")
     errors = aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5), friction=0.1)
     task = errors.believed_task()
@@ -39,7 +42,7 @@ def study(learns):
     law = aj.SetpointController(task, gravity=gravity)
     q = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])
     region = aj.JointBox.around(task.robot, q, 0.3)
-    whole = Study(law, errors, region, None, 1.0, DT, 1e-3, 0)
+    whole = Study(law, errors, region, None, 1.0, DT, 1e-3, 0, **late)
     starts = [whole.start(index) for index in range(LANES)]
     begun = [each.begun(law) for each in starts]
     return law, starts[0], begun, Box(region.center, region.lower, region.upper)
@@ -121,7 +124,7 @@ def in_jax():
         return None, None
     jax.config.update("jax_enable_x64", True)
     law, first, begun, box = study(False)
-    lanes = Lanes(law, first.plant, begun, box, DT, 1e-3, "semi_implicit_euler", NumpyLanes)
+    lanes = Lanes(law, first.plant, begun, box, DT, 1000, 1e-3, "semi_implicit_euler", NumpyLanes)
     program = lanes.compiled._program
     numbers = [number for name in program.stepped for number in program.stepped[name]]
     function = numpy_function(program.graph, numbers)

@@ -17,7 +17,6 @@ import control_step
 import image_step
 import import_time
 import memory
-import stability_report
 import step_pieces
 import turns
 
@@ -49,16 +48,8 @@ def _processor():
 
 
 def costs():
-    """What is not a step: to begin, a report, a map; seconds and ratios to Pinocchio's own."""
-    begin = [(name, f"{taken:.2f}", ratio) for name, taken, ratio in import_time.rows()]
-    report, drawn_map, alone = stability_report.measured(rounds=1)
-    postures = f"{stability_report.POSTURES} Panda postures"
-    return [
-        *begin,
-        (f"Pinocchio's own terms at {postures}", f"{alone:.2f}", None),
-        (f"`stability_report`, {postures}", f"{report:.2f}", report / alone),
-        ("`stability_map`, 40 × 40 points", f"{drawn_map:.2f}", drawn_map / alone),
-    ]
+    """What it takes to begin: seconds, and ratios to Pinocchio's import."""
+    return [(name, f"{taken:.2f}", ratio) for name, taken, ratio in import_time.rows()]
 
 
 def parts():

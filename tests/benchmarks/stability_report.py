@@ -1,22 +1,35 @@
-"""Time of a stability report and of a map, in seconds and as ratios to Pinocchio's own work.
+"""Time of a stability report and of a map on one core, of this tree and of an older one in turns.
 
-A report over 10 000 Panda postures on one core, and a map of 40 x 40 points by test 3. The ratios
-are to what Pinocchio alone takes, for 10 000 postures, for the terms that the conditions are made
-of (M, n times C for its gradient, J, and n times dJ/dt).
+    git worktree add /tmp/before ce66a93
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python tests/benchmarks/stability_report.py /tmp/before
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python tests/benchmarks/stability_report.py
+Each tree has processes of its own, so that a first report is one. The last two rows are what one
+call after the other takes for what the conditions are made of, M, J and their gradients, with this
+library's `Dynamics` and tasks, and with Pinocchio alone (n times C, n times dJ/dt).
 """
 
+import argparse
+import json
+import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import turns
 
 import approxjac as aj
+from approxjac.robots import Dynamics
 from approxjac.stability import stability_map
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.tasks.analysis import jacobian_gradient
 
 POSTURES, ROUNDS = 10_000, 3
 CENTRE = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
+HERE = Path(__file__).parents[2]
+OUT = HERE / "docs" / "tables" / "reports.md"
 
 
 def pinocchio_alone(robot, postures):
@@ -31,6 +44,14 @@ def pinocchio_alone(robot, postures):
             pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
 
 
+def one_after_the_other(plant, task, postures):
+    dynamics = Dynamics(plant.robot)
+    for q in postures:
+        dynamics.M(q), dynamics.M_gradient(q)
+        plant.sensor.value(q), plant.sensor.jacobian(q)
+        task.jacobian(q), jacobian_gradient(task, q)
+
+
 def seconds(work):
     """Processor time of this process, which other ones do not add to."""
     start = time.process_time()
@@ -38,33 +59,64 @@ def seconds(work):
     return time.process_time() - start
 
 
-def measured(rounds=ROUNDS):
-    """Seconds of a report, of a map, and of Pinocchio alone: medians."""
+def measured():
+    """Name → seconds, of the tree that is imported."""
     arm = aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
     errors = aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5))
     controller = aj.SetpointController(errors.believed_task(), aj.Gains(400.0, 80.0, 10.0))
     region = aj.JointBox.around(arm, CENTRE, 0.3)
-    truth = errors.plant([0.2, 0.5])
+    truth, task = errors.plant([0.2, 0.5]), controller.task
     drawn = region.sample(POSTURES, np.random.default_rng(0))
-    aj.stability_report(controller, truth, region, configurations=100)  # imports SciPy
     axes = np.linspace(0.0, 3.0, 40), np.geomspace(0.5, 50.0, 40)
-    return [
-        float(np.median([seconds(work) for _ in range(rounds)]))
-        for work in (
-            lambda: aj.stability_report(controller, truth, region, configurations=POSTURES),
+    loop, truths = ClosedLoop(controller, truth, region), np.zeros(POSTURES, dtype=int)
+    x_d = np.zeros((POSTURES, 3))
+
+    def report():
+        aj.stability_report(controller, truth, region, configurations=POSTURES)
+
+    return {
+        f"`stability_report`, {POSTURES} Panda postures, the first": seconds(report),
+        "the same again": seconds(report),
+        "`stability_map`, 40 × 40 points by test 3": seconds(
             lambda: stability_map(
                 controller, errors, region, names=("error", "a"), x=axes[0], y=axes[1], coarse=0
-            ),
-            lambda: pinocchio_alone(truth.robot, drawn),
-        )
-    ]
+            )
+        ),
+        f"terms of {POSTURES} samples of a report": seconds(
+            lambda: loop.samples_at(truths, drawn, x_d)
+        ),
+        "one posture after the other": seconds(lambda: one_after_the_other(truth, task, drawn)),
+        "Pinocchio alone": seconds(lambda: pinocchio_alone(truth.robot, drawn)),
+    }
+
+
+def of_tree(tree):
+    environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
+    command = [sys.executable, __file__, "--measure"]
+    said = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    return json.loads(said.stdout.splitlines()[-1])
 
 
 def main():
-    report, drawn_map, alone = measured()
-    print(f"Pinocchio alone, {POSTURES} Panda postures: {alone:.2f} s")
-    print(f"report over {POSTURES} postures: {report:.2f} s, ratio {report / alone:.1f}")
-    print(f"map of 40 x 40 points by test 3: {drawn_map:.2f} s, ratio {drawn_map / alone:.1f}")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("before", type=Path, nargs="?", help="folder of the older tree")
+    parser.add_argument("--measure", action="store_true", help="the tree that is imported, as JSON")
+    parser.add_argument("--out", type=Path, default=OUT, help="Markdown file that is written")
+    given = parser.parse_args()
+    if given.measure:
+        print(json.dumps(measured()))
+        return
+    trees = [HERE] if given.before is None else [given.before, HERE]
+    rounds = [[of_tree(tree) for tree in trees] for _ in range(ROUNDS)]
+    rows = []
+    for name in rounds[0][0]:
+        taken = np.median([[each[name] for each in one] for one in rounds], axis=0)
+        rows.append((name, *map(float, taken), float(taken[0] / taken[-1])))
+    heads = ("what", *(("before, s", "now, s", "before / now") if len(trees) == 2 else ("s", "")))
+    table = turns.table(heads, rows)
+    print(table)
+    if len(trees) == 2:
+        given.out.write_text(table + "\n")
 
 
 if __name__ == "__main__":

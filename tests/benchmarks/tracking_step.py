@@ -3,8 +3,9 @@
 Both learn: `TrackingController` kinematics and dynamics, `SetpointController` gravity. Control runs
 at 1 kHz with frames at 60 Hz, so most steps have no new frame; of both kinds the median is told.
 A learning frame is what a step of `AdaptiveKinematics` takes longer where there is a new one.
+What is compiled is that of `codegen.compiled`, beside the set-point law in Python.
 
-    python tests/benchmarks/tracking_step.py
+    OMP_NUM_THREADS=1 python tests/benchmarks/tracking_step.py > docs/tables/tracking_step.md
 """
 
 import time
@@ -12,6 +13,7 @@ import time
 import numpy as np
 
 import approxjac as aj
+from approxjac.codegen.step import compiled
 from approxjac.controllers import KnownKinematics
 
 ROBOTS = ("panda", "ur5")
@@ -43,9 +45,11 @@ def laws(robot):
     return {
         "set-point, learnt gravity": aj.SetpointController(task, gravity=aj.AdaptiveGravity(robot)),
         "law T, learnt": learnt,
+        "law T, learnt, compiled": compiled(learnt),
         "law T, the camera's axes known": aj.TrackingController(task),
         "law T, kinematics known": aj.TrackingController(task, kinematics=KnownKinematics(task)),
         "law T, learnt, `TorqueLimited`": aj.TorqueLimited(learnt, aj.Limits.of(robot)),
+        "– with law T compiled": aj.TorqueLimited(compiled(learnt), aj.Limits.of(robot)),
         "– its kinematics alone": learnt.kinematics,
     }
 

@@ -1,5 +1,6 @@
 """`approxjac stability`: what it prints, draws and writes, and what it refuses."""
 
+import dataclasses
 import json
 from functools import partial
 
@@ -124,6 +125,25 @@ def test_camera_of_the_two_link_arm():
     assert result.tolerances["local"].scale > result.tolerances["theorem1"].scale
     assert "camera roll" in repr(loop.truth)
     assert report.draw_map(result) is not None
+
+
+def test_a_map_by_rollouts():
+    scenario = Scenario(
+        "two_link",
+        stability={
+            "object_length": (0.0, 0.3), "object_mass": (0.0, 0.2), "around": (0.5, 1.2),
+            "configurations": 20, "runs": 0, "map": ("object_length", "object_mass"),
+            "map_by": "rollouts", "map_points": 2, "map_runs": 4,
+        },
+    )  # fmt: skip
+    result = study.analyse(scenario, study.prepare(scenario))
+    assert result.map.runs.sum() == 16
+    np.testing.assert_allclose(result.map.x, [0.075, 0.225])
+    assert len(report.draw_map(result).axes) == 6  # three, with their colours
+    both = dataclasses.replace(scenario.stability, map=("x", "error"))
+    wrong = dataclasses.replace(scenario, stability=both)
+    with pytest.raises(aj.InvalidInputError, match="names must both be of what is drawn"):
+        study.prepare(wrong)
 
 
 def test_gravity_may_be_learnt_or_not_be_felt():

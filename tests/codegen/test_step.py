@@ -23,6 +23,7 @@ from approxjac.controllers import (
 from approxjac.errors import MeasurementError, MissingPackageError
 from approxjac.law import Sine, Tanh, theta_hat_rate
 from approxjac.robots import GravityRegressor
+from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.tasks import CombinedTask, NonsingularTask, PlanarCamera
 
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
@@ -548,6 +549,26 @@ def test_a_program_that_may_lose_x_knows_it(panda):
         assert STATUSES[int(status)] is expected.status
         assert_allclose(torque, expected.torque, rtol=0, atol=1e-10)
         assert_allclose(rate, expected.state_rate, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("learns", [False, pytest.param(True, marks=pytest.mark.study)])
+def test_a_whole_run_within_limits_of_effort_is_that_of_python(panda, learns, monkeypatch):
+    truth, belief = panda.with_object(0.2, 0.5), panda.with_object(0.0)
+    plant, task = aj.Plant(truth), aj.PositionTask(belief)
+    gravity = aj.AdaptiveGravity(belief) if learns else aj.controllers.ModelGravity(truth)
+    target = plant.sensor.value(plant.ready_configuration()) + [0.15, -0.15, 0.1]
+    law = aj.SetpointController(task, gravity=gravity)
+    limited = aj.TorqueLimited(law, aj.Limits(effort=0.45 * belief.effort_limits))
+    options = {"duration": 2.0, "dt": 1e-3, "integrator": "semi_implicit_euler"}
+    plain = aj.simulate(plant, limited, target, **options)
+    monkeypatch.delattr(SampledLoop, "advance")
+    quick = aj.simulate(plant, compiled(limited), target, **options)
+    assert len(set(plain.limit_status)) > 1
+    assert_array_equal(quick.limit_status, plain.limit_status)
+    assert_array_equal(quick.status, plain.status)
+    for part in ("q", "v", "tau", "slack", "V"):
+        found, expected = getattr(quick, part), getattr(plain, part)
+        assert_allclose(found, expected, rtol=1e-8, atol=1e-8, err_msg=part)
 
 
 @pytest.mark.study

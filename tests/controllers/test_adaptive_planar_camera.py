@@ -87,7 +87,7 @@ def test_prediction_has_exact_derivatives(rng):
 
     def later(s):
         new = state.copy()
-        inner._advance(new, s)
+        inner.advance(new, s)
         target = aj.Target(x + s * x_dot + s * s / 2 * x_ddot, x_dot + s * x_ddot, x_ddot)
         return kinematics.predict(new, q + s * v, v, target)
 

@@ -1,5 +1,7 @@
 """The stability map against the tests that it is made of."""
 
+import functools
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -120,3 +122,100 @@ def test_it_repeats_bit_by_bit_and_progress_grows_to_one(controller, tools, box)
 def test_refused(controller, tools, box, names, x, text):
     with pytest.raises(aj.errors.ApproxJacError, match=text):
         stability_map(controller, tools, box, names=names, x=x, y=(1.0, 2.0))
+
+
+# -- by rollouts --------------------------------------------------------------------------------
+
+RUNS = {"runs": 6, "duration": 1.0, "dt": 4e-3, "tolerance": 0.05}
+
+
+@pytest.fixture(scope="module")
+def plane():
+    """A controller of two links, errors and a region."""
+    arm, task = aj.load_robot("two_link"), functools.partial(aj.PositionTask, axes="xz")
+    errors = aj.Uncertainty(
+        arm, task, object_length=(0.0, 0.4), object_axis="x",
+        joint_rotations={"joint1": (0.0, 2.0, 0.0)},
+    )  # fmt: skip
+    law = aj.SetpointController(errors.believed_task())
+    return law, errors, aj.JointBox.around(arm, [0.5, 1.2], 0.4)
+
+
+def test_by_rollouts_over_parameters(plane):
+    """Each point is what `rollouts` say there."""
+    law, errors, region = plane
+    drawn = stability_map(
+        *plane, by="rollouts", names=("a", "error"), x=(1.0, 4.0, 8.0), y=(0.0, 1.0), **RUNS
+    )
+    assert drawn.rollouts.shape == drawn.runs.shape == (2, 3)
+    assert (drawn.runs == 6).all()
+    _, kv, damping = law.diagonals
+    other = law.with_gains(aj.Gains(4.0 * kv, kv, damping))
+    runs = aj.rollouts(other, errors.scaled(1.0), region, **RUNS)
+    assert drawn.rollouts[1, 1] == runs.share
+    assert tuple(drawn.intervals[1, 1]) == runs.interval
+    assert np.isnan(drawn.decay_rate).all()
+    assert "36 runs at (2, 3) points" in str(drawn)
+
+
+def test_by_rollouts_over_errors_and_places(plane):
+    """Each run counts where it was drawn."""
+    law = plane[0]
+    turn, seen = "joint1 rotation y", []
+    y = np.linspace(-2.0, 2.0, 5)
+    drawn = stability_map(
+        *plane, by="rollouts", names=("object_length", turn), x=(0.1, 0.3), y=y,
+        progress=seen.append, **RUNS,
+    )  # fmt: skip
+    many = aj.rollouts(*plane, **RUNS | {"runs": 60})
+    assert 40 < drawn.runs.sum() <= 60  # none beyond half a step from the ends
+    length, angle = many.columns["values"].T
+    here = (length < 0.2) & (np.abs(angle - 1.0) < 0.5)
+    assert drawn.runs[3, 0] == here.sum() > 0
+    assert drawn.rollouts[3, 0] == many.columns["converged"][here].mean()
+    assert drawn.rollouts[2].mean() > drawn.rollouts[0].mean() == 0.0  # beyond a right angle
+    assert seen[-1] == 1.0
+
+    tips = np.array([law.task.value(q) for q in many.columns["q0"]])
+    places = stability_map(
+        *plane, by="rollouts", names=("x", "z"), x=(0.5, 1.5), y=(-4.0, 0.5, 1.5),
+        **RUNS | {"runs": 10},
+    )  # fmt: skip
+    here = (np.abs(tips[:, 0] - 1.5) < 0.5) & (np.abs(tips[:, 1]) < 1.0)
+    assert places.runs[1, 1] == here.sum() > 0
+    assert places.rollouts[1, 1] == many.columns["converged"][here].mean()
+    assert places.runs[0].sum() == 0
+    assert np.isnan(places.rollouts[0]).all()
+    assert_array_equal(places.intervals[0], [[0.0, 1.0]] * 2)
+
+
+@pytest.mark.parametrize(
+    ("names", "by", "text"),
+    [
+        (("object_length", "a"), "rollouts", "names must both be of what is drawn"),
+        (("object_length", "roll"), "rollouts", "parameter 'roll' not in the map"),
+        (("object_length", "a"), "tests", "parameter 'object_length' not in the map"),
+        (("a", "kv"), "eye", "by 'eye' not in stability_map"),
+    ],
+)
+def test_refused_by_rollouts(plane, names, by, text):
+    with pytest.raises(aj.errors.ApproxJacError, match=text):
+        stability_map(*plane, by=by, names=names, x=(0.1, 1.0), y=(0.1, 1.0))
+
+
+def test_grown_errors_may_have_a_camera_look_elsewhere():
+    """Then nothing is told there; of the given ones it is refused."""
+    arm = aj.load_robot("two_link")
+    task = functools.partial(aj.PositionTask, axes="xz")
+    tip = task(arm).value([0.5, 1.2])
+    place = np.array([tip[0], 0.0, tip[1]])
+    camera = aj.PinholeCamera.looking_at(place, place + [0.0, -2.0, 0.0], 600.0, (640, 480))
+    errors = aj.Uncertainty(arm, camera=camera, distance=(-0.9, 0.0))
+    law = aj.SetpointController(errors.believed_task(), aj.Gains(2e-4, 4e-4, 1.0))
+    region = aj.JointBox.around(arm, [0.5, 1.2], 0.05)
+    options = {"by": "rollouts", "names": ("error", "kv"), "y": (0.5, 1.0), **RUNS, "runs": 8}
+    drawn = stability_map(law, errors, region, x=(0.5, 4.0), **options)
+    assert (drawn.runs == [[8, 0], [8, 0]]).all()
+    assert np.isnan(drawn.rollouts[:, 1]).all()
+    with pytest.raises(aj.InvalidInputError, match="must hold configurations that the true sensor"):
+        stability_map(law, errors.scaled(4.0), region, x=(0.5, 1.0), **options)

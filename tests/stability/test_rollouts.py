@@ -242,7 +242,7 @@ def test_the_interval_is_that_of_scipy(runs, share, confidence):
         ({"tolerance": -1.0}, "tolerance must be a finite number > 0, got -1"),
         ({"target": (0.1, 0.2, 0.3)}, r"target must have shape \(2,\) \[m\]"),
         ({"executor": 2}, "executor must be an executor of concurrent.futures or None, got 2"),
-        ({"progress": 2}, "progress must be a function of the number of runs done, got 2"),
+        ({"progress": 2}, "progress must be a function of the number of runs done, or True, got 2"),
     ],
 )
 def test_refused_numbers(controller, uncertainty, options, text):
@@ -271,3 +271,48 @@ def test_refused_parts(controller, uncertainty, panda):
 
 def test_a_region_is_what_has_its_methods():
     assert isinstance(REGION, Region)
+
+
+# -- until so many do not converge --------------------------------------------------------------
+
+
+def test_it_ends_with_a_failure(controller, uncertainty):
+    """As if the runs after it had not been asked for."""
+    options = SHORT | {"runs": 30, "seed": 1, "tolerance": 0.01}
+    every = aj.rollouts(controller, uncertainty, REGION, **options)
+    failed = np.flatnonzero(~every.columns["converged"])
+    assert 2 <= len(failed) < 30
+    assert failed[0] > 0
+    for failures in (1, 2, 31):
+        few = aj.rollouts(controller, uncertainty, REGION, failures=failures, **options)
+        ends = failed[failures - 1] + 1 if failures < 31 else 30
+        assert few.n == ends
+        for name, column in few.columns.items():
+            assert_array_equal(column, every.columns[name][:ends])
+
+
+@pytest.mark.parametrize("failures", [1, 3])
+@pytest.mark.parametrize("probability", [0.3, 0.8, 0.97, 0.999])
+def test_the_interval_holds_where_failures_end_it(failures, probability):
+    """Clopper and Pearson's, in at least 95 % of all outcomes, and 97.5 % to either side."""
+    runs, p = 60, probability
+    outcomes = [  # ends with the last failure, or with all runs
+        (
+            n,
+            n - failures,
+            math.comb(n - 1, failures - 1) * (1 - p) ** failures * p ** (n - failures),
+        )
+        for n in range(failures, runs + 1)
+    ] + [
+        (runs, runs - k, math.comb(runs, k) * (1 - p) ** k * p ** (runs - k))
+        for k in range(failures)
+    ]
+    assert sum(chance for *_, chance in outcomes) == pytest.approx(1.0)
+    ends = [(*clopper_pearson(good, n), chance) for n, good, chance in outcomes]
+    assert sum(chance for low, _, chance in ends if low > p) <= 0.025
+    assert sum(chance for _, high, chance in ends if high < p) <= 0.025
+
+
+def test_a_bar(controller, uncertainty, capsys):
+    aj.rollouts(controller, uncertainty, REGION, progress=True, **SHORT)
+    assert "5/5" in capsys.readouterr().err

@@ -77,6 +77,10 @@ def plots(run, image_run, arm, seen):
             x, y, decay, [("test 1, Theorem 1", x, y, decay - 0.2)],
             labels=("scale of the errors [–]", "damping [N m s/rad]"), own=(0.5, 1.5), ax=ax,
         ),
+        "plot_shares": lambda ax: view.plot_shares(
+            x, y, np.clip(decay, 0.0, 1.0), own=(0.5, 1.5), ax=ax,
+            labels=("true object_length [m]", "damping [N m s/rad]"),
+        ),
         "plot_kinematics": lambda ax: view.plot_kinematics(*learning, ax=ax),
     }  # fmt: skip
 
@@ -84,7 +88,7 @@ def plots(run, image_run, arm, seen):
 NAMES = (
     "plot_error", "plot_torque", "plot_torque, limits", "plot_slack", "plot_path",
     "plot_parameters", "plot_image", "plot_camera_view", "plot_allowed_error",
-    "plot_margins", "plot_map", "plot_kinematics",
+    "plot_margins", "plot_map", "plot_shares", "plot_kinematics",
 )  # fmt: skip
 
 

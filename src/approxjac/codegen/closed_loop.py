@@ -12,13 +12,17 @@ from approxjac.codegen import limits, setpoint, tasks
 from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.functions import LARGEST_ANGLE
 from approxjac.codegen.graph import Condition, Number, Scalar, select
+from approxjac.codegen.held import Held, inside
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.program import Program
+from approxjac.codegen.regions import Box, outside
 from approxjac.codegen.rigid_body import Arm, Configured, moved
 from approxjac.codegen.senses import Measured, Senses
 from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.controllers import HeldMeasurement
+from approxjac.controllers.gains import Diagonals
 from approxjac.errors import InvalidInputError
-from approxjac.interface import Controller
+from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.validation import Array
@@ -52,20 +56,6 @@ class Told(NamedTuple):
 TOLD = Told()
 
 
-class Box(NamedTuple):
-    """Configurations between bounds, of an arm without continuous joints.
-
-    Attributes:
-        center: Shape (n_v,).
-        lower: Smallest motion from it, shape (n_v,).
-        upper: Largest motion from it, shape (n_v,).
-    """
-
-    center: Array
-    lower: Array
-    upper: Array
-
-
 class ClosedLoop(NamedTuple):
     """The program of a closed loop, and what gives it its parameters.
 
@@ -86,7 +76,7 @@ def require_covered(controller: Controller, plant: Plant) -> None:
     Raises:
         InvalidInputError: Another law, task or plant than those covered.
     """
-    limits.require_covered(controller)
+    limits.require_covered(inside(controller))
     tasks.require_covered(plant.sensor)
     if plant.servo is not None or plant.torque_limits is not None:
         raise InvalidInputError(
@@ -102,31 +92,39 @@ def closed_loop(
     numbers: ArmNumbers,
     sensors: Mapping[str, Array],
     targets: Array,
+    gains: Array,
     region: Box,
     dt: float,
     steps: int,
     tolerance: float,
     integrator: str = "semi_implicit_euler",
+    path: Target | TargetPath | None = None,
 ) -> ClosedLoop:
     """Return the program of a sampled closed loop.
 
     Args:
-        controller: The law, or `TorqueLimited` around it.
+        controller: The law, `TorqueLimited` around it, or `HeldMeasurement` around them.
         plant: One of the true robots, with its sensor, friction and lateness.
         numbers: Of true robots, stacked, such that all differ in what ever differs.
         sensors: Numbers of their sensors, as `tasks.numbers` has them.
         targets: x_d of each of them, shape (N, n_x).
+        gains: Diagonals of the law of each, one after the other, shape (N, 2 m + n_v).
         region: Where runs are to stay.
         dt: Sampling time [s].
         steps: Number of steps of a run.
         tolerance: Error below which a task counts as done.
         integrator: One of `INTEGRATORS`.
+        path: Where the target of all moves, in place of `targets`; or None.
     """
     program = Program()
-    x_d = program.given("target", targets)
+    at_rest = program.given("target", targets)
     sensor = {name: program.given(name, values) for name, values in sensors.items()}
-    senses = Senses(plant, dt, steps)
-    loop = _Loop.of(program, controller, plant, numbers, sensor, x_d, dt, integrator, senses)
+    senses, m = Senses(plant, dt, steps, path), controller.task.m
+    x_d, v_d = senses.target(program) or (at_rest, None)
+    own = Diagonals(*np.split(program.given("gains", gains), (m, 2 * m)))
+    loop = _Loop.of(
+        program, controller, plant, numbers, sensor, x_d, dt, integrator, senses, v_d, own
+    )
     answer, robot = loop.answer, plant.robot
     told = {name: program.kept(name, 1)[0] for name in TOLD}
     program.step(loop.after | {
@@ -140,15 +138,16 @@ def closed_loop(
         TOLD.error: error,
         TOLD.torque: _larger(told[TOLD.torque], answer.torque / plant.motor_limits),
         TOLD.speed: _larger(told[TOLD.speed], loop.v / robot.velocity_limits),
-        TOLD.outside: select(_outside(loop.q, region), 1.0, told[TOLD.outside]),
+        TOLD.outside: select(outside(loop.q, plant.robot, region), 1.0, told[TOLD.outside]),
     })  # fmt: skip
     return ClosedLoop(program, loop.truth, senses)
 
 
 def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: str) -> Program:
-    """Return the program of one run that is recorded: "x", "torque", "e", "J_hat" and "status".
+    """Return the program of one run that is recorded.
 
-    Of a plant with ideal sensors. Its target is kept as "target"; "rate" is that of the state.
+    Of a plant with ideal sensors. Its target is kept as "target"; "x", "torque", "e", "J_hat",
+    "status", "limit_status", "slack" and "rate", that of the state, are of each step.
     """
     program = Program()
     x_d = program.kept("target", plant.sensor.n_x)
@@ -161,7 +160,8 @@ def recorded_loop(controller: Controller, plant: Plant, dt: float, integrator: s
     }
     found = {
         "x": loop.x, "torque": answer.torque, "e": answer.e, "J_hat": answer.J_hat,
-        "status": answer.status, "rate": answer.rate,
+        "status": answer.status, "limit_status": loop.within.status, "slack": loop.within.slack,
+        "rate": answer.rate,
     }  # fmt: skip
     for name, value in found.items():
         program.kept(name, symbols(value).size)
@@ -178,6 +178,7 @@ class _Loop(NamedTuple):
     x: Symbols
     error: Symbols  # of what no sensor sees, too
     answer: setpoint.Answer
+    within: limits.Limited
     after: dict[str, Any]
     diverged: Condition
     left: Condition
@@ -194,43 +195,61 @@ class _Loop(NamedTuple):
         dt: float,
         integrator: str,
         senses: Senses | None = None,
+        v_d: Symbols | None = None,
+        gains: Diagonals | None = None,
     ) -> _Loop:
         robot, task = plant.robot, controller.task
         truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         belief = Arm(program.given, "belief", task.robot, tasks.frames(task))
         q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
-        state = program.kept("state", setpoint.n_state(limits.law_of(controller)))
+        controller, holds = inside(controller), controller
+        law = limits.law_of(controller)
+        n_state, n_memory = setpoint.n_state(law), 0
+        if isinstance(holds, HeldMeasurement):
+            n_memory = holds._memory
+        whole = program.kept("state", n_state + n_memory)
+        state, memory = whole[:n_state], whole[n_state:]
         here = truth.at(q)
         value = tasks.value(plant.sensor, here, sensor)
         x = tasks.seen(plant.sensor, value)
         error = tasks.error(plant.sensor, value, x_d)
-        told, may_lose, left = Measured(q, v, x, 0.0, {}), tasks.may_lose(plant.sensor), False
+        told, may_lose = Measured(q, v, x, {}), tasks.may_lose(plant.sensor)
+        left: Condition = False
         if senses is not None:
             told, may_lose = senses.measured(program, q, v, x), may_lose or senses.may_lose
-            law = limits.law_of(controller)
-            if law.velocity is not None:  # which begins with the first x
-                followed = np.where(symbols(program.k > 0.0), state[law.resting :], told.x)
+            if law.velocity is not None:  # which begins with the first x, and refuses a lost one
+                is_first = symbols(program.k < 1.0)
+                followed = np.where(is_first, told.x, state[law.resting :])
                 state = np.concatenate([state[: law.resting], followed])
+                left = any_of(is_first & ~np.isfinite(told.x))
+        if isinstance(holds, HeldMeasurement):
+            assert senses is not None
+            held = Held.of(holds, memory, told.x, senses.time_of_x(program))
+            told, may_lose = told._replace(x=held.x), True
         answer, within = limits.answer(
-            controller, belief.at(told.q), told.q, told.v, told.x, x_d, state, may_lose=may_lose
-        )
+            controller, belief.at(told.q), told.q, told.v, told.x, x_d, state,
+            may_lose=may_lose, v_d=v_d, gains=gains,
+        )  # fmt: skip
         answer, acting, kept = answer._replace(torque=within.torque), within.torque, told.kept
+        if isinstance(holds, HeldMeasurement):
+            memory = held.after(answer.J_hat, told.v, dt)
         if senses is not None:
             acting, late = senses.acting(program, answer.torque)
             kept = kept | late
         q_end, v_end = _advanced(plant, truth, here, q, v, acting, dt, integrator)
-        touched, left = _touched(plant, q_end), answer.left
+        touched, left = _touched(plant, q_end), left | answer.left
         if isinstance(touched, Scalar):
             q_held, v_held, wrong = _held(plant, here, q, v, acting, dt)
             n, ends = len(q), [*q_end.tolist(), *v_end.tolist(), 0.0]
-            held = [*q_held.tolist(), *v_held.tolist(), select(wrong, 1.0, 0.0)]
-            *ends, is_wrong = program.graph.rare(touched, held, ends)
+            stopped = [*q_held.tolist(), *v_held.tolist(), select(wrong, 1.0, 0.0)]
+            *ends, is_wrong = program.graph.rare(touched, stopped, ends)
             q_end, v_end, left = symbols(ends[:n]), symbols(ends[n:]), left | (is_wrong > 0.0)
         left = left | any_of(np.abs(q_end) > LARGEST_ANGLE)
-        squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state)]
-        after = {"q": q_end, "v": v_end, "state": state + dt * answer.rate} | kept
+        after_it = np.concatenate([state + dt * answer.rate, memory])
+        squares = [(each * each).sum() for each in (q_end, v_end, answer.torque, state, memory)]
+        after = {"q": q_end, "v": v_end, "state": after_it} | kept
         diverged = ~(sum(squares, 0.0) < _FINITE)
-        return cls(truth, q, v, x, error, answer, after, diverged, left)
+        return cls(truth, q, v, x, error, answer, within, after, diverged, left)
 
 
 def _larger(known: Number, shares: Symbols) -> Number:
@@ -324,9 +343,3 @@ def _depth(plant: Plant, q: Symbols) -> tuple[Symbols, Symbols, Array]:
         side[i] = select(above > below, 1.0, -1.0)
         limited[i] = True
     return depth, side, limited
-
-
-def _outside(q: Symbols, region: Box) -> Condition:
-    """Return whether a configuration is not in a box."""
-    motion = q - region.center
-    return any_of((motion < region.lower - 1e-12) | (motion > region.upper + 1e-12))

@@ -10,12 +10,14 @@ import numpy as np
 
 from approxjac.codegen import tasks
 from approxjac.codegen.arm_numbers import ArmNumbers, arm_numbers
-from approxjac.codegen.closed_loop import TOLD, Box, ClosedLoop, closed_loop
+from approxjac.codegen.closed_loop import TOLD, ClosedLoop, closed_loop
+from approxjac.codegen.held import inside
 from approxjac.codegen.limits import law_of
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.codegen.program import Block, Program
-from approxjac.interface import Controller, Measurement
+from approxjac.codegen.regions import Box
+from approxjac.interface import Controller, Measurement, Target, TargetPath
 from approxjac.simulation import Plant
 from approxjac.validation import Array
 
@@ -33,6 +35,7 @@ class Begun(NamedTuple):
         sensor: Those of its sensor, as `tasks.numbers` has them.
         seed: Of noise and dropouts.
         holding: Torque that holds it until the first one acts, shape (n_v,).
+        gains: Diagonals of the law, one after the other, shape (2 m + n_v,).
     """
 
     q: Array
@@ -42,6 +45,7 @@ class Begun(NamedTuple):
     sensor: dict[str, Array]
     seed: int
     holding: Array
+    gains: Array
 
     @classmethod
     def of(
@@ -49,18 +53,20 @@ class Begun(NamedTuple):
     ) -> Begun:
         """Return that of a plant at rest."""
         # only law (5) begins with x, once it is measured
-        x = target if law_of(controller).velocity is None else plant.sensor.value(q)
+        law = law_of(inside(controller))
+        x = target if law.velocity is None else plant.sensor.value(q)
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
-        return cls(q, target, state, numbers, tasks.numbers([plant.sensor]), seed, holding)
+        sensor, gains = tasks.numbers([plant.sensor]), np.concatenate(law.diagonals)
+        return cls(q, target, state, numbers, sensor, seed, holding, gains)
 
 
 class Lanes:
     """Closed loops that differ in their true robots, starts and targets.
 
     Args:
-        controller: The law.
+        controller: The law, with what is around it.
         plant: A true robot, with its sensor and friction.
         examples: Runs that differ in all that will ever differ.
         region: Where runs are to stay.
@@ -69,6 +75,7 @@ class Lanes:
         tolerance: Error below which a task counts as done.
         integrator: Of the plant: one of `INTEGRATORS`.
         engine: What carries the program out.
+        path: Where the target of all runs moves, in place of their own; None is at rest.
     """
 
     def __init__(
@@ -82,11 +89,14 @@ class Lanes:
         tolerance: float,
         integrator: str = "semi_implicit_euler",
         engine: Callable[[Program], LlvmLanes | NumpyLanes] = LlvmLanes,
+        path: Target | TargetPath | None = None,
     ) -> None:
         numbers, sensors, targets = _stacked(examples)
+        gains = np.array([each.gains for each in examples])
         self._loop: ClosedLoop = closed_loop(
-            controller, plant, numbers, sensors, targets, region, dt, steps, tolerance, integrator
-        )
+            controller, plant, numbers, sensors, targets, gains, region, dt, steps, tolerance,
+            integrator, path,
+        )  # fmt: skip
         self._steps = steps
         self._engine = engine
 
@@ -106,6 +116,7 @@ class Lanes:
         self._loop.senses.begun(program, kept, np.array([start.holding for start in starts]))
         numbers, sensors, targets = _stacked(starts)
         named = self._loop.truth.named(numbers) | sensors | {"target": targets}
+        named["gains"] = np.array([start.gains for start in starts])
         return _packed(kept, width), _packed(program.filled(named), width)
 
     @functools.cached_property

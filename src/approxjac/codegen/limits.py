@@ -11,6 +11,7 @@ from approxjac.codegen import setpoint
 from approxjac.codegen.graph import Condition, Scalar
 from approxjac.codegen.rigid_body import Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
+from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.errors import InvalidInputError
@@ -80,10 +81,12 @@ def answer(
     state: Symbols,
     *,
     may_lose: bool,
+    v_d: Symbols | None = None,
+    gains: Diagonals | None = None,
 ) -> tuple[setpoint.Answer, Limited]:
     """Return what `setpoint.answer` does, with the rate of what does not rest; and its limits."""
     law = law_of(controller)
-    found = setpoint.answer(law, arm, q, v, x, x_d, state, may_lose=may_lose)
+    found = setpoint.answer(law, arm, q, v, x, x_d, state, may_lose=may_lose, v_d=v_d, gains=gains)
     within = limited(controller, found, v)
     rate = symbols(found.rate)
     rate[: law.resting] = np.where(within.rests, 0.0, rate[: law.resting])
@@ -115,7 +118,7 @@ def limited(controller: Controller, answer: setpoint.Answer, v: Symbols) -> Limi
     slack: Any = 0.0
     rests: Any = beyond
     if limiter.proof:
-        y = law.passive_output(v, answer.pinv_s, limiter.alpha)
+        y = law.passive_output(v - answer.reference, answer.pinv_s, limiter.alpha)
         found, slack = _nearest(limiter, torque, y, lower, upper, clipped)
         is_proven = answer.status == float(setpoint.STATUSES.index(Status.OK))
         kept, given_up = float(LimitStatus.PROOF_KEPT), float(LimitStatus.PROOF_GIVEN_UP)

@@ -21,6 +21,7 @@ class Factors:
         n = len(A)
         self._L: list[list[Number]] = [[0.0] * n for _ in range(n)]
         self._inverse: list[Number] = []  # of D
+        self.pivots: list[Number] = []  # D
         scaled: list[list[Number]] = [[0.0] * n for _ in range(n)]  # LD
         for i in range(n):
             for j in range(i):
@@ -32,6 +33,7 @@ class Factors:
             pivot: Number = A[i, i]
             for k in range(i):
                 pivot = pivot - scaled[i][k] * self._L[i][k]
+            self.pivots.append(pivot)
             self._inverse.append(1.0 / pivot)
 
     def solve(self, b: Symbols) -> Symbols:

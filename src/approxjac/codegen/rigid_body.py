@@ -7,21 +7,24 @@ fold away. With mimic joints all joints move on their own, and q̇_all = G q̇ b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from approxjac.codegen.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
-from approxjac.codegen.graph import Number
+from approxjac.codegen.bodies import Body, Motion, Wrench, cross, force, gradient
+from approxjac.codegen.functions import arctangent
+from approxjac.codegen.graph import Number, select
 from approxjac.codegen.linear import Factors
 from approxjac.codegen.symbols import Symbols, symbols
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.robots.model import own_joints
 from approxjac.validation import Array
 
-__all__ = ["Arm", "ArmNumbers", "Configured", "arm_numbers", "moved"]
+__all__ = ["Arm", "ArmNumbers", "Configured", "arm_numbers", "difference", "moved"]
 
 Given = Callable[[str, Array], Symbols]
 _Z = symbols([0.0, 0.0, 1.0])
@@ -72,62 +75,36 @@ class Arm:
         return Configured(self, q)
 
 
-class Motion(NamedTuple):
-    """How a link moves, in its own axes.
-
-    Attributes:
-        omega: Its angular velocity, shape (3,) [rad/s].
-        omega_dot: Its angular acceleration, shape (3,) [rad/s²].
-        a: Acceleration of the joint's origin, shape (3,) [m/s²].
-    """
-
-    omega: Symbols
-    omega_dot: Symbols
-    a: Symbols
-
-    def gradient(self) -> Symbols:
-        """Return U (3, 3), so that what is at r in the link's axes has acceleration a + U r."""
-        (x, y, z), (dx, dy, dz) = self.omega, self.omega_dot
-        xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-        return symbols([
-            [-(yy + zz), xy - dz, xz + dy],
-            [xy + dz, -(xx + zz), yz - dx],
-            [xz - dy, yz + dx, -(xx + yy)],
-        ])  # fmt: skip
-
-
-class Body(NamedTuple):
-    """Mass [kg], first moments (3,) [kg m] and second moments (3, 3) [kg m²] about an origin."""
-
-    m: Number
-    h: Symbols
-    S: Symbols
-
-
 class Configured:
     """An arm at a configuration. What terms have in common is computed once.
 
     Each link has axes of its own, whose z is that of its joint. Bodies are those of `Reduced`.
+
+    Attributes:
+        structure: What it has in common with arms that differ in numbers only.
+        q_all: Configuration of all joints, shape (nq_all,).
+        weight: Acceleration of gravity in the world, shape (3,) [m/s²].
     """
 
     def __init__(self, arm: Arm, q: Symbols) -> None:
         self.nv = arm.robot.nv
         self.arm, self.q = arm, q
-        self._numbers, self._structure = arm.numbers, arm.structure
+        self._numbers, self.structure = arm.numbers, arm.structure
+        self.weight = arm.numbers.gravity
         mimic = arm.robot.mimic_joints
-        q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
-        self._n, numbers = len(self._structure.parents), arm.numbers
+        self.q_all = q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
+        self._n, numbers = len(self.structure.parents), arm.numbers
         spreads = numbers.spreads[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         each = zip(numbers.masses, numbers.moments, spreads, strict=True)
         self._bodies = [Body(*body) for body in each]
         self._turns: list[tuple[Number, Number]] = []  # cos and sin
         self._origins = list(numbers.translations)
         for j in range(self._n):
-            at = self._structure.places[j]
-            if self._structure.slides[j]:
+            at = self.structure.places[j]
+            if self.structure.slides[j]:
                 self._turns.append((1.0, 0.0))
                 self._origins[j] = self._origins[j] + numbers.rotations[j][:, 2] * q[at]
-            elif self._structure.pairs[j]:
+            elif self.structure.pairs[j]:
                 self._turns.append((q[at], q[at + 1]))
             else:
                 angle = q[at : at + 1]
@@ -149,20 +126,30 @@ class Configured:
         _, carrier = self._frame(name)
         p = self.frame(name)[1]
         J = _zeros(6, self._n)
-        for j in self._path(carrier):
+        for j in self.path(carrier):
             R, origin = self._placements[j]
             z = R[:, 2]
-            if self._structure.slides[j]:
+            if self.structure.slides[j]:
                 J[:3, j] = z
             else:
-                J[:3, j], J[3:, j] = _cross(z, p - origin), z
+                J[:3, j], J[3:, j] = cross(z, p - origin), z
         return self.arm.robot.mimic_joints.columns(J)
+
+    def axis(self, joint: int) -> Symbols:
+        """Return the axis of a joint in the world, shape (3,)."""
+        return self._placements[joint][0][:, 2]
+
+    def axes(self, joint: int) -> Symbols:
+        """Return the axes of a joint's frame in the world, shape (3, 3); -1 is the base."""
+        if joint < 0:
+            return symbols(np.eye(3))
+        return self._placements[joint][0] @ self.structure.turns[joint].T
 
     @cached_property
     def _placements(self) -> list[tuple[Symbols, Symbols]]:
         """Rotation and origin of each joint's axes in the world."""
         placed: list[tuple[Symbols, Symbols]] = []
-        for j, parent in enumerate(self._structure.parents):
+        for j, parent in enumerate(self.structure.parents):
             R, p = self._numbers.rotations[j], self._origins[j]
             if parent >= 0:
                 R_parent, p_parent = placed[parent]
@@ -184,38 +171,50 @@ class Configured:
         tau = _zeros(self._n)
         for j, body in enumerate(self._outwards):
             g = self._numbers.gravity @ self._placements[j][0]
-            tau[j] = -body.m * g[2] if self._structure.slides[j] else _cross_z(g, body.h)
+            tau[j] = -body.m * g[2] if self.structure.slides[j] else _cross_z(g, body.h)
         return self.arm.robot.mimic_joints.rows(tau)
 
     def bias(self, v: Symbols) -> Symbols:
         """Return C(q, q̇) q̇ + g(q) of velocities (n_v,), shape (n_v,) [N m or N]."""
-        v = self.arm.robot.mimic_joints.v(v)
-        base = Motion(_NOTHING, _NOTHING, -self._numbers.gravity)
+        motions = self.motions(v, _zeros(self.nv), -self._numbers.gravity)
+        moved = zip(self._bodies, motions, strict=True)
+        return self.torque([force(body, each.a, each.gradient) for body, each in moved])
+
+    def momentum(self, v: Symbols) -> Symbols:
+        """Return M(q) v of velocities (n_v,), shape (n_v,)."""
+        motions = self.motions(_zeros(self.nv), v, _NOTHING)
+        moved = zip(self._bodies, motions, strict=True)
+        return self.torque([force(body, each.a, each.gradient) for body, each in moved])
+
+    def motions(self, v: Symbols, a: Symbols, base: Symbols) -> list[Motion]:
+        """Return how each link moves, with q̇ and q̈ (n_v,) and the acceleration of the base."""
+        v, a = self.arm.robot.mimic_joints.v(v), self.arm.robot.mimic_joints.v(a)
+        still = Motion(_NOTHING, _NOTHING, base, None)
         motions: list[Motion] = []
-        gradients: list[Symbols] = []
-        forces: list[tuple[Symbols, Symbols]] = []
-        for j, parent in enumerate(self._structure.parents):
-            motion, U = (motions[parent], gradients[parent]) if parent >= 0 else (base, None)
-            a = motion.a if U is None else motion.a + U @ self._origins[j]
-            motion = Motion(*(self._in(j, each) for each in (*motion[:2], a)))
-            omega, omega_dot, a = motion
+        for j, parent in enumerate(self.structure.parents):
+            motion = motions[parent] if parent >= 0 else still
+            at, U = motion.a, motion.gradient
+            at = at if U is None else at + U @ self._origins[j]
+            omega, omega_dot, at = (self._in(j, each) for each in (*motion[:2], at))
             across = symbols([omega[1] * v[j], -(omega[0] * v[j]), 0.0])  # ω × z q̇
-            if self._structure.slides[j]:
-                motion = Motion(omega, omega_dot, a + 2.0 * across)
+            if self.structure.slides[j]:
+                at = at + 2.0 * across + _Z * a[j]
             else:
-                motion = Motion(omega + _Z * v[j], omega_dot + across, a)
-            motions.append(motion)
-            gradients.append(motion.gradient())
-            forces.append(self._force(j, motion.a, gradients[j]))
-        tau = _zeros(self._n)
+                omega, omega_dot = omega + _Z * v[j], omega_dot + across + _Z * a[j]
+            motions.append(Motion(omega, omega_dot, at, gradient(omega, omega_dot)))
+        return motions
+
+    def torque(self, forces: list[Wrench]) -> Symbols:
+        """Return what holds forces on each link and their moments, shape (n_v,) [N m or N]."""
+        forces, tau = forces.copy(), _zeros(self._n)
         for j in reversed(range(self._n)):
             f, moment = forces[j]
-            tau[j] = f[2] if self._structure.slides[j] else moment[2]
-            parent = self._structure.parents[j]
+            tau[j] = f[2] if self.structure.slides[j] else moment[2]
+            parent = self.structure.parents[j]
             if parent >= 0:
                 f, moment = self._out(j, f), self._out(j, moment)
                 held = forces[parent]
-                moment = moment + _cross(self._origins[j], f)
+                moment = moment + cross(self._origins[j], f)
                 forces[parent] = held[0] + f, held[1] + moment
         return self.arm.robot.mimic_joints.rows(tau)
 
@@ -232,14 +231,14 @@ class Configured:
         """Return the gravity regressor, shape (n_v, p) [m²/s² for first moments]."""
         Z = _zeros(self._n, regressor.p)
         # a joint that turns feels g at r with r · (z × g)
-        feels = [_cross(R[:, 2], self._numbers.gravity) for R, _ in self._placements]
+        feels = [cross(R[:, 2], self._numbers.gravity) for R, _ in self._placements]
         for column, place in enumerate(regressor.columns.tolist()):
             link, what = divmod(place, 10)  # m, mx, my or mz
             R, p = self._placements[link]
-            direction = None if what == 0 else R @ self._structure.turns[link][what - 1]
-            for j in self._path(link):
+            direction = None if what == 0 else R @ self.structure.turns[link][what - 1]
+            for j in self.path(link):
                 origin = self._placements[j][1]
-                if not self._structure.slides[j]:
+                if not self.structure.slides[j]:
                     lever = p - origin if direction is None else direction
                     Z[j, column] = lever @ feels[j]
                 elif direction is None:
@@ -251,18 +250,18 @@ class Configured:
         M = _zeros(self._n, self._n)
         for j, (m, h, S) in enumerate(self._outwards):
             # what moves with the joint, at one unit of its acceleration
-            if self._structure.slides[j]:
+            if self.structure.slides[j]:
                 M[j, j] = m
                 f, moment = _Z * m, symbols([h[1], -h[0], 0.0])
             else:
                 M[j, j] = S[0, 0] + S[1, 1]
                 f, moment = symbols([-h[1], h[0], 0.0]), symbols([-S[0, 2], -S[1, 2], M[j, j]])
             k = j
-            while (parent := self._structure.parents[k]) >= 0:
+            while (parent := self.structure.parents[k]) >= 0:
                 f, moment = self._out(k, f), self._out(k, moment)
-                moment = moment + _cross(self._origins[k], f)
+                moment = moment + cross(self._origins[k], f)
                 k = parent
-                M[j, k] = M[k, j] = f[2] if self._structure.slides[k] else moment[2]
+                M[j, k] = M[k, j] = f[2] if self.structure.slides[k] else moment[2]
         return M
 
     @cached_property
@@ -270,7 +269,7 @@ class Configured:
         """Each joint's link and all that it carries."""
         bodies = self._bodies.copy()
         for j in reversed(range(self._n)):
-            parent = self._structure.parents[j]
+            parent = self.structure.parents[j]
             if parent < 0:
                 continue
             m, h, S = bodies[j]
@@ -280,20 +279,6 @@ class Configured:
             held = bodies[parent]
             bodies[parent] = Body(held.m + m, held.h + (h + t * m), held.S + S)
         return bodies
-
-    def _force(self, j: int, a: Symbols, U: Symbols) -> tuple[Symbols, Symbols]:
-        """Return the force on a link alone, and its moment about the joint's origin."""
-        m, h, S = self._bodies[j]
-        # ∫ r × U r dm
-        turning = symbols([
-            S[0, 1] * U[2, 0] - S[0, 2] * U[1, 0] + S[1, 1] * U[2, 1] - S[2, 2] * U[1, 2]
-            + S[1, 2] * (U[2, 2] - U[1, 1]),
-            S[1, 2] * U[0, 1] - S[0, 1] * U[2, 1] + S[2, 2] * U[0, 2] - S[0, 0] * U[2, 0]
-            + S[0, 2] * (U[0, 0] - U[2, 2]),
-            S[0, 2] * U[1, 2] - S[1, 2] * U[0, 2] + S[0, 0] * U[1, 0] - S[1, 1] * U[0, 1]
-            + S[0, 1] * (U[1, 1] - U[0, 0]),
-        ])  # fmt: skip
-        return a * m + U @ h, turning + _cross(h, a)
 
     # -- from link to link ------------------------------------------------------------------
 
@@ -316,7 +301,7 @@ class Configured:
         half = s * (S[0, 0] - S[1, 1]) + c * (S[0, 1] + S[0, 1])
         xx, xy, yy = S[0, 0] - s * half, c * half - S[0, 1], S[1, 1] + s * half
         xz, yz = c * S[0, 2] - s * S[1, 2], s * S[0, 2] + c * S[1, 2]
-        if not self._structure.slides[j]:
+        if not self.structure.slides[j]:
             S = symbols([[xx, xy, xz], [xy, yy, yz], [xz, yz, S[2, 2]]])
         R, turned = self._numbers.rotations[j], _zeros(3, 3)
         half_turned = R @ S
@@ -325,17 +310,17 @@ class Configured:
                 turned[i, k] = turned[k, i] = half_turned[i] @ R[k]
         return turned
 
-    def _path(self, joint: int) -> list[int]:
+    def path(self, joint: int) -> list[int]:
         """Return the joints that move a link."""
         path = []
         while joint >= 0:
             path.append(joint)
-            joint = self._structure.parents[joint]
+            joint = self.structure.parents[joint]
         return path
 
     def _frame(self, name: str) -> tuple[int, int]:
         i = self.arm.frames.index(name)
-        return i, self._structure.carriers[i]
+        return i, self.structure.carriers[i]
 
 
 def moved(robot: Robot, q: Symbols, motion: Symbols) -> Symbols:
@@ -354,14 +339,24 @@ def moved(robot: Robot, q: Symbols, motion: Symbols) -> Symbols:
     return symbols(found)
 
 
+def difference(robot: Robot, a: Symbols, b: Symbols) -> Symbols:
+    """Return the motion (n_v,) from a to b, both (nq,), as `pin.difference` does."""
+    found: list[Any] = []
+    for joint in own_joints(robot.model).values():
+        at = joint.idx_q
+        if joint.nq == 1:
+            found.append(b[at] - a[at])
+            continue
+        cosine: Any = a[at] * b[at] + a[at + 1] * b[at + 1]
+        sine: Any = a[at] * b[at + 1] - a[at + 1] * b[at]
+        angle = arctangent(abs(sine), abs(cosine))
+        angle = select(cosine < 0.0, math.pi - angle, angle)
+        found.append(select(sine < 0.0, -angle, angle))
+    return symbols(found)
+
+
 def _zeros(*shape: int) -> Symbols:
     return symbols(np.zeros(shape))
-
-
-def _cross(a: Symbols, b: Symbols) -> Symbols:
-    return symbols([
-        a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    ])  # fmt: skip
 
 
 def _cross_z(a: Symbols, b: Symbols) -> Number:

@@ -8,9 +8,8 @@ import numpy as np
 
 from approxjac.codegen.closed_loop import TOLD, recorded_loop, require_covered
 from approxjac.codegen.llvm import LlvmLanes
-from approxjac.controllers.setpoint import SetpointController
 from approxjac.errors import InvalidInputError
-from approxjac.interface import LimitStatus
+from approxjac.interface import Controller, LimitStatus
 from approxjac.simulation import Plant
 from approxjac.simulation.record import Record
 from approxjac.simulation.sampled_loop import SampledLoop
@@ -25,10 +24,10 @@ class WholeLoops:
     """Loops of one law with some plants, compiled when they first run.
 
     Args:
-        law: The law, without machine code.
+        law: The law, or one within limits of effort, without machine code.
     """
 
-    def __init__(self, law: SetpointController) -> None:
+    def __init__(self, law: Controller) -> None:
         self._law = law
         self._loops: dict[tuple[int, float, str], tuple[Plant, _Loop]] = {}
 
@@ -60,7 +59,7 @@ class WholeLoops:
 class _Loop:
     """A compiled loop."""
 
-    def __init__(self, law: SetpointController, plant: Plant, dt: float, integrator: str) -> None:
+    def __init__(self, law: Controller, plant: Plant, dt: float, integrator: str) -> None:
         program = recorded_loop(law, plant, dt, integrator)
         buffer = np.zeros((1, program.n_rows, 1))
         lanes, nothing = LlvmLanes(program, width=1), np.zeros((1, 1, 1))
@@ -104,22 +103,11 @@ class _Loop:
             for name in ("q", "v", "x", "target", "torque", "state", "e", "rate")
         )
         J_hat = table[:, place["J_hat"]].reshape(n, *self._shape)
-        status = table[:, place["status"]][:, 0]
-        unlimited = np.full(n, float(LimitStatus.UNLIMITED))
+        status, limit_status, slack = (
+            table[:, place[name]][:, 0] for name in ("status", "limit_status", "slack")
+        )
+        slack[limit_status == LimitStatus.LIMITED] = np.nan  # without the proof there is none
         t = np.array(at) * loop.dt
         return [
-            t,
-            q,
-            v,
-            x,
-            x.copy(),
-            x_d,
-            tau,
-            state,
-            status,
-            unlimited,
-            np.zeros(n),
-            e,
-            J_hat,
-            rate,
-        ]
+            t, q, v, x, x.copy(), x_d, tau, state, status, limit_status, slack, e, J_hat, rate,
+        ]  # fmt: skip

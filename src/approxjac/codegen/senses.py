@@ -8,10 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.codegen import tasks
-from approxjac.codegen.graph import select
+from approxjac.codegen.graph import Number, select
 from approxjac.codegen.program import Program
+from approxjac.codegen.rigid_body import difference, moved
 from approxjac.codegen.symbols import Symbols, symbols
+from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing
+from approxjac.simulation.sampled_loop import target_at
 from approxjac.simulation.sensing import (
     filtered,
     frames_of,
@@ -32,14 +35,12 @@ class Measured(NamedTuple):
         q: Shape (nq,).
         v: Shape (n_v,).
         x: Shape (n_x,); NaN where it is lost.
-        t_x: Time at which x was taken [s].
         kept: What the sensors keep of this step, by name.
     """
 
     q: Symbols
     v: Symbols
     x: Symbols
-    t_x: Any
     kept: dict[str, Any]
 
 
@@ -50,17 +51,24 @@ class Senses:
     the same in all runs; what is random is drawn beforehand, from the generators of each run.
 
     Args:
-        plant: The plant, of an arm without continuous joints.
+        plant: The plant.
         dt: Sampling time [s].
         steps: Number of steps of a run.
+        path: Where the target of all runs moves, or None.
 
     Attributes:
         late: By how many steps torques are late.
         may_lose: Whether x may be lost on its way.
     """
 
-    def __init__(self, plant: Plant, dt: float, steps: int) -> None:
+    def __init__(
+        self, plant: Plant, dt: float, steps: int, path: Target | TargetPath | None = None
+    ) -> None:
         self._sensor, self._dt = plant.sensor, dt
+        self._targets: list[Target] = []
+        if path is not None:
+            targets = (target_at(path, k * dt) for k in range(steps + 1))
+            self._targets = [each for each in targets if isinstance(each, Target)]
         sensing = self._sensing = plant.sensing or Sensing()
         m, nv = plant.sensor.m, plant.robot.nv
         self._x_noise, self._x_quantum, self._q_noise, self._q_quantum = (
@@ -72,25 +80,28 @@ class Senses:
         self.late = round(min(plant.actuator_delay / dt, float(steps)))
         self._k = np.arange(steps + 1)
         frames = frames_of(sensing, dt)
-        self._frames = [frames.next(k * dt) for k in range(steps + 1)]
-        self._is_taken, self._kept_at, self._read_at, self._is_new = (
-            np.array([getattr(frame, name) for frame in self._frames])
-            for name in ("is_taken", "kept_at", "read_at", "is_new")
-        )
+        each = (frames.next(k * dt) for k in range(steps + 1))
+        taken, kept_at, self._lost_in, read_at, new, self._t_x = zip(*each, strict=True)
+        self._is_taken, self._is_new = np.array(taken), np.array(new)
+        self._kept_at, self._read_at = np.array(kept_at), np.array(read_at)
         self._is_now = self._is_taken & (self._kept_at == self._read_at)
         self._places = int(self._kept_at.max()) + 1
 
     def measured(self, program: Program, q: Symbols, v: Symbols, x: Symbols) -> Measured:
         """Return what is measured where q, v and x are so, x as the sensor delivers it."""
-        sensing, sensor = self._sensing, tasks.on_symbols(self._sensor)
+        sensing, robot = self._sensing, self._sensor.robot
+        sensor = tasks.on_symbols(self._sensor)
         kept: dict[str, Any] = {}
         if self._q_noise.any():
-            q = q + self._q_noise * program.drawn("q_noise", len(self._q_noise))
+            q = moved(robot, q, self._q_noise * program.drawn("q_noise", len(self._q_noise)))
         if self._q_quantum.any():
-            q = rounded(q, self._q_quantum)
+            neutral = symbols(robot.neutral())
+            motion = difference(robot, neutral, q)
+            q = moved(robot, neutral, rounded(motion, self._q_quantum))
         if sensing.velocity_filter is not None:
             before, v = program.kept("q_before", len(q)), program.kept("v_filtered", len(v))
-            slope = np.where(symbols(program.k > 0.0), q - before, 0.0) / self._dt
+            motion = difference(robot, before, q)
+            slope = np.where(symbols(program.k > 0.0), motion, 0.0) / self._dt
             v = filtered(v, slope, sensing.velocity_filter, self._dt)
             kept |= {"q_before": q, "v_filtered": v}
         if self._x_noise.any():
@@ -110,7 +121,19 @@ class Senses:
             is_new = program.timed("new", 1)[0] > 0.0
             kept["dropped"] = select(is_new, select(drops, 1.0, 0.0), before)
             x = np.where(symbols(kept["dropped"] > 0.0), np.nan, x)
-        return Measured(q, v, x, program.timed("t_x", 1)[0], kept)
+        return Measured(q, v, x, kept)
+
+    def target(self, program: Program) -> tuple[Symbols, Symbols | None] | None:
+        """Return x_d and its rate, where the target of all runs moves."""
+        if not self._targets:
+            return None
+        moves = any(each.v is not None for each in self._targets)
+        v_d = program.timed("target_v", self._sensor.m) if moves else None
+        return program.timed("target", self._sensor.n_x), v_d
+
+    def time_of_x(self, program: Program) -> Number:
+        """Return the time at which x was taken [s]."""
+        return program.timed("t_x", 1)[0]
 
     def acting(self, program: Program, torque: Symbols) -> tuple[Symbols, dict[str, Any]]:
         """Return the torque that acts when one is asked for, and what is kept of the latter."""
@@ -132,18 +155,22 @@ class Senses:
             f"{_IMAGE}.to": np.where(self._is_taken, self._kept_at, nobody),
             "now": self._is_now,
             "new": self._is_new,
-            "t_x": [frame.t_x for frame in self._frames],
+            "t_x": self._t_x,
         }
         if self.late:
             known |= dict.fromkeys((f"{_TORQUE}.from", f"{_TORQUE}.to"), self._k % self.late)
+        if self._targets:
+            known["target"] = [each.x for each in self._targets]
+            at_rest = np.zeros(self._sensor.m)
+            known["target_v"] = [at_rest if t.v is None else t.v for t in self._targets]
         found = np.zeros((len(self._k), program.n_times))
         for name, (at, size) in program.times.items():
             if name == "lost":
-                for row, frame in zip(found, self._frames, strict=True):
-                    for interval in frame.lost:
+                for row, intervals in zip(found, self._lost_in, strict=True):
+                    for interval in intervals:
                         row[at : at + size][self._lost[interval]] = 1.0
             else:
-                found[:, at] = known[name]
+                found[:, at : at + size] = np.reshape(known[name], (-1, size))
         return found
 
     def drawn(self, program: Program, seeds: Sequence[int], width: int) -> Draws:
@@ -170,10 +197,12 @@ class Draws:
         groups, n_draws, width = self._shape
         found = np.zeros((groups, end - first, n_draws, width))
         for drawn_at, at, size, draws in self._each:
-            steps = np.flatnonzero(drawn_at[first:end])
+            here = drawn_at[first:end]
+            number = int(here.sum())
+            steps: Any = slice(None) if number == len(here) else np.flatnonzero(here)
             for lane, draw in enumerate(draws):
                 group, i = divmod(lane, width)
-                found[group, steps, at : at + size, i] = draw((len(steps), size))
+                found[group, :, at : at + size, i][steps] = draw((number, size))
         return found
 
 

@@ -14,6 +14,7 @@ from approxjac.codegen.rigid_body import Arm, Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
 from approxjac.controllers import Posture
 from approxjac.controllers.default_gains import slow_rate
+from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.gravity import (
     Adaptation,
     AdaptiveGravity,
@@ -49,6 +50,7 @@ class Answer(NamedTuple):
         pinv_s: Ĵ⁺s(e), shape (n_v,).
         gravity: Gravity torque in it, shape (n_v,).
         left: Whether the rest does not hold, and is left to Python.
+        reference: Ĵ⁺ẋ_d of a target that moves, shape (n_v,).
     """
 
     torque: Symbols
@@ -59,6 +61,7 @@ class Answer(NamedTuple):
     pinv_s: Symbols
     gravity: Symbols
     left: Condition
+    reference: Any = 0.0
 
 
 def require_covered(controller: Controller) -> None:
@@ -111,8 +114,10 @@ def answer(
     state: Symbols,
     *,
     may_lose: bool,
+    v_d: Symbols | None = None,
+    gains: Diagonals | None = None,
 ) -> Answer:
-    """Return what `SetpointController.evaluate` does, for a target at rest.
+    """Return what `SetpointController.evaluate` does.
 
     Args:
         controller: The law.
@@ -123,9 +128,11 @@ def answer(
         x_d: Target, shape (n_x,).
         state: State of the law.
         may_lose: Whether x may be lost.
+        v_d: Motion of the target, shape (m,); None is at rest.
+        gains: In place of the law's own.
     """
     task, learning, scale = controller.task, controller.adaptation, controller.pinv.scale
-    (kp, kv, damping), p = controller.diagonals, controller.resting
+    (kp, kv, damping), p = gains or controller.diagonals, controller.resting
     e = tasks.error(task, x, x_d)
     lost: Condition = False
     s = _saturated(controller.saturation, e)
@@ -148,15 +155,22 @@ def answer(
     bias = g
     if controller.posture is not None:
         bias = bias + _within_null_space(_pull(controller, q), J_hat, G, scale)
-    rate = np.zeros(len(state))
-    if controller.velocity is None:
-        torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
-    else:
+    rate, x_dot, reference = np.zeros(len(state)), None, 0.0
+    if controller.velocity is not None:
         x_dot = (x - state[p:]) / controller.velocity.time_constant
         if may_lose:
             x_dot = np.where(lost, J_hat @ v, x_dot)
-        torque = law.measured_velocity_torque(J_hat, kp, kv, s, x_dot, v, damping, bias)
         rate = np.concatenate([symbols(rate[:p]), x_dot])
+    relative = x_dot
+    if v_d is not None:
+        v_d = np.where(lost, 0.0, controller._combination @ v_d)
+        relative = (J_hat @ v if x_dot is None else x_dot) - v_d
+        reference = damped_gram_solve(G, v_d, scale)[0] @ J_hat
+        v = v - reference
+    if relative is None:
+        torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
+    else:
+        torque = law.measured_velocity_torque(J_hat, kp, kv, s, relative, v, damping, bias)
     status = np.where(damped > 0.0, _place(Status.NEAR_SINGULAR), _place(Status.OK))
     if learning is not None:
         rests = any_of(np.abs(torque) > learning.torque_limits)
@@ -171,7 +185,7 @@ def answer(
         status = np.where(far, _place(Status.OUT_OF_REACH), status)
         status = np.where(rests, _place(Status.TORQUE_SATURATED), status)
     status = np.where(lost, _place(Status.MEASUREMENT_LOST), status)
-    return Answer(torque, rate, status, e, J_hat, pinv_s, g, left)
+    return Answer(torque, rate, status, e, J_hat, pinv_s, g, left, reference)
 
 
 def _place(status: Status) -> float:
@@ -280,7 +294,8 @@ def _bounded(
             multipliers[i] = after = select(after > 0.0, after, 0.0)
             found = found - np.multiply(after - before, NL[i])
     least = _ROUND_OFF * np.abs(N @ rate).max()
-    wrong = any_of(N @ found > least)
+    beside = N @ found
+    wrong = any_of((beside > least) | ((symbols(multipliers) > 0.0) & (beside < -least)))
     *kept, is_wrong = rate[0].graph.rare(
         any_of(outward), [*found.tolist(), select(wrong, 1.0, 0.0)], [*rate.tolist(), 0.0]
     )

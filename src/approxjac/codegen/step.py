@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.codegen import limits, setpoint, tasks
+from approxjac.codegen import limits, setpoint, tasks, tracking
 from approxjac.codegen.graph import Scalar, select
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.program import Program
@@ -17,6 +17,7 @@ from approxjac.codegen.symbols import symbols
 from approxjac.controllers.arguments import FLOAT64, HUGE
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
+from approxjac.controllers.tracking import TrackingController
 from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement, Status, Target
 from approxjac.validation import Array
 
@@ -70,17 +71,19 @@ def compiled(controller: Controller) -> Any:
 
     A usual step is one whose status is OK. Whatever is not (x is lost, Ĵ near a singular pose,
     torques beyond the limits where gravity is learnt, a target that moves, wrong arguments) is left
-    to the controller as it is, from the beginning.
+    to the controller as it is, from the beginning. Of law T targets move; what is left is what is
+    not `OK`, and its kinematics learn from frames in Python.
 
     It needs llvmlite (`pip install 'approxjac[fast]'`), and some tenths of a second to be built. A
     copy of it, as another process gets, is built again.
 
     Args:
         controller: A `SetpointController` with a task, a saturation and gravity that code can be
-            made of, or such a law in a `TorqueLimited` with limits of effort alone.
+            made of, or such a law in a `TorqueLimited` with limits of effort alone; or a
+            `TrackingController` of positions whose kinematics and dynamics learn.
 
     Returns:
-        A `SetpointController`, or a `TorqueLimited`.
+        A controller of the same kind.
 
     Raises:
         InvalidInputError: Another controller, or one with what is not covered.
@@ -88,8 +91,12 @@ def compiled(controller: Controller) -> Any:
     """
     if isinstance(controller, _MachineCode):
         return controller
-    limits.require_covered(controller)
-    kind = _Compiled if isinstance(controller, SetpointController) else _CompiledLimits
+    kind: Any = _Compiled if isinstance(controller, SetpointController) else _CompiledLimits
+    if isinstance(controller, TrackingController):
+        kind = _CompiledTracking
+        tracking.require_covered(controller)
+    else:
+        limits.require_covered(controller)
     found: Any = object.__new__(kind)
     vars(found).update(vars(controller))
     found._build()
@@ -200,9 +207,9 @@ class _MachineCode:
                 after[:p] = state[:p]
             return after, found
 
-        vars(self)["step"] = step
+        vars(self).update(step=step, whole_run=WholeLoops(controller).run)
         if controller is inside:
-            vars(self).update(evaluate=evaluate, whole_run=WholeLoops(controller).run)
+            vars(self)["evaluate"] = evaluate
 
 
 class _Compiled(_MachineCode, SetpointController):
@@ -211,3 +218,10 @@ class _Compiled(_MachineCode, SetpointController):
 
 class _CompiledLimits(_MachineCode, TorqueLimited):
     """A law within limits of effort, with machine code."""
+
+
+class _CompiledTracking(_MachineCode, TrackingController):
+    """Law T with machine code."""
+
+    def _build(self) -> None:
+        vars(self)["step"] = tracking.compiled_step(self.ordinary, super(_MachineCode, self).step)

@@ -14,6 +14,7 @@ from approxjac.controllers.kinematic_orientation import Orientation
 from approxjac.errors import InvalidInputError
 from approxjac.robots import KinematicRegressor
 from approxjac.robots.joint_limits import reach_bound
+from approxjac.robots.kinematic_regressor import PointMotion
 from approxjac.tasks import (
     PoseTask,
     PoseTrackerTask,
@@ -125,6 +126,7 @@ class Unknowns:
             u, deviations = [*u, *c], [*deviations, *[sds["offset"]] * self.d]
         elif c.any():
             self.constant = each.dot(c)
+        self._has_constant = bool(self.constant.any())
         self.Theta = np.array(u)
         self.is_turned = self.turns or not np.array_equal(self.R, np.eye(self.d))
         self.sd_Theta, self.sd_R = np.array(deviations), sds["camera"]
@@ -175,6 +177,12 @@ class Unknowns:
         """Return the rates of `translations`, shape (p,) [m/s]."""
         u_dot = u_dot[: self.n_u - self.n_t]
         return u_dot if self._is_all else self.S.dot(u_dot)
+
+    def seen(self, motion: PointMotion) -> PointMotion:
+        """Return the motion of what x has of the frames, with the known offset."""
+        if not isinstance(self.rows, slice):
+            motion = PointMotion(*(part[self.rows] for part in motion))
+        return motion._replace(p=motion.p + self.constant) if self._has_constant else motion
 
     def points(self, x: Array) -> Array:
         """Return what is linear in Θ of a measured x (n_x,): x, or position and axes of a pose.

@@ -13,7 +13,7 @@ from approxjac.controllers.kinematic_estimators import KnownCamera, UnknownCamer
 from approxjac.controllers.kinematic_frames import Frame, Frames, Gate, parts_of
 from approxjac.controllers.kinematic_report import KinematicReport, rows_of
 from approxjac.controllers.kinematic_unknowns import Unknowns
-from approxjac.controllers.predicted import Kinematics, Prediction
+from approxjac.controllers.predicted import Kinematics, Prediction, pulled_back
 from approxjac.interface import Measurement, Status, Target
 from approxjac.robots import Robot
 from approxjac.tasks import PositionTask, Task
@@ -112,7 +112,6 @@ class AdaptiveKinematics(Kinematics):
         self._estimator: KnownCamera | UnknownCamera = kind(unknowns, self.noise)
         self._turns, self._d = unknowns.turns, unknowns.d
         self._is_turned, self._n_p = unknowns.is_turned, len(unknowns.constant)
-        self._constant = unknowns.constant if unknowns.constant.any() else None
         m, n, turns, n_p = task.m, unknowns.n_u, self._turns, self._n_p
         is_pose = self._orientation is not None
         sizes = {
@@ -188,6 +187,15 @@ class AdaptiveKinematics(Kinematics):
 
     def go_on(self, state: Array, measurement: Measurement, dt: float) -> None:
         """Make a state that of `step`, in place."""
+        self.notice(state, measurement, dt)
+        self.advance(state, dt)
+
+    def notice(self, state: Array, measurement: Measurement, dt: float) -> bool:
+        """Take down a measurement, and learn from it, in place; the first half of `go_on`.
+
+        Returns:
+            Whether anything that `predict` and what follows go by has changed.
+        """
         numbers = state[self._at["frames"]]
         measurement = self._frames.on_time(numbers, measurement, dt)
         is_time = self._frames.remember(numbers, measurement)
@@ -202,7 +210,7 @@ class AdaptiveKinematics(Kinematics):
                 is_time = True
         if is_time:  # the rates of smoothed estimates may wait for some milliseconds
             self._aim(state, measurement.q, dt)
-        self._advance(state, dt)
+        return is_time or frame is not None
 
     def learnt(self, state: Array) -> Array:
         """Return what a state, or a series of them (…, n_state), has learnt; shape (…, p).
@@ -297,7 +305,7 @@ class AdaptiveKinematics(Kinematics):
             b_dot -= self._turned(law.cross_matrix(spin).dot(smooth_R), smooth_p)
         state[at["u_dot"]], state[at["b_dot"]] = u_dot, b_dot
 
-    def _advance(self, state: Array, dt: float) -> None:
+    def advance(self, state: Array, dt: float) -> None:
         """Let the smoothed estimates follow for dt [s], in place."""
         at = self._at
         state[self._moving] += dt * state[self._rates]
@@ -326,44 +334,27 @@ class AdaptiveKinematics(Kinematics):
         z = R̂ᵀ(x̂ − x_d), with the smoothed estimates, and all that its derivatives need.
         """
         if self._orientation is None:
-            return self._positions(state, q, v, *target)
+            return self._positions(state, q, v, target)
         at, T = self._at, state[self._at["T"]].reshape(3, 3)
         x_d, v_d, a_d = target
         rates = [(None, None) if rate is None else (rate[:3], rate[3:]) for rate in (v_d, a_d)]
         (v_p, v_r), (a_p, a_r) = rates
         R, spin = self._rotation(state), state[at["spin"]] if self._turns else np.zeros(3)
-        positions = self._positions(state, q, v, x_d[:3], v_p, a_p)
+        positions = self._positions(state, q, v, Target(x_d[:3], v_p, a_p))
         turns = self._orientation.predict(
             q, v, Target(x_d[3:], v_r, a_r), T, state[at["T_spin"]], R, spin
         )
         return Prediction(*map(np.concatenate, zip(positions, turns, strict=True)))
 
-    def _positions(
-        self, state: Array, q: Array, v: Array, x_d: Array, v_d: Array | None, a_d: Array | None
-    ) -> Prediction:
+    def _positions(self, state: Array, q: Array, v: Array, target: Target) -> Prediction:
         """Return the predicted error of positions."""
         at, unknowns = self._at, self._unknowns
         theta, theta_dot = unknowns.translations(state[at["u"]]), unknowns.rates(state[at["u_dot"]])
         motion = self.regressor.motion(q, v, theta, theta_dot)
-        p, J, J_dot, drift = motion
-        if not isinstance(unknowns.rows, slice):
-            p, J, J_dot, drift = (part[unknowns.rows] for part in motion)
-        if self._constant is not None:
-            p = p + self._constant
-        nothing = np.zeros(len(p))
-        feed = nothing if v_d is None else v_d
-        feed_dot = nothing if a_d is None else a_d
-        away, b_dot = state[at["b"]] - x_d, state[at["b_dot"]]
-        if not self._is_turned:
-            return Prediction(p + away, J, J_dot, feed, feed_dot, drift + b_dot)
-        # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀx changes by Rᵀ(x' + [ω]ₓᵀx)
-        vectors = np.array([away, feed, b_dot, feed_dot]).reshape(-1, self._d)
-        if self._turns:
-            half = len(vectors) // 2
-            vectors[half:] += vectors[:half].dot(law.cross_matrix(state[at["spin"]]))
-        back = vectors.dot(self._rotation(state))
-        away, feed, b_dot, feed_dot = back if len(back) == 4 else back.reshape(4, -1)
-        return Prediction(p + away, J, J_dot, feed, feed_dot, drift + b_dot)
+        b, b_dot = state[at["b"]], state[at["b_dot"]]
+        R = self._rotation(state) if self._is_turned else None
+        spin = state[at["spin"]]
+        return pulled_back(self._unknowns.seen(motion), b, b_dot, R, spin, target)
 
     # -- what was learnt -----------------------------------------------------------------
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
+import numpy as np
+
+from approxjac import law
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Status, Target
 from approxjac.robots import Robot
+from approxjac.robots.kinematic_regressor import PointMotion
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable, as_vector
 
@@ -135,3 +139,34 @@ class Kinematics(Immutable, ABC):
             InvalidInputError: Kinematics that learn nothing, or a state of others.
         """
         raise InvalidInputError(f"kinematics must learn to report, got {self!r}", given=self)
+
+
+def pulled_back(
+    motion: PointMotion, b: Array, b_dot: Array, R: Array | None, spin: Array, target: Target
+) -> Prediction:
+    """Return the predicted error of positions x̂ = R̂p + b̂, with the target in the base's axes.
+
+    Args:
+        motion: Of the points.
+        b: b̂, shape (m,).
+        b_dot: Its rate, shape (m,).
+        R: R̂ of each point's d axes, shape (d, d); None is none.
+        spin: Its rate, (1 or 3,) [rad/s]; (0,) where it is known.
+        target: The target, shape (m,).
+    """
+    p, J, J_dot, drift = motion
+    x_d, feed, feed_dot = target
+    nothing = np.zeros(len(p))
+    feed = nothing if feed is None else feed
+    feed_dot = nothing if feed_dot is None else feed_dot
+    away = b - x_d
+    if R is None:
+        return Prediction(p + away, J, J_dot, feed, feed_dot, drift + b_dot)
+    # rows are vectors: x R is Rᵀx. With R' = [ω]ₓR, Rᵀx changes by Rᵀ(x' + [ω]ₓᵀx)
+    vectors = np.array([away, feed, b_dot, feed_dot]).reshape(-1, len(R))
+    if len(spin):
+        half = len(vectors) // 2
+        vectors[half:] += vectors[:half].dot(law.cross_matrix(spin))
+    back = vectors.dot(R)
+    away, feed, b_dot, feed_dot = back if len(back) == 4 else back.reshape(4, -1)
+    return Prediction(p + away, J, J_dot, feed, feed_dot, drift + b_dot)

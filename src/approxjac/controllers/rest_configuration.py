@@ -42,9 +42,11 @@ class RestConfiguration:
             )
         # as arrays, which NumPy multiplies with in a third of the time of numbers
         self._pull, self._share = np.array(-rate), np.array(rate / _FASTEST)
-        self._model = robot.model
         self._is_vector = robot.nq == robot.nv
-        self._continuous = np.array([joint.nq > joint.nv for joint in robot._joints.values()])
+        joints = robot._joints.values()
+        self._continuous = np.array([joint.nq > joint.nv for joint in joints])
+        self._first = np.array([joint.idx_q for joint in joints])  # the cosine of (cos, sin)
+        self._second = self._first + self._continuous
         self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
         if q is None:
             middle = 0.5 * np.sum(robot.usual_range(), axis=0)
@@ -60,8 +62,9 @@ class RestConfiguration:
         if self._is_vector:
             away, rate = q - self.q, v
         else:
-            angle = pin.difference(self._model, self.q, q)
-            away = np.where(self._continuous, np.sin(angle), angle)
-            rate = np.where(self._continuous, np.cos(angle), 1.0) * v
+            a, b = q.take(self._first), q.take(self._second)
+            c, s = self.q.take(self._first), self.q.take(self._second)
+            away = np.where(self._continuous, b * c - a * s, a - c)
+            rate = np.where(self._continuous, a * c + b * s, 1.0) * v
         s, s_dot = law.saturated(away, rate, self._share)
         return self._pull * s, self._pull * s_dot

@@ -80,6 +80,9 @@ class TorqueLimited(Limiter):
 
     Immutable, but it owns scratch memory: one instance a thread.
 
+    Attributes:
+        whole_run: What `simulate` runs where code is made of the whole loop; None.
+
     Args:
         controller: The controller whose torque to limit.
         limits: Limits to keep; those of the believed robot's URDF by default.
@@ -105,6 +108,8 @@ class TorqueLimited(Limiter):
         UnknownNameError: No such weight or solver.
         MissingPackageError: A solver that is not installed.
     """
+
+    whole_run: Callable[..., Any] | None = None
 
     def __init__(
         self,

@@ -273,8 +273,7 @@ class TrackingController(ProvenLaw):
         """Return Ĵ, q̇_r, q̈_r and the status that they have, given that of the kinematics."""
         z, J, J_dot, feed, feed_dot, drift = self.kinematics.predict(known, q, v, target)
         z_dot = J.dot(v) - feed + drift
-        s, s_dot = law.saturated(z, z_dot, self._k)
-        u, u_dot = feed - self._alpha * s, feed_dot - self._alpha * s_dot
+        u, u_dot = law.task_velocity(z, z_dot, feed, feed_dot, self._alpha, self._k)
         null, null_dot = self._rest.velocity(q, v)
         if now is _LOST or not math.isfinite(float(u.dot(u) + u_dot.dot(u_dot) + np.vdot(J, J))):
             return J, np.zeros_like(v), np.zeros_like(v), now if now is _LOST else _UNPREDICTED

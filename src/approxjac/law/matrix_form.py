@@ -58,11 +58,11 @@ def cross_weight_damped(D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> tup
     It equals Ĵ⁺ for B = 0 and n_v = m. With it D G = ĴᵀK_v, so damping no longer stands in the
     cross block of Q, and it exists at singular Ĵ too. A widening of Eq. (12).
     """
-    weighted = kv[:, None] * J_hat
-    G: Array = np.asarray(np.linalg.solve(D, weighted.mT), dtype=np.float64)
-    half = dJ_hat.mT @ weighted[..., None, :, :]
-    rhs = (kv[:, None] * dJ_hat).mT - (half + half.mT) @ G[..., None, :, :]
-    return G, np.asarray(np.linalg.solve(D[..., None, :, :], rhs), dtype=np.float64)
+    inverse = np.linalg.inv(D)
+    G: Array = inverse @ (J_hat.mT * kv)
+    tail = inverse[..., None, :, :] @ (dJ_hat.mT * kv)
+    rest, many = np.eye(len(kv)) - J_hat @ G, G[..., None, :, :]
+    return G, tail @ rest[..., None, :, :] - many @ (dJ_hat @ many)
 
 
 def inertial_block(

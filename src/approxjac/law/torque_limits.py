@@ -14,6 +14,8 @@ from approxjac.validation import Array
 
 _ROUND_OFF = 1e-12
 _FAR = 1e100  # a λ that stands for infinity where a limit or 1/y is infinite
+_LEAST = 1e-300
+_NONE = 1e-100  # a joint that moves less reaches no limit before that
 
 
 def limited_torque(
@@ -75,7 +77,7 @@ def power_zero(
         upper: Largest torques.
         step: R⁻¹y, shape (n_v,).
     """
-    per_step = np.where(step == 0.0, _FAR, step)
+    per_step = np.where(np.abs(step) < _NONE, _FAR, step)
     ends = np.concatenate([torque - lower, torque - upper]) / np.concatenate([per_step, per_step])
     breaks = np.minimum(np.maximum(ends, 0.0), _FAR)  # λ where each joint is at a limit
     torques = np.minimum(np.maximum(torque - breaks[:, np.newaxis] * step, lower), upper)
@@ -84,5 +86,6 @@ def power_zero(
     here, there = np.where(is_above, breaks, 0.0).max(), np.where(is_above, np.inf, breaks).min()
     above = np.minimum(np.where(is_above, powers, power).min(), power)
     below = np.where(is_above, -_FAR, powers).max()
-    root: float = here + above / (above - below) * (there - here)
+    share = np.maximum(above / (above - below), _LEAST)  # for what is infinitely far stays so
+    root: float = here + share * (there - here)
     return root

@@ -27,6 +27,14 @@ def saturated(z: Array, z_dot: Array, k: float | Array) -> tuple[Array, Array]:
     return z / size, (z_dot - z * (dot(u, k * z_dot) / r)) / size
 
 
+def task_velocity(
+    z: Array, z_dot: Array, feed: Array, feed_dot: Array, alpha: float | Array, k: float | Array
+) -> tuple[Array, Array]:
+    """u = ẋ_d − αs(z) and its derivative, with ẋ_d and ẍ_d; k is that of `saturated`."""
+    s, s_dot = saturated(z, z_dot, k)
+    return feed - alpha * s, feed_dot - alpha * s_dot
+
+
 def reference(
     J_hat: Array,
     J_hat_dot: Array,
@@ -91,8 +99,13 @@ def within_speeds(velocity: Array, acceleration: Array, fastest: Array) -> tuple
     i = int(share.argmax())
     if share[i] <= 1.0:
         return velocity, acceleration
-    c = 1.0 / float(share[i])
-    return c * velocity, c * (acceleration - velocity * (acceleration[i] / velocity[i]))
+    return slowed(velocity, acceleration, float(share[i]), acceleration[i] / velocity[i])
+
+
+def slowed(velocity: Array, acceleration: Array, share: float, rate: float) -> tuple[Array, Array]:
+    """c q̇_r and its derivative, with c = 1/share and c' = −c `rate`; see `within_speeds`."""
+    c = 1.0 / share
+    return velocity * c, (acceleration - velocity * rate) * c
 
 
 def tracking_torque(feedforward: Array, kappa: float, M_hat_sigma: Array) -> Array:

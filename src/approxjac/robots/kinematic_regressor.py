@@ -61,6 +61,7 @@ class KinematicRegressor:
 
     Attributes:
         k: Number of points.
+        movers: Names of the joints that move the points, whose origins come first.
         names: Names of the parameters, such as "panda_joint4.x" [m] or "tool.x"; with several
             frames the name of the frame in place of "tool".
         theta: Their values for `robot` itself, shape (p,) [m].
@@ -105,16 +106,16 @@ class KinematicRegressor:
         paths = [list(model.supports[each.parentJoint])[1:] for each in placed]
         joints = sorted({joint for path in paths for joint in path})
         self._n = n = len(joints)
-        self._movers: tuple[str, ...] = tuple(model.names[joint] for joint in joints)
+        self.movers: tuple[str, ...] = tuple(model.names[joint] for joint in joints)
         slides = np.array(
             [model.joints[joint].shortname().startswith("JointModelP") for joint in joints]
         )
-        axes = np.array([direction(list(robot.tree.joints[name].axis)) for name in self._movers])
+        axes = np.array([direction(list(robot.tree.joints[name].axis)) for name in self.movers])
         rotations = [placed[f].placement.rotation for f in of_frame]
         own = [R @ point for R, point in zip(rotations, known, strict=True)]
         # two directions across the axis of each joint that turns, on the link that carries it
         self._turning = np.flatnonzero(~slides)
-        self.turning = tuple(self._movers[i] for i in self._turning)
+        self.turning = tuple(self.movers[i] for i in self._turning)
         carried = [model.jointPlacements[joints[i]].rotation for i in self._turning]
         across = [np.linalg.svd(axes[i][np.newaxis])[2][1:].T for i in self._turning]
         each = [R @ e for R, e in zip(carried, across, strict=True)]
@@ -124,7 +125,7 @@ class KinematicRegressor:
         self.theta.flags.writeable = False
         self.has_offset = bool(slides.any()) or known.any()
         ends = ("tool",) if len(placed) == 1 else self.frames
-        self.names = tuple(f"{part}.{axis}" for part in (*self._movers, *ends) for axis in "xyz")
+        self.names = tuple(f"{part}.{axis}" for part in (*self.movers, *ends) for axis in "xyz")
 
         # A translation is a joint, too, of three axes that slide: then θ are numbers of q, Y and
         # J are columns of one Jacobian, and Pinocchio has the rates of both.
@@ -135,7 +136,7 @@ class KinematicRegressor:
             return int(self._freed.addJoint(links[link], kind, here, f"origin of {what}"))
 
         shifts = []
-        for joint, name in zip(joints, self._movers, strict=True):
+        for joint, name in zip(joints, self.movers, strict=True):
             shifts.append(freed(model.parents[joint], f"joint {name}"))
             turned = pin.SE3(model.jointPlacements[joint].rotation, np.zeros(3))
             links[joint] = self._freed.addJoint(shifts[-1], model.joints[joint], turned, name)
@@ -264,7 +265,7 @@ class KinematicRegressor:
         theta = as_array("theta", theta, (self.p,), "m")
         change = (theta - self.theta).reshape(-1, 3)
         above = {joint.child: joint for joint in self.robot.tree.joints.values()}
-        wanted: dict[str, Array] = dict(zip(self._movers, change[: self._n], strict=True))
+        wanted: dict[str, Array] = dict(zip(self.movers, change[: self._n], strict=True))
         held: dict[str, Array] = {}
         for link, tool in zip(map(self._link, self.frames), change[self._n :], strict=True):
             if above[link].type == "fixed":

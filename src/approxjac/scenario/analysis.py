@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from approxjac.scenario.records import Interval, Numbers, Vectors, above, at_least
 
@@ -27,9 +28,11 @@ class Analysis:
         target: The one target; by default all targets within the region.
         configurations: Count of those that are drawn.
         runs: Rollouts of 10 s.
-        map: Two parameters of the stability map, of error, a, kv and damping.
+        map: Two parameters of the stability map, of error, a, kv and damping; by rollouts also two
+            of the errors, or of x, y and z of the believed tip at the start.
+        map_by: The four tests, or rollouts.
         map_points: Values of each parameter; 0 draws no map.
-        map_runs: Rollouts at each point of the map's coarse grid.
+        map_runs: Rollouts at each point of the map's coarse grid; by rollouts at each point.
     """
 
     object_length: Interval | None = None
@@ -48,5 +51,6 @@ class Analysis:
     configurations: int = at_least(2000, 20)
     runs: int = at_least(20)
     map: tuple[str, str] = ("error", "a")
+    map_by: Literal["tests", "rollouts"] = "tests"
     map_points: int = at_least(40)
     map_runs: int = at_least(2)

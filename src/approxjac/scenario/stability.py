@@ -33,14 +33,16 @@ from approxjac.stability import (
     tolerance,
 )
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.map import PARAMETERS
+from approxjac.stability.map import PARAMETERS, labels
+from approxjac.stability.rollout_map import PLACES, is_drawn
 from approxjac.stability.suggestion import damping_that_certifies, part_that_certifies
 from approxjac.stability.tolerance import Test
-from approxjac.tasks import Camera, CombinedTask, ImageTask, Task
+from approxjac.tasks import Camera, CombinedTask, FrameKinematics, ImageTask, Task
 from approxjac.tasks.analysis import features
 from approxjac.validation import Array
 
 Progress = Callable[[str, float], None]
+_DRAWN = 200  # configurations that tell how far the tip gets
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +67,6 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     analysis = scenario.stability
     if analysis.map_points == 1:
         raise InvalidInputError("stability.map_points must be 0 or >= 2, got 1", given=1)
-    for name in analysis.map:
-        if name not in PARAMETERS:
-            raise UnknownNameError("parameter", name, "the map", PARAMETERS)
     choice = scenario.controller
     if choice.law == "tracking" or choice.unknown:
         name, given = ("unknown", choice.unknown) if choice.unknown else ("law", choice.law)
@@ -85,7 +84,15 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     truth = _truth(arm, built, analysis)
     assert isinstance(built.law, SetpointController)
     region = _region(built.law, truth, analysis)
-    return ClosedLoop(built.law, truth, region, analysis.target)
+    loop = ClosedLoop(built.law, truth, region, analysis.target)
+    uncertainty = uncertainty_of(loop) if analysis.map_by == "rollouts" else None
+    known = PARAMETERS if uncertainty is None else labels(uncertainty)
+    for name in analysis.map:
+        if name not in known:
+            raise UnknownNameError("parameter", name, "the map", known)
+    if uncertainty is not None:
+        is_drawn(analysis.map, uncertainty)  # refuses one of each
+    return loop
 
 
 def analyse(
@@ -125,7 +132,8 @@ def analyse(
     if analysis.map_points:
         x, y = (_values(name, loop, uncertainty, analysis.map_points) for name in analysis.map)
         map_ = stability_map(
-            controller, uncertainty, names=analysis.map, x=x, y=y, runs=analysis.map_runs,
+            controller, uncertainty, names=analysis.map, x=x, y=y, by=analysis.map_by,
+            runs=analysis.map_runs,
             executor=executor, progress=partial(tell, "map"), **where,
         )  # fmt: skip
     return StabilityResult(scenario, report, tolerances, raised, part, map_)
@@ -197,6 +205,17 @@ def _region(
 def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -> Array:
     """Return the values of a parameter of the map."""
     shares = np.linspace(0.0, 1.0, count)
+    middles = (np.arange(count) + 0.5) / count  # what is drawn is shared out into cells
+    if name in uncertainty.names:
+        at = uncertainty.names.index(name)
+        low, high = uncertainty.low[at], uncertainty.high[at]
+        return np.asarray(low + (high - low) * middles)
+    if name in PLACES:
+        robot = uncertainty.belief()
+        tip = FrameKinematics(robot, robot.tip_or(None))
+        drawn = loop.region.sample(_DRAWN, np.random.default_rng(0))
+        places = np.array([tip.position(q)[PLACES.index(name)] for q in drawn])
+        return np.asarray(places.min() + np.ptp(places) * middles)
     if name == "error":
         return uncertainty.largest_scale(3.0) * shares
     kp, kv, _ = loop.controller.diagonals

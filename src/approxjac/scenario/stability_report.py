@@ -13,9 +13,18 @@ import numpy as np
 from approxjac.formatting import joined, plain, short
 from approxjac.scenario.stability import StabilityResult, uncertainty_of
 from approxjac.simulation import Plant
-from approxjac.stability.map import PARAMETERS
+from approxjac.stability import Uncertainty
+from approxjac.stability.map import PARAMETERS, labels
+from approxjac.stability.rollout_map import PLACES
 from approxjac.tasks import FrameKinematics
-from approxjac.view import new_figure, plot_allowed_error, plot_map, plot_margins, save_figure
+from approxjac.view import (
+    new_figure,
+    plot_allowed_error,
+    plot_map,
+    plot_margins,
+    plot_shares,
+    save_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -115,6 +124,8 @@ def draw_map(result: StabilityResult) -> Figure | None:
     uncertainty = uncertainty_of(loop)
     if found is None or uncertainty is None:
         return None
+    if result.scenario.stability.map_by == "rollouts":
+        return _draw_shares(result, uncertainty)
     coarse = found.coarse_x, found.coarse_y
     boundaries = [
         ("test 1, Theorem 1", found.x, found.y, found.theorem1),
@@ -124,8 +135,6 @@ def draw_map(result: StabilityResult) -> Figure | None:
         # half way between all runs and the next smaller share
         share = found.rollouts - 1.0 + 0.5 / max(1, result.scenario.stability.map_runs)
         boundaries.append(("test 4, rollouts reach 1 mm in 10 s", *coarse, share))
-    kp, kv, _ = loop.controller.diagonals
-    own = {"a": float(np.mean(kp / kv))}  # the errors and all other gains are themselves, times 1
     figure, (ax,) = new_figure(size=(7.0, 5.8))
     plot_map(
         found.x,
@@ -134,7 +143,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
         boundaries,
         labels=(PARAMETERS[found.names[0]], PARAMETERS[found.names[1]]),
         local=f"test 3, local ({found.targets} targets)",
-        own=(own.get(found.names[0], 1.0), own.get(found.names[1], 1.0)),
+        own=_own(result, uncertainty),
         ax=ax,
         title=textwrap.fill(
             f"{loop.controller.task.robot.name}: where each test passes; "
@@ -142,6 +151,51 @@ def draw_map(result: StabilityResult) -> Figure | None:
             64,
         ),
     )
+    return figure
+
+
+def _own(result: StabilityResult, uncertainty: Uncertainty) -> tuple[float, float] | None:
+    """Return where on the map the controller and its errors are, or the belief."""
+    assert result.map is not None
+    kp, kv, _ = result.report.loop.controller.diagonals
+    at = {"a": float(np.mean(kp / kv))}  # the errors and all other gains are themselves, times 1
+    at |= dict(zip(uncertainty.names, uncertainty.believed.tolist(), strict=True))
+    first, second = result.map.names
+    return None if {first, second} & {*PLACES} else (at.get(first, 1.0), at.get(second, 1.0))
+
+
+def _draw_shares(result: StabilityResult, uncertainty: Uncertainty) -> Figure:
+    """Draw the share of runs that converge, between the ends of its intervals."""
+    found = result.map
+    assert found is not None
+    name = result.report.loop.controller.task.robot.name
+    figure, axes = new_figure(
+        3,
+        size=(14.0, 4.6),
+        title=textwrap.fill(
+            f"{name}: share of {found.runs.sum()} runs that converge, each with 95 % confidence; "
+            f"errors are {uncertainty.describe_box()}",
+            130,
+        ),
+    )
+    named = labels(uncertainty)
+    low, high = found.intervals[..., 0], found.intervals[..., 1]
+    none = np.isnan(found.rollouts)
+    for ax, shares, title in zip(
+        axes, (low, found.rollouts, high), ("at least", "of the runs", "at most"), strict=True
+    ):
+        plot_shares(
+            found.x,
+            found.y,
+            np.where(none, np.nan, shares),
+            labels=(named[found.names[0]], named[found.names[1]]),
+            own=_own(result, uncertainty),
+            own_name="as given" if found.names[0] in PARAMETERS else "as believed",
+            ax=ax,
+            title=title,
+        )
+        if found.names[0] in PLACES and found.names[1] in PLACES:
+            ax.set_aspect("equal", adjustable="datalim")
     return figure
 
 

@@ -70,17 +70,21 @@ class Frames:
             number = math.floor(self._samples * self._per_sample + _TINY)
         self._samples += 1
         lost: list[int] = []
-        later = t + _TINY * self._dt
-        is_taken = number != self._number and not (
-            self._taken and any(start <= later < end for start, end in self._frozen)
-        )
+        is_taken = number != self._number
+        if is_taken and self._frozen and self._taken:
+            is_taken = not self._within(t, self._frozen)
         self._number = number
         if is_taken:
             self._kept_at, self._taken_at = self._taken % self._places, t
             self._taken += 1
-            lost = [i for i, (start, end) in enumerate(self._lost) if start <= later < end]
+            lost = self._within(t, self._lost) if self._lost else lost
         self._late.append((number, self._kept_at, self._taken_at))
         arriving, read_at, t_x = self._late[0]  # before the first one arrives, the first is seen
         is_new = arriving != self._arrived or self._per_sample is None
         self._arrived = arriving
         return Frame(is_taken, self._kept_at, lost, read_at, is_new, t_x)
+
+    def _within(self, t: float, intervals: Sequence[tuple[float, float]]) -> list[int]:
+        """Return the numbers of the intervals that a time [s] is in."""
+        t += _TINY * self._dt
+        return [i for i, (start, end) in enumerate(intervals) if start <= t < end]

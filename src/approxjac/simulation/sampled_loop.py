@@ -116,11 +116,11 @@ class SampledLoop:
         except MeasurementError as error:
             raise InvalidInputError(
                 f"target must be one that the controller can be evaluated with, without an "
-                f"overflow, got {_x_of(wanted).tolist()}",
+                f"overflow, got {x_of(wanted).tolist()}",
                 given=target,
             ) from error
         self.path = path
-        self.target = _x_of(wanted)
+        self.target = x_of(wanted)
 
     def exchange(self, controller: Controller) -> None:
         """Let another controller go on, from the next step on.
@@ -147,7 +147,7 @@ class SampledLoop:
 
     def _aim(self) -> None:
         self._wanted = target_at(self.path, self.step * self.dt)
-        self.target = _x_of(self._wanted)
+        self.target = x_of(self._wanted)
 
     def _sense(self, q: Array, v: Array) -> None:
         self.truth = self.plant.measure(self.step * self.dt, q, v)
@@ -194,7 +194,8 @@ def target_at(wanted: Wanted, t: float) -> Target | Array:
     return wanted.at(t)
 
 
-def _x_of(target: Target | Array) -> Array:
+def x_of(target: Target | Array) -> Array:
+    """Return x_d, shape (n_x,)."""
     return target.x if isinstance(target, Target) else target
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers.setpoint import SetpointController
+from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.errors import InvalidInputError, MeasurementError, SimulationError, UnknownNameError
 from approxjac.interface import ContinuousController, Controller, Target, TargetPath
 from approxjac.robots.joint_limits import require_radians
@@ -121,8 +122,13 @@ def simulate(
             stride = whole("dt", dt, record_every, of="record_every")
         loop = SampledLoop(plant, controller, wanted, q, v, dt, steps, integrator, seed, state)
         run: Trajectory | None = None
-        if observer is None and isinstance(controller, SetpointController) and controller.whole_run:
-            run = controller.whole_run(loop, stride, progress)
+        code = (
+            controller.whole_run
+            if isinstance(controller, (SetpointController, TorqueLimited))
+            else None
+        )
+        if code is not None and observer is None:
+            run = code(loop, stride, progress)
         return run or _sampled(loop, stride, observer, progress)
 
 

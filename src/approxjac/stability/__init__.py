@@ -13,6 +13,7 @@ from approxjac.stability.suggestion import (
     part_that_certifies,
     suggest_gains,
 )
+from approxjac.stability.sweep import Sweep, sweep
 from approxjac.stability.tolerance import Tolerance, tolerance
 from approxjac.stability.uncertainty import Uncertainty
 
@@ -29,6 +30,7 @@ __all__ = [
     "Study",
     "SublevelSet",
     "Suggestion",
+    "Sweep",
     "Tolerance",
     "Tube",
     "Uncertainty",
@@ -40,5 +42,6 @@ __all__ = [
     "stability_map",
     "stability_report",
     "suggest_gains",
+    "sweep",
     "tolerance",
 ]

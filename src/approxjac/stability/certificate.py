@@ -79,8 +79,14 @@ class MatrixTest:
         return clopper_pearson(self.violations, self.checked, 1.0 - 2.0 * _MISSED)[1]
 
 
-def refine_constants(loop: ClosedLoop, samples: Samples, rng: np.random.Generator) -> Samples:
-    """Look closer around the worst sample of each constant of Theorem 1."""
+def refine_constants(
+    loop: ClosedLoop, samples: Samples, rng: np.random.Generator
+) -> tuple[Samples, dict[str, Array]]:
+    """Look closer around the worst sample of each constant of Theorem 1.
+
+    Returns:
+        The samples and those found, and their `constants`.
+    """
     setting = loop.setting
     values = constants(samples, setting)
     more: list[Samples] = []
@@ -97,7 +103,7 @@ def refine_constants(loop: ClosedLoop, samples: Samples, rng: np.random.Generato
             worst = np.array([_first_largest(its_bad)])
             more.append(nearby.take(worst))
             values = {key: np.append(values[key], found[key][worst]) for key in values}
-    return samples.join(*more)
+    return samples.join(*more), values
 
 
 def _first_largest(values: Array) -> int:

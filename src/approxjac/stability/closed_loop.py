@@ -72,9 +72,7 @@ class ClosedLoop:
         for plant in self.plants:
             plant.require_task(controller.task)
             plant.require_ideal("a stability report")
-        if region is None:
-            task = controller.task
-            region = RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))
+        region = usual_region(controller.task) if region is None else region
         require("region", region, Region, "a Region, such as JointBox(robot)")
         self.region = region
         self.target = None if target is None else self.plants[0].sensor.target(target)
@@ -366,3 +364,8 @@ def _sigma_min(task: Task, q: Array) -> tuple[float, Array]:
     u, v = U[:, -1], rows[len(values) - 1]
     gradient = np.array([u @ task.jacobian_dot(q, unit) @ v for unit in np.eye(task.robot.nv)])
     return float(values[-1]), gradient
+
+
+def usual_region(task: Task) -> RegularPart:
+    """Return where to look where nothing is said: the joint limits, but not near-singular ones."""
+    return RegularPart(JointBox(task.robot), task, _REGULAR * vanishing(task))

@@ -105,8 +105,9 @@ class Configurations:
         """Return ∂J/∂q_k of `jacobian`, shape (N, n_v, 6, n_v), k first."""
         path = self._frame(frame)[2]
         J, moved = self._rows(frame), self._turned * _before(self.arms.carries)[..., None]
-        lever = moved[..., 3:] @ _skew(self.position(frame))[:, None]
-        moved[..., :3] += lever + self._S[:, None, :, 3:] @ _skew(J[..., :3])
+        turned = moved[..., 3:].reshape(len(moved), -1, 3) @ _skew(self.position(frame))
+        moved[..., :3] += turned.reshape(*moved.shape[:-1], 3)
+        moved[..., :3] += self._S[:, None, :, 3:] @ _skew(J[..., :3])
         found = self._mimic.columns((moved * np.outer(path, path)[..., None]).mT)
         return found if self._mimic.G is None else np.einsum("ak,nacj->nkcj", self._mimic.G, found)
 
@@ -138,7 +139,8 @@ class Configurations:
         # of M_ij = S_i · I_j S_j, with j carried by i, k moves what it carries
         inside = before.T[:, :, None] & carries[:, None, :]  # k carried by i, and j by k
         beyond = carries[None] & before.T[:, None, :]  # k carried by j: a part of what j carries
-        along = self._turned @ self._forces[:, None].mT
+        N, n, _ = self._p.shape
+        along = (self._turned.reshape(N, n * n, 6) @ self._forces.mT).reshape(N, n, n, n)
         apart = self._turned @ self._momenta.mT
         dM = -np.where(inside, along, 0.0) - np.where(beyond, apart + apart.mT, 0.0)
         dM = np.where(carries, dM, dM.mT)

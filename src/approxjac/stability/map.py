@@ -7,21 +7,29 @@ import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificate import margin
-from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.closed_loop import ClosedLoop, usual_region
 from approxjac.stability.local import local_test
 from approxjac.stability.region import Region
-from approxjac.stability.rollouts import rollouts
+from approxjac.stability.rollout_map import (
+    PLACES,
+    Shares,
+    gains_at,
+    is_drawn,
+    shares_over_parameters,
+    shares_over_runs,
+)
 from approxjac.stability.samples import Samples
 from approxjac.stability.targets import Targets
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
-from approxjac.validation import Array, as_array, require
+from approxjac.validation import Array, as_array, as_integer, require
 
 PARAMETERS = {
     "error": "scale of the errors [–]",
@@ -31,6 +39,7 @@ PARAMETERS = {
 }
 """Parameters that a map can have along its axes."""
 
+By = Literal["tests", "rollouts"]
 _POOL = 200  # targets that the hard ones are chosen from
 
 
@@ -51,6 +60,9 @@ class StabilityMap:
         matrix: Test 2: margin, shape (n_y, n_x), at least −1.
         rollouts: Test 4: share of the runs that converge, shape (n_y, n_x); NaN where none were
             made.
+        intervals: 95 % interval for the probability to converge, after Clopper and Pearson (1934),
+            shape (n_y, n_x, 2).
+        runs: Number of runs, shape (n_y, n_x).
     """
 
     names: tuple[str, str]
@@ -63,8 +75,17 @@ class StabilityMap:
     theorem1: Array
     matrix: Array
     rollouts: Array
+    intervals: Array
+    runs: Array
 
     def __repr__(self) -> str:
+        if self.targets == 0:
+            n, width = self.runs, np.ptp(self.intervals, axis=-1)
+            return (
+                f"StabilityMap({' × '.join(self.names)}: {n.sum()} runs at {n.shape} points, "
+                f"{100 * np.nansum(self.rollouts * n) / max(1, n.sum()):.1f} % converged; 95 % "
+                f"intervals at most {100 * width.max():.2g} % wide)"
+            )
         stable, size = 100.0 * (self.decay_rate > 0.0).mean(), self.decay_rate.shape
         return f"StabilityMap({' × '.join(self.names)}: {stable:.3g} % of {size} locally stable)"
 
@@ -77,53 +98,83 @@ def stability_map(
     names: tuple[str, str],
     x: Sequence[float] | Array,
     y: Sequence[float] | Array,
+    by: By = "tests",
     target: Sequence[float] | Array | None = None,
     targets: int = 16,
     coarse: int = 8,
     configurations: int = 100,
-    runs: int = 0,
+    runs: int | None = None,
     duration: float = 10.0,
     seed: int = 0,
     executor: Executor | None = None,
     progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> StabilityMap:
-    """Make the four tests over a grid of two parameters.
+    """Make the four tests over a grid of two parameters, or rollouts over these or what they draw.
 
     Tests 1 and 3 at every point of the grid, the others at every point of a coarser one with the
     same ends.
 
+    By rollouts it is test 4 alone, at every point. Over two parameters each point has the same
+    runs. Over the errors (`uncertainty.names`) and the place of the believed tip at the start ("x",
+    "y", "z" [m]) there are so many runs in all, drawn from the whole set and the whole region: each
+    counts at the point that it is nearest to.
+
     Args:
-        controller: The controller, whose gains the parameters change.
+        controller: The controller, whose gains the parameters change; by rollouts over anything
+            else it may be any `Controller`.
         uncertainty: The errors at scale 1.
         region: Where to look; see `stability_report`.
-        names: The two parameters, of "error", "a", "kv" and "damping" (see `PARAMETERS`).
-        x: Values of the first: numbers that grow, > 0 (≥ 0 of "error").
+        names: The two parameters, of "error", "a", "kv" and "damping" (see `PARAMETERS`); by
+            rollouts also two errors, places, or one of each.
+        x: Values of the first: numbers that grow, > 0 of gains, ≥ 0 of "error".
         y: Values of the second, alike.
+        by: "tests" or "rollouts".
         target: x_d, shape (n_x,); see `stability_report`.
         targets: Configurations that test 3 takes as targets, ≥ 2: half of them the worst of 200
             with the controller's own gains, the true robots in turn.
         coarse: Values of each parameter where tests 2 and 4 are made, ≥ 2; 0 makes test 3 alone.
         configurations: How many to draw for tests 1 and 2.
-        runs: Rollouts at each coarse point.
+        runs: Rollouts at each coarse point, by default none; or by rollouts at each point, on
+            average over what is drawn, by default 100.
         duration: Of a rollout [s].
         seed: Of all drawing.
         executor: Where the rollouts run; see `rollouts`.
         progress: Called with the share that is done.
+        options: Others of `rollouts`, such as dt, tolerance, sensing, engine, folder.
 
     Raises:
         InvalidInputError: Values that are no growing numbers > 0 (≥ 0 of "error"), twice the same
-            parameter, or what `stability_report` refuses.
-        UnknownNameError: No such parameter.
+            parameter, one of gains and one of what is drawn, or what `stability_report` or
+            `rollouts` refuses.
+        UnknownNameError: No such parameter, or no such kind of map.
     """
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
+    if by not in get_args(By):
+        raise UnknownNameError("by", by, "stability_map", get_args(By))
+    known = labels(uncertainty) if by == "rollouts" else PARAMETERS
     for name in names:
-        if name not in PARAMETERS:
-            raise UnknownNameError("parameter", name, "the map", PARAMETERS)
+        if name not in known:
+            raise UnknownNameError("parameter", name, "the map", known)
     if len(set(names)) != 2:
         raise InvalidInputError(f"names must be two different parameters, got {names}", given=names)
+    xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
+    tell = progress or (lambda share: None)
+    if by == "rollouts":
+        region = usual_region(controller.task) if region is None else region
+        runs = as_integer("runs", 100 if runs is None else runs, 1)
+        total = runs * xs.size * ys.size
+        made = shares_over_runs if is_drawn(names, uncertainty) else shares_over_parameters
+        shares = made(
+            controller, uncertainty, region, names, xs, ys, target=target, runs=runs,
+            duration=duration, seed=seed, executor=executor,
+            progress=lambda done: tell(done / total), **options,
+        )  # fmt: skip
+        none = np.full((len(ys), len(xs)), np.nan)
+        return StabilityMap(names, xs, ys, none, 0, xs, ys, none, none, *shares)
+    runs = 0 if runs is None else runs
     loop = ClosedLoop(controller, uncertainty, region, target)
     loop.require_gravity()
-    xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
     few = tuple(
         np.interp(np.linspace(0, 1, coarse), np.linspace(0, 1, len(v)), v) for v in (xs, ys)
     )
@@ -149,11 +200,6 @@ def stability_map(
         if kind == "local":
             rates, _ = hard_targets(scale).rates(loop.with_gains(gains).diagonals)
             return float(rates.min())
-        if kind == "rollouts":
-            return rollouts(
-                controller.with_gains(gains), uncertainty.scaled(scale), loop.region,
-                target=loop.target, runs=runs, duration=duration, seed=seed, executor=executor,
-            ).share  # fmt: skip
         scaled, samples = drawn(scale)
         if not rank_is_lost:
             rank_is_lost.append(scaled.singular_configuration(samples) is not None)
@@ -161,38 +207,53 @@ def stability_map(
             return -1.0
         return max(-1.0, margin(kind, samples, scaled.with_gains(gains).setting))
 
-    kp, kv, damping = controller.diagonals
-    grids = {"local": (xs, ys), "theorem1": (xs, ys), "matrix": few, "rollouts": few}
-    costs = {"local": 1, "theorem1": bool(coarse), "matrix": 60, "rollouts": 60 * runs}  # about, ms
+    grids = {"local": (xs, ys), "theorem1": (xs, ys), "matrix": few}
+    costs = {"local": 1, "theorem1": bool(coarse), "matrix": 60}  # about, ms
+    per_run = 5  # ms, too
     total = sum(costs[kind] * len(a) * len(b) for kind, (a, b) in grids.items())
+    total += per_run * runs * coarse**2
     done, found = 0, {}
     for kind, (first, second) in grids.items():
         found[kind] = np.full((len(second), len(first)), np.nan)
         points = itertools.product(range(len(second)), range(len(first)) if costs[kind] else ())
         for j, i in sorted(points, key=lambda point: point[names[0] == "error"]):
             at = {names[0]: float(first[i]), names[1]: float(second[j])}
-            scale, own_kv = at.get("error", 1.0), at.get("kv", 1.0) * kv
-            own_kp = at["a"] * own_kv if "a" in at else at.get("kv", 1.0) * kp
-            gains = Gains(own_kp, own_kv, at.get("damping", 1.0) * damping)
+            scale = at.get("error", 1.0)
             try:
-                found[kind][j, i] = result(kind, scale, gains)
+                found[kind][j, i] = result(kind, scale, gains_at(controller, at))
             except UnattainedError:
                 if scale <= 1.0:
                     raise  # grown errors may put the target out of reach, the given ones not
             done += costs[kind]
-            if progress is not None:
-                progress(done / total)
-    decay_rate, *others = found.values()
-    return StabilityMap(names, xs, ys, decay_rate, targets, *few, *others)
+            tell(done / total)
+    shares = Shares.of(*np.zeros((2, coarse, coarse), dtype=int))
+    if runs and coarse:
+        shares = shares_over_parameters(
+            controller, uncertainty, loop.region, names, few[0], few[1], target=loop.target,
+            runs=runs, duration=duration, seed=seed, executor=executor,
+            progress=lambda ran: tell((done + per_run * ran) / total), **options,
+        )  # fmt: skip
+    return StabilityMap(
+        names, xs, ys, found["local"], targets, few[0], few[1], found["theorem1"], found["matrix"],
+        *shares,
+    )  # fmt: skip
+
+
+def labels(uncertainty: Uncertainty) -> dict[str, str]:
+    """Return name → label of all parameters that a map by rollouts can have along its axes."""
+    errors = zip(uncertainty.names, uncertainty.units, strict=True)
+    places = {name: f"{name} of the believed tip at the start [m]" for name in PLACES}
+    return PARAMETERS | places | {name: f"true {name} [{unit}]" for name, unit in errors}
 
 
 def _values(name: str, given: Sequence[float] | Array) -> Array:
     values = as_array(f"values of {name}", given, (np.size(given),))
-    wanted, low = (">= 0", 0.0) if name == "error" else ("> 0", np.nextafter(0.0, 1.0))
+    wanted, low = "", -np.inf
+    if name in PARAMETERS:
+        wanted, low = (" >= 0", 0.0) if name == "error" else (" > 0", np.nextafter(0.0, 1.0))
     if len(values) < 2 or values[0] < low or not (np.diff(values) > 0.0).all():
         raise InvalidInputError(
-            f"values of {name} must be at least two growing numbers {wanted}, got "
-            f"{values.tolist()}",
+            f"values of {name} must be at least two growing numbers{wanted}, got {values.tolist()}",
             given=given,
         )
     return values

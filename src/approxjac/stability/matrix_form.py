@@ -2,7 +2,8 @@
 
 Solved by cutting planes: with a dozen unknowns and thousands of small matrices, an eigenvalue
 decomposition of all of them and a linear program of the few directions that matter (HiGHS, through
-SciPy) take less than a conic solver takes to read the problem.
+SciPy) take less than a conic solver takes to read the problem. What is found is the best to within
+`_PRECISION`; round-off alone may lead to another one within it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import copy
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -30,7 +31,9 @@ FAMILIES: tuple[Family, ...] = ("paper", "free", "wide")
 
 _ACTIVE = 60  # samples to begin with
 _MORE = 40  # and how many of the worst are added at a time
+_FIRST = 5  # looked at first: one of so many samples
 _CUTS = 10  # a round, from the samples that violate most
+_KEPT = 150  # of all rounds, those that bind or come nearest to it
 _ROUNDS = 150
 _STEP = 0.4
 _PRECISION = 5e-3  # of the margin
@@ -89,7 +92,13 @@ class Best(NamedTuple):
 
 
 class MatrixForm:
-    """Matrices that have to be positive for V to be a Lyapunov function, at many samples."""
+    """Matrices that have to be positive for V to be a Lyapunov function, at many samples.
+
+    Attributes:
+        fills: Whether `metric` differs from Y.
+    """
+
+    fills = False
 
     def __init__(self, samples: Samples, setting: Setting) -> None:
         self.samples, self.setting = samples, setting
@@ -139,8 +148,8 @@ class MatrixForm:
         """Return what is sought in a family."""
         return Unknowns(family, self.setting)
 
-    def metric(self, weights: Weights, Y: Array) -> Array:
-        """Return what eigenvectors are sought in, positive and of the size of X; Y of these weights."""
+    def metric(self, Y: Array) -> Array:
+        """Return what eigenvectors are sought in, of the size of X: Y, filled up where it is zero."""
         return Y
 
     def margins(self, weights: Weights) -> Array:
@@ -154,24 +163,24 @@ class MatrixForm:
             return margins
         Q, G = self._decrease(weights)
         n = Q.shape[-1] - len(weights.w)
-        stiffness = Q[:, n:, n:]
-        positive = np.linalg.eigvalsh(stiffness)[:, 0] > 0.0
-        whole = bool(positive.all())
-        chosen: Any = slice(None) if whole else positive
-        factor = np.zeros_like(Q[chosen])
-        factor[:, :n, :n] = self._of_samples.root[chosen]
-        factor[:, n:, n:] = np.linalg.inv(np.linalg.cholesky(stiffness[chosen]))
-        decrease = np.linalg.eigvalsh(factor @ Q[chosen] @ factor.mT)[:, 0]
-        if self.setting.large_gains:  # V is all potential
-            margins[chosen] = np.minimum(decrease, 1.0)
+        stiffness, root = Q[:, n:, n:], self._of_samples.root
+        try:
+            lower = np.linalg.cholesky(stiffness)
+        except np.linalg.LinAlgError:
+            positive = np.linalg.eigvalsh(stiffness)[:, 0] > 0.0
+            if positive.all():
+                raise
+            margins[positive] = self.take(positive.nonzero()[0]).margins(weights)
             return margins
+        factor = np.zeros_like(Q)
+        factor[:, :n, :n], factor[:, n:, n:] = root, np.linalg.inv(lower)
+        decrease = np.linalg.eigvalsh(factor @ Q @ factor.mT)[:, 0]
+        if self.setting.large_gains:  # V is all potential
+            return np.asarray(np.minimum(decrease, 1.0))
         # of P the margin is 1 less the largest singular value of the whitened cross block
-        G = G[chosen]
         roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
-        square = G.mT @ self.samples.M[chosen] @ G / np.outer(roots, roots)
-        size = np.linalg.eigvalsh(square)[:, -1]
-        margins[chosen] = np.minimum(decrease, 1.0 - np.sqrt(np.maximum(size, 0.0)))
-        return margins
+        size = np.linalg.eigvalsh(G.mT @ self.samples.M @ G / np.outer(roots, roots))[:, -1]
+        return np.asarray(np.minimum(decrease, 1.0 - np.sqrt(np.maximum(size, 0.0))))
 
     def evaluated(self, best: Best) -> Best:
         """Return what was found on the first of these samples, with its margins in all of them."""
@@ -201,10 +210,11 @@ class MatrixForm:
     def _decrease(self, weights: Weights) -> tuple[Array, Array]:
         """Q of V̇ = −zᵀQz, (N, n_v + m, n_v + m), and the cross weight G, (N, n_v, m)."""
         at, of, setting = self.samples, self._of_samples, self.setting
-        G = self.cross_weight(weights)
+        G, dG = of.pinv @ weights.A1, of.dpinv @ weights.A1
+        if weights.A2.any():
+            G, dG = G + of.damped @ weights.A2, dG + of.ddamped @ weights.A2
         N = np.zeros_like(at.M)
         if not setting.large_gains:
-            dG = of.dpinv @ weights.A1 + of.ddamped @ weights.A2
             N = law.inertial_block(at.M, at.dM, at.J_e, G, dG, at.s, at.slope)
         return law.decrease_matrix(of.D, N, at.J_e, at.J_hat, G, setting.kp, weights.w), G
 
@@ -286,16 +296,29 @@ def best_of(form: MatrixForm, unknowns: Unknowns, known: Best | None = None) -> 
     if known is not None:
         active = np.union1d(known.active, np.arange(len(known.margins), N))
         y, cuts = known.unknowns, known.cuts
-    while True:
-        inner = np.inf
-        if unknowns.basis:
+    if not unknowns.basis:
+        weights = unknowns.fixed
+        return Best(weights, form.margins(weights), active, y, cuts)
+    y, inner, cuts = _cutting_planes(form.take(active), unknowns, y, cuts)
+    for every in (_FIRST, 1):  # most of the samples that decide it are found among a few
+        some = form.take(slice(None, None, every))
+        while True:
+            margins = some.margins(unknowns.weights(y))
+            others = np.setdiff1d(every * np.argsort(margins)[:_MORE], active)
+            if margins.min() >= inner - _PRECISION or len(others) == 0:
+                break
+            active = np.concatenate([active, others])
             y, inner, cuts = _cutting_planes(form.take(active), unknowns, y, cuts)
-        weights = unknowns.weights(y)
-        margins = form.margins(weights)
-        others = np.setdiff1d(np.argsort(margins)[:_MORE], active)
-        if not unknowns.basis or margins.min() >= inner - _PRECISION or len(others) == 0:
-            return Best(weights, margins, active, y, cuts)
-        active = np.concatenate([active, others])
+    return Best(unknowns.weights(y), margins, active, y, cuts)
+
+
+class _Look(NamedTuple):
+    """Whitened matrices X of some unknowns, shape (2, N, n_v + m, n_v + m)."""
+
+    margin: float  # the least; −∞ where Y is not positive
+    metric: Array  # L⁻¹ of Y = LLᵀ, or that of other unknowns where Y is not positive
+    whitened: Array  # L⁻¹XL⁻ᵀ, or L⁻¹(X − μY)L⁻ᵀ there
+    values: Array  # its least eigenvalues, shape (2, N)
 
 
 def _cutting_planes(
@@ -313,7 +336,7 @@ def _cutting_planes(
         cuts: vᵀXv and vᵀYv that are known, as affine functions, shape (2, c, 1 + d).
 
     Returns:
-        The best unknowns, their least margin, and all cuts.
+        The best unknowns, their least margin, and the cuts that matter near them.
     """
     from scipy.optimize import linprog
 
@@ -322,22 +345,33 @@ def _cutting_planes(
     parts = [form.pencils(unknowns.fixed.plus(1.0, part)) for part in unknowns.basis]
     X1, Y1 = np.stack([X - X0 for X, _ in parts]), np.stack([Y - Y0 for _, Y in parts])
 
-    def least(y: Array) -> float:
-        return float(form.margins(unknowns.weights(y)).min())
+    def look(y: Array, mu: float = 0.0, metric: Array | None = None) -> _Look | None:
+        weights = unknowns.weights(y)
+        (X, Y), is_positive = form.pencils(weights), True
+        try:
+            metric = np.linalg.inv(np.linalg.cholesky(form.metric(Y)))
+        except np.linalg.LinAlgError:
+            if metric is None:
+                return None
+            is_positive = False
+        if form.fills or not is_positive:
+            X = X - mu * Y
+        whitened: Array = metric @ X @ metric.mT
+        values = np.asarray(np.linalg.eigvalsh(whitened)[..., 0], dtype=np.float64)
+        if form.fills:  # Y does not tell the margin
+            return _Look(float(form.margins(weights).min()), metric, whitened, values)
+        return _Look(float(values.min()) if is_positive else -np.inf, metric, whitened, values)
 
-    best, best_margin = start, least(start)
-    if best_margin == -np.inf:  # found where some of these samples were not known yet
-        best, best_margin = unknowns.start, least(unknowns.start)
-    y, mu = best, max(best_margin, -1.0)
+    best, here = start, look(start)
+    if here is None:  # found where some of these samples were not known yet
+        best, here = unknowns.start, look(unknowns.start)
+    assert here is not None
+    best_margin, mu = here.margin, max(here.margin, -1.0)
     for _ in range(_ROUNDS):
-        # eigenvectors in the metric of the best point, where Y is positive
-        metric = form.metric(unknowns.weights(best), Y0 + np.tensordot(best, Y1, 1))
-        factor = np.linalg.inv(np.linalg.cholesky(metric))
-        violated = X0 + np.tensordot(y, X1, 1) - mu * (Y0 + np.tensordot(y, Y1, 1))
-        values, vectors = np.linalg.eigh(factor @ violated @ factor.mT)
-        which = np.unravel_index(np.argsort(values[..., 0], axis=None)[:_CUTS], values.shape[:2])
-        for column in range(2):
-            v = (factor.mT[which] @ vectors[which][..., column, None])[..., 0]
+        worst = np.argsort(here.values, axis=None)[:_CUTS]
+        which = np.unravel_index(worst, here.values.shape)
+        vectors = here.metric.mT[which] @ np.linalg.eigh(here.whitened[which])[1][..., :2]
+        for v in np.moveaxis(vectors, -1, 0):
             more = np.stack([_along(v, X0, X1, which), _along(v, Y0, Y1, which)])
             cuts = np.concatenate([cuts, more], axis=1)
         bound = cuts[0] - mu * cuts[1]
@@ -351,11 +385,13 @@ def _cutting_planes(
         )
         if answer.status != 0 or answer.x[-1] < (_PRECISION if best_margin > 0.0 else _SIGN):
             break
+        cuts = cuts[:, np.sort(np.argsort(answer.slack)[:_KEPT])]
         # part of the way only, as the bounds far from the best point are still poor
         y = best + _STEP * (answer.x[:-1] - best)
-        margin = least(y)
-        if margin > best_margin:
-            best, best_margin, mu = y, margin, max(mu, margin)
+        here = look(y, mu, here.metric)
+        assert here is not None
+        if here.margin > best_margin:
+            best, best_margin, mu = y, here.margin, max(mu, here.margin)
     return best, best_margin, cuts
 
 

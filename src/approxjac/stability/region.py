@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
@@ -283,7 +284,8 @@ class RegularPart(Region):
         while len(drawn) < n:
             batch = self.region.sample(max(n - len(drawn), 20), rng)
             tried += len(batch)
-            drawn.extend(q for q in batch if self._is_regular(q))
+            regular = (q for q in batch if self._is_regular(q))
+            drawn.extend(itertools.islice(regular, n - len(drawn)))
             if tried > _TRIES * (len(drawn) + 1):
                 raise InvalidInputError(
                     f"the region is empty: of {tried} configurations of {self.region!r} "
@@ -291,7 +293,7 @@ class RegularPart(Region):
                     "another region",
                     given=self.sigma_min,
                 )
-        return np.array(drawn[:n])
+        return np.array(drawn)
 
     def contains(self, q: Array) -> bool:
         return self._is_regular(q) and self.region.contains(q)

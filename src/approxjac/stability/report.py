@@ -397,7 +397,7 @@ def stability_report(
     tell("configurations", 0.5)
     fresh = loop.draw(configurations - half, rng)
     setting = loop.setting
-    samples = refine_constants(loop, samples, rng)
+    samples, constants = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
     chosen: dict[Family, Best] = {}
     known: Best | None = None
@@ -432,7 +432,8 @@ def stability_report(
             controller, truth, loop.region, target=target, runs=runs, seed=seed, executor=executor,
             progress=lambda done: tell("rollouts", done / runs),
         )  # fmt: skip
-    first, singular_q = theorem1(everywhere, setting), loop.singular_configuration(samples)
+    first = theorem1(everywhere, setting, constants)
+    singular_q = loop.singular_configuration(samples)
     gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
     growing = growth(loop, samples.take(np.arange(len(samples))[:_TARGETS]), latency)
     return StabilityReport(

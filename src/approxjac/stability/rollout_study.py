@@ -1,20 +1,14 @@
-"""`Study`: what all rollouts share, and how a portion of them is carried out."""
+"""`Study`: what all rollouts share, and how they are carried out, one by one or in lanes."""
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import importlib.util
 import math
-import os
 import pickle
 import threading
 import uuid
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,15 +17,16 @@ from approxjac.errors import InvalidInputError, SimulationError, UnknownNameErro
 from approxjac.extras import package_of
 from approxjac.interface import Controller
 from approxjac.simulation import Plant, Sensing, Trajectory, simulate
+from approxjac.simulation.sampled_loop import Wanted, target_at, x_of
 from approxjac.simulation.simulate import whole
-from approxjac.stability.region import JointBox, Region
+from approxjac.stability.region import JointBox, Region, RegularPart
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.validation import Array
 
 if TYPE_CHECKING:
-    from approxjac.codegen.closed_loop import Box
     from approxjac.codegen.lanes import Begun, Lanes
+    from approxjac.codegen.regions import Box
 
 COLUMNS = (
     "index", "values", "q0", "target", "final_error", "settling_time", "peak_torque", "peak_speed",
@@ -40,8 +35,6 @@ COLUMNS = (
 """What is told of each run: the fields of `Rollout`."""
 
 _RECORDS = 500  # of a run: 50 in its last tenth
-_CHUNKS = 64  # that runs are handed to an executor in, at least
-_PORTION = 1024  # runs in lanes at once, at most
 _EXAMPLES = 16  # runs that show what differs from run to run
 _ENGINES = ("lanes", "python")
 _COMPILED = 4  # loops that a process keeps
@@ -56,7 +49,7 @@ class Start:
         values: True values of the uncertain coordinates, shape (d,).
         plant: The true robot.
         q: Configuration, at rest, shape (nq,).
-        target: x_d, shape (n_x,).
+        target: x_d at the beginning, shape (n_x,).
         seed: Of noise and dropouts.
     """
 
@@ -82,7 +75,7 @@ class Study:
         controller: The controller.
         uncertainty: What the true robots are drawn from.
         region: Where starts and targets are drawn.
-        target: x_d of all, shape (n_x,), or None.
+        target: x_d of all, shape (n_x,), or what moves; or None.
         duration: Of each run [s].
         dt: Sampling time [s].
         tolerance: Error below which a task counts as done [unit of the task].
@@ -93,12 +86,14 @@ class Study:
         reason: Why it is not lanes; empty where it is, or where Python was asked for.
         examples: Number of runs that show what differs.
         key: What the compiled loop is known by.
+        alike: Controllers and errors of studies with the same compiled loop, which differ in all
+            that differs between them; itself alone by default.
     """
 
     controller: Controller
     uncertainty: Uncertainty
     region: Region
-    target: Array | None
+    target: Wanted | None
     duration: float
     dt: float
     tolerance: float
@@ -109,6 +104,7 @@ class Study:
     reason: str = ""
     examples: int = 0
     key: str = ""
+    alike: tuple[tuple[Controller, Uncertainty], ...] = ()
 
     def with_engine(self, engine: str | None, runs: int) -> Study:
         """Return this with an engine: the one that is asked for, or the fastest that covers it."""
@@ -137,16 +133,20 @@ class Study:
 
     def _box(self) -> Box:
         """Return the region as lanes take it, or refuse it."""
-        from approxjac.codegen.closed_loop import Box
+        from approxjac.codegen.regions import Box
+        from approxjac.codegen.tasks import require_covered
 
-        region = self.region
-        if type(region) is not JointBox or region.robot.nq != region.robot.nv:
+        part = self.region
+        region, task, sigma_min = part, None, 0.0
+        if type(part) is RegularPart:
+            region, task, sigma_min = part.region, part.task, part.sigma_min
+            require_covered(task)
+        if type(region) is not JointBox:
             raise InvalidInputError(
-                "region must be a JointBox of an arm without continuous joints for lanes, got "
-                f"{region!r}",
+                f"region must be a JointBox, or the RegularPart of one, for lanes, got {region!r}",
                 given=region,
             )
-        return Box(region.center, region.lower, region.upper)
+        return Box(region.center, region.lower, region.upper, task, sigma_min)
 
     @property
     def steps(self) -> int:
@@ -172,9 +172,10 @@ class Study:
         try:
             q0 = plant.robot.configuration(self.region.sample(1, rng)[0], "q0")
             q0 = seen.replace_unseen(q0[None], rng)[0]
-            target = self.target
-            if target is None:
+            if self.target is None:
                 target = plant.sensor.value(seen.sample(1, rng)[0])
+            else:
+                target = x_of(target_at(self.target, 0.0))
         except UnattainedError as error:
             told = f"{error}, with {self.uncertainty.describe(values)}"
             raise UnattainedError(told, given=values, truth=index) from error
@@ -182,38 +183,11 @@ class Study:
 
     def simulated(self, start: Start) -> Trajectory:
         """Return a run in Python."""
+        target = start.target if self.target is None else self.target
         return simulate(
-            start.plant, self.controller, start.target, start.q, self.duration, dt=self.dt,
+            start.plant, self.controller, target, start.q, self.duration, dt=self.dt,
             record_every=self.every * self.dt, integrator="semi_implicit_euler", seed=start.seed,
         )  # fmt: skip
-
-    # -- portions ---------------------------------------------------------------------------
-
-    def parts(
-        self, runs: int, executor: Executor | None, folder: str | os.PathLike[str] | None
-    ) -> Iterator[dict[str, Array]]:
-        """Return the columns of portions of runs, in order, as they are done."""
-        size = _PORTION if self.engine == "lanes" else 1
-        if executor is not None or folder is not None:
-            size = max(1, min(_PORTION, math.ceil(runs / _CHUNKS)))
-        indices = range(runs)
-        portions = [indices[at : at + size] for at in indices[::size]]
-        part = partial(_part, self)
-        if folder is not None:
-            part = partial(_kept_part, self, Path(folder))
-        if executor is None:
-            return map(part, portions)
-        if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
-            try:
-                pickle.dumps(part)
-            except (pickle.PicklingError, AttributeError, TypeError) as error:
-                raise InvalidInputError(
-                    "controller, uncertainty and region must be picklable to go to other processes "
-                    "(functools.partial(PositionTask, axes='xz') is, a lambda is not): "
-                    f"{error}",
-                    given=executor,
-                ) from error
-        return executor.map(part, portions)  # cancels the others where one fails
 
     def _of_python(self, start: Start) -> tuple[Any, ...]:
         """Return a run in Python, as its row."""
@@ -230,6 +204,12 @@ class Study:
         speed = float(np.abs(record.v / robot.velocity_limits).max())
         stayed = all(bool(self.region.contains(q)) for q in record.q)
         return (*begins, final, settling, torque, speed, converged, False, stayed)
+
+    def columns(self, indices: range) -> dict[str, Array]:
+        """Return some runs, as columns; with a copy of this, where others go on meanwhile."""
+        if self.engine == "lanes":
+            return self._of_lanes(indices)
+        return _columns([self._of_python(self.start(index)) for index in indices])
 
     def _of_lanes(self, indices: range) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
@@ -260,30 +240,6 @@ class Study:
         return found
 
 
-def _part(study: Study, indices: range) -> dict[str, Array]:
-    """Return the columns of some runs."""
-    study = copy.deepcopy(study)  # tasks and controllers have scratch memory: one instance a thread
-    if study.engine == "lanes":
-        return study._of_lanes(indices)
-    return _columns([study._of_python(study.start(index)) for index in indices])
-
-
-def _kept_part(study: Study, folder: Path, indices: range) -> dict[str, Array]:
-    """Return the columns of some runs, from their file if there is one."""
-    name = hashlib.sha256(pickle.dumps((study, indices))).hexdigest()[:20]
-    file = folder / f"{name}.npz"
-    if file.exists():
-        with np.load(file) as columns:
-            return dict(columns)
-    part = _part(study, indices)
-    folder.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
-    with unfinished.open("wb") as stream:
-        np.savez(stream, **part)  # type: ignore[arg-type]
-    unfinished.replace(file)  # at once, so that a file that is there is whole
-    return part
-
-
 def _columns(rows: list[tuple[Any, ...]]) -> dict[str, Array]:
     return {name: np.array(each) for name, each in zip(COLUMNS, zip(*rows), strict=True)}  # noqa: B905
 
@@ -309,10 +265,14 @@ def _lanes_of(study: Study) -> Lanes:
         if study.key not in _lanes:
             while len(_lanes) >= _COMPILED:
                 del _lanes[next(iter(_lanes))]
-            starts = [study.start(index) for index in range(study.examples)]
-            law = study.controller
-            examples = [each.begun(law) for each in starts]
+            examples = []
+            for law, errors in study.alike or ((study.controller, study.uncertainty),):
+                one = replace(study, controller=law, uncertainty=errors)
+                starts = [one.start(index) for index in range(study.examples)]
+                examples += [each.begun(law) for each in starts]
             _lanes[study.key] = Lanes(
-                law, starts[0].plant, examples, study._box(), study.dt, study.steps, study.tolerance
-            )
+                law, starts[0].plant, examples, study._box(), study.dt, study.steps,
+                study.tolerance,
+                path=None if isinstance(study.target, np.ndarray) else study.target,
+            )  # fmt: skip
         return _lanes[study.key]

@@ -14,16 +14,17 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
-from approxjac.interface import Controller
+from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant, Sensing, Trajectory
-from approxjac.simulation.sampled_loop import require_fit
+from approxjac.simulation.sampled_loop import require_fit, wanted_of
 from approxjac.stability.region import Region
-from approxjac.stability.rollout_study import COLUMNS, Study
+from approxjac.stability.rollout_portions import Progress, carried_out
+from approxjac.stability.rollout_study import Study
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array, as_integer, as_number, require
 
 _EXECUTOR: Any = (Executor, NoneType)
-_FUNCTION: Any = (Callable, NoneType)
+_PROGRESS: Any = (Callable, bool, NoneType)
 
 Engine = Literal["lanes", "python"]
 
@@ -36,7 +37,7 @@ class Rollout:
         index: k, from 0. Seed and index decide all that is drawn.
         values: True values of the uncertain coordinates, shape (d,).
         q0: Start, at rest, shape (nq,).
-        target: x_d, shape (n_x,).
+        target: x_d at the beginning, shape (n_x,).
         final_error: ‖e‖ at the end [unit of the task]; infinite if the run diverged, or ended
             behind the camera, where there is no image.
         settling_time: First recorded time from which on ‖e‖ is below the tolerance at every
@@ -175,7 +176,7 @@ def rollouts(
     uncertainty: Uncertainty,
     region: Region,
     *,
-    target: Sequence[float] | Array | None = None,
+    target: Sequence[float] | Array | Target | TargetPath | None = None,
     runs: int = 100,
     duration: float = 10.0,
     dt: float = 1e-3,
@@ -184,9 +185,10 @@ def rollouts(
     sensing: Sensing | None = None,
     actuator_delay: float = 0.0,
     engine: Engine | None = None,
+    failures: int | None = None,
     executor: Executor | None = None,
     folder: str | PathLike[str] | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress = None,
 ) -> Rollouts:
     """Simulate the sampled closed loop from random starts, with random true robots.
 
@@ -200,8 +202,9 @@ def rollouts(
             `Controller`.
         uncertainty: How the true robot may differ.
         region: Where starts, at rest, and targets are drawn.
-        target: x_d of all runs, shape (n_x,) [unit of the task]; by default, what the sensor of
-            the true robot measures in another configuration of the region.
+        target: x_d of all runs, shape (n_x,) [unit of the task], or what moves, as of `simulate`;
+            by default, what the sensor of the true robot measures in another configuration of the
+            region.
         runs: ≥ 1.
         duration: Of a run, a whole number of dt [s].
         dt: Sampling time [s].
@@ -214,11 +217,14 @@ def rollouts(
             vectors, some hundred times as fast; "python" runs `simulate`, with anything. By default
             lanes where they cover the loop and llvmlite is there (the extra `fast`); the study of
             the answer says which, and why. They differ by rounding.
+        failures: ≥ 1: end with the so many-th run that does not converge, which with 1 is the first
+            one; all runs are carried out by default. The interval holds all the same.
         executor: What carries out portions of the runs, such as a `ThreadPoolExecutor` (for lanes),
             a `ProcessPoolExecutor` or Dask's `client.get_executor()`, the user's to shut down; this
             thread by default. Each portion has its own copies.
         folder: Where portions that are done are kept, a file each. The same call goes on from them.
-        progress: Called with the number of runs that are done, in the calling process.
+        progress: Called with the number of runs that are done, in the calling process; True shows
+            a bar.
 
     Raises:
         UnknownNameError: No such engine.
@@ -228,29 +234,57 @@ def rollouts(
             region of which a true camera sees nothing, or something that cannot be sent to the
             processes of an executor.
     """
+    study = as_study(
+        controller, uncertainty, region, target=target, duration=duration, dt=dt,
+        tolerance=tolerance, seed=seed, sensing=sensing, actuator_delay=actuator_delay,
+        engine=engine, runs=runs,
+    )  # fmt: skip
+    runs, failures = checked(runs, failures, executor, progress)
+    (columns,) = carried_out([study], runs, failures, executor, folder, progress)
+    return Rollouts(columns, study)
+
+
+def as_study(
+    controller: Controller,
+    uncertainty: Uncertainty,
+    region: Region,
+    *,
+    target: Sequence[float] | Array | Target | TargetPath | None = None,
+    runs: int = 100,
+    duration: float = 10.0,
+    dt: float = 1e-3,
+    tolerance: float = 1e-3,
+    seed: int = 0,
+    sensing: Sensing | None = None,
+    actuator_delay: float = 0.0,
+    engine: Engine | None = None,
+) -> Study:
+    """Return what all runs share; the arguments are those of `rollouts`, checked."""
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
     dt = as_number("dt", dt, unit="s", above=0.0)
     plant = uncertainty.plant(uncertainty.believed)
     require_fit(plant, controller, dt)
     late = Plant(plant.robot, plant.sensor, sensing=sensing, actuator_delay=actuator_delay)
     require("region", region, Region, "a Region, such as JointBox(robot)")
-    require("executor", executor, _EXECUTOR, "an executor of concurrent.futures or None")
-    require("progress", progress, _FUNCTION, "a function of the number of runs done")
     runs, seed = as_integer("runs", runs, 1), as_integer("seed", seed, 0)
     duration = as_number("duration", duration, unit="s", minimum=dt)
     tolerance = as_number("tolerance", tolerance, above=0.0)
-    x_d = None if target is None else uncertainty.believed_task().target(target)
+    x_d = None if target is None else wanted_of(uncertainty.believed_task(), target, 0.0)
     study = Study(
         controller, uncertainty, region, x_d, duration, dt, tolerance, seed, late.sensing,
         late.actuator_delay,
     )  # fmt: skip
-    study = study.with_engine(engine, runs)
-    parts: list[dict[str, Array]] = []
-    for part in study.parts(runs, executor, folder):
-        parts.append(part)
-        if progress is not None:
-            progress(sum(len(part["index"]) for part in parts))
-    return Rollouts({name: np.concatenate([p[name] for p in parts]) for name in COLUMNS}, study)
+    return study.with_engine(engine, runs)
+
+
+def checked(
+    runs: int, failures: int | None, executor: Executor | None, progress: Progress
+) -> tuple[int, int | None]:
+    """Return the numbers of runs and of failures, or refuse them, an executor or a function."""
+    require("executor", executor, _EXECUTOR, "an executor of concurrent.futures or None")
+    require("progress", progress, _PROGRESS, "a function of the number of runs done, or True")
+    failures = None if failures is None else as_integer("failures", failures, 1)
+    return as_integer("runs", runs, 1), failures
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:

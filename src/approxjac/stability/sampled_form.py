@@ -101,6 +101,8 @@ class SampledForm(MatrixForm):
         turning: Of these samples and of others; of these by default.
     """
 
+    fills = True
+
     def __init__(
         self,
         samples: Samples,
@@ -246,7 +248,7 @@ class SampledForm(MatrixForm):
         whole[1, :, rest, rest] = 1.0
         return whole, less
 
-    def metric(self, weights: Weights, Y: Array) -> Array:
+    def metric(self, Y: Array) -> Array:
         """Return Y, filled up where it is zero."""
         n, (k, N) = self.samples.M.shape[-1], (sum(self.samples.J_e.shape[-2:]), Y.shape[-1])
         found = Y.copy()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -101,7 +100,6 @@ class Theorem1:
 CONSTANTS = ("p", "b_J", "lambda_m", "lambda_1", "lambda_2", "c0", "c1")
 _BELOW = 0.999  # (14) is strict
 _SMALLEST = ("lambda_1", "lambda_2")
-_norm = partial(np.linalg.matrix_norm, ord=2)
 
 
 def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
@@ -111,18 +109,27 @@ def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
     G, dG = law.cross_weight_pinv(J_hat, samples.dJ_hat, setting.weight)
     N = law.inertial_block(samples.M, samples.dM, samples.J_e, G, dG, samples.s, samples.slope)
     metric = G.mT @ samples.M @ G
+    smallest = np.maximum(np.linalg.eigvalsh(D)[:, 0], 0.0) / float(kv.max())
+    also = smallest  # of equal gains D/k_v is the matrix of λ₂
+    if (kv != kv[0]).any():
+        uniform = law.dissipation(J_hat, np.ones_like(kv), B / float(kv.max()))
+        also = np.maximum(np.linalg.eigvalsh(uniform)[:, 0], 0.0)
     # the damping's αs(e)ᵀĴ⁺ᵀBq̇ is shared out by (18)
-    c1 = 0.5 * _norm(B[:, None] * G)
-    uniform = law.dissipation(J_hat, np.ones_like(kv), B / float(kv.max()))
+    c1 = 0.5 * _norm((B[:, None] * G).mT)
     return {
         "p": _norm(samples.J_e - J_hat),
         "b_J": _norm(J),
         "lambda_m": np.linalg.eigvalsh(metric)[:, -1],
-        "lambda_1": np.maximum(np.linalg.eigvalsh(D)[:, 0], 0.0) / float(kv.max()),
-        "lambda_2": np.maximum(np.linalg.eigvalsh(uniform)[:, 0], 0.0),
+        "lambda_1": smallest,
+        "lambda_2": also,
         "c0": c1 + np.abs(np.linalg.eigvalsh(N)).max(axis=-1),
         "c1": c1,
     }
+
+
+def _norm(A: Array) -> Array:
+    """Return ‖A‖ of wide matrices (N, m, n), shape (N,): of AAᵀ, which takes a third of an SVD."""
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(A @ A.mT)[:, -1], 0.0)))
 
 
 def badness(name: str, values: Array) -> Array:
@@ -130,9 +137,15 @@ def badness(name: str, values: Array) -> Array:
     return -values if name in _SMALLEST else values
 
 
-def theorem1(samples: Samples, setting: Setting) -> Theorem1:
-    """Take the constants of Theorem 1 over all samples."""
-    found = constants(samples, setting)
+def theorem1(
+    samples: Samples, setting: Setting, known: Mapping[str, Array] | None = None
+) -> Theorem1:
+    """Take the constants of Theorem 1 over all samples, of which the first may be known."""
+    if known is None:
+        found = constants(samples, setting)
+    else:
+        rest = constants(samples.take(slice(len(known["p"]), None)), setting)
+        found = {name: np.append(known[name], rest[name]) for name in CONSTANTS}
     worst = {name: int(np.argmax(badness(name, values))) for name, values in found.items()}
     return Theorem1(
         **{name: float(found[name][k]) for name, k in worst.items()}, setting=setting, worst=worst

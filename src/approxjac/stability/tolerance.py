@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,13 +15,14 @@ from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.local import local_test
 from approxjac.stability.matrix_form import MatrixForm
 from approxjac.stability.region import Region
+from approxjac.stability.rollouts import rollouts
 from approxjac.stability.theorem1 import theorem1
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError
 from approxjac.validation import Array, as_number, require
 
-Test = Literal["theorem1", "matrix", "local"]
-TESTS: tuple[Test, ...] = get_args(Test)
+Test = Literal["theorem1", "matrix", "local", "rollouts"]
+TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
 """The tests that need no simulation."""
 _STEPS = 20  # of bisection
 
@@ -68,8 +69,10 @@ def tolerance(
     largest: float = 10.0,
     precision: float = 0.02,
     configurations: int = 400,
+    runs: int = 100,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> dict[Test, Tolerance]:
     """Find the largest scaling of a set of errors for which each test still passes.
 
@@ -78,20 +81,23 @@ def tolerance(
 
     By bisection, with the same configurations at every scale. Sets grow with their scale, so for
     the first two tests whatever passes at one scale passes at all smaller ones (as far as corners
-    and configurations tell). The local test looks at corners and might pass again beyond a gap.
+    and configurations tell). The local test looks at corners and might pass again beyond a gap, and
+    so might rollouts, which pass where all of them converge.
 
     Args:
         controller: The controller.
         uncertainty: The errors at scale 1.
         region: Where to look; see `stability_report`.
-        tests: "theorem1", "matrix" or "local". The first two are not for a task whose Jacobian
-            uses the measured x.
+        tests: "theorem1", "matrix", "local" or "rollouts". The first two are not for a task whose
+            Jacobian uses the measured x.
         target: x_d, shape (n_x,); see `stability_report`.
         largest: Scale at most > 0; less where robots beyond it cannot exist.
         precision: Of the scale, relative, > 0.
         configurations: How many to draw.
+        runs: Rollouts at each scale, which end with the first that does not converge.
         seed: Of the drawing.
         progress: Called with the share that is done.
+        options: Others of `rollouts`, such as duration, dt, tolerance, executor.
 
     Raises:
         InvalidInputError: Numbers out of range, or what `stability_report` refuses.
@@ -104,8 +110,8 @@ def tolerance(
             f"uncertainty must have a range to scale, got {uncertainty!r}", given=uncertainty
         )
     for test in tests:
-        if test not in TESTS:
-            raise UnknownNameError("test", test, "the tests", TESTS)
+        if test not in (*TESTS, "rollouts"):
+            raise UnknownNameError("test", test, "the tests", (*TESTS, "rollouts"))
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
     loop.require_gravity()
@@ -114,12 +120,19 @@ def tolerance(
         """The true values with which a test fails at a scale, or None if it passes."""
         scaled = loop.scaled(scale)
         try:
+            if test == "rollouts":
+                many = rollouts(
+                    controller, uncertainty.scaled(scale), loop.region, target=loop.target,
+                    runs=runs, failures=1, seed=seed, **options,
+                )  # fmt: skip
+                return None if many.n_converged == many.n else many.runs[-1].values
             return _failing(scaled, test, configurations, np.random.default_rng(seed))
         except UnattainedError as error:
             if scale <= 1.0:
                 raise
             # grown errors have put the target out of reach, or have a camera look elsewhere
-            return np.array(scaled.corners[error.truth])
+            of_run = test == "rollouts"
+            return np.array(error.given if of_run else scaled.corners[error.truth])
 
     found: dict[Test, Tolerance] = {}
     for k, test in enumerate(tests):
@@ -153,8 +166,8 @@ def _failing(
     if loop.singular_configuration(samples) is not None:
         return corners[0]  # whatever the errors: the arm may stand still there
     if test == "theorem1":
-        samples = refine_constants(loop, samples, rng)
-        first = theorem1(samples, loop.setting)
+        samples, constants = refine_constants(loop, samples, rng)
+        first = theorem1(samples, loop.setting, constants)
         return None if first.holds else corners[samples.truth[first.worst["p"]]]
     form = MatrixForm(samples, loop.setting)
     for family in form.setting.families:

@@ -12,7 +12,7 @@ from approxjac.view.plots import (
     plot_slack,
     plot_torque,
 )
-from approxjac.view.stability import plot_allowed_error, plot_map, plot_margins
+from approxjac.view.stability import plot_allowed_error, plot_map, plot_margins, plot_shares
 from approxjac.view.style import COLORS, SERIES, legend_below, new_figure, save_figure, style
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "plot_parameters",
     "plot_path",
     "plot_run",
+    "plot_shares",
     "plot_slack",
     "plot_torque",
     "save_figure",

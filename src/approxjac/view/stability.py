@@ -148,9 +148,52 @@ def plot_map(
             ax.plot([], [], line, color=color, linewidth=2.0, label=name + where)
         if own is not None:
             ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label="as given")
-        for values, set_scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
-            if values[0] > 0.0 and values[-1] / values[0] > 20.0:
-                set_scale("log")
+        _scale(ax, x, y)
         ax.set(xlabel=labels[0], ylabel=labels[1], title=title)
         ax.grid(visible=False)
     return ax
+
+
+def plot_shares(
+    x: Array,
+    y: Array,
+    shares: Array,
+    *,
+    labels: tuple[str, str],
+    own: tuple[float, float] | None = None,
+    own_name: str = "as given",
+    ax: Axes | None = None,
+    title: str = "Share of runs that converge",
+) -> Axes:
+    """Draw the share of runs that converge over two parameters, or an end of its interval.
+
+    Args:
+        x: Values of the first parameter, shape (N_x,).
+        y: Values of the second, shape (N_y,).
+        shares: Shape (N_y, N_x), 0 to 1; NaN is left grey.
+        labels: Of the axes.
+        own: Where the controller and its errors are, or what it believes.
+        own_name: What that is called.
+        ax: Axes to draw into; new ones by default.
+        title: Of the axes.
+    """
+    with styled(ax, (5.6, 4.6)) as ax:
+        ax.set_facecolor("0.85")
+        shown = ax.pcolormesh(
+            x, y, np.ma.masked_invalid(shares), cmap="RdYlBu", vmin=0.0, vmax=1.0,
+            shading="nearest", rasterized=True,
+        )  # fmt: skip
+        ax.figure.colorbar(shown, ax=ax, label="share that converges [–]", shrink=0.8)
+        if own is not None:
+            ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label=own_name)
+        _scale(ax, x, y)
+        ax.set(xlabel=labels[0], ylabel=labels[1], title=title)
+        ax.grid(visible=False)
+    return ax
+
+
+def _scale(ax: Axes, x: Array, y: Array) -> None:
+    """Take logarithmic axes where values go over decades."""
+    for values, set_scale in ((x, ax.set_xscale), (y, ax.set_yscale)):
+        if values[0] > 0.0 and values[-1] / values[0] > 20.0:
+            set_scale("log")

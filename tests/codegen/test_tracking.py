@@ -1,0 +1,311 @@
+"""Law T compiled: the same steps as in NumPy, whatever is measured and wherever it leads."""
+
+import copy
+import pickle
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_terms import evaluated
+from numpy.testing import assert_allclose, assert_array_equal
+from random_trees import random_tree
+
+import approxjac as aj
+from approxjac.codegen.learnt_arm import LearntBodies, point_motion
+from approxjac.codegen.program import Program
+from approxjac.codegen.rigid_body import Arm
+from approxjac.codegen.step import compiled
+from approxjac.codegen.symbols import inputs
+from approxjac.controllers import KnownKinematics, ModelDynamics
+from approxjac.robots import KinematicRegressor
+from approxjac.robots.dynamics_regressor import DynamicsRegressor
+from approxjac.tasks import PoseTask, TrackerTask
+
+DT = 1e-3
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+
+
+@pytest.fixture(scope="module")
+def ur5():
+    return aj.load_robot("ur5")
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Steps in which a compiled controller asked the ordinary way."""
+    steps, ordinary = [], aj.TrackingController.step
+
+    def counted(controller, *arguments):
+        if type(controller) is not aj.TrackingController:
+            steps.append(arguments)
+        return ordinary(controller, *arguments)
+
+    monkeypatch.setattr(aj.TrackingController, "step", counted)
+    return steps
+
+
+def pair(task, unknown=("tool", "origins", "camera"), **options):
+    """The same law in NumPy and compiled."""
+    kinematics = aj.AdaptiveKinematics(task, unknown=unknown, **options)
+    plain = aj.TrackingController(task, kinematics=kinematics)
+    return plain, compiled(plain)
+
+
+def slow_motion(task, rng, steps, rate=60.0):
+    """Measurements of slow motion, with frames of a camera that is elsewhere."""
+    robot = task.robot
+    middle, ways = robot.random_configuration(rng), rng.uniform(-0.3, 0.3, robot.nv)
+    q, x, t_x, frame = middle, None, 0.0, -1
+    for step in range(steps):
+        t = step * DT
+        v = ways * np.cos(1.5 * t)
+        if int(t * rate + 1e-6) != frame:
+            frame, t_x = int(t * rate + 1e-6), t
+            x = task.value(q) + 0.1 + 2e-3 * rng.normal(size=task.n_x)
+        yield aj.Measurement(t, q.copy(), v, x, t_x)
+        q = pin.integrate(robot.model, q, DT * v)
+
+
+def assert_same(ours, expected, tolerance=1e-10):
+    """Equal to rounding: state and answer."""
+    (own, answer), (other, told) = ours, expected
+    assert_allclose(own, other, rtol=tolerance, atol=tolerance * (1.0 + np.abs(other)).max())
+    for name in ("torque", "e", "J_hat", "gravity", "reference"):
+        a, b = getattr(answer, name), getattr(told, name)
+        assert a.shape == b.shape, name
+        assert_allclose(a, b, rtol=0, atol=tolerance * (1.0 + np.abs(b).max()), err_msg=name)
+    assert answer.status is told.status
+    assert answer.limit_status is told.limit_status
+    assert answer.state_rate is None
+
+
+# -- terms ----------------------------------------------------------------------------------------
+
+
+def traced_terms(robot, frames):
+    """Return the terms that are learnt of, and the functions that have them."""
+    points, links, n = KinematicRegressor(robot, frames), DynamicsRegressor(robot), robot.nv
+    program = Program()
+    sizes = {"q": robot.nq, "v": n, "v_r": n, "a_r": n, "sigma": n, "theta": points.p}
+    sizes |= {"theta_dot": points.p, "a": links.links}
+    q, v, v_r, a_r, sigma, theta, theta_dot, a = (
+        inputs(program.graph, *each) for each in sizes.items()
+    )
+    here = Arm(program.given, "arm", robot, points.frames).at(q)
+    bodies = LearntBodies(here, v, v_r, a_r)
+    motion = point_motion(here, points, v, theta, theta_dot)
+    terms = {**motion._asdict(), "powers": bodies.powers(sigma), "torque": bodies.torque(a)}
+    return program, {**terms, "gravity": bodies.gravity(a)}, points, links
+
+
+def assert_terms(robot, frames, rng):
+    program, terms, points, links = traced_terms(robot, frames)
+    given = {name: rng.normal(size=(1, robot.nv)) for name in ("v", "v_r", "a_r", "sigma")}
+    given |= {"q": robot.random_configuration(rng)[np.newaxis]}
+    given |= {name: rng.normal(size=(1, points.p)) for name in ("theta", "theta_dot")}
+    given["a"] = rng.normal(size=(1, links.links))
+    own = evaluated(program, terms, tau=np.zeros((1, robot.nv)), **given)
+    q, v, v_r, a_r, sigma, a = (given[name][0] for name in ("q", "v", "v_r", "a_r", "sigma", "a"))
+    Y, _ = links.parts(q, v, v_r, a_r)
+    motion = points.motion(q, v, given["theta"][0], given["theta_dot"][0])
+    expected = {**motion._asdict(), "powers": sigma @ Y, "torque": Y @ a}
+    expected["gravity"] = links.Z(q) @ a
+    for name, value in expected.items():
+        size = 1.0 + np.abs(value).max()
+        assert_allclose(own[name][0] / size, value / size, rtol=0, atol=1e-13, err_msg=name)
+
+
+def test_terms_of_every_arm(arm, rng):
+    assert_terms(arm, [arm.tip], rng)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_terms_of_random_trees(seed):
+    rng = np.random.default_rng(seed)
+    text, frames = random_tree(rng)
+    assert_terms(aj.Robot(text).with_gravity(rng.normal(size=3) * 6.0), frames, rng)
+
+
+# -- steps ----------------------------------------------------------------------------------------
+
+
+def law_of(kind):
+    """A law of a kind, and what it may be unknown."""
+    panda = aj.load_robot("panda")
+    points = aj.StackedTask(
+        aj.PositionTask(panda), aj.PositionTask(panda, frame="panda_link6", axes="xz")
+    )
+    tracked = TrackerTask(panda, rotation=(0.1, 0.2, 1.0), offset=(0.3, 0.0, 0.1))
+    kinova = aj.PositionTask(aj.load_robot("kinova"))
+    planar = aj.PositionTask(aj.load_robot("two_link"), axes="xz")
+    return {
+        "camera turned": (aj.PositionTask(panda), ("tool", "origins", "camera")),
+        "tool": (aj.PositionTask(panda), ("tool",)),
+        "scale": (aj.PositionTask(panda), ("tool", "scale", "offset")),
+        "camera known": (tracked, ("tool", "origins")),
+        "five rows": (points, ("tool", "origins", "offset")),
+        "continuous joints": (kinova, ("tool", "origins", "camera")),
+        "in the plane": (planar, ("origins", "camera")),
+        "mimic joints": (aj.PositionTask(aj.load_robot("panda", free="all")), ("tool",)),
+    }[kind]
+
+
+SOME = ("continuous joints", "in the plane")
+KINDS = (
+    "camera turned", "tool", "scale", "camera known", "five rows", "continuous joints",
+    "in the plane", "mimic joints",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "kind", [k if k in SOME else pytest.param(k, marks=pytest.mark.study) for k in KINDS]
+)
+def test_steps_are_the_same_to_rounding(kind, rng, asked):
+    task, unknown = law_of(kind)
+    plain, ours = pair(task, unknown)
+    state, steps, m = None, 120, task.m
+    for step, measurement in enumerate(slow_motion(task, rng, steps)):
+        if state is None:
+            state = plain.initial_state(measurement)
+            assert_array_equal(ours.initial_state(measurement), state)
+            target = measurement.x + 0.01
+        size = 30.0 if step % 20 == 0 else 0.02  # as fast as joints may be, or slow
+        moving = aj.Target(target, *size * rng.normal(size=(2, m))) if step % 3 else target
+        expected = plain.step(state, measurement, moving, DT)
+        assert_same(ours.step(state, measurement, moving, DT), expected)
+        state = expected[0]
+    assert [plain.step(*each)[1].status for each in asked].count(aj.Status.OK) == 0
+
+
+def test_a_whole_circle_is_the_same(panda):
+    true = panda.with_object(0.2, mass=1.0)
+    sensor = TrackerTask(true, rotation=(0.0, 0.0, 1.0), offset=(0.1, 0.0, 0.0))
+    plant = aj.Plant(true, sensor, sensing=aj.Sensing(x_noise=1e-3, x_rate=60.0, x_delay=0.03))
+    path = aj.Circle(sensor.value(START) + [0.05, 0.0, 0.0], 0.05, 1.5)
+    plain, ours = (
+        aj.simulate(plant, each, path, START, 1.5) for each in pair(aj.PositionTask(panda))
+    )
+    assert_allclose(ours.q, plain.q, rtol=0, atol=1e-9)
+    assert_allclose(ours.tau, plain.tau, rtol=0, atol=1e-9 * np.abs(plain.tau).max())
+    assert_array_equal(ours.status, plain.status)
+
+
+def test_what_is_not_usual_is_answered_as_in_numpy(ur5, rng, asked):
+    task = aj.PositionTask(ur5)
+    plain, ours = pair(task)
+    measurements = list(slow_motion(task, rng, 40))
+    state = plain.initial_state(measurements[0])
+    for each in measurements[:-1]:
+        state, _ = plain.step(state, each, each.x, DT)
+    usual = measurements[-1]
+    target = usual.x + 0.01
+    assert asked == []
+    ours.step(state, usual, target, DT)
+    assert asked == []
+    lost = usual._replace(x=np.full(3, np.nan))
+    many = np.array([ur5.random_configuration(rng) for _ in range(500)])
+    ratios = [1.0 / np.linalg.cond(task.jacobian(q)) for q in many]
+    straight = usual._replace(q=many[int(np.argmin(ratios))])
+    late, _ = plain.step(state, usual._replace(t=9.0), target, DT)
+    cases = {
+        "x lost": (lost, target, aj.Status.PREDICTED),
+        "x lost in part": (usual._replace(x=usual.x * [1, np.nan, 1]), target, None),
+        "x old": (usual._replace(t=9.001), target, aj.Status.PREDICTED),
+        "singular": (straight, target, aj.Status.NEAR_SINGULAR),
+    }
+    for name, (measurement, moving, status) in cases.items():
+        before, begun = len(asked), late if name == "x old" else state
+        expected = plain.step(begun, measurement, moving, DT)
+        assert status in (None, expected[1].status), name
+        own, told = ours.step(begun, measurement, moving, DT)
+        assert len(asked) == before + 1, name
+        assert_array_equal(own, expected[0])
+        assert_array_equal(told.torque, expected[1].torque)
+    first = usual._replace(x=np.full(3, np.nan))
+    fresh = plain.initial_state(first)
+    assert ours.step(fresh, first, target, DT)[1].status is aj.Status.MEASUREMENT_LOST
+
+
+def test_what_is_wrong_is_refused_with_the_same_words(ur5, rng):
+    task = aj.PositionTask(ur5)
+    plain, ours = pair(task)
+    (usual,) = slow_motion(task, rng, 1)
+    state, target = plain.initial_state(usual), usual.x
+    wrong = [
+        (state, usual, target, 2e-3),
+        (state[1:], usual, target, DT),
+        (np.where(np.arange(len(state)) == 5, np.nan, state), usual, target, DT),
+        (np.where(np.arange(len(state)) == len(state) - 1, np.inf, state), usual, target, DT),
+        (state, usual._replace(q=np.full(6, np.nan)), target, DT),
+        (state, usual._replace(v=[0.0] * 6), target, DT),
+        (state, usual._replace(x=usual.x.astype(np.float32)), target, DT),
+        (state, usual._replace(t_x="now"), target, DT),
+        (state, usual, target * np.nan, DT),
+        (state, usual, aj.Target(target, np.zeros(2)), DT),
+        (state, usual, aj.Target(target, None, np.full(3, np.inf)), DT),
+        (state, usual._replace(v=np.full(6, 1e200)), target, DT),
+        (state, tuple(usual)[:4], target, DT),
+    ]
+    for arguments in wrong:
+        with pytest.raises((aj.InvalidInputError, aj.errors.MeasurementError)) as expected:
+            plain.step(*arguments)
+        with pytest.raises(type(expected.value)) as found:
+            ours.step(*arguments)
+        assert str(found.value) == str(expected.value)
+
+
+def test_made_from_one_it_is_compiled_too(two_link, rng, asked):
+    task = aj.PositionTask(two_link)
+    plain = aj.TrackingController(task)
+    ours = compiled(plain)
+    assert isinstance(ours, aj.TrackingController)
+    assert compiled(ours) is ours
+    (measurement,) = slow_motion(task, rng, 1)
+    state = plain.initial_state(measurement)
+    expected = plain.step(state, measurement, measurement.x, DT)
+    belief = two_link.with_kinematic_error()
+    for made in (
+        ours.with_task(aj.PositionTask(belief)),
+        copy.copy(ours),
+        copy.deepcopy(ours),
+        pickle.loads(pickle.dumps(ours)),
+    ):
+        assert type(made) is type(ours)
+        assert_same(made.step(state, measurement, measurement.x, DT), expected)
+    assert asked == []
+    assert type(ours.ordinary) is aj.TrackingController
+    with pytest.raises(TypeError, match=r"^Mine cannot be derived from a law that is compiled"):
+        type("Mine", (type(ours),), {})
+    limited = aj.TorqueLimited(ours, aj.Limits.of(two_link))
+    own = limited.step(limited.initial_state(measurement), measurement, measurement.x, DT)
+    other = aj.TorqueLimited(plain, aj.Limits.of(two_link))
+    expected = other.step(other.initial_state(measurement), measurement, measurement.x, DT)
+    assert_allclose(own[1].torque, expected[1].torque, rtol=0, atol=1e-10)
+
+
+def test_what_is_not_covered_is_refused(two_link, panda):
+    task = aj.PositionTask(two_link)
+    T = aj.TrackingController
+    pose = PoseTask(panda)
+    for law, match in (
+        (T(task, kinematics=KnownKinematics(task)), r"^kinematics must be AdaptiveKinematics to"),
+        (T(task, dynamics=ModelDynamics(two_link)), r"^dynamics must be AdaptiveDynamics to make"),
+        (T(task, command="velocity"), r"^command must be \"torque\" to make code of it"),
+        (T(pose), r"^task must be one of positions to make code of it, got PoseTask"),
+    ):
+        with pytest.raises(aj.InvalidInputError, match=match):
+            compiled(law)
+
+
+def test_an_answer_is_the_users_to_keep(two_link, rng):
+    task = aj.PositionTask(two_link)
+    ours = compiled(aj.TrackingController(task))
+    measurements = list(slow_motion(task, rng, 3))
+    state = ours.initial_state(measurements[0])
+    given = state.copy()
+    after, answer = ours.step(state, measurements[0], measurements[0].x, DT)
+    kept = after.copy(), answer.torque.copy(), answer.J_hat.copy()
+    ours.step(after, measurements[1], measurements[1].x + 0.1, DT)
+    assert_array_equal(state, given)
+    for own, other in zip((after, answer.torque, answer.J_hat), kept, strict=True):
+        assert_array_equal(own, other)
