@@ -26,6 +26,8 @@ import numpy as np
 from approxjac.law.matrix_form import stiffness_block
 from approxjac.validation import Array
 
+_FEW = 100  # of a stack, that tell which bound is the best
+
 
 def hold_gain(period: float, late: float) -> float:
     """γ = late + 2/π · period [s], of what is held between samples and acts late.
@@ -91,7 +93,7 @@ def damping_rate_of_torque(
     M: Array, D: Array, D_c: Array, J_hat: Array, kp: Array, dg: Array | None = None
 ) -> TorqueRate:
     """Rate of u = −D_c q̇ + g along the loop with −ĴᵀK_p(s + w_x), whose s comes in frames."""
-    pull = np.linalg.solve(M, D_c).mT  # D_c M⁻¹, both symmetric
+    pull = _pull(M, D_c)
     stiffness = pull @ (J_hat.mT * kp)
     along = pull @ D
     if dg is not None:
@@ -108,7 +110,7 @@ def torque_curvature(
     D_cM⁻¹C(q, q̇)q̇ − ∂D_c[q̇]q̇, whose tensor is bounded by `tensor_bound`.
     """
     coriolis = np.swapaxes(dM, -3, -2) - 0.5 * dM  # [a, i, j] of (C q̇)_a
-    pull = np.linalg.solve(M, D_c).mT
+    pull = _pull(M, D_c)
     shape = coriolis.shape
     tensor = (pull @ coriolis.reshape(*shape[:-2], -1)).reshape(shape)
     tensor = tensor - np.swapaxes(_damping_gradient(J_hat, dJ_hat, kv), -3, -2)
@@ -133,14 +135,18 @@ def stiffness_turn(D: Array, dJ_hat: Array, kp: Array) -> Array:
 def tensor_bound(tensor: Array) -> Array:
     """At least the largest |T(x, y, z)| of vectors of length one, (…), of T (…, a, b, c).
 
-    The least of the spectral norms of the three matrices that it unfolds to.
+    The spectral norm of one of the three matrices that it unfolds to: of all tensors of a stack the
+    same one, which is the best for the first of them.
     """
-    norms = []
-    for axis in (-3, -2, -1):
-        first = np.moveaxis(tensor, axis, -3)
-        rows = first.reshape(*first.shape[:-2], -1)
-        norms.append(np.linalg.eigvalsh(rows @ rows.mT)[..., -1])
-    return np.asarray(np.sqrt(np.maximum(np.min(norms, axis=0), 0.0)))
+    unfolded = [np.moveaxis(tensor, axis, -3) for axis in (-3, -2, -1)]
+    few = [np.max(_norms(each.reshape(-1, *each.shape[-3:])[:_FEW])) for each in unfolded]
+    return _norms(unfolded[int(np.argmin(few))])
+
+
+def _norms(tensor: Array) -> Array:
+    """Spectral norms of the matrices with the rows of the third axis from behind."""
+    rows = tensor.reshape(*tensor.shape[:-2], -1)
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(rows @ rows.mT)[..., -1], 0.0)))
 
 
 def held_form(
@@ -235,6 +241,11 @@ def _turned(tensor: Array, A: Array, B: Array, C: Array) -> Array:
     shape = middle.shape
     flat = middle.reshape(*shape[:-2], -1)
     return np.asarray((A @ flat).reshape(shape))
+
+
+def _pull(M: Array, D_c: Array) -> Array:
+    """D_c M⁻¹, both symmetric; in its own memory, or products with it take ten times as long."""
+    return np.ascontiguousarray(np.linalg.solve(M, D_c).mT)
 
 
 def _inverse_root(A: Array) -> Array:

@@ -262,15 +262,12 @@ class SampledForm(MatrixForm):
 
     def margins(self, weights: Weights) -> Array:
         """Return the margin of each sample with F in place of Q, shape (N,)."""
-        margins = super().margins(weights)
-        positive = margins > -np.inf
-        if not positive.all() or weights.multiplier <= 0.0:
-            return np.full(len(margins), -np.inf)
+        if (weights.w <= 0.0).any() or weights.multiplier <= 0.0:
+            return np.full(len(self.samples), -np.inf)
         Q, G = self._decrease(weights)
-        at = self.samples
-        F = self._form(weights, Q, G)
+        at, F = self.samples, self._form(weights, Q, G)
         held = sampled_form.held_margin(F, self._of_samples.D, at.J_hat, G, self.setting.kp)
-        return np.minimum(margins, held)
+        return np.minimum(held, 1.0 - np.sqrt(np.maximum(self._kinetic(weights, G), 0.0)))
 
     def decrease(self, weights: Weights) -> Array:
         """Return F, shape (N, k, k), of (z, w) and what else there is."""
@@ -278,10 +275,13 @@ class SampledForm(MatrixForm):
 
     def kinetic_share(self, weights: Weights) -> float:
         """σ², (0, 1): V ≥ ½(1 − σ²)|q̇|²_M at these samples."""
-        _, G = self._decrease(weights)
+        return float(self._kinetic(weights, self.cross_weight(weights)).max())
+
+    def _kinetic(self, weights: Weights, G: Array) -> Array:
+        """Largest eigenvalue of GᵀMG in the metric of 2c̄W, shape (N,)."""
         roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
         square = G.mT @ self.samples.M @ G / np.outer(roots, roots)
-        return float(np.linalg.eigvalsh(square)[:, -1].max())
+        return np.asarray(np.linalg.eigvalsh(square)[:, -1])
 
     def level(self, weights: Weights) -> float:
         """c [J]: from V ≤ c on, |q̇|_M stays below v̄."""
