@@ -1,4 +1,4 @@
-"""The form of the loop that runs: its rate of torque by finite differences, its lemma on signals."""
+"""The form of the loop that runs: its rate of torque, and its lemma on signals."""
 
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_the_rate_of_the_torque_is_its_finite_difference(name, saturation, seed)
 
 @pytest.mark.parametrize("seed", range(3))
 def test_bounds_of_what_turns_hold_in_every_direction(seed):
-    plant, controller, _, q, _, at, rng = setup("panda", law.Linear(), seed)
+    _, controller, _, q, _, at, rng = setup("panda", law.Linear(), seed)
     M, D, kv, kp = at["M"], at["D"], at["kv"], at["kp"]
     turn = sampled_form.damping_turn(M, D, at["J_hat"], at["dJ_hat"], kv)
     stiff = sampled_form.stiffness_turn(D, at["dJ_hat"], kp)
@@ -119,7 +119,7 @@ def test_the_lemma_on_signals(seed, late, shortest):
 @pytest.mark.parametrize("has_frames", [False, True])
 def test_the_form_is_what_its_integrals_are_made_of(has_frames):
     _, _, _, _, v, at, rng = setup("panda", Sine(0.2), 3)
-    kp, kv, D, J_hat, s = at["kp"], at["kv"], at["D"], at["J_hat"], at["s"]
+    kp, D, J_hat, s = at["kp"], at["D"], at["J_hat"], at["s"]
     n, m, alpha = 7, 3, 1.3
     G, dG = law.cross_weight_pinv(J_hat, at["dJ_hat"])
     G, dG = alpha * G, alpha * dG

@@ -29,8 +29,7 @@ _SLOWER = 0.125  # times v̄ of all starts: those that stay are slower
 class Attraction:
     """Starts at rest from which a certified motion stays in a box of configurations.
 
-    With joints to spare, or any: |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which
-    V dies out. With as many joints as task coordinates also: V ≤ `level` is left by no motion, as
+    |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which V dies out. With as many joints as task coordinates also: V ≤ `level` is left by no motion, as
     on the boundary of the box V is larger whatever the speed.
 
     Attributes:
@@ -54,7 +53,7 @@ class Attraction:
 
 
 def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) -> Attraction | None:
-    """Return which starts stay, or None: of what is not certified, or of a region that is no box."""
+    """Return which starts stay; None of what is not certified, or of a region that is no box."""
     box = loop.region
     if not test.certified or not isinstance(box, JointBox) or not test.level:
         return None
@@ -128,7 +127,9 @@ class _Starts:
         self._pairs = drawn
         self._truths = np.arange(_PAIRS) % len(loop.plants)
         edges = rng.uniform(-1.0, 1.0, (_EDGES, n))
-        edges[np.arange(_EDGES), np.arange(_EDGES) % n] = np.where(rng.random(_EDGES) < 0.5, -1.0, 1.0)
+        edges[np.arange(_EDGES), np.arange(_EDGES) % n] = np.where(
+            rng.random(_EDGES) < 0.5, -1.0, 1.0
+        )
         self._edges = edges
 
     def largest(self, radius: float) -> tuple[float, float]:

@@ -249,7 +249,10 @@ class ClosedLoop:
 
     def errors(self, truths: Indices, configurations: Array, x_d: Array) -> Array:
         """Return e of true robots (N,) at configurations (N, nq), of targets (N, n_x), (N, m)."""
-        x, found = self._values(truths, configurations), np.empty((len(truths), self.controller.task.m))
+        x, found = (
+            self._values(truths, configurations),
+            np.empty((len(truths), self.controller.task.m)),
+        )
         for t in dict.fromkeys(truths.tolist()):
             each = truths == t
             found[each] = task_terms.errors(self.plants[t].sensor, x[each], x_d[each])

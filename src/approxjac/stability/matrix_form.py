@@ -149,7 +149,7 @@ class MatrixForm:
         return Unknowns(family, self.setting)
 
     def metric(self, Y: Array) -> Array:
-        """Return what eigenvectors are sought in, of the size of X: Y, filled up where it is zero."""
+        """Return what eigenvectors are sought in: Y, filled up where it is zero."""
         return Y
 
     def margins(self, weights: Weights) -> Array:

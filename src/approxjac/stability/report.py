@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import plain
 from approxjac.robots import Robot
 from approxjac.simulation import Plant
+from approxjac.stability import report_words
+from approxjac.stability.attraction import Attraction, attraction
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
 from approxjac.stability.closed_loop import EXACT_GRAVITY, ClosedLoop
 from approxjac.stability.local import LocalTest, local_test
@@ -80,7 +83,7 @@ class StabilityReport:
 
     @property
     def certified_by(self) -> str | None:
-        """ "sampled form" where the loop as it runs is certified; None, and `reason`, where not."""
+        """What certifies the loop as it runs: "sampled form", or None, for which see `reason`."""
         return None if self.reason else "sampled form"
 
     @property
@@ -144,146 +147,48 @@ class StabilityReport:
             return truth.describe(self.loop.corners[index])
         return "the true robot"
 
-    def _case(self, among: Samples | LocalTest, index: int) -> str:
-        """One of the cases in words: the true robot and the configuration."""
-        q = ", ".join(f"{value + 0.0:.2f}" for value in among.q[index])
-        return f"{self.describe_truth(int(among.truth[index]))} at q = [{q}]"
+    @cached_property
+    def largest_period(self) -> tuple[float, float]:
+        """Largest period that is certified, and that is stable by the exact linearisation [s].
 
-    def lines(self) -> list[tuple[str, str, str]]:
-        """Return the table: test, verdict, and the figures it rests on."""
-        rows = []
-        assumed = self.gravity_is_exact and self.singular_q is None
-        passed = "holds" if assumed else "would hold"
-        if not self.gravity_is_exact:
-            figures = (
-                f"off by up to {self.gravity_error:.3g} N m: the error does not go to 0 but to "
-                "where K_p makes up for it, unless gravity is learnt (AdaptiveGravity); if it is "
-                "known exactly, leave it out (Robot.with_gravity((0, 0, 0)), NoGravity)"
-            )
-            rows.append(("0 gravity", "not exact", figures))
-        if self.singular_q is not None:
-            figures = (
-                "the estimated Jacobian loses rank in the region, where the arm may stand still "
-                f"away from its target: at q = {self.singular_q.round(3).tolist()}; nothing below "
-                "holds there; RegularPart leaves such configurations out"
-            )
-            rows.append(("0 rank", "not regular", figures))
-        rows += self._as_it_runs()
-        first = self.theorem1
-        figures = (
-            f"p = {first.p:.3g} {'<' if first.holds else '>='} {max(first.allowed_p, 0.0):.3g} "
-            f"allowed at alpha = {first.alpha:.3g}/s; worst p with "
-            f"{self._case(self.samples, first.worst['p'])}"
-        )
-        rows.append(("1 Theorem 1", passed if first.holds else "does not hold", figures))
-        titles = {"paper": "paper's weights", "free": "free potential", "wide": "widened"}
-        for family, test in self.matrix.items():
-            if test.certified:
-                text = f"none of {test.checked} further ones violates it"
-                if test.independent:
-                    text += f", at most {100 * test.violating_at_most:.2g} % of all do (95 %)"
-            elif test.margin > 0.0:
-                text = f"violated in {test.violations} of {test.checked} further configurations"
-            else:
-                text = f"holds in {100 * test.share:.3g} % of the configurations"
-            verdict = passed if test.certified else "does not hold"
-            worst = self._case(self.samples, test.worst)
-            figures = f"margin {test.margin:.3g}; {text}; worst with {worst}"
-            rows.append((f"2 matrix form, {titles[family]}", verdict, figures))
-        local = self.local
-        learns = self.loop.controller.adaptation is not None
-        learnt = " (learnt parameters, often slow, included)" if learns else ""
-        figures = (
-            f"at {100 * local.share:.4g} % of {len(local.q)} configurations; slowest decay "
-            f"{local.decay_rates.min():.3g}/s{learnt}, damping ratio "
-            f"{local.damping_ratios.min():.2g}; worst with {self._case(local, local.worst)}"
-        )
-        rows.append(("3 local", "stable" if local.stable else "not stable", figures))
-        if self.rollouts is not None:
-            rows.append(("4 rollouts", "", str(self.rollouts)))
-        return rows
-
-    def _as_it_runs(self) -> list[tuple[str, str, str]]:
-        """Rows about the loop that is sampled and late."""
-        sampled, unstable = self.sampled, self.growth >= 1.0
-        figures = (
-            f"at {100.0 * (1.0 - unstable.mean()):.4g} % of {len(unstable)} targets; errors are "
-            f"multiplied by at most {self.growth.max():.6g} from frame to frame"
-        )
-        exact = (
-            "0 as it runs, exact near targets",
-            "unstable" if unstable.any() else "stable",
-            figures,
-        )
-        if sampled is None:
-            told = "not covered: a form that allows for hold and delays is for known gravity"
-            return [("0 as it runs, form", "", told), exact]
-        name = {"free": "free potential", "wide": "widened"}[sampled.family]
-        figures = f"margin {sampled.margin:.3g}, {name}; {self._starts()}; {self._timing()}"
-        verdict = "holds" if sampled.certified else "does not hold"
-        return [("0 as it runs, form", verdict, figures), exact]
-
-    def _starts(self) -> str:
-        """Which starts the form covers, in words."""
-        sampled = self.sampled
-        assert sampled is not None
-        units = self.loop.controller.task.units
-        reach = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(sampled.reach, units, strict=True))
-        return (
-            f"for starts at rest whose error is at most {reach} in one coordinate alone, "
-            f"{100.0 * sampled.covered:.3g} % of those drawn"
-        )
-
-    def _timing(self) -> str:
-        """Largest period and delay, in words."""
-        sampled = self.sampled
-        assert sampled is not None
-        period, delay = sampled.largest_period(), sampled.largest_delay()
-        exact = self._exact_period()
-        return (
-            f"certified up to a period of {1e3 * period:.3g} ms (the exact linearisation is "
-            f"stable up to {1e3 * exact:.3g} ms) and a torque delay of {1e3 * delay:.3g} ms"
-        )
-
-    def _exact_period(self) -> float:
-        """Largest period for which the linearisation is stable at the targets that grow most [s]."""
+        All else the same; 0 where none is. Worked out when it is asked for, such as to be printed.
+        """
+        assert self.sampled is not None
         worst = self.samples.take(np.argsort(-self.growth)[:_WORST])
-        return largest(
+        exact = largest(
             lambda latency: bool((growth(self.loop, worst, latency) < 1.0).all()),
             lambda period: replace(self.latency, period=period),
             self.latency.period,
         )
+        return self.sampled.largest_period(), exact
+
+    @cached_property
+    def largest_delay(self) -> float:
+        """Largest delay of torques that is certified, all else the same [s]; 0 where none is."""
+        assert self.sampled is not None
+        return self.sampled.largest_delay()
+
+    @cached_property
+    def attraction(self) -> Attraction | None:
+        """Starts that never leave the region; None where nothing is certified, or it is no box."""
+        if self.sampled is None or self.reason:
+            return None
+        return attraction(self.loop, self.sampled, np.random.default_rng(self.seed))
+
+    def lines(self) -> list[tuple[str, str, str]]:
+        """Return the table: test, verdict, and the figures it rests on."""
+        return report_words.table(self)
 
     def verdict(self) -> str:
         """Return in one line whether the loop as it runs is certified, and why not."""
-        if self.certified_by is not None and self.sampled is not None:
-            return f"certified: yes, margin {self.sampled.margin:.2g}"
-        if self.passed:
-            margin = max(test.margin for test in self.matrix.values())
-            return f"certified: in continuous time only, as gravity is learnt; margin {margin:.2g}"
-        return f"certified: no, {self.reason}"
-
-    def covers(self) -> str:
-        """Return what the verdict is about."""
-        truth, errors = self.loop.truth, "the true robot"
-        if isinstance(truth, Uncertainty):
-            errors = truth.describe_box()
-        return f"covers: {self.latency!r}; errors: {errors}; {self.loop.region!r}"
+        return report_words.verdict(self)
 
     def __repr__(self) -> str:
-        name = self.loop.controller.task.robot.name
-        where = repr(self.loop.region)
+        name, where = self.loop.controller.task.robot.name, repr(self.loop.region)
         return f"StabilityReport({name!r}: {self.verdict()}, on {where}; print it for the tests)"
 
     def __str__(self) -> str:
-        rows, paper = self.lines(), self.matrix["paper"]
-        first, second = (max(len(row[k]) for row in rows) for k in range(2))
-        table = [f"{test:<{first}}  {verdict:<{second}}  {text}" for test, verdict, text in rows]
-        head = (
-            f"{self.loop.controller!r}: {len(paper.margins)} configurations, {paper.checked} "
-            f"further ones to check, seed {self.seed}"
-        )
-        return "\n".join([self.verdict(), self.covers(), head, *table])
+        return report_words.text(self)
 
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
@@ -337,6 +242,10 @@ class StabilityReport:
             },
             "worst_q": self.samples.q[test.worst],
             **test.weights._asdict(),
+            "largest_period": self.largest_period[0],
+            "largest_stable_period": self.largest_period[1],
+            "largest_torque_delay": self.largest_delay,
+            "attraction": None if self.attraction is None else vars(self.attraction),
         }
 
 

@@ -1,4 +1,4 @@
-"""The certificate of the loop as it runs: one function for all samples, and the starts it covers."""
+"""The certificate of the loop as it runs: one function for all samples, and its starts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from approxjac.controllers.latency import Latency
 from approxjac.law import LinearLaw, Saturation
 from approxjac.stability.certificate import MatrixTest
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import Best, Family, MatrixForm, Weights, best_weights
+from approxjac.stability.matrix_form import Best, Family, best_weights
 from approxjac.stability.sampled_form import SampledForm
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
