@@ -48,8 +48,8 @@ def cross_weight_pinv(
     inverse = np.linalg.inv(J_hat @ weighted.mT)
     G: Array = weighted.mT @ inverse
     tail = dweighted.mT @ inverse[..., None, :, :]
-    many, J_many = G[..., None, :, :], J_hat[..., None, :, :]
-    return G, tail - many @ (J_many @ tail) - many @ (dJ_hat @ many)
+    rest, many = np.eye(G.shape[-2]) - G @ J_hat, G[..., None, :, :]
+    return G, rest[..., None, :, :] @ tail - many @ (dJ_hat @ many)
 
 
 def cross_weight_damped(D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> tuple[Array, Array]:
