@@ -49,7 +49,7 @@ def require_covered(controller: Controller) -> None:
 
     Raises:
         InvalidInputError: Another law than `setpoint.require_covered` takes, other limits than
-            those of effort, or a weight that is no diagonal.
+            those of effort, a weight that is no diagonal, or a cross_weight.
     """
     if not isinstance(controller, TorqueLimited):
         setpoint.require_covered(controller)
@@ -63,6 +63,11 @@ def require_covered(controller: Controller) -> None:
                 f"got one of {name}: {limits!r}",
                 given=limits,
             )
+    if controller.cross_weight is not None:
+        raise InvalidInputError(
+            f"cross_weight must be None to make code of a limiter, got {controller.cross_weight!r}",
+            given=controller.cross_weight,
+        )
     if controller._diagonal is None:
         raise InvalidInputError(
             'weight must be "joint inertia", "identity" or a diagonal to make code of it, got '

@@ -7,6 +7,7 @@ from approxjac.controllers.adaptive_dynamics import (
     MotionDynamics,
 )
 from approxjac.controllers.adaptive_planar_camera import AdaptivePlanarCamera
+from approxjac.controllers.cross_weight import CrossWeight
 from approxjac.controllers.default_gains import default_gains
 from approxjac.controllers.differentiator import DifferentiatedVelocity
 from approxjac.controllers.gains import Gains
@@ -46,6 +47,7 @@ __all__ = [
     "AwayFromStops",
     "ContinuousController",
     "ControllerWrapper",
+    "CrossWeight",
     "DifferentiatedVelocity",
     "Gains",
     "Gravity",

@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.arguments import require_dt
+from approxjac.controllers.cross_weight import CrossWeight
 from approxjac.controllers.limit_weights import task_force_weight
 from approxjac.controllers.limiter import Asked, Limited, Limiter
 from approxjac.controllers.limits import (
@@ -82,6 +83,7 @@ class TorqueLimited(Limiter):
 
     Attributes:
         whole_run: What `simulate` runs where code is made of the whole loop; None.
+        cross_weight: G of the V that is kept falling; None where it is αĴ⁺.
 
     Args:
         controller: The controller whose torque to limit.
@@ -93,6 +95,8 @@ class TorqueLimited(Limiter):
         alpha: α of y [1/s]; that of the adaptation where gravity is learnt. By default 0.3 of the
             rate of the task's slow pole: with a small α it is q̇ that counts, and the proof can be
             kept more often.
+        cross_weight: G of y = q̇ + G(q)s(e) in place of αĴ⁺, such as `StabilityReport.cross_weight`:
+            then it is the report's own V that the limits let fall.
         dt: Sampling time [s].
         braking: How fast damping may be, and the residual of `Prediction` [1/s], at most 1/dt. By
             default 0.3 over the lag of q̇ where the law knows its latency. Else as fast as the law's
@@ -103,8 +107,8 @@ class TorqueLimited(Limiter):
             `QuadraticProgram` and returns its minimum.
 
     Raises:
-        InvalidInputError: Numbers out of range, limits of another number of joints, or another α
-            than that of the adaptation.
+        InvalidInputError: Numbers out of range, limits of another number of joints, another α than
+            that of the adaptation, or a cross_weight beside α or of another law.
         UnknownNameError: No such weight or solver.
         MissingPackageError: A solver that is not installed.
     """
@@ -119,6 +123,7 @@ class TorqueLimited(Limiter):
         weight: Weight | Sequence[float] | Array = "joint inertia",
         proof: bool = True,
         alpha: float | None = None,
+        cross_weight: CrossWeight | None = None,
         dt: float = 1e-3,
         braking: float | None = None,
         approach: float | None = None,
@@ -135,6 +140,16 @@ class TorqueLimited(Limiter):
         robot = controller.task.robot
         self.proof = proof
         self.alpha = controller.resolved_alpha(alpha)
+        if cross_weight is not None:
+            wanted = "a CrossWeight, such as that of a StabilityReport, or None"
+            require("cross_weight", cross_weight, CrossWeight, wanted)
+            if alpha is not None:
+                raise InvalidInputError(
+                    f"alpha must be None with a cross_weight, which takes its place, got {alpha!r}",
+                    given=alpha,
+                )
+            cross_weight = cross_weight.required_of(controller)
+        self.cross_weight = cross_weight
         inertias = usual_inertias(robot)
         usual = self._usual_braking(inertias)
         self.braking = self._rate_of("braking", braking, 1.0 / self._dt, usual)
@@ -311,7 +326,10 @@ class TorqueLimited(Limiter):
         the error lasts.
         """
         answer, v = asked.answer, asked.measurement.v
-        y = self.controller.passive_output(answer, v, self._alpha)
+        if self.cross_weight is None:
+            y = self.controller.passive_output(answer, v, self._alpha)
+        else:
+            y = self.cross_weight.passive_output(self.controller, answer, v)
         if answer.reference is not None:
             y = y - answer.reference
         if self._per_speed is None:
@@ -355,7 +373,8 @@ class TorqueLimited(Limiter):
         weight = self.weight if isinstance(self.weight, str) else "a diagonal"
         return (
             f"TorqueLimited({self.controller!r}, weight={weight}, proof={self.proof}, "
-            f"dt={self._dt:g}, braking={self.braking:g}, solver={self._solver.name})"
+            f"dt={self._dt:g}, braking={self.braking:g}, solver={self._solver.name}"
+            + (")" if self.cross_weight is None else f", cross_weight={self.cross_weight!r})")
         )
 
 
