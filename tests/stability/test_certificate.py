@@ -213,7 +213,7 @@ def test_no_unstable_target_is_certified(seed):
     samples = Samples(
         np.zeros(1, dtype=int), np.zeros((1, n)), np.zeros((1, m)), M[None],
         np.zeros((1, n, n, n)), J, J, J_hat, np.zeros((1, n, m, n)), np.zeros((1, m)),
-        np.ones((1, m)),
+        np.zeros((1, m)), np.ones((1, m)),
     )  # fmt: skip
     form = MatrixForm(samples, Setting(kp, kv, B, 0.5))
     values = np.linalg.eigvals(law.closed_loop_matrix(M, J[0], J_hat[0], kp, kv, B))

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac import paper
-from approxjac.controllers import DifferentiatedVelocity
+from approxjac.controllers import DifferentiatedVelocity, Latency
 from approxjac.errors import UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
@@ -57,26 +57,36 @@ def seen():
 @pytest.fixture(scope="module")
 def report(tools, box, seen):
     return aj.stability_report(
-        controller_of(tools), tools, box, configurations=200,
+        controller_of(tools), tools, box, latency=Latency(period=5e-4), configurations=200,
         progress=lambda what, share: seen.append((what, share)),
     )  # fmt: skip
 
 
 def test_report_says_what_each_test_says(report):
     assert not report.theorem1.holds
-    assert report.certified_by == "matrix"
+    assert report.certified_by == "sampled form"
+    assert report.certified_in_continuous_time == "matrix"
+    assert report.sampled.certified
+    assert 0.0 < report.sampled.margin < report.matrix["wide"].margin
+    certified, exact = report.largest_period
+    assert 0.6 <= certified / exact <= math.pi / 4.0 + 0.02
+    assert certified >= 5e-4
     assert all(report.matrix[family].certified for family in ("paper", "free", "wide"))
     assert report.matrix["wide"].margin > report.matrix["paper"].margin
     assert report.local.stable
     assert report.local.decay_rates.min() > 0.5
     text = str(report)
-    assert "1 Theorem 1                     not certified  p = 0.346 >= 0.0" in text
+    assert text.startswith("certified: yes, margin 0.")
+    assert text.splitlines()[0].endswith(", as it runs at 2 kHz")
+    assert "with a period of 0.5 ms" in text
+    assert "in continuous time, Theorem 1        does not hold  p = 0.346 >= 0.0" in text
     assert "worst p with object_length 0.200 m" in text
     assert " at q = [" in text
-    assert "2 matrix form, paper's weights  certified      margin 0.2" in text
+    assert "in continuous time, paper's weights  holds          margin 0.2" in text
     # 1 − (0.05/3)^(1/100), as three families share the 5 %
     assert "none of 100 further ones violates it, at most 4 % of all do (95 %)" in text
-    assert "3 local                         stable" in text
+    assert "in continuous time, near targets     stable" in text
+    assert "as it runs, near targets             stable" in text
 
 
 def test_what_was_chosen_is_checked_elsewhere(report):
@@ -105,7 +115,10 @@ def test_report_repeats_bit_by_bit():
 
 def test_summary_is_json_and_complete(report):
     summary = json.loads(json.dumps(report.summary()))
-    assert summary["certified_by"] == "matrix"
+    assert summary["certified_by"] == "sampled form"
+    assert summary["certified_in_continuous_time"] == "matrix"
+    assert summary["latency"]["period"] == 5e-4
+    assert summary["sampled"]["largest_period"] >= 5e-4
     assert summary["theorem1"]["holds"] is False
     assert summary["theorem1"]["alpha_range"] == [None, None]
     assert set(summary["matrix"]) == {"paper", "free", "wide"}
@@ -157,7 +170,8 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     known = aj.stability_report(controller_of(tools), tools, region, configurations=20)
     assert not known.gravity_is_exact
     assert known.certified_by is None
-    assert "0 gravity" in str(known)
+    assert "gravity is off by up to" in known.reason
+    assert str(known).startswith("certified: no, as it runs at 1 kHz: gravity is off")
     assert "unless gravity is learnt (AdaptiveGravity)" in str(known)
     assert "leave it out (Robot.with_gravity((0, 0, 0)), NoGravity)" in str(known)
     regressor = GravityRegressor(tools.belief())
@@ -166,7 +180,11 @@ def test_gravity_that_is_not_exact_certifies_nothing():
         tools, region, configurations=20,
     )  # fmt: skip
     assert learnt.gravity_is_exact
-    assert learnt.certified_by == "matrix"
+    assert learnt.certified_by is None
+    assert learnt.sampled is None
+    assert learnt.passed
+    assert learnt.certified_in_continuous_time == "matrix"
+    assert str(learnt).startswith("certified: in continuous time only, margin 0.")
     assert set(learnt.matrix) == {"paper", "free"}
     assert learnt.local.stable
     assert "/s (learnt parameters, often slow, included), damping" in str(learnt)
@@ -302,7 +320,7 @@ def test_suggested_gains_meet_what_was_asked(tools, small_box, monkeypatch):
     again = aj.stability_report(
         controller_of(tools, best.gains), tools, small_box, configurations=40
     )
-    assert again.certified_by in ("theorem1", "matrix")
+    assert again.certified_by == "sampled form"
     outcome = aj.rollouts(
         controller_of(tools, best.gains),
         tools,
@@ -437,7 +455,7 @@ def test_every_corner_is_drawn_as_often(weightless):
 def test_what_would_certify_is_the_first_that_does(tools, box, monkeypatch):
     def report(controller, errors, region, **options):
         strong = controller.diagonals.damping[0] >= 25.0
-        return SimpleNamespace(certified_by="matrix" if strong or errors.factor < 0.41 else None)
+        return SimpleNamespace(passed=strong or errors.factor < 0.41)
 
     monkeypatch.setattr(suggestion, "stability_report", report)
     weak, shares = controller_of(tools), []  # with a damping of 10

@@ -26,6 +26,7 @@ import numpy as np
 from approxjac.law.matrix_form import stiffness_block
 from approxjac.validation import Array
 
+_MOST = 100.0  # e to more of it certifies nothing
 _FEW = 100  # of a stack, that tell which bound is the best
 
 
@@ -44,7 +45,8 @@ def hold_gain(period: float, late: float) -> float:
 
 def drift(rate: float, period: float, late: float) -> float:
     """1 + δ = e^(2 r (h + d)), for a weight that changes by at most e^(r t) in a time t [1/s]."""
-    return math.exp(2.0 * rate * (period + late))
+    exponent = 2.0 * rate * (period + late)
+    return math.exp(exponent) if exponent < _MOST else math.inf
 
 
 class TorqueRate(NamedTuple):

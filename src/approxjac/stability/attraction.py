@@ -29,8 +29,9 @@ _SLOWER = 0.125  # times v̄ of all starts: those that stay are slower
 class Attraction:
     """Starts at rest from which a certified motion stays in a box of configurations.
 
-    |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which V dies out. With as many joints as task coordinates also: V ≤ `level` is left by no motion, as
-    on the boundary of the box V is larger whatever the speed.
+    |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which V dies out. With as many
+    joints as task coordinates also: V ≤ `level` is left by no motion, as on the boundary of the box
+    V is larger whatever the speed.
 
     Attributes:
         travel: Shape (n_v,) [rad/√J or m/√J]; infinite where no rate was found.

@@ -262,7 +262,8 @@ class SampledForm(MatrixForm):
 
     def margins(self, weights: Weights) -> Array:
         """Return the margin of each sample with F in place of Q, shape (N,)."""
-        if (weights.w <= 0.0).any() or weights.multiplier <= 0.0:
+        usable = (weights.w > 0.0).all() and weights.multiplier > 0.0
+        if not usable or not math.isfinite(self._gain):
             return np.full(len(self.samples), -np.inf)
         Q, G = self._decrease(weights)
         at, F = self.samples, self._form(weights, Q, G)
