@@ -22,7 +22,8 @@ from random_loops import Case, build, cases, damped
 import approxjac as aj
 from approxjac import law
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import MatrixForm, Weights
+from approxjac.stability.families import Weights
+from approxjac.stability.matrix_form import MatrixForm
 
 NAMES = {
     "theorem1": "Theorem 1",
@@ -181,7 +182,7 @@ def watch(loop, report, pieces, chosen):
 
 
 def lyapunov(loop, seen, setting, weights, piece, kept):
-    """Return V = ½q̇ᵀMq̇ + q̇ᵀMGs + Σ wᵢSᵢ at the recorded instants kept, shape (len(kept),)."""
+    """Return V = ½q̇ᵀMq̇ + q̇ᵀMGs + Σ wᵢSᵢ + ½sᵀΩs at the recorded instants kept, shape (len(kept),)."""
     v, e = piece.v[kept], piece.error[kept]
     D = law.dissipation(seen.J_hat, setting.kv, setting.B)
     G = (
@@ -190,7 +191,8 @@ def lyapunov(loop, seen, setting, weights, piece, kept):
     )
     momentum = np.einsum("kij,kj->ki", seen.M, v)
     Gs = np.einsum("kij,kj->ki", G, seen.s)
-    return (momentum * (0.5 * v + Gs)).sum(axis=1) + loop.controller.saturation.S(e) @ weights.w
+    S = loop.controller.saturation.S(e)
+    return (momentum * (0.5 * v + Gs)).sum(axis=1) + weights.at_rest(S, seen.s)
 
 
 def near_rate(loop, rate):

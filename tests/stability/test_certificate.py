@@ -13,7 +13,8 @@ import approxjac as aj
 from approxjac import law, paper
 from approxjac.robots import GravityRegressor
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import FAMILIES, MatrixForm, Setting, Weights, best_weights
+from approxjac.stability.families import FAMILIES, Setting, Weights
+from approxjac.stability.matrix_form import MatrixForm, best_weights
 from approxjac.stability.theorem1 import theorem1
 from approxjac.tasks import PlanarCamera
 

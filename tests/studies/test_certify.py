@@ -11,7 +11,8 @@ import random_loops
 
 import approxjac as aj
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import MatrixForm, Weights
+from approxjac.stability.families import Weights
+from approxjac.stability.matrix_form import MatrixForm
 
 pytestmark = pytest.mark.study
 CASES = random_loops.cases(7, seed=1)

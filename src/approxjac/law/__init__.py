@@ -35,6 +35,8 @@ from approxjac.law.matrix_form import (
     decrease_matrix,
     dissipation,
     inertial_block,
+    potential,
+    potential_block,
     potential_matrix,
     stiffness_block,
 )
@@ -140,6 +142,8 @@ __all__ = [
     "nearest_rotation",
     "parameter_potential",
     "passive_output",
+    "potential",
+    "potential_block",
     "potential_matrix",
     "ray_basis",
     "ray_jacobian",

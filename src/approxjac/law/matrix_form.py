@@ -2,16 +2,17 @@
 
 With any G(q) in place of αĴ⁺ and any weights W of the potential,
 
-    V = ½ q̇ᵀM q̇ + q̇ᵀM G s(e) + Σ wᵢ Sᵢ(eᵢ)
+    V = ½ q̇ᵀM q̇ + q̇ᵀM G s(e) + Σ wᵢ Sᵢ(eᵢ) + ½ s(e)ᵀΩ s(e)
 
 obeys V̇ = −zᵀQz along eq. (9), where D = ĴᵀK_vĴ + B and
 
-    Q = [[D − sym N, ½(D G + ĴᵀK_p − JᵀW)], [·, sym(K_p Ĵ G)]],
+    Q = [[D − sym N, ½(D G + ĴᵀK_p − Jᵀ(W + s'(e) Ω))], [·, sym(K_p Ĵ G)]],
     N = ½ ∂M[Gs] + M ∂G[·]s + M G s'(e) J,
 
 ∂M[z] the derivative of M along z, and ∂G[·]s the matrix whose k-th column is (∂G/∂q_k) s. Nothing
-is bounded or left out: Q depends on q and e only. It is affine in (G, W), so asking for Q ≻ 0 in
-many configurations at once is a linear matrix inequality. The paper's V is G = αĴ⁺, W = K_p + αK_v.
+is bounded or left out: Q depends on q and e only. It is affine in (G, W, Ω), so asking for Q ≻ 0 in
+many configurations at once is a linear matrix inequality. The paper's V is G = αĴ⁺, W = K_p + αK_v,
+Ω = 0. Ω is symmetric with a diagonal of zeros: where s(e) = e, W + Ω is any symmetric matrix.
 
 All functions take stacks of configurations, arrays with any leading axes, of these shapes:
 
@@ -21,7 +22,7 @@ All functions take stacks of configurations, arrays with any leading axes, of th
 - ∂M, ∂Ĵ and ∂G, derivatives with respect to each q_k: those of M, Ĵ and G with an axis for k
   before the last two, (…, n_v, ·, ·);
 - s(e) and s'(e): (…, m);
-- the diagonals of K_p, K_v and W: (m,), and that of all viscous damping B: (n_v,).
+- the diagonals of K_p, K_v and W: (m,), that of all viscous damping B: (n_v,), and Ω: (m, m).
 """
 
 from __future__ import annotations
@@ -80,13 +81,25 @@ def inertial_block(
 
 
 def decrease_matrix(
-    D: Array, N: Array, J: Array, J_hat: Array, G: Array, kp: Array, weights: Array
+    D: Array,
+    N: Array,
+    J: Array,
+    J_hat: Array,
+    G: Array,
+    kp: Array,
+    weights: Array,
+    coupling: Array | None = None,
+    slope: Array | None = None,
 ) -> Array:
     """Q of V̇ = −zᵀQz, symmetric, (…, n_v + m, n_v + m). Implements Eq. (13) with free weights.
 
-    N is that of `inertial_block`, or zero in the limit of large gains.
+    N is that of `inertial_block`, or zero in the limit of large gains. Where there is a `coupling`,
+    Ω, there must be the `slope`, s'(e), with it.
     """
     cross = 0.5 * (D @ G + J_hat.mT * kp - J.mT * weights)
+    if coupling is not None:
+        assert slope is not None
+        cross = cross - 0.5 * (slope[..., None] * J).mT @ coupling
     return _blocks(D - N, cross, stiffness_block(J_hat, G, kp))
 
 
@@ -96,9 +109,22 @@ def stiffness_block(J_hat: Array, G: Array, kp: Array) -> Array:
     return 0.5 * (block + block.mT)
 
 
-def potential_matrix(M: Array, G: Array, weights: Array, c_bar: float) -> Array:
-    """P = [[M, M G], [·, 2c̄ W]], (…, n_v + m, n_v + m): V ≥ ½ zᵀPz. Implements Eq. (14)."""
-    return _blocks(M, M @ G, 2.0 * c_bar * np.diag(weights))
+def potential(S: Array, s: Array, weights: Array, coupling: Array) -> Array:
+    """V at rest, Σ wᵢSᵢ(eᵢ) + ½ s(e)ᵀΩ s(e), (…), of S(e) and s(e). Implements Eq. (12)."""
+    return np.asarray(S @ weights + 0.5 * ((s @ coupling) * s).sum(axis=-1))
+
+
+def potential_block(weights: Array, coupling: Array, c_bar: float) -> Array:
+    """2c̄ W + Ω, (m, m): V at rest is at least half of it along s(e). Implements Eq. (14)."""
+    return np.asarray(2.0 * c_bar * np.diag(weights) + coupling)
+
+
+def potential_matrix(M: Array, G: Array, block: Array) -> Array:
+    """P = [[M, M G], [·, 2c̄ W + Ω]], (…, n_v + m, n_v + m): V ≥ ½ zᵀPz. Implements Eq. (14).
+
+    Its last block is that of `potential_block`.
+    """
+    return _blocks(M, M @ G, block)
 
 
 def _blocks(upper: Array, cross: Array, lower: Array) -> Array:

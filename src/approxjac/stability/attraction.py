@@ -9,7 +9,8 @@ import pinocchio as pin
 
 from approxjac.law import Saturation
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.matrix_form import MatrixForm, Weights, best_weights
+from approxjac.stability.families import Weights
+from approxjac.stability.matrix_form import MatrixForm, best_weights
 from approxjac.stability.region import JointBox
 from approxjac.stability.sampled_test import SampledTest
 from approxjac.stability.samples import Indices
@@ -137,7 +138,8 @@ class _Starts:
         """Return the largest V at rest within a radius [J], and the largest ‖e‖."""
         starts, ends = (self._at(radius * motions) for motions in self._pairs)
         e = self._loop.errors(self._truths, starts, self._targets(self._truths, ends))
-        energy = self._loop.controller.saturation.S(e) @ self._weights.w
+        saturation = self._loop.controller.saturation
+        energy = self._weights.at_rest(saturation.S(e), saturation.s(e))
         return float(energy.max()), float(np.linalg.norm(e, axis=1).max())
 
     def lowest(self, radius: float) -> float:
@@ -161,14 +163,14 @@ class _Starts:
         return least
 
     def _least(self, truths: Indices, motions: Array, ends: Array) -> Array:
-        """min over q̇ of V, ΣwS − ½|Gs|²_M, shape (N,)."""
+        """min over q̇ of V, V at rest less ½|Gs|²_M, shape (N,)."""
         q = self._at(motions)
         at = self._loop.samples_at(truths, q, self._targets(truths, self._at(ends)))
-        w = self._weights.w
         G = MatrixForm(at, self._loop.setting).cross_weight(self._weights)
         turned = (G @ at.s[..., np.newaxis])[..., 0]
         kinetic = 0.5 * np.einsum("ni,nij,nj->n", turned, at.M, turned)
-        return np.asarray(self._loop.controller.saturation.S(at.e) @ w - kinetic)
+        S = self._loop.controller.saturation.S(at.e)
+        return np.asarray(self._weights.at_rest(S, at.s) - kinetic)
 
     def _targets(self, truths: Indices, ends: Array) -> Array:
         if self._loop.target is not None:

@@ -11,23 +11,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from approxjac import law
+from approxjac.stability.families import BOX, Family, Setting, Unknowns, Weights
 from approxjac.stability.samples import Indices, Samples
 from approxjac.validation import Array
-
-Family = Literal["paper", "free", "wide"]
-"""The Lyapunov functions that are tried.
-
-"paper" is G = αĴ⁺ with w = k_p + αk_v, "free" is G = αĴ⁺ with any w, and "wide" is
-G = Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂ with any m × m matrices A₁ and A₂, and any w. (For m > 3 the matrices are
-diagonal: full ones have so many entries that finding them takes minutes.)
-"""
-FAMILIES: tuple[Family, ...] = ("paper", "free", "wide")
 
 _ACTIVE = 60  # samples to begin with
 _MORE = 40  # and how many of the worst are added at a time
@@ -38,47 +29,6 @@ _ROUNDS = 150
 _STEP = 0.4
 _PRECISION = 5e-3  # of the margin
 _SIGN = 1e-5  # and while it is negative, as weights of other sizes may still make it positive
-_FULL = 3  # task coordinates up to which the matrices of "wide" are full
-_BOX = 30.0  # unknowns are sought within so many times their natural size
-
-
-class Weights(NamedTuple):
-    """A Lyapunov function V = ½q̇ᵀMq̇ + q̇ᵀM(Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂)s + Σ wᵢSᵢ(eᵢ)."""
-
-    A1: Array  # shape (m, m) [1/s]; αI in the paper
-    A2: Array  # shape (m, m) [1/s]; zero in the paper
-    w: Array  # shape (m,) [N per unit of the task]; k_p + αk_v in the paper
-    multiplier: float = 0.0  # λ of `law.sampled_form`
-    X: Array | float = 0.0  # its X, shape (m,)
-
-    def plus(self, share: float, other: Weights) -> Weights:
-        """Return these weights and a share of others."""
-        return Weights(*(mine + share * its for mine, its in zip(self, other, strict=True)))  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """The closed loop's part of the conditions, the same in every sample."""
-
-    kp: Array  # diagonal of K_p, shape (m,)
-    kv: Array  # diagonal of K_v, shape (m,)
-    B: Array  # diagonal of all viscous damping, shape (n_v,)
-    c_bar: float  # c̄ of eq. (8)
-    fixed_alpha: float | None = None  # α where gravity is learnt with it by (29) [1/s]
-    weight: Array | None = None  # of `law.cross_weight_pinv`, shape (n_v,)
-    large_gains: bool = False  # leave out what inertia takes, as in the limit of large gains
-
-    @property
-    def alpha(self) -> float:
-        """α, or its natural size where it is free: half the mean rate k_p/k_v [1/s]."""
-        if self.fixed_alpha is not None:
-            return self.fixed_alpha
-        return 0.5 * float(np.mean(self.kp / self.kv))
-
-    @property
-    def families(self) -> tuple[Family, ...]:
-        """Families that apply: (29) learns along q̇ + αĴ⁺s(e), which G then has to match."""
-        return FAMILIES if self.fixed_alpha is None else ("paper", "free")
 
 
 class Best(NamedTuple):
@@ -133,7 +83,7 @@ class MatrixForm:
         """
         D, M = self._of_samples.D, self.samples.M
         Q, G = self._decrease(weights)
-        P = law.potential_matrix(M, G, weights.w, self.setting.c_bar)
+        P = law.potential_matrix(M, G, weights.block(self.setting.c_bar))
         X = np.stack([Q, P])
         Y = np.zeros_like(X)
         n = D.shape[-1]
@@ -155,11 +105,11 @@ class MatrixForm:
     def margins(self, weights: Weights) -> Array:
         """Return the margin of each sample, at most 1, positive where V proves stability; (N,).
 
-        V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + Σ c̄wᵢsᵢ²) hold there. −∞ where
-        sym(K_pĴG) or w is not positive.
+        V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + ½sᵀ(2c̄W + Ω)s) hold there. −∞ where
+        sym(K_pĴG) or 2c̄W + Ω is not positive.
         """
         margins = np.full(len(self.samples), -np.inf)
-        if (weights.w <= 0.0).any():
+        if not self._is_bounded(weights):
             return margins
         Q, G = self._decrease(weights)
         n = Q.shape[-1] - len(weights.w)
@@ -178,9 +128,17 @@ class MatrixForm:
         if self.setting.large_gains:  # V is all potential
             return np.asarray(np.minimum(decrease, 1.0))
         # of P the margin is 1 less the largest singular value of the whitened cross block
-        roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
-        size = np.linalg.eigvalsh(G.mT @ self.samples.M @ G / np.outer(roots, roots))[:, -1]
-        return np.asarray(np.minimum(decrease, 1.0 - np.sqrt(np.maximum(size, 0.0))))
+        return np.asarray(np.minimum(decrease, 1.0 - np.sqrt(self._kinetic(weights, G))))
+
+    def _is_bounded(self, weights: Weights) -> bool:
+        """Return whether V at rest is positive: 2c̄W + Ω is."""
+        return bool(np.linalg.eigvalsh(weights.block(self.setting.c_bar))[0] > 0.0)
+
+    def _kinetic(self, weights: Weights, G: Array) -> Array:
+        """σ² of each sample, shape (N,): V ≥ ½(1 − σ²)|q̇|²_M, of V that `_is_bounded`."""
+        root = np.linalg.inv(np.linalg.cholesky(weights.block(self.setting.c_bar)))
+        square = root @ (G.mT @ self.samples.M @ G) @ root.T
+        return np.asarray(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))
 
     def evaluated(self, best: Best) -> Best:
         """Return what was found on the first of these samples, with its margins in all of them."""
@@ -192,14 +150,14 @@ class MatrixForm:
 
     def violations(self, weights: Weights) -> int:
         """Return in how many samples the margin is not positive."""
-        if (weights.w > 0.0).all():
-            with suppress(np.linalg.LinAlgError):  # faster than eigenvalues where there are none
-                Q, G = self._decrease(weights)
-                np.linalg.cholesky(Q)
-                if not self.setting.large_gains:
-                    M, c_bar = self.samples.M, self.setting.c_bar
-                    np.linalg.cholesky(law.potential_matrix(M, G, weights.w, c_bar))
-                return 0
+        with suppress(np.linalg.LinAlgError):  # faster than eigenvalues where there are none
+            block = weights.block(self.setting.c_bar)
+            np.linalg.cholesky(block)
+            Q, G = self._decrease(weights)
+            np.linalg.cholesky(Q)
+            if not self.setting.large_gains:
+                np.linalg.cholesky(law.potential_matrix(self.samples.M, G, block))
+            return 0
         return int((self.margins(weights) <= 0.0).sum())
 
     def cross_weight(self, weights: Weights) -> Array:
@@ -216,7 +174,11 @@ class MatrixForm:
         N = np.zeros_like(at.M)
         if not setting.large_gains:
             N = law.inertial_block(at.M, at.dM, at.J_e, G, dG, at.s, at.slope)
-        return law.decrease_matrix(of.D, N, at.J_e, at.J_hat, G, setting.kp, weights.w), G
+        coupling = np.asarray(weights.coupling) if np.any(weights.coupling) else None
+        Q = law.decrease_matrix(
+            of.D, N, at.J_e, at.J_hat, G, setting.kp, weights.w, coupling, at.slope
+        )
+        return Q, G
 
 
 class _OfSamples(NamedTuple):
@@ -228,55 +190,6 @@ class _OfSamples(NamedTuple):
     dpinv: Array
     damped: Array
     ddamped: Array
-
-
-class Unknowns:
-    """The unknowns y of a family, scaled to be of the order of one: `fixed` + Σ yₖ `basis`ₖ."""
-
-    def __init__(self, family: Family, setting: Setting) -> None:
-        m = len(setting.kp)
-        one, zero, none = np.eye(m), np.zeros((m, m)), np.zeros(m)
-        alpha, kp, kv = setting.alpha, setting.kp, setting.kv
-        potentials = [Weights(zero, zero, row) for row in np.diag(kp + alpha * kv)]
-        self.fixed, start = Weights(zero, zero, none), [1.0]
-        cross = [Weights(alpha * one, zero, none)]
-        if family == "paper":
-            self.fixed = Weights(zero, zero, kp)
-            cross, potentials = [Weights(alpha * one, zero, alpha * kv)], []
-        elif family == "wide":  # any A₁ and A₂, from αĴ⁺ on
-            entries = [(i, j) for i in range(m) for j in range(m) if i == j or m <= _FULL]
-            units = [alpha * np.outer(one[i], one[j]) for i, j in entries]
-            cross = [Weights(unit, zero, none) for unit in units]
-            cross += [Weights(zero, unit, none) for unit in units]
-            start = [float(i == j) for i, j in entries] + [0.0] * len(units)
-        if setting.fixed_alpha is not None:
-            self.fixed, cross, start = self.fixed.plus(1.0, cross[0]), [], []
-        self.basis = [*cross, *potentials]
-        self.start = np.array([*start, *np.ones(len(potentials))])
-        self.least = np.full(len(self.start), -_BOX)
-
-    @classmethod
-    def none(cls, weights: Weights) -> Unknowns:
-        """Return a function with nothing unknown."""
-        found = object.__new__(cls)
-        found.fixed, found.basis = weights, []
-        found.start = found.least = np.zeros(0)
-        return found
-
-    def with_positive(self, more: list[Weights]) -> Unknowns:
-        """Return these and others that are not negative, each 1 to begin with."""
-        other = copy.copy(self)
-        other.basis = [*self.basis, *more]
-        other.start = np.append(self.start, np.ones(len(more)))
-        other.least = np.append(self.least, np.zeros(len(more)))
-        return other
-
-    def weights(self, y: Array) -> Weights:
-        """Return the Lyapunov function of some unknowns."""
-        found = self.fixed
-        for k, part in zip(y, self.basis, strict=True):
-            found = found.plus(k, part)
-        return found
 
 
 def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
@@ -379,7 +292,7 @@ def _cutting_planes(
             np.append(np.zeros(d), -1.0),
             A_ub=np.column_stack([-bound[:, 1:], cuts[1] @ np.append(1.0, best)]),
             b_ub=bound[:, 0],
-            bounds=[*((least, _BOX) for least in unknowns.least), (None, 10.0)],
+            bounds=[*((least, BOX) for least in unknowns.least), (None, 10.0)],
             method="highs-ds",
             options={"presolve": False},
         )

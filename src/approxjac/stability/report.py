@@ -19,8 +19,9 @@ from approxjac.stability import report_words
 from approxjac.stability.attraction import Attraction, attraction
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
 from approxjac.stability.closed_loop import EXACT_GRAVITY, ClosedLoop
+from approxjac.stability.families import Family
 from approxjac.stability.local import LocalTest, local_test
-from approxjac.stability.matrix_form import Best, Family, MatrixForm
+from approxjac.stability.matrix_form import Best, MatrixForm
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
 from approxjac.stability.sampled_test import SampledTest, growth, largest, sampled_test

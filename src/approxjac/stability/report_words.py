@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 Row = tuple[str, str, str]
 """Of the table: test, verdict, and the figures it rests on."""
 
-_FAMILIES = {"paper": "paper's weights", "free": "free potential", "wide": "widened"}
+_FAMILIES = {
+    "paper": "paper's weights",
+    "free": "free potential",
+    "wide": "widened",
+    "full": "coupled",
+}
 
 
 def verdict(report: StabilityReport) -> str:

@@ -13,15 +13,8 @@ from approxjac import law
 from approxjac.controllers.latency import Latency
 from approxjac.law import sampled_form
 from approxjac.law.sampled_form import TorqueRate
-from approxjac.stability.matrix_form import (
-    Best,
-    Family,
-    MatrixForm,
-    Setting,
-    Unknowns,
-    Weights,
-    best_of,
-)
+from approxjac.stability.families import Family, Setting, Unknowns, Weights
+from approxjac.stability.matrix_form import Best, MatrixForm, best_of
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
 
@@ -227,7 +220,7 @@ class SampledForm(MatrixForm):
         )  # fmt: skip
         rate, largest = self._decay
         if rate:
-            P = law.potential_matrix(at.M, G, weights.w, largest)
+            P = law.potential_matrix(at.M, G, weights.block(largest))
             k = P.shape[-1]
             F[:, :k, :k] -= rate * P
         return F
@@ -262,13 +255,13 @@ class SampledForm(MatrixForm):
 
     def margins(self, weights: Weights) -> Array:
         """Return the margin of each sample with F in place of Q, shape (N,)."""
-        usable = (weights.w > 0.0).all() and weights.multiplier > 0.0
+        usable = self._is_bounded(weights) and weights.multiplier > 0.0
         if not usable or not math.isfinite(self._gain):
             return np.full(len(self.samples), -np.inf)
         Q, G = self._decrease(weights)
         at, F = self.samples, self._form(weights, Q, G)
         held = sampled_form.held_margin(F, self._of_samples.D, at.J_hat, G, self.setting.kp)
-        return np.minimum(held, 1.0 - np.sqrt(np.maximum(self._kinetic(weights, G), 0.0)))
+        return np.minimum(held, 1.0 - np.sqrt(self._kinetic(weights, G)))
 
     def decrease(self, weights: Weights) -> Array:
         """Return F, shape (N, k, k), of (z, w) and what else there is."""
@@ -277,12 +270,6 @@ class SampledForm(MatrixForm):
     def kinetic_share(self, weights: Weights) -> float:
         """σ², (0, 1): V ≥ ½(1 − σ²)|q̇|²_M at these samples."""
         return float(self._kinetic(weights, self.cross_weight(weights)).max())
-
-    def _kinetic(self, weights: Weights, G: Array) -> Array:
-        """Largest eigenvalue of GᵀMG in the metric of 2c̄W, shape (N,)."""
-        roots = np.sqrt(2.0 * self.setting.c_bar * weights.w)
-        square = G.mT @ self.samples.M @ G / np.outer(roots, roots)
-        return np.asarray(np.linalg.eigvalsh(square)[:, -1])
 
     def level(self, weights: Weights) -> float:
         """c [J]: from V ≤ c on, |q̇|_M stays below v̄."""

@@ -13,7 +13,12 @@ from approxjac.controllers.latency import Latency
 from approxjac.law import LinearLaw, Saturation
 from approxjac.stability.certificate import MatrixTest
 from approxjac.stability.closed_loop import ClosedLoop
+<<<<<<< HEAD
 from approxjac.stability.matrix_form import Best, Family, best_weights
+=======
+from approxjac.stability.families import Family, Weights
+from approxjac.stability.matrix_form import Best, MatrixForm, best_weights
+>>>>>>> d8897ef (Couplings of task coordinates in V: any symmetric W where s(e) = e)
 from approxjac.stability.sampled_form import SampledForm
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
@@ -114,7 +119,7 @@ def sampled_test(
     friction = loop.plants[0].friction
     everywhere = samples.join(fresh)
     potential = setting.kp + setting.alpha * setting.kv
-    needed = _SPARE * float(_at_rest(saturation, everywhere, potential).max(initial=0.0))
+    needed = _SPARE * float((saturation.S(everywhere.e) @ potential).max(initial=0.0))
     dg = loop.gravity_gradients(everywhere)
     for share in _SPEEDS:
         speed = share * math.sqrt(2.0 * needed)
@@ -124,10 +129,9 @@ def sampled_test(
         best, family = _best(form, known)
         margins = check.margins(best.weights)
         # s̄ is of the weights that were begun with: of smaller ones errors may be larger
-        if float(best.weights.w.min()) < float(potential.min()):
-            whole = whole.with_reach(
-                speed / math.sqrt(2.0 * setting.c_bar * float(best.weights.w.min()))
-            )
+        least = float(np.linalg.eigvalsh(best.weights.block(setting.c_bar))[0])
+        if least < 2.0 * setting.c_bar * float(potential.min()):
+            whole = whole.with_reach(speed / math.sqrt(least))
             form, check = whole.take(slice(len(samples))), whole.take(slice(len(samples), None))
             best = best._replace(margins=form.margins(best.weights))
             margins = check.margins(best.weights)
@@ -135,7 +139,7 @@ def sampled_test(
             break
     violations = int((margins <= 0.0).sum())
     level = max(0.0, whole.level(best.weights))
-    energies = _at_rest(saturation, everywhere, best.weights.w)
+    energies = best.weights.at_rest(saturation.S(everywhere.e), everywhere.s)
     return SampledTest(
         family, best.weights, best.margins, len(fresh), violations, loop.region.independent,
         latency, speed, level, float((energies <= level).mean()),
@@ -150,19 +154,16 @@ def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:
         return known._replace(
             weights=known.weights._replace(multiplier=0.5), margins=nowhere
         ), "free"
-    best = best_weights(form, "free")
-    if best.margins.min() > 0.0 or "wide" not in form.setting.families:
-        return best, "free"
-    return best_weights(form, "wide"), "wide"
-
-
-def _at_rest(saturation: Saturation, samples: Samples, w: Array) -> Array:
-    """V of the samples at rest, Σ wᵢSᵢ(eᵢ), shape (N,)."""
-    return np.asarray(saturation.S(samples.e) @ w)
+    found: list[tuple[Best, Family]] = []
+    for family in form.setting.families[1:]:
+        found.append((best_weights(form, family), family))
+        if found[-1][0].margins.min() > 0.0:
+            break
+    return max(found, key=lambda each: float(each[0].margins.min()))
 
 
 def _largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
-    """The largest eᵢ with wᵢSᵢ(eᵢ) ≤ c, shape (m,)."""
+    """The largest eᵢ with wᵢSᵢ(eᵢ) ≤ c, the others being zero, shape (m,)."""
     low, high = np.zeros(len(w)), np.full(len(w), 1e-9)
     while ((w * saturation.S(high) < level) & (high < 1e6)).any():
         high = np.where(w * saturation.S(high) < level, 2.0 * high, high)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from approxjac import law
-from approxjac.stability.matrix_form import Setting
+from approxjac.stability.families import Setting
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
 
