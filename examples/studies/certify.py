@@ -182,7 +182,7 @@ def watch(loop, report, pieces, chosen):
 
 
 def lyapunov(loop, seen, setting, weights, piece, kept):
-    """Return V = ½q̇ᵀMq̇ + q̇ᵀMGs + Σ wᵢSᵢ + ½sᵀΩs at the recorded instants kept, shape (len(kept),)."""
+    """Return V, with its Σ wᵢSᵢ + ½sᵀΩs, at the recorded instants kept, shape (len(kept),)."""
     v, e = piece.v[kept], piece.error[kept]
     D = law.dissipation(seen.J_hat, setting.kv, setting.B)
     G = (

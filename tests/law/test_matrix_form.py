@@ -22,20 +22,27 @@ def cross_weight(plant, controller, q, A1, A2):
     return D, G1 @ A1 + G2 @ A2, dG1 @ A1 + dG2 @ A2
 
 
-def V(plant, controller, x_d, q, v, A1, A2, w):
+def symmetric(rng, m, size):
+    """Return a coupling: symmetric, with a diagonal of zeros."""
+    half = np.triu(rng.uniform(-size, size, (m, m)), 1)
+    return half + half.T
+
+
+def V(plant, controller, x_d, q, v, A1, A2, w, coupling):
     e = plant.sensor.value(q) - x_d
     _, G, _ = cross_weight(plant, controller, q, A1, A2)
     M, s = plant.dynamics.M(q), controller.saturation.s(e)
-    return 0.5 * v @ M @ v + v @ M @ G @ s + w @ controller.saturation.S(e)
+    at_rest = law.potential(controller.saturation.S(e), s, w, coupling)
+    return 0.5 * v @ M @ v + v @ M @ G @ s + at_rest
 
 
-def V_dot(plant, controller, x_d, q, v, A1, A2, w):
+def V_dot(plant, controller, x_d, q, v, A1, A2, w, coupling):
     M, dM, J, J_hat, _ = terms(plant, controller, q)
     e = plant.sensor.value(q) - x_d
     s, slope = controller.saturation.s(e), controller.saturation.ds(e)
     D, G, dG = cross_weight(plant, controller, q, A1, A2)
     N = law.inertial_block(M, dM, J, G, dG, s, slope)
-    Q = law.decrease_matrix(D, N, J, J_hat, G, controller.diagonals.kp, w)
+    Q = law.decrease_matrix(D, N, J, J_hat, G, controller.diagonals.kp, w, coupling, slope)
     z = np.concatenate([v, s])
     return -z @ Q @ z
 
@@ -51,18 +58,19 @@ def test_decrease_is_that_of_v_along_the_closed_loop(name, saturation):
         x_d = plant.sensor.value(q) + rng.uniform(-0.4, 0.4, m)
         A1, A2 = rng.normal(size=(2, m, m))
         w = rng.uniform(100.0, 600.0, m)
+        coupling = symmetric(rng, m, 300.0)
         torque = controller.evaluate(np.zeros(0), plant.measure(0.0, q, v), x_d).torque
         a = plant.acceleration(q, v, torque)
 
-        def along(h, q=q, v=v, a=a, x_d=x_d, A1=A1, A2=A2, w=w):
+        def along(h, q=q, v=v, a=a, x_d=x_d, A1=A1, A2=A2, w=w, coupling=coupling):
             moved = pin.integrate(plant.robot.model, q, h * v + 0.5 * h * h * a)
-            return V(plant, controller, x_d, moved, v + h * a, A1, A2, w)
+            return V(plant, controller, x_d, moved, v + h * a, A1, A2, w, coupling)
 
         h = 2e-5 / max(1.0, float(np.abs(a).max()) ** 0.5)
         measured = (
             8.0 * (along(h) - along(-h)) - (along(2.0 * h) - along(-2.0 * h))
         ) / (12.0 * h)  # fmt: skip
-        told = V_dot(plant, controller, x_d, q, v, A1, A2, w)
+        told = V_dot(plant, controller, x_d, q, v, A1, A2, w, coupling)
         assert_allclose(told, measured, rtol=2e-5, atol=1e-4)
 
 
@@ -74,7 +82,7 @@ def test_the_papers_weights_give_the_papers_v_and_w(panda):
         x_d = plant.sensor.value(q) + rng.uniform(-0.4, 0.4, 3)
         alpha = rng.uniform(0.1, 5.0)
         known = lyapunov(plant, controller, q, v, x_d, alpha)
-        weights = (alpha * np.eye(3), np.zeros((3, 3)), kp + alpha * kv)
+        weights = (alpha * np.eye(3), np.zeros((3, 3)), kp + alpha * kv, np.zeros((3, 3)))
         assert_allclose(V(plant, controller, x_d, q, v, *weights), known.V, rtol=1e-12)
         assert_allclose(V_dot(plant, controller, x_d, q, v, *weights), -known.W, rtol=1e-9)
 
@@ -123,13 +131,15 @@ def test_damped_cross_weight_takes_damping_out_of_the_cross_block():
 
 
 def test_potential_matrix_bounds_v_from_below(rng):
-    """½zᵀPz with the smallest S of (8), S = c̄s², in place of S(e)."""
+    """½zᵀPz is V with the smallest S of (8), S = c̄s², in place of S(e)."""
     root, G = rng.normal(size=(5, 5)), rng.normal(size=(5, 3))
     M, w, c_bar = root @ root.T, rng.uniform(1.0, 2.0, 3), 0.4
-    P = law.potential_matrix(M, G, w, c_bar)
+    coupling = symmetric(rng, 3, 1.0)
+    P = law.potential_matrix(M, G, law.potential_block(w, coupling, c_bar))
     v, s = rng.normal(size=5), rng.normal(size=3)
     z = np.concatenate([v, s])
-    assert_allclose(0.5 * z @ P @ z, 0.5 * v @ M @ v + v @ M @ G @ s + w @ (c_bar * s**2))
+    least = law.potential(c_bar * s**2, s, w, coupling)
+    assert_allclose(0.5 * z @ P @ z, 0.5 * v @ M @ v + v @ M @ G @ s + least)
     assert_allclose(P, P.T)
 
 
@@ -149,5 +159,6 @@ def test_stacks_are_evaluated_one_by_one():
         N_i = law.inertial_block(M[i], dM[i], J[i], G_i, dG_i, s[i], slope[i])
         assert_allclose(N[i], N_i, rtol=1e-10, atol=1e-12)
         assert_allclose(
-            law.potential_matrix(M, G, kv, 0.5)[i], law.potential_matrix(M[i], G_i, kv, 0.5)
+            law.potential_matrix(M, G, np.diag(kv))[i],
+            law.potential_matrix(M[i], G_i, np.diag(kv)),
         )

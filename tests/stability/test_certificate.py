@@ -127,11 +127,11 @@ def test_c0_and_c1_bound_what_eq_15_says(panda):
 @pytest.mark.parametrize(
     ("figure", "certified"),
     [
-        (3, {"paper": False, "free": False, "wide": False}),
-        (4, {"paper": False, "free": True, "wide": True}),
-        (5, {"paper": False, "free": False, "wide": True}),
-        (6, {"paper": True, "free": True, "wide": True}),
-        (7, {"paper": True, "free": True, "wide": True}),
+        (3, {"paper": False, "free": False, "wide": False, "full": False}),
+        (4, {"paper": False, "free": True, "wide": True, "full": True}),
+        (5, {"paper": False, "free": False, "wide": True, "full": True}),
+        (6, {"paper": True, "free": True, "wide": True, "full": True}),
+        (7, {"paper": True, "free": True, "wide": True, "full": True}),
     ],
 )
 def test_the_papers_figures_at_their_target(figure, certified):
@@ -143,17 +143,19 @@ def test_the_papers_figures_at_their_target(figure, certified):
 
 def test_a_larger_family_has_a_larger_margin():
     form = MatrixForm(*on_panda(0.2, 5.0, n=60))
-    paper_, free, wide = (best_weights(form, family).margins.min() for family in FAMILIES)
+    paper_, free, wide, full = (best_weights(form, family).margins.min() for family in FAMILIES)
     assert paper_ <= free + 0.006
     assert free <= wide + 0.006
+    assert wide <= full + 0.006
     assert wide > paper_ + 0.02
 
 
 def test_the_margin_is_what_its_name_says():
-    """V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + Σc̄wᵢsᵢ²) for random z, and tight."""
+    """V̇ ≤ −μ(q̇ᵀDq̇ + sᵀsym(K_pĴG)s) and V ≥ μ(½q̇ᵀMq̇ + ½sᵀ(2c̄W + Ω)s), tight."""
     samples, setting = on_panda(0.2, 5.0, n=20)
     form = MatrixForm(samples, setting)
-    best = best_weights(form, "wide")
+    best = best_weights(form, "full")
+    assert np.abs(best.weights.coupling).max() > 0.0
     X, Y = form.pencils(best.weights)
     rng = np.random.default_rng(0)
     for i in range(20):
@@ -246,10 +248,10 @@ def test_a_camera_roll_costs_what_theory_says():
         return best_weights(MatrixForm(samples, setting), family).margins.min() > 0.0
 
     for degrees, expected in (
-        (58.0, {"paper": True, "free": True, "wide": True}),
-        (62.0, {"paper": False, "free": True, "wide": True}),
-        (88.0, {"paper": False, "free": True, "wide": True}),
-        (92.0, {"paper": False, "free": False, "wide": False}),
+        (58.0, {"paper": True, "free": True, "wide": True, "full": True}),
+        (62.0, {"paper": False, "free": True, "wide": True, "full": True}),
+        (88.0, {"paper": False, "free": True, "wide": True, "full": True}),
+        (92.0, {"paper": False, "free": False, "wide": False, "full": False}),
     ):
         found = {family: passes(math.radians(degrees), family) for family in FAMILIES}
         assert found == expected, degrees
@@ -281,3 +283,6 @@ def test_weights_that_are_none_have_no_margin():
     none = np.zeros((3, 3))
     for A, w in ((np.eye(3), np.array([1.0, -1.0, 1.0])), (-np.eye(3), np.ones(3))):
         assert (form.margins(Weights(A, none, w)) == -np.inf).all()
+    coupled = Weights(np.eye(3), none, np.ones(3), coupling=1.1 * (np.eye(3) - np.ones((3, 3))))
+    assert (form.margins(coupled) == -np.inf).all()
+    assert form.violations(coupled) == 5

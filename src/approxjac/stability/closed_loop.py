@@ -15,9 +15,9 @@ from approxjac.robots import Robot
 from approxjac.simulation import Plant
 from approxjac.stability import task_terms
 from approxjac.stability.configurations import Arms, Configurations
+from approxjac.stability.families import Setting
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.linearization import Timing, linear_loops
-from approxjac.stability.families import Setting
 from approxjac.stability.region import JointBox, Region, RegularPart, require_setpoint
 from approxjac.stability.samples import Indices, Samples
 from approxjac.stability.targets import Targets

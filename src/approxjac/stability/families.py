@@ -1,4 +1,4 @@
-"""Families of Lyapunov functions: `Weights`, their `Unknowns`, and the `Setting` that scales them."""
+"""Families of Lyapunov functions: their `Weights` and `Unknowns`, and a loop's `Setting`."""
 
 from __future__ import annotations
 

@@ -13,12 +13,8 @@ from approxjac.controllers.latency import Latency
 from approxjac.law import LinearLaw, Saturation
 from approxjac.stability.certificate import MatrixTest
 from approxjac.stability.closed_loop import ClosedLoop
-<<<<<<< HEAD
-from approxjac.stability.matrix_form import Best, Family, best_weights
-=======
-from approxjac.stability.families import Family, Weights
-from approxjac.stability.matrix_form import Best, MatrixForm, best_weights
->>>>>>> d8897ef (Couplings of task coordinates in V: any symmetric W where s(e) = e)
+from approxjac.stability.families import Family
+from approxjac.stability.matrix_form import Best, best_weights
 from approxjac.stability.sampled_form import SampledForm
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
