@@ -140,14 +140,6 @@ class MatrixForm:
         square = root @ (G.mT @ self.samples.M @ G) @ root.T
         return np.asarray(np.maximum(np.linalg.eigvalsh(square)[:, -1], 0.0))
 
-    def evaluated(self, best: Best) -> Best:
-        """Return what was found on the first of these samples, with its margins in all of them."""
-        more = len(best.margins)
-        if more == len(self.samples):
-            return best
-        rest = self.take(slice(more, None)).margins(best.weights)
-        return best._replace(margins=np.concatenate([best.margins, rest]))
-
     def violations(self, weights: Weights) -> int:
         """Return in how many samples the margin is not positive."""
         with suppress(np.linalg.LinAlgError):  # faster than eigenvalues where there are none

@@ -21,7 +21,7 @@ from approxjac.stability.certificate import MatrixTest, refine_constants, refine
 from approxjac.stability.closed_loop import EXACT_GRAVITY, ClosedLoop
 from approxjac.stability.families import Family
 from approxjac.stability.local import LocalTest, local_test
-from approxjac.stability.matrix_form import Best, MatrixForm
+from approxjac.stability.matrix_form import Best, MatrixForm, best_weights
 from approxjac.stability.region import Region
 from approxjac.stability.rollouts import Rollouts, rollouts
 from approxjac.stability.sampled_test import SampledTest, growth, largest, sampled_test
@@ -309,21 +309,23 @@ def stability_report(
     setting = loop.setting
     samples, constants = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
-    chosen: dict[Family, Best] = {}
-    known: Best | None = None
+    first_found: dict[Family, Best] = {}
     for k, family in enumerate(setting.families):
         tell("matrix form", k / len(setting.families))
-        form, best = refine_weights(loop, form, family, rng)
+        form, first_found[family] = refine_weights(loop, form, family, rng)
+    chosen: dict[Family, Best] = {}
+    known: Best | None = None
+    for family, best in first_found.items():
+        if len(best.margins) < len(form.samples):  # a later family has found worse ones
+            best = best_weights(form, family, best)
         # a family holds those before it, whatever the search for it has found
-        if known is not None:
-            known = form.evaluated(known)
         if known is None or known.margins.min() <= best.margins.min():
             known = best
         chosen[family] = known
     samples = form.samples
     matrix: dict[Family, MatrixTest] = {}
     for family, best in chosen.items():
-        weights, margins = best.weights, form.evaluated(best).margins
+        weights, margins = best.weights, best.margins
         matrix[family] = MatrixTest(
             family, weights, margins, len(fresh), check.violations(weights), loop.region.independent
         )
