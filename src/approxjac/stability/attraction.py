@@ -38,7 +38,7 @@ class Attraction:
         travel: Shape (n_v,) [rad/√J or m/√J]; infinite where no rate was found.
         rate: ρ of that rate [1/s].
         level: Smallest V on the boundary, and at most `SampledTest.level` [J]; 0 with joints to
-            spare.
+            spare. Of the loop without torque limits.
         radius: Starts at rest, and targets of configurations, within so much of the middle of the
             box in every joint never leave it [rad or m]; 0 where there are none.
         error: Largest ‖e‖ of such starts [units of the task].
@@ -66,8 +66,11 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
     spare = box.robot.nv - loop.controller.task.m
 
     def stays(radius: float) -> bool:
-        energy, _ = starts.largest(radius)
-        if energy > most:
+        e = starts.errors(radius)
+        S, s = saturation.S(e), saturation.s(e)
+        energy = float(weights.at_rest(S, s).max())
+        # a level that torque limits have lowered is one of the other function
+        if energy > most or float(test.weights.at_rest(S, s).max()) > test.level:
             return False
         if (radius + travel * np.sqrt(energy) <= box.upper).all():
             return True
@@ -79,7 +82,8 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
         low, high = (middle, high) if stays(middle) else (low, middle)
     if not spare:
         level = min(most, starts.lowest(low))
-    return Attraction(travel, rate, level, low, starts.largest(low)[1] if low else 0.0)
+    error = float(np.linalg.norm(starts.errors(low), axis=1).max()) if low else 0.0
+    return Attraction(travel, rate, level, low, error)
 
 
 def _travel(test: SampledTest, saturation: Saturation) -> tuple[Array, float, Weights, float]:
@@ -134,13 +138,10 @@ class _Starts:
         )
         self._edges = edges
 
-    def largest(self, radius: float) -> tuple[float, float]:
-        """Return the largest V at rest within a radius [J], and the largest ‖e‖."""
+    def errors(self, radius: float) -> Array:
+        """Return errors of starts within a radius, shape (N, m)."""
         starts, ends = (self._at(radius * motions) for motions in self._pairs)
-        e = self._loop.errors(self._truths, starts, self._targets(self._truths, ends))
-        saturation = self._loop.controller.saturation
-        energy = self._weights.at_rest(saturation.S(e), saturation.s(e))
-        return float(energy.max()), float(np.linalg.norm(e, axis=1).max())
+        return self._loop.errors(self._truths, starts, self._targets(self._truths, ends))
 
     def lowest(self, radius: float) -> float:
         """Return the smallest V on the boundary, with any speed, of targets within a radius [J]."""

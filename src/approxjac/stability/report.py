@@ -10,16 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import Latency, SetpointController
+from approxjac.controllers import CrossWeight, Latency, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import plain
 from approxjac.robots import Robot
-from approxjac.simulation import Plant
+from approxjac.simulation import Plant, Sensing
 from approxjac.stability import report_words
 from approxjac.stability.attraction import Attraction, attraction
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
 from approxjac.stability.closed_loop import EXACT_GRAVITY, ClosedLoop
 from approxjac.stability.families import Family
+from approxjac.stability.limit_cost import LimitCost, within_limits
 from approxjac.stability.local import LocalTest, local_test
 from approxjac.stability.matrix_form import Best, MatrixForm, best_weights
 from approxjac.stability.region import Region
@@ -32,6 +33,7 @@ from approxjac.validation import Array, as_integer, require
 
 _TARGETS = 1000  # that the loop as it runs is linearised at
 _WORST = 60
+_DURATION = 10.0  # of rollouts [s]
 _THEOREM1 = ("holds", "p", "allowed_p", "alpha", "margin", "allowed_p_large_gains", "alpha_range")
 
 
@@ -62,6 +64,7 @@ class StabilityReport:
         singular_q: A configuration of the region where Ĵ loses rank, shape (nq,), with which
             nothing certifies the region; None if none was found.
         seed: Of all drawing.
+        limits: What limits of torques cost; None of a controller without them.
     """
 
     loop: ClosedLoop
@@ -76,6 +79,7 @@ class StabilityReport:
     gravity_error: float
     singular_q: Array | None
     seed: int
+    limits: LimitCost | None = None
 
     @property
     def gravity_is_exact(self) -> bool:
@@ -112,6 +116,16 @@ class StabilityReport:
         return "matrix" if any(test.certified for test in self.matrix.values()) else None
 
     @property
+    def cross_weight(self) -> CrossWeight | None:
+        """G of the V that certifies, which `TorqueLimited` can keep falling; None if none does."""
+        if not self.passed:
+            return None
+        test: MatrixTest | None = self.sampled
+        if test is None:  # gravity is learnt
+            test = max(self.matrix.values(), key=lambda test: (test.certified, test.margin))
+        return CrossWeight(test.weights.A1, test.weights.A2, self.loop.setting.B)
+
+    @property
     def reason(self) -> str:
         """Why the loop as it runs is not certified; empty where it is."""
         if self._contradiction:
@@ -130,6 +144,8 @@ class StabilityReport:
             return f"gravity is off by up to {self.gravity_error:.3g} N m"
         if self.singular_q is not None:
             return "the estimated Jacobian loses rank in the region"
+        if self.limits is not None and not self.limits.holds:
+            return "the motors cannot hold the arm everywhere in the region"
         if unstable.any():
             return (
                 f"errors grow at {100.0 * unstable.mean():.3g} % of the targets, by the exact "
@@ -202,6 +218,7 @@ class StabilityReport:
             "seed": self.seed,
             "certified_by": self.certified_by,
             "reason": self.reason,
+            "limits": None if self.limits is None else asdict(self.limits),
             "latency": plain(asdict(self.latency)),
             "certified_in_continuous_time": self.certified_in_continuous_time,
             "largest_growth": self.growth.max(),
@@ -251,7 +268,7 @@ class StabilityReport:
 
 
 def stability_report(
-    controller: SetpointController,
+    controller: SetpointController | TorqueLimited,
     truth: Plant | Robot | Uncertainty,
     region: Region | None = None,
     *,
@@ -269,7 +286,8 @@ def stability_report(
     closer look around the worst of them; the other half check what was chosen.
 
     Args:
-        controller: The controller, of law (6) or (28).
+        controller: The controller, of law (6) or (28), or `TorqueLimited` around it: then certified
+            are those starts whose motions its efforts never limit.
         truth: The true robot, as a plant or as a robot on which the controller's own task is
             measured; or the set of true robots, of which all corners are taken.
         region: Where to look, as far as the true robot's sensor sees; the joint limits without
@@ -289,10 +307,12 @@ def stability_report(
             an empty region or one that a true camera sees nothing of, a target that no
             configuration of a true robot attains, or numbers out of range.
     """
+    limiter = controller if isinstance(controller, TorqueLimited) else None
+    inside: Any = controller if limiter is None else limiter.controller
+    loop = ClosedLoop(inside, truth, region, target)
     if latency is None:
-        latency = controller.latency or Latency()
+        latency = loop.controller.latency or Latency()
     require("latency", latency, Latency, "Latency(period=...) or None")
-    loop = ClosedLoop(controller, truth, region, target)
     half = as_integer("configurations", configurations, 20) // 2
     rng = np.random.default_rng(as_integer("seed", seed, 0))
     if runs and not isinstance(truth, Uncertainty):
@@ -330,7 +350,7 @@ def stability_report(
             family, weights, margins, len(fresh), check.violations(weights), loop.region.independent
         )
     sampled = None
-    if controller.adaptation is None:
+    if loop.controller.adaptation is None:
         tell("as it runs", 0.0)
         sampled = sampled_test(loop, chosen["free"], samples, fresh, latency)
     tell("local", 0.0)
@@ -342,13 +362,28 @@ def stability_report(
     if runs and isinstance(truth, Uncertainty):
         outcome = rollouts(
             controller, truth, loop.region, target=target, runs=runs, seed=seed, executor=executor,
-            progress=lambda done: tell("rollouts", done / runs),
+            progress=lambda done: tell("rollouts", done / runs), **_as_late(latency),
         )  # fmt: skip
     first = theorem1(everywhere, setting, constants)
     singular_q = loop.singular_configuration(samples)
     gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
     growing = growth(loop, samples.take(np.arange(len(samples))[:_TARGETS]), latency)
-    return StabilityReport(
+    report = StabilityReport(
         loop, latency, everywhere, sampled, first, matrix, local, growing, outcome, gravity_error,
         singular_q, seed,
     )  # fmt: skip
+    return report if limiter is None else within_limits(report, limiter)
+
+
+def _as_late(latency: Latency) -> dict[str, Any]:
+    """Options of rollouts that are sampled and late like the loop."""
+    frames = 1.0 / latency.image_period if latency.image_period else None
+    return {
+        "dt": latency.period,
+        "duration": latency.period * round(_DURATION / latency.period),
+        "actuator_delay": latency.torque_delay,
+        "sensing": Sensing(
+            x_delay=latency.image_age, x_rate=frames,
+            velocity_filter=latency.velocity_filter or None,
+        ),
+    }  # fmt: skip

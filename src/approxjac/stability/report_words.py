@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from approxjac.controllers import Latency
+from approxjac.stability.limit_cost import LimitCost
 from approxjac.stability.local import LocalTest
 from approxjac.stability.samples import Samples
 from approxjac.stability.uncertainty import Uncertainty
@@ -54,6 +55,7 @@ def table(report: StabilityReport) -> list[Row]:
     return [
         *_assumptions(report),
         *_as_it_runs(report),
+        *([] if report.limits is None else [_limits(report.limits)]),
         *_in_continuous_time(report),
         *([] if report.rollouts is None else [("rollouts", "", str(report.rollouts))]),
     ]
@@ -129,6 +131,10 @@ def _starts(report: StabilityReport) -> str:
         f"for starts at rest with errors of at most {reach} in one coordinate alone, "
         f"{100.0 * sampled.covered:.3g} % of those drawn"
     )
+
+
+def _limits(cost: LimitCost) -> Row:
+    return "torque limits", cost.verdict, str(cost)
 
 
 def _timing(report: StabilityReport) -> str:

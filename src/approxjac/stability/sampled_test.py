@@ -143,6 +143,15 @@ def sampled_test(
     )  # fmt: skip
 
 
+def below(test: SampledTest, level: float, saturation: Saturation, samples: Samples) -> SampledTest:
+    """Return a test for motions that begin with V ≤ level only, if that is less than its own."""
+    level = min(level, test.level)
+    energies = test.weights.at_rest(saturation.S(samples.e), samples.s)
+    covered = float((energies <= level).mean())
+    reach = _largest_errors(saturation, test.weights.w, level)
+    return replace(test, level=level, covered=covered, reach=reach)
+
+
 def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:
     """Return the function of the smallest family that is positive, or the best."""
     if not form.is_possible():

@@ -1,0 +1,140 @@
+"""A report of a controller within limits: where they act, and what is certified then."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+from approxjac.formatting import plain
+from approxjac.stability.limit_cost import limit_cost
+
+Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def tools(arm):
+    return aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5), object_axis="x")
+
+
+@pytest.fixture(scope="module")
+def law(arm, tools):
+    gains = aj.Gains(kp=400.0, kv=80.0, damping=5.0)
+    return aj.SetpointController(tools.believed_task(), gains, gravity=aj.NoGravity(arm))
+
+
+@pytest.fixture(scope="module")
+def box(arm):
+    return aj.JointBox.around(arm, Q, 0.15)
+
+
+@pytest.fixture(scope="module")
+def report(law, tools, box):
+    return aj.stability_report(law, tools, box, configurations=60)
+
+
+@pytest.fixture(scope="module")
+def kept(report, law, arm, tools, box):
+    limits = aj.Limits(effort=0.5 * arm.effort_limits)
+    limiter = aj.TorqueLimited(law, limits, cross_weight=report.cross_weight)
+    return aj.stability_report(limiter, tools, box, configurations=60)
+
+
+def test_certified_are_fewer_starts_and_the_limiter_keeps_this_V(report, kept):
+    assert report.limits is None
+    assert report.certified_by == kept.certified_by == "sampled form"
+    assert kept.cross_weight.is_like(report.cross_weight)
+    assert kept.limits.protects
+    assert 0.0 < kept.sampled.level == kept.limits.level < 0.1 * report.sampled.level
+    assert (kept.sampled.reach < 0.5 * report.sampled.reach).all()
+    assert kept.sampled.covered < report.sampled.covered
+    figures = str(kept.limits)
+    assert kept.limits.verdict == "keeps this V"
+    assert "the torque is clipped from errors of 0.066 m on" in figures
+    assert "in every step of status PROOF_KEPT; as it runs, nothing is proven there" in figures
+
+
+def test_without_it_nothing_is_proven_where_limits_act(law, arm, tools, box, report):
+    limiter = aj.TorqueLimited(law, aj.Limits(effort=0.5 * arm.effort_limits))
+    cost = limit_cost(report.loop, limiter, report.samples, report.sampled, False)
+    assert cost.verdict == "another V"
+    assert "the limiter keeps another V falling (cross_weight=report.cross_weight" in str(cost)
+    limiter = aj.TorqueLimited(law, aj.Limits(effort=0.5 * arm.effort_limits), proof=False)
+    cost = limit_cost(report.loop, limiter, report.samples, report.sampled, False)
+    assert cost.verdict == "clips"
+    assert "nothing of this is proven, as the limiter clips" in str(cost)
+
+
+def test_from_where_torques_are_clipped_is_sharp(law, arm, tools, box, kept):
+    """No torque at rest is beyond its limit for smaller errors; for 1 % larger ones one is."""
+    samples, effort = kept.samples, 0.5 * arm.effort_limits
+    free = kept.limits.free["m"]
+    pull = samples.J_hat.mT * law.diagonals.kp
+    asked = free * np.linalg.norm(pull, axis=2)  # in the worst direction
+    assert (asked <= effort * (1.0 + 1e-9)).all()
+    assert (1.01 * asked > effort).any()
+
+
+def test_no_motion_that_begins_below_the_level_is_ever_limited(law, kept, tools, arm):
+    """From states anywhere on the level V = c, moving or at rest, with every true robot."""
+    rng, effort = np.random.default_rng(0), 0.5 * arm.effort_limits
+    weights, least = kept.sampled.weights, np.inf
+    limiter = aj.TorqueLimited(law, aj.Limits(effort=effort))
+    for k in range(6):
+        plant = tools.plant(kept.loop.corners[k % 4])
+        q0 = Q + rng.uniform(-0.05, 0.05, 7)
+        e = rng.normal(size=3)
+        e *= 0.999 * np.sqrt(
+            kept.sampled.level / weights.at_rest(law.saturation.S(e), law.saturation.s(e))
+        )
+        run = aj.simulate(
+            plant, limiter, target=plant.sensor.value(q0) - e, q0=q0, duration=0.3, dt=1e-3
+        )
+        assert (run.limit_status == aj.LimitStatus.FREE).all()
+        least = min(least, float((effort / np.abs(run.tau).max(axis=0)).min()))
+    assert least > 1.0
+
+
+def test_motors_that_cannot_hold_the_arm_certify_nothing():
+    arm = aj.load_robot("panda")
+    law = aj.SetpointController(aj.PositionTask(arm), aj.Gains(400.0, 80.0, 5.0))
+    limiter = aj.TorqueLimited(law, aj.Limits(effort=5.0))
+    report = aj.stability_report(limiter, arm, aj.JointBox.around(arm, Q, 0.05), configurations=20)
+    assert report.certified_by is None
+    assert report.cross_weight is None
+    assert report.reason == "the motors cannot hold the arm everywhere in the region"
+    assert ("torque limits", "cannot hold", report.reason) in report.lines()
+    assert report.limits.free == {"m": 0.0}
+
+
+def test_a_saturated_law_may_never_ask_for_more(law, arm, tools, box):
+    gentle = aj.SetpointController(
+        law.task, law.gains, gravity=aj.NoGravity(arm), saturation=aj.law.Tanh(0.005)
+    )
+    report = aj.stability_report(aj.TorqueLimited(gentle), tools, box, configurations=20)
+    assert report.limits.free == {"m": np.inf}
+    assert report.limits.clipped == 0.0
+    assert json.dumps(plain(asdict(report.limits)), allow_nan=False)
+    assert "at rest no error asks for more torque than the motors have" in str(report.limits)
+
+
+def test_where_gravity_is_learnt_the_limiter_keeps_this_V_by_itself():
+    arm = aj.load_robot("panda")
+    belief, truth = arm.with_object(0.0), arm.with_object(0.05, 0.2, axis="x")
+    law = aj.SetpointController(
+        aj.PositionTask(belief),
+        aj.Gains(400.0, 80.0, 5.0),
+        gravity=aj.AdaptiveGravity(belief, L=0.01, alpha=0.5),
+    )
+    region = aj.JointBox.around(arm, Q, 0.05)
+    report = aj.stability_report(aj.TorqueLimited(law), truth, region, configurations=20)
+    assert report.passed
+    assert report.limits.protects
+    assert report.limits.level == 0.0
+    assert "certified as it runs" not in str(report.limits)
