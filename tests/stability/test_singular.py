@@ -7,6 +7,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.controllers import NoGravity
+from approxjac.robots import GravityRegressor
 from approxjac.stability import JointBox, RegularPart, stability_map, stability_report, suggestion
 
 
@@ -89,3 +90,29 @@ def test_a_drawn_posture_where_the_rank_is_lost_is_named(straight):
     point = JointBox.around(plant.robot, q0, 0.0)
     with pytest.raises(aj.InvalidInputError, match="where the estimated Jacobian loses rank, got"):
         stability_report(controller, plant, point, configurations=20)
+
+
+def test_where_learning_is_damped_no_certificate_says_anything():
+    arm = aj.load_robot("two_link")
+    task = aj.PositionTask(arm, axes="xz")
+    learns = aj.AdaptiveGravity(GravityRegressor(arm, moments="x"), L=0.1, alpha=1.0)
+    learnt = aj.SetpointController(task, aj.Gains(100.0, 50.0), gravity=learns)
+    known = aj.SetpointController(task, aj.Gains(100.0, 50.0))
+    near = JointBox(arm, (0.0, 0.02), (1.0, 0.9))  # straight it is for a joint at 0
+
+    found = stability_report(learnt, arm, near, configurations=20)
+    q = found.damped_q
+    x = task.value(q)
+    answer = learnt.evaluate(np.zeros(2), aj.Measurement(0.0, q, np.zeros(2), x), x)
+    assert answer.status is aj.Status.NEAR_SINGULAR
+    assert found.singular_q is None
+    assert found.certified_in_continuous_time is None
+    assert not found.passed
+    assert "learning is damped" in found.verdict()
+    assert "learning uses a damped pseudo-inverse" in str(found)
+    assert found.summary()["damped_q"] == q.tolist()
+
+    regular = RegularPart(near, task, 0.1)
+    assert stability_report(learnt, arm, regular, configurations=20).damped_q is None
+    # with known gravity no pseudo-inverse is in the law
+    assert stability_report(known, arm, near, configurations=20).damped_q is None

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.errors import UnknownNameError
+from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.matrix_form import MatrixForm, best_weights
 from approxjac.tasks import FrameKinematics, PlanarCamera
 
 CAMERA = PlanarCamera(0.05, 3.0, 0.1)
@@ -270,11 +272,101 @@ def test_corners(d, limit):
 
 
 ARM = aj.load_robot("two_link")
+WEIGHTLESS = ARM.with_gravity((0.0, 0.0, 0.0))
+NEAR = aj.JointBox.around(WEIGHTLESS, [0.8, 1.2], 0.2)
+
+
+@pytest.mark.parametrize(("width", "count"), [(0.7, 2), (0.8, 3), (3.0, 5), (2.0 * np.pi, 9)])
+def test_an_angle_is_cut_into_what_two_ends_stand_for(width, count):
+    rolls = aj.Uncertainty(ARM, camera=PlanarCamera(0.05, 3.0), roll=(0.0, width))
+    assert_allclose(rolls.corners()[:, 0], np.linspace(0.0, width, count))
+    lengths = aj.Uncertainty(ARM, object_length=(0.0, width))
+    assert_array_equal(lengths.corners()[:, 0], (0.0, width))
 
 
 @given(
-    seed=st.integers(0, 2**32), factor=st.floats(0.0, 3.0), low=st.floats(-3.0, 0.1),
-    high=st.floats(0.1, 3.0),
+    low=st.floats(-3.0, 0.0), high=st.floats(0.0, 3.0), share=st.floats(0.0, 1.0)
+)  # fmt: skip
+@settings(max_examples=50)
+def test_between_its_ends_a_rotation_is_one_of_theirs_but_for_a_cosine(low, high, share):
+    rolls = aj.Uncertainty(ARM, camera=PlanarCamera(0.05, 3.0), roll=(low, high))
+    points = rolls.corners()[:, 0]
+    angle = low + share * (high - low)
+    k = min(np.searchsorted(points, angle), len(points) - 1)
+    before, after = points[max(k - 1, 0)], points[k]
+    if after - before < 1e-6:
+        return
+    of_ends = np.array([[np.cos(t), np.sin(t)] for t in (before, after)]).T
+    parts = np.linalg.solve(of_ends, [np.cos(angle), np.sin(angle)])
+    assert (parts >= -1e-9).all()
+    assert 1.0 - 1e-9 <= parts.sum() <= 1.0 / np.cos(np.pi / 8.0) + 1e-9
+
+
+def test_an_angle_beyond_a_full_turn_is_refused():
+    camera = PlanarCamera(0.05, 3.0)
+    with pytest.raises(InvalidInputError, match=r"camera roll must .* full turn.* got 0 to 7"):
+        aj.Uncertainty(ARM, camera=camera, roll=(0.0, 7.0))
+    with pytest.raises(InvalidInputError, match=r"rotation x must .* full turn.* got -4 to 4"):
+        aj.Uncertainty(ARM, joint_rotations={"joint2": (4.0, 0.0, 0.0)})
+    rolls = aj.Uncertainty(ARM, camera=camera, roll=(-1.0, 1.0))
+    assert_allclose(rolls.largest_scale(10.0), np.pi, rtol=1e-3)
+
+
+def test_a_camera_that_may_be_rolled_any_way_is_not_certified():
+    # the ends of (0, 2 pi) are the same robot, which is the believed one
+    rolls = aj.Uncertainty(WEIGHTLESS, camera=PlanarCamera(0.05, 3.0), roll=(0.0, 2.0 * np.pi))
+    controller = aj.SetpointController(rolls.believed_task(), aj.Gains(2e5, 5e4, 3.0))
+    report = aj.stability_report(controller, rolls, NEAR, configurations=60)
+    assert report.certified_by is None
+    assert report.certified_in_continuous_time is None
+    assert "errors grow" in report.reason
+
+
+def test_true_robots_inside_that_are_worse_than_both_ends_are_found():
+    # tilted either way, the base takes as much of x from the plane that the task sees
+    tilts = aj.Uncertainty(WEIGHTLESS, PLANE, joint_rotations={"joint1": (0.0, 0.0, np.pi / 8.0)})
+    controller = aj.SetpointController(tilts.believed_task(), aj.Gains(100.0, 10.0, 1.0))
+    loop, rng = ClosedLoop(controller, tilts, NEAR), np.random.default_rng(0)
+    ends, inside = loop.draw(60, rng), loop.draw(60, rng, inside=1)
+    of_ends = best_weights(MatrixForm(ends, loop.setting), "wide")
+    assert of_ends.margins.min() > 0.9
+    assert MatrixForm(inside, loop.setting).margins(of_ends.weights).min() < 0.0
+
+    report = aj.stability_report(controller, tilts, NEAR, configurations=120)
+    wide = report.matrix["wide"]
+    assert wide.certified  # by another function
+    worst = int(report.samples.truth[wide.worst])
+    assert worst >= 2
+    assert abs(report.loop.values[worst][0]) < np.pi / 16.0
+    told = tilts.describe(report.loop.values[worst])
+    assert report.describe_truth(worst) == told
+    assert told in str(report)
+
+
+def test_what_a_share_is_bounded_with_has_a_true_robot_of_its_own():
+    tools = aj.Uncertainty(WEIGHTLESS, PLANE, object_length=(0.0, 0.3), object_mass=(0.0, 1.0))
+    controller = aj.SetpointController(tools.believed_task(), aj.Gains(100.0, 20.0, 1.0))
+    loop, rng = ClosedLoop(controller, tools, NEAR), np.random.default_rng(0)
+    few, own = loop.draw(100, rng, inside=4), loop.draw(100, rng, inside=1)
+    for samples, each in ((few, 4), (own, 1)):
+        assert len(samples) == 100
+        truths, counts = np.unique(samples.truth, return_counts=True)
+        assert_array_equal(truths[:4], range(4))
+        assert counts[4:].max() == each
+        assert (samples.truth >= 4).sum() == 48
+    values = loop.values[4:]
+    assert len(np.unique(values, axis=0)) == len(values) == 60
+    assert ((values > tools.low) & (values < tools.high)).all()
+    for t, q, J in zip(own.truth[:20], own.q, own.J, strict=False):
+        assert_allclose(J, tools.plant(loop.values[t]).sensor.jacobian(q), atol=1e-12)
+    again = ClosedLoop(controller, tools, NEAR)
+    again.draw(100, np.random.default_rng(0), inside=4)
+    assert_array_equal(again.values, loop.values[: len(again.values)])
+
+
+@given(
+    seed=st.integers(0, 2**32), factor=st.floats(0.0, 3.0), low=st.floats(-0.9, 0.1),
+    high=st.floats(0.1, 1.1),
 )  # fmt: skip
 @settings(max_examples=25)
 def test_scaled(seed, factor, low, high):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.validation import Array
@@ -39,6 +40,13 @@ class Pseudoinverse:
         w, damped = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=scale)
         pinv_s = w.dot(J_hat)
         return (pinv_s if root is None else pinv_s / root), damped
+
+    def is_damped(self, J_hat: Array) -> NDArray[np.bool_]:
+        """Return whether Ĵ⁺ is damped, of Ĵ (…, m, n_v), shape (…)."""
+        J_hat = J_hat if self.root is None else J_hat / self.root
+        squares = np.asarray(np.linalg.svd(J_hat, compute_uv=False) ** 2, dtype=np.float64)
+        least, largest = squares[..., -1], squares[..., 0]
+        return law.gram_damping(least, largest, law.SINGULAR_RATIO, self.scale) > 0.0
 
     def matrix(self, J_hat: Array) -> Array:
         """Return Ĵ⁺ of a Ĵ (m, n_v), shape (n_v, m)."""

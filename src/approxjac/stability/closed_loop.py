@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError
-from approxjac.robots import Robot
+from approxjac.robots import Dynamics, Robot
 from approxjac.simulation import Plant
 from approxjac.stability import task_terms
 from approxjac.stability.configurations import Arms, Configurations
@@ -20,19 +20,22 @@ from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.linearization import Timing, linear_loops
 from approxjac.stability.region import JointBox, Region, RegularPart, require_setpoint
 from approxjac.stability.samples import Indices, Samples
+from approxjac.stability.singular import least_regular
 from approxjac.stability.targets import Targets
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import require_jacobian_of_q, vanishing
+from approxjac.tasks.analysis import require_jacobian_of_q, sees, vanishing
 from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5
 """Gravity torque that counts as none [N m or N]."""
+SHARED = 4
+"""Samples that functions are chosen on, of each true robot from inside of the errors."""
 _REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
 _STARTS = 20  # of the search for configurations that attain a target
+_WEIGHED = 8  # true robots from inside whose gravity is looked at, besides the corners
 _DECADES = 6.0  # of the sizes of small errors
-_LEAST_REGULAR, _NEWTON_STEPS, _HALVINGS = 5, 20, 8  # of the search for singular configurations
 _VANISHING = 1e-4  # σ_min that is found there, of a tenth of the typical σ_max
 _PORTION = 500  # configurations at once, as many as fit into a processor's cache
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
@@ -41,11 +44,12 @@ _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be compute
 class ClosedLoop:
     """A controller on one or several true robots, with the region and target that are analysed.
 
-    It draws configurations and targets that the true robot's sensor sees. The arguments are those
-    of `stability_report`.
+    It draws configurations and targets that the true robot's sensor sees, and true robots from the
+    inside of the errors besides their corners. The arguments are those of `stability_report`.
 
     Attributes:
-        corners: Values of the uncertain coordinates of each true robot, shape (k, d).
+        corners: Values of the uncertain coordinates at the corners, shape (k, d).
+        values: Those of each true robot: the corners, and whatever was drawn from inside.
         plants: The true robots.
         diagonals: The gains.
         parts: The region as each true robot's sensor sees it.
@@ -68,6 +72,7 @@ class ClosedLoop:
         require("truth", truth, (Plant, Uncertainty), "a Plant, a Robot or an Uncertainty")
         self.controller, self.truth, self.diagonals = controller, truth, controller.diagonals
         self.corners = truth.corners() if isinstance(truth, Uncertainty) else np.zeros((1, 0))
+        self.values = self.corners
         self.plants = [truth] if isinstance(truth, Plant) else [*map(truth.plant, self.corners)]
         for plant in self.plants:
             plant.require_task(controller.task)
@@ -77,7 +82,9 @@ class ClosedLoop:
         self.region = region
         self.target = None if target is None else self.plants[0].sensor.target(target)
         self.parts = [VisiblePart(region, plant.sensor, k) for k, plant in enumerate(self.plants)]
-        self._attained: list[list[Array]] | None = None
+        robots = [plant.robot for plant in self.plants]
+        self._true_arms = task_terms.arms_of(robots, [plant.sensor for plant in self.plants])
+        self._attained: list[list[Array]] = []
 
     def scaled(self, factor: float) -> ClosedLoop:
         """Return the loop with the errors of its `Uncertainty` shrunk or grown."""
@@ -101,7 +108,7 @@ class ClosedLoop:
     def gravity_error(self, configurations: Array) -> float:
         """Return the largest gravity torque that is neither compensated nor learnt [N m or N]."""
         learning, worst = self.controller.adaptation, 0.0
-        for plant in self.plants:
+        for plant in self.plants[: len(self.corners) + _WEIGHED]:
             g = np.array([plant.dynamics.g(q) for q in configurations])
             if learning is None:
                 known = [self.controller.gravity.torque(q) for q in configurations]  # type: ignore[union-attr]
@@ -129,40 +136,38 @@ class ClosedLoop:
         stand still away from its target. G = αĴ⁺ does not exist, and with G = αD⁻¹ĴᵀK_v the block
         sym(K_pĴG) of Q is singular. The margins are relative to that block, so they stay positive
         however near a singularity is.
-
-        Newton steps towards σ_min(Ĵ) = 0 from the least regular samples, halved until they stay in
-        the region and lead nearer.
         """
-        task = self.controller.task
-        sizes = np.linalg.svd(samples.J_hat, compute_uv=False)[:, -1]
-        tiny = _VANISHING * vanishing(task)
-        for k in np.argsort(sizes)[:_LEAST_REGULAR]:
-            part = self.parts[int(samples.truth[k])]
-            q: Array = samples.q[k]
-            size, gradient = _sigma_min(task, q)
-            for _ in range(_NEWTON_STEPS):
-                if size <= tiny:
-                    return q
-                step = -size * gradient / max(float(gradient @ gradient), 1e-300)
-                for halving in range(_HALVINGS):
-                    moved = np.array(pin.integrate(task.robot.model, q, 0.5**halving * step))
-                    if part.contains(moved):
-                        nearer, its_gradient = _sigma_min(task, moved)
-                        if nearer < size:
-                            break
-                else:
-                    break
-                q, size, gradient = moved, nearer, its_gradient
-        return None
+        task, tiny = self.controller.task, _VANISHING * vanishing(self.controller.task)
+        return least_regular(task, self.parts, samples, lambda q, size: size <= tiny)
 
-    def draw(self, n: int, rng: np.random.Generator) -> Samples:
-        """Draw n samples, or more to have every true robot as often.
+    def damped_configuration(self, samples: Samples) -> Array | None:
+        """Return a configuration (nq,) where the Ĵ⁺ that learning uses is damped, if one is found.
+
+        V of learnt gravity has the law's own G = αĴ⁺, and the conditions are evaluated with an
+        exact one. Elsewhere no Ĵ⁺ is in the law: G is of the analysis alone, and always exact.
+        """
+        if self.controller.adaptation is None:
+            return None
+        is_damped, task = self.controller.pinv.is_damped, self.controller.task
+        damped = is_damped(samples.J_hat)
+        if damped.any():
+            return np.asarray(samples.q[damped.argmax()])
+        return least_regular(
+            task, self.parts, samples, lambda q, _: bool(is_damped(task.jacobian(q)))
+        )
+
+    def draw(self, n: int, rng: np.random.Generator, inside: int = 0) -> Samples:
+        """Draw n samples, or more to have every corner as often.
+
+        With `inside` ≥ 1, about half of them are of new true robots, drawn from inside of the
+        errors, each of which so many samples share. Those of one robot are not independent: 1 is
+        for samples that are to bound a share.
 
         A third of them have e = 0, where every motion is to end, a third small errors of all
         sizes, and a third those between two configurations of the region. Without the first two a
         saturated s(e) would be looked at where it is flat only.
         """
-        truths, drawn = self._drawn(n, rng)
+        truths, drawn = self._drawn(n, rng, inside)
         n = len(truths)
         kinds, sizes = rng.integers(3, size=n), 10.0 ** rng.uniform(-_DECADES, 0.0, n)
         away = np.choose(kinds, [np.zeros(n), sizes, np.ones(n)])  # as a share of the way
@@ -244,18 +249,23 @@ class ClosedLoop:
         return self._gravity_gradients(samples.truth, samples.q)
 
     def _gravity_gradients(self, truths: Indices, configurations: Array) -> Array:
+        N, n = len(truths), self.region.robot.nv
+        if not self.plants[0].robot.gravity.any():
+            return np.zeros((N, n, n))
         pairs = zip(truths, configurations, strict=True)
-        return np.array([self.plants[t].dynamics.g_gradient(q) for t, q in pairs])
+        return np.array([self.dynamics(t).g_gradient(q) for t, q in pairs])
+
+    def dynamics(self, truth: int) -> Dynamics:
+        """Return those of a true robot. They are large: kept at corners only."""
+        plant = self.plants[truth]
+        return plant.dynamics if truth < len(self.corners) else Dynamics(plant.robot)
 
     def errors(self, truths: Indices, configurations: Array, x_d: Array) -> Array:
         """Return e of true robots (N,) at configurations (N, nq), of targets (N, n_x), (N, m)."""
-        x, found = (
-            self._values(truths, configurations),
-            np.empty((len(truths), self.controller.task.m)),
-        )
-        for t in dict.fromkeys(truths.tolist()):
-            each = truths == t
-            found[each] = task_terms.errors(self.plants[t].sensor, x[each], x_d[each])
+        at = self._true_arms.at(truths, configurations)
+        found = np.empty((len(truths), self.controller.task.m))
+        for sensor, each, here in self._by_sensor(truths, at):
+            found[each] = task_terms.errors(sensor, task_terms.values(sensor, here), x_d[each])
         return found
 
     def _values(self, truths: Indices, configurations: Array) -> Array:
@@ -269,15 +279,14 @@ class ClosedLoop:
     def _by_sensor(
         self, truths: Indices, at: Configurations
     ) -> Iterator[tuple[Task, Array, Configurations]]:
-        """Each true robot's sensor, which of the configurations are of it, and these."""
-        for t in dict.fromkeys(truths.tolist()):
-            each = truths == t
-            yield self.plants[t].sensor, each, at if each.all() else at.take(each)
-
-    @cached_property
-    def _true_arms(self) -> Arms:
-        robots = [plant.robot for plant in self.plants]
-        return task_terms.arms_of(robots, [plant.sensor for plant in self.plants])
+        """Sensors, which of the configurations are of each or of one alike, and these."""
+        sensors = [self.plants[t].sensor for t in truths]
+        groups: dict[Hashable, list[int]] = {}
+        for i, sensor in enumerate(sensors):
+            groups.setdefault(task_terms.kind(sensor, at.arms.frames), []).append(i)
+        for rows in groups.values():
+            each = np.array(rows)
+            yield sensors[rows[0]], each, at if len(each) == len(truths) else at.take(each)
 
     @cached_property
     def _believed_arm(self) -> Arms:
@@ -310,12 +319,19 @@ class ClosedLoop:
         Raises:
             UnattainedError: There is none for one of them.
         """
-        if self._attained is None:
-            self._attained = [self._attaining(part, rng) for part in self.parts]
+        for part in self.parts[len(self._attained) :]:
+            self._attained = [*self._attained, self._attaining(part, rng)]
         return self._attained
 
     def _attaining(self, part: VisiblePart, rng: np.random.Generator) -> list[Array]:
         sensor, target = part.sensor, np.asarray(self.target)
+        if part.truth >= len(self.corners):  # from near by: one is enough of many such robots
+            known = self._attained[rng.integers(len(self.corners))]
+            for k in rng.permutation(len(known)):
+                q = known[k]
+                end = inverse_kinematics(sensor, target, q) if sees(sensor, q) else None
+                if end is not None and self.region.contains(end):
+                    return [end]
         ends = [inverse_kinematics(sensor, target, q) for q in part.sample(_STARTS, rng)]
         attained = [q for q in ends if q is not None]
         within = [q for q in attained if self.region.contains(q)]
@@ -332,15 +348,33 @@ class ClosedLoop:
             )
         return within
 
-    def _drawn(self, n: int, rng: np.random.Generator) -> tuple[Indices, Array]:
-        """At least n true robots in turn, and configurations that they see."""
-        truths = np.arange(-(-n // len(self.plants)) * len(self.plants)) % len(self.plants)
+    def _drawn(self, n: int, rng: np.random.Generator, inside: int = 0) -> tuple[Indices, Array]:
+        """At least n true robots, the corners in turn, and configurations that they see."""
+        k, first = len(self.corners), len(self.plants)
+        at_corners = n // 2 if inside and self.corners.shape[1] else n
+        truths = np.arange(-(-at_corners // k) * k) % k
+        if at_corners < n:
+            others = np.arange(max(n - len(truths), n // 4)) // inside
+            self._draw_inside(int(others[-1]) + 1, rng)
+            # no part of the samples, such as every second one, is to be of corners only
+            truths = rng.permutation(np.append(truths, first + others))
         return truths, self._seen(truths, self.region.sample(len(truths), rng), rng)
+
+    def _draw_inside(self, n: int, rng: np.random.Generator) -> None:
+        """Add n true robots from inside of the errors."""
+        assert isinstance(self.truth, Uncertainty)
+        values = np.array([self.truth.sample(rng) for _ in range(n)])
+        plants, first = [*map(self.truth.plant, values)], len(self.plants)
+        parts = [VisiblePart(self.region, p.sensor, first + k) for k, p in enumerate(plants)]
+        self.values = np.concatenate([self.values, values])
+        self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
+        self._true_arms = self._true_arms.joined([plant.robot for plant in plants])
 
     def _seen(self, truths: Indices, drawn: Array, rng: np.random.Generator) -> Array:
         """Configurations of the region, with others for those that their true robot misses."""
-        for t, part in enumerate(self.parts):
-            drawn[truths == t] = part.replace_unseen(drawn[truths == t], rng)
+        pairs = zip(truths.tolist(), drawn, strict=True)
+        for t in dict.fromkeys(t for t, q in pairs if not sees(self.parts[t].sensor, q)):
+            drawn[truths == t] = self.parts[t].replace_unseen(drawn[truths == t], rng)
         return drawn
 
 
@@ -359,14 +393,6 @@ def require_law(controller: SetpointController) -> None:
             f"posture = {controller.posture!r}",
             given=controller,
         )
-
-
-def _sigma_min(task: Task, q: Array) -> tuple[float, Array]:
-    """Return σ_min(Ĵ) and ∂σ_min/∂q = uᵀ(∂Ĵ/∂q_k)v, shape (n_v,)."""
-    U, values, rows = np.linalg.svd(task.jacobian(q))
-    u, v = U[:, -1], rows[len(values) - 1]
-    gradient = np.array([u @ task.jacobian_dot(q, unit) @ v for unit in np.eye(task.robot.nv)])
-    return float(values[-1]), gradient
 
 
 def usual_region(task: Task) -> RegularPart:

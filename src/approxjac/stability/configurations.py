@@ -8,6 +8,7 @@ k carries. Where joint k moves, it turns what it carries as a whole: S_j follows
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -45,6 +46,17 @@ class Arms:
             if parent >= 0:
                 carries[:, j] |= carries[:, parent]
         self.carries = carries
+
+    def joined(self, robots: Sequence[Robot]) -> Arms:
+        """Return these robots and others after them.
+
+        Raises:
+            UnknownNameError: One that lacks a frame of these.
+        """
+        other, each = copy.copy(self), [arm_numbers(robot, self.frames) for robot in robots]
+        added = reduced(ArmNumbers.stacked(each), self.structure)
+        other.numbers = Reduced(*map(np.concatenate, zip(self.numbers, added, strict=True)))
+        return other
 
     def at(self, which: Indices, q: Array) -> Configurations:
         """Return the arms of some indices (N,) at configurations (N, nq)."""

@@ -14,7 +14,7 @@ import numpy as np
 from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificate import margin
-from approxjac.stability.closed_loop import ClosedLoop, usual_region
+from approxjac.stability.closed_loop import SHARED, ClosedLoop, usual_region
 from approxjac.stability.local import local_test
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_map import (
@@ -184,7 +184,7 @@ def stability_map(
     @functools.lru_cache(maxsize=1)
     def drawn(scale: float) -> tuple[ClosedLoop, Samples]:
         scaled = loop.scaled(scale)
-        return scaled, scaled.draw(configurations, np.random.default_rng(seed))
+        return scaled, scaled.draw(configurations, np.random.default_rng(seed), inside=SHARED)
 
     @functools.lru_cache(maxsize=1)
     def hard_targets(scale: float) -> Targets:

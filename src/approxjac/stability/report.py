@@ -18,7 +18,7 @@ from approxjac.simulation import Plant, Sensing
 from approxjac.stability import report_words
 from approxjac.stability.attraction import Attraction, attraction
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
-from approxjac.stability.closed_loop import EXACT_GRAVITY, ClosedLoop
+from approxjac.stability.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
 from approxjac.stability.families import Family
 from approxjac.stability.limit_cost import LimitCost, within_limits
 from approxjac.stability.local import LocalTest, local_test
@@ -63,6 +63,7 @@ class StabilityReport:
             compensates nor can learn [N m or N]. All tests but the rollouts take it as zero.
         singular_q: A configuration of the region where Ĵ loses rank, shape (nq,), with which
             nothing certifies the region; None if none was found.
+        damped_q: The same where the Ĵ⁺ of learning is damped, which no certificate covers.
         seed: Of all drawing.
         limits: What limits of torques cost; None of a controller without them.
     """
@@ -78,6 +79,7 @@ class StabilityReport:
     rollouts: Rollouts | None
     gravity_error: float
     singular_q: Array | None
+    damped_q: Array | None
     seed: int
     limits: LimitCost | None = None
 
@@ -85,6 +87,11 @@ class StabilityReport:
     def gravity_is_exact(self) -> bool:
         """Return whether gravity is compensated, or can be learnt, to within 1e-5 N m."""
         return self.gravity_error <= EXACT_GRAVITY
+
+    @property
+    def is_as_assumed(self) -> bool:
+        """Return whether gravity, the rank of Ĵ and Ĵ⁺ are as every certificate assumes."""
+        return self.gravity_is_exact and self.singular_q is None and self.damped_q is None
 
     @property
     def certified_by(self) -> str | None:
@@ -109,7 +116,7 @@ class StabilityReport:
 
         It says nothing of what sampling and delays do.
         """
-        if not self.gravity_is_exact or self.singular_q is not None or not self.local.stable:
+        if not self.is_as_assumed or not self.local.stable:
             return None
         if self.theorem1.holds:
             return "theorem1"
@@ -144,6 +151,8 @@ class StabilityReport:
             return f"gravity is off by up to {self.gravity_error:.3g} N m"
         if self.singular_q is not None:
             return "the estimated Jacobian loses rank in the region"
+        if self.damped_q is not None:
+            return "the region holds configurations near singular ones, where learning is damped"
         if self.limits is not None and not self.limits.holds:
             return "the motors cannot hold the arm everywhere in the region"
         if unstable.any():
@@ -161,7 +170,7 @@ class StabilityReport:
         """Return in words which true robot the index of a sample's `truth` means."""
         truth = self.loop.truth
         if isinstance(truth, Uncertainty) and truth.d > 0:
-            return truth.describe(self.loop.corners[index])
+            return truth.describe(self.loop.values[index])
         return "the true robot"
 
     @cached_property
@@ -224,6 +233,7 @@ class StabilityReport:
             "largest_growth": self.growth.max(),
             "sampled": self._sampled_summary(names),
             "singular_q": self.singular_q,
+            "damped_q": self.damped_q,
             "theorem1": {
                 **{name: getattr(first, name) for name in _THEOREM1},
                 "constants": {name: getattr(first, name) for name in CONSTANTS},
@@ -289,7 +299,7 @@ def stability_report(
         controller: The controller, of law (6) or (28), or `TorqueLimited` around it: then certified
             are those starts whose motions its efforts never limit.
         truth: The true robot, as a plant or as a robot on which the controller's own task is
-            measured; or the set of true robots, of which all corners are taken.
+            measured; or the set of true robots, corners and inside of which make half each.
         region: Where to look, as far as the true robot's sensor sees; the joint limits without
             near-singular configurations by default.
         target: x_d, shape (n_x,), for the one target; by default the values of other
@@ -323,9 +333,9 @@ def stability_report(
         )
     tell = progress or (lambda what, share: None)
     tell("configurations", 0.0)
-    samples = loop.draw(half, rng)
+    samples = loop.draw(half, rng, inside=SHARED)
     tell("configurations", 0.5)
-    fresh = loop.draw(configurations - half, rng)
+    fresh = loop.draw(configurations - half, rng, inside=1)
     setting = loop.setting
     samples, constants = refine_constants(loop, samples, rng)
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
@@ -366,11 +376,12 @@ def stability_report(
         )  # fmt: skip
     first = theorem1(everywhere, setting, constants)
     singular_q = loop.singular_configuration(samples)
+    damped_q = loop.damped_configuration(everywhere)
     gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
     growing = growth(loop, samples.take(np.arange(len(samples))[:_TARGETS]), latency)
     report = StabilityReport(
         loop, latency, everywhere, sampled, first, matrix, local, growing, outcome, gravity_error,
-        singular_q, seed,
+        singular_q, damped_q, seed,
     )  # fmt: skip
     return report if limiter is None else within_limits(report, limiter)
 

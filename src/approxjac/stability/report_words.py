@@ -97,6 +97,13 @@ def _assumptions(report: StabilityReport) -> list[Row]:
             "holds there; RegularPart leaves such configurations out"
         )
         rows.append(("rank", "not regular", figures))
+    if report.damped_q is not None:
+        figures = (
+            "learning uses a damped pseudo-inverse near singular configurations, such as q = "
+            f"{report.damped_q.round(3).tolist()}, which nothing below covers; RegularPart leaves "
+            "them out"
+        )
+        rows.append(("learning", "damped", figures))
     return rows
 
 
@@ -159,7 +166,7 @@ def _stays(report: StabilityReport) -> str:
 
 def _in_continuous_time(report: StabilityReport) -> list[Row]:
     first = report.theorem1
-    passed = "holds" if report.gravity_is_exact and report.singular_q is None else "would hold"
+    passed = "holds" if report.is_as_assumed else "would hold"
     figures = (
         f"p = {first.p:.3g} {'<' if first.holds else '>='} {max(first.allowed_p, 0.0):.3g} "
         f"allowed at alpha = {first.alpha:.3g}/s; worst p with "

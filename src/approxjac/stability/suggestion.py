@@ -13,7 +13,7 @@ from approxjac.controllers import Gains, NoGravity, SetpointController, default_
 from approxjac.controllers.default_gains import position_gains
 from approxjac.errors import UnknownNameError
 from approxjac.stability.certificate import margin
-from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.linearization import Timing
 from approxjac.stability.local import local_test
 from approxjac.stability.region import Region
@@ -123,9 +123,10 @@ def suggest_gains(
     first = SetpointController(task, base, gravity=NoGravity(task.robot))
     loop = ClosedLoop(first, weightless, region, target)
     rng = np.random.default_rng(seed)
-    samples, targets = loop.draw(configurations, rng), loop.targets(_TARGETS, rng)
+    samples = loop.draw(configurations, rng, inside=SHARED)
+    targets = loop.targets(_TARGETS, rng)
     singular = loop.singular_configuration(samples) is not None
-    weighing = [uncertainty.plant(values).dynamics for values in loop.corners]
+    weighing = [uncertainty.plant(values).dynamics for values in loop.values]
     weight = np.array([weighing[t].g(q) for t, q in zip(samples.truth, samples.q, strict=True)])
 
     def demands(gains: Gains) -> Candidate:

@@ -6,7 +6,7 @@ and tasks of one's own, are asked at each configuration.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from typing import Literal
 
 import numpy as np
@@ -30,6 +30,23 @@ def arms_of(robots: list[Robot], tasks: Iterable[Task]) -> Arms:
     """Return robots, with the frames that tasks of any of them follow and all of them have."""
     wanted = dict.fromkeys(frame for task in tasks for frame in _frames(task))
     return Arms(robots, [f for f in wanted if all(f in robot.frame_names for robot in robots)])
+
+
+def kind(task: Task, frames: Iterable[str]) -> Hashable:
+    """Return a key that tasks of true robots share whose terms at `Configurations` are the same.
+
+    The robots may differ: what terms of a frame need of them is in the configurations. Other tasks
+    share it with none.
+    """
+    if type(task) is StackedTask:
+        return tuple(kind(part, frames) for part in task.tasks)
+    if type(task) is CombinedTask:
+        return task.C.tobytes(), kind(task.task, frames)
+    if type(task) is PositionTask and task.frame in frames:
+        return task.frame, task.axes
+    if type(task) is TrackerTask and task.frame in frames:
+        return task.frame, task._R.tobytes(), task.offset.tobytes()
+    return id(task)
 
 
 def values(task: Task, at: Configurations) -> Array:

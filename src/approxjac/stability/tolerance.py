@@ -11,7 +11,7 @@ import numpy as np
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificate import refine_constants, refine_weights
-from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.local import local_test
 from approxjac.stability.matrix_form import MatrixForm
 from approxjac.stability.region import Region
@@ -132,7 +132,7 @@ def tolerance(
                 raise
             # grown errors have put the target out of reach, or have a camera look elsewhere
             of_run = test == "rollouts"
-            return np.array(error.given if of_run else scaled.corners[error.truth])
+            return np.array(error.given if of_run else scaled.values[error.truth])
 
     found: dict[Test, Tolerance] = {}
     for k, test in enumerate(tests):
@@ -157,21 +157,20 @@ def tolerance(
 def _failing(
     loop: ClosedLoop, test: Test, configurations: int, rng: np.random.Generator
 ) -> Array | None:
-    """The corner with which a test without simulation fails, or None if it passes."""
-    corners: list[Array] = list(loop.corners)
+    """The true values with which a test without simulation fails, or None if it passes."""
     if test == "local":
         local = local_test(loop, *loop.targets(configurations, rng))
-        return None if local.stable else corners[local.truth[local.worst]]
-    samples = loop.draw(configurations, rng)
+        return None if local.stable else np.array(loop.values[local.truth[local.worst]])
+    samples = loop.draw(configurations, rng, inside=SHARED)
     if loop.singular_configuration(samples) is not None:
-        return corners[0]  # whatever the errors: the arm may stand still there
+        return np.array(loop.values[0])  # whatever the errors: the arm may stand still there
     if test == "theorem1":
         samples, constants = refine_constants(loop, samples, rng)
         first = theorem1(samples, loop.setting, constants)
-        return None if first.holds else corners[samples.truth[first.worst["p"]]]
+        return None if first.holds else np.array(loop.values[samples.truth[first.worst["p"]]])
     form = MatrixForm(samples, loop.setting)
     for family in form.setting.families:
         form, best = refine_weights(loop, form, family, rng)
         if best.margins.min() > 0.0:
             return None
-    return corners[int(form.samples.truth[best.margins.argmin()])]
+    return np.array(loop.values[int(form.samples.truth[best.margins.argmin()])])

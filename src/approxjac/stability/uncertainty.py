@@ -68,9 +68,10 @@ class Uncertainty:
         factor: What the ranges above are shrunk or grown by, about what is believed; see `scaled`.
 
     Raises:
-        InvalidInputError: Ranges that are reversed, not finite or do not hold what is believed;
-            robots or cameras anywhere in the box that cannot exist; ranges of a camera without a
-            camera; a task that is none of a robot (and a camera).
+        InvalidInputError: Ranges that are reversed, not finite, do not hold what is believed, or
+            are of an angle beyond a full turn; robots or cameras anywhere in the box that cannot
+            exist; ranges of a camera without a camera; a task that is none of a robot (and a
+            camera).
         UnknownNameError: No such joint; a range that the camera's calibration does not have.
 
     Example:
@@ -180,16 +181,18 @@ class Uncertainty:
     def corners(self, limit: int = 64) -> Array:
         """Return the corners of the box, or a selection where they are many; shape (k, d).
 
-        A coordinate whose range has no width counts as having one end. If the corners are at most
-        `limit`, these are all of them. Otherwise they are, without repetition: the points with one
-        coordinate at an end and the others at what is believed (at most 2 d, whatever the limit),
-        and random corners of a fixed seed, up to `limit` points in all.
+        A coordinate whose range has no width counts as having one end. The range of an angle that
+        is wider than 45° is cut into equal pieces, whose ends count too: two ends stand for no
+        more, and those of a full turn are the same robot. If the corners are at most `limit`, these
+        are all of them. Otherwise they are, without repetition: the points with one coordinate at
+        an end and the others at what is believed (whatever the limit), and random corners of a
+        fixed seed, up to `limit` points in all.
 
         Raises:
             InvalidInputError: A limit that is no integer ≥ 1.
         """
         as_integer("limit", limit, 1)
-        ends = [tuple(dict.fromkeys((known.low, known.high))) for known in self._coordinates]
+        ends = [known.ends() for known in self._coordinates]
         if math.prod(map(len, ends)) <= limit:
             return np.array(list(itertools.product(*ends)), dtype=float)
         believed = tuple(self.believed.tolist())
@@ -337,6 +340,7 @@ class Uncertainty:
         """Refuse a box that holds robots or cameras that cannot exist."""
         grown = "" if self.factor == 1.0 else f" with the factor {self.factor:.4g}"
         for known in self._coordinates:
+            known.ends()  # refuses an angle beyond a full turn
             if known.name.startswith("object_") and known.low < 0.0:
                 raise InvalidInputError(
                     f"{known.name} must be >= 0 in the whole set [{known.unit}], "
