@@ -22,7 +22,7 @@ _MULTIPLES = (0.6, 0.8, 1.0, 1.3, 1.8)  # of the multipliers
 _PAIRS = 300  # of a start and a target, for the largest V at the start
 _EDGES = 1500  # configurations on the boundary
 _CLOSER, _AROUND = 4, 300  # closer looks at the lowest place of the boundary, and of how many
-_HALVINGS = 20
+_HALVINGS = 12
 _SLOWER = 0.125  # times v̄ of all starts: those that stay are slower
 
 
@@ -30,9 +30,9 @@ _SLOWER = 0.125  # times v̄ of all starts: those that stay are slower
 class Attraction:
     """Starts at rest from which a certified motion stays in a box of configurations.
 
-    |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which V dies out. With as many
-    joints as task coordinates also: V ≤ `level` is left by no motion, as on the boundary of the box
-    V is larger whatever the speed.
+    |qᵢ(t) − qᵢ(0)| ≤ `travel`ᵢ √V(0) at all times, from a rate at which a V of its own dies out.
+    With as many joints as task coordinates also: V ≤ `level`, of the report's function, is left by
+    no motion, as on the boundary of the box V is larger whatever the speed.
 
     Attributes:
         travel: Shape (n_v,) [rad/√J or m/√J]; infinite where no rate was found.
@@ -62,17 +62,17 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
     saturation = loop.controller.saturation
     travel, rate, weights, most = _travel(test, saturation)
     level = 0.0
-    starts = _Starts(loop, box, weights, rng)
+    starts = _Starts(loop, box, test.weights, rng)
     spare = box.robot.nv - loop.controller.task.m
 
     def stays(radius: float) -> bool:
         e = starts.errors(radius)
         S, s = saturation.S(e), saturation.s(e)
-        energy = float(weights.at_rest(S, s).max())
-        # a level that torque limits have lowered is one of the other function
-        if energy > most or float(test.weights.at_rest(S, s).max()) > test.level:
+        energy = float(test.weights.at_rest(S, s).max())
+        if energy > test.level:
             return False
-        if (radius + travel * np.sqrt(energy) <= box.upper).all():
+        its_own = float(weights.at_rest(S, s).max())
+        if its_own <= most and (radius + travel * np.sqrt(its_own) <= box.upper).all():
             return True
         return not spare and energy < starts.lowest(radius)
 
@@ -81,7 +81,7 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
         middle = 0.5 * (low + high)
         low, high = (middle, high) if stays(middle) else (low, middle)
     if not spare:
-        level = min(most, starts.lowest(low))
+        level = min(test.level, starts.lowest(low))
     error = float(np.linalg.norm(starts.errors(low), axis=1).max()) if low else 0.0
     return Attraction(travel, rate, level, low, error)
 

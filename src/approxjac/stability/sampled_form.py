@@ -18,7 +18,7 @@ from approxjac.stability.matrix_form import Best, MatrixForm, best_of
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
 
-_HALF = 0.5  # λ where nothing but one damped mass is held
+_HALF = 0.5  # λ where nothing but one damped mass is held, as long as it may be
 _MULTIPLE = 1e-6  # frames of so nearly whole numbers of periods fall on samples
 
 
@@ -119,6 +119,9 @@ class SampledForm(MatrixForm):
             sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, setting.kp, dg),
         )
         self.turning = self._turning(D_c) if turning is None else turning
+        # of L⁻¹UL, D = LLᵀ: the rate at which the torque's error answers itself [1/s]
+        turned = self._of_samples.root @ self._rates.whole.U @ np.linalg.inv(self._of_samples.root)
+        self._fastest = float(np.linalg.svd(turned, compute_uv=False)[:, 0].max())
 
     @property
     def _rate(self) -> TorqueRate:
@@ -185,11 +188,12 @@ class SampledForm(MatrixForm):
 
     def is_possible(self) -> bool:
         """Return whether some multiplier may do: the hold is not beyond what this can certify."""
-        D, U = self._of_samples.D, self._rate.U
-        root = np.linalg.inv(self._of_samples.root)  # D = L Lᵀ
-        turned = self._of_samples.root @ U @ root
-        largest = np.linalg.svd(turned, compute_uv=False)[:, 0].max()
-        return bool(self._gain * (1.0 + self._b) * largest**2 < 1.0 and np.isfinite(D).all())
+        return self._gain * (1.0 + self._b) * self._fastest**2 < 1.0
+
+    @property
+    def _size(self) -> float:
+        """Natural size of λ: ½ at the largest γ that may do, and as 1/γ below it."""
+        return _HALF / min(1.0, math.sqrt(self._gain) * self._fastest)
 
     def best_multiplier(self, weights: Weights) -> Best:
         """Choose the multiplier, and X, of a function that is known."""
@@ -199,7 +203,7 @@ class SampledForm(MatrixForm):
     def _multipliers(self) -> list[Weights]:
         m = len(self.setting.kp)
         zero, none = np.zeros((m, m)), np.zeros(m)
-        more = [Weights(zero, zero, none, _HALF)]
+        more = [Weights(zero, zero, none, self._size)]
         if self.hold.frames is not None:
             sizes = _HALF * self.setting.kp / self.hold.frames
             more += [Weights(zero, zero, none, 0.0, row) for row in np.diag(sizes)]
@@ -245,7 +249,7 @@ class SampledForm(MatrixForm):
         """Return Y, filled up where it is zero."""
         n, (k, N) = self.samples.M.shape[-1], (sum(self.samples.J_e.shape[-2:]), Y.shape[-1])
         found = Y.copy()
-        found[0, :, k : k + n, k : k + n] = _HALF * np.linalg.inv(self._of_samples.D)
+        found[0, :, k : k + n, k : k + n] = self._size * np.linalg.inv(self._of_samples.D)
         sizes = 1.0 if self.hold.frames is None else _HALF * self.setting.kp / self.hold.frames
         rest = range(k + n, N)
         found[0, :, rest, rest] = np.broadcast_to(sizes, N - k - n)[:, np.newaxis]
