@@ -73,7 +73,9 @@ def require_covered(controller: Controller) -> None:
     """
     if type(controller) is not SetpointController:
         raise InvalidInputError(
-            f"controller must be a SetpointController to make code of it, got {controller!r}",
+            "controller must be a SetpointController, or one in a TorqueLimited with limits of "
+            "effort alone, to make code of it (`compiled` also takes a TrackingController; what "
+            f"else goes around a law goes around the compiled one), got {controller!r}",
             given=controller,
         )
     tasks.require_covered(controller.task)

@@ -8,6 +8,7 @@ import math
 import os
 import pickle
 import uuid
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -122,8 +123,15 @@ def _kept_part(folder: Path, study: Study, indices: range) -> dict[str, Array]:
     name = hashlib.sha256(pickle.dumps((study, indices))).hexdigest()[:20]
     file = folder / f"{name}.npz"
     if file.exists():
-        with np.load(file) as columns:
-            return dict(columns)
+        try:
+            with np.load(file) as columns:
+                return dict(columns)
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise InvalidInputError(
+                f"folder must hold whole files only, but {file} cannot be read ({error}); delete "
+                "it, and its runs are done again",
+                given=folder,
+            ) from error
     part = _part(study, indices)
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
