@@ -488,7 +488,7 @@ def test_what_is_not_covered_is_refused(panda):
 
     task = aj.PositionTask(panda)
     for controller, text in (
-        (
+        (OwnLaw(task), "controller must be a SetpointController, or one in a TorqueLimited with "),
             OwnLaw(task),
             "controller must be a SetpointController, or one in a TorqueLimited with limits of effort ",
         ),

@@ -124,7 +124,7 @@ def _kept_part(folder: Path, study: Study, indices: range) -> dict[str, Array]:
     file = folder / f"{name}.npz"
     if file.exists():
         try:
-            with np.load(file) as columns:
+            with file.open("rb") as stream, np.load(stream) as columns:
                 return dict(columns)
         except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise InvalidInputError(
