@@ -489,9 +489,6 @@ def test_what_is_not_covered_is_refused(panda):
     task = aj.PositionTask(panda)
     for controller, text in (
         (OwnLaw(task), "controller must be a SetpointController, or one in a TorqueLimited with "),
-            OwnLaw(task),
-            "controller must be a SetpointController, or one in a TorqueLimited with limits of effort ",
-        ),
         (
             aj.SetpointController(task, saturation=OwnSaturation(0.1)),
             "saturation must be Linear, Sine or Tanh to make code of it, got ",
