@@ -274,6 +274,26 @@ def test_regular_parts_of_a_box(name):
     assert ours.n_left != plain.n_left
 
 
+def test_a_region_that_is_regular_where_the_task_is():
+    """What is rare in the step is needed again where it is recorded, beyond that block."""
+    arm = aj.load_robot("ur5")
+    bent = functools.partial(_nonsingular, bend={arm.joint_names[2]: 0.3})
+    errors = aj.Uncertainty(arm, bent, object_length=(0.0, 0.2), object_axis="z")
+    task = errors.believed_task()
+    loop = aj.SetpointController(task), errors
+    box = aj.JointBox.around(arm, [0.0, -1.0, 1.0, 0.5, 0.5, 0.0], 1.0)
+    part, options = (
+        aj.stability.RegularPart(box, task, 0.2),
+        {"runs": 10, "duration": 0.1, "dt": 2e-3},
+    )
+    ours = aj.rollouts(*loop, part, engine="lanes", **options)
+    require_agreement(ours, aj.rollouts(*loop, part, engine="python", **options))
+
+
+def _nonsingular(robot, bend):
+    return aj.tasks.NonsingularTask(aj.PositionTask(robot), bend, 0.3)
+
+
 def test_boxes_of_continuous_joints():
     errors = aj.Uncertainty(aj.load_robot("kinova"), object_length=(0.0, 0.2))
     robot = errors.belief()

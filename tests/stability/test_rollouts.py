@@ -108,6 +108,13 @@ def test_threads_and_processes_give_the_same(controller, uncertainty, serial):
     require_same(threads, aj.rollouts(controller, by_lambda, REGION, **SHORT))
 
 
+def test_what_a_folder_cannot_know_again_is_refused(uncertainty, tmp_path):
+    own = dataclasses.replace(uncertainty, task=lambda robot: aj.PositionTask(robot, axes="xz"))
+    controller = aj.SetpointController(own.believed_task())
+    with pytest.raises(aj.InvalidInputError, match=r"must be picklable .* a lambda is not\)"):
+        aj.rollouts(controller, own, REGION, folder=tmp_path, **SHORT)
+
+
 def test_learnt_gravity_in_threads(uncertainty):
     task = uncertainty.believed_task()
     learning = aj.SetpointController(task, gravity=aj.AdaptiveGravity(GravityRegressor(task.robot)))

@@ -58,9 +58,9 @@ def carried_out(
             size = 1 if executor is None and folder is None else min(shared, _PORTION)
         pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
     part = _part if folder is None else partial(_kept_part, Path(folder))
-    if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
+    if folder is not None or isinstance(executor, ProcessPoolExecutor):  # others may pickle more
         for study in studies:
-            _require_picklable(study, executor)
+            _require_picklable(study)
     futures = [executor.submit(part, studies[k], indices) for k, indices in pieces if executor]
     found: list[list[dict[str, Array]]] = [[] for _ in studies]
     left = [math.inf if failures is None else failures] * len(studies)
@@ -100,15 +100,15 @@ def told(progress: Progress, total: int) -> Iterator[Callable[[int], None]]:
         yield tell
 
 
-def _require_picklable(study: Study, executor: Executor) -> None:
+def _require_picklable(study: Study) -> None:
     try:
         pickle.dumps(study)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InvalidInputError(
-            "controller, uncertainty and region must be picklable to go to other processes "
-            "(functools.partial(PositionTask, axes='xz') is, a lambda is not): "
-            f"{error}",
-            given=executor,
+            "controller, uncertainty and region must be picklable to go to other processes or to "
+            "be known again in a folder (functools.partial(PositionTask, axes='xz') is, a lambda "
+            f"is not): {error}",
+            given=study,
         ) from error
 
 
