@@ -197,7 +197,7 @@ def test_what_is_not_covered_runs_in_python_and_says_so(panda):
     many = aj.rollouts(predicted, errors, region, runs=1, duration=0.01)
     assert many.study.engine == "python"
     assert many.study.reason.startswith("controller must be a SetpointController, or one in a Tor")
-    with pytest.raises(aj.InvalidInputError, match="must be a SetpointController to make code"):
+    with pytest.raises(aj.InvalidInputError, match="must be a SetpointController, or one in a"):
         aj.rollouts(predicted, errors, region, runs=1, duration=0.01, engine="lanes")
     with pytest.raises(UnknownNameError, match="engine"):
         aj.rollouts(controller, errors, region, engine="cuda")

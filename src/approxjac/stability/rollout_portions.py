@@ -135,7 +135,7 @@ def _kept_part(folder: Path, study: Study, indices: range) -> dict[str, Array]:
     part = _part(study, indices)
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
-    with unfinished.open("wb") as stream:
-        np.savez(stream, **part)  # type: ignore[arg-type]
+    with unfinished.open("wb") as kept:
+        np.savez(kept, **part)  # type: ignore[arg-type]
     unfinished.replace(file)  # at once, so that a file that is there is whole
     return part
