@@ -44,6 +44,13 @@ def joined(units: Iterable[str]) -> str:
     return " or ".join(dict.fromkeys(units))
 
 
+def percent(share: float, digits: int = 1) -> str:
+    """Return a share in percent, where nothing but all is 100 and nothing but none is 0."""
+    least = 10.0**-digits
+    shown = min(max(100.0 * share, least), 100.0 - least) if 0.0 < share < 1.0 else 100.0 * share
+    return f"{shown:.{digits}f}"
+
+
 def plain(value: Any) -> Any:
     """Return a value as JSON knows it: arrays as lists, None for a number that is not finite."""
     if isinstance(value, dict):

@@ -14,7 +14,8 @@ from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.llvm import LlvmLanes
 from approxjac.codegen.numpy_source import NumpyLanes
 from approxjac.codegen.regions import Box
-from approxjac.controllers import PredictedMeasurement
+from approxjac.codegen.step import compiled
+from approxjac.controllers import HeldMeasurement, PredictedMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
 from approxjac.law import Sine
 from approxjac.stability import rollout_study
@@ -140,9 +141,19 @@ def test_the_same_bits_whatever_carries_them_out(tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 9
     monkeypatch.setattr("approxjac.stability.rollout_portions._PORTION", 16)
     assert digest(aj.rollouts(*loop, **options)) == expected
-    few = aj.rollouts(*loop, **options | {"runs": 9})
-    for name, column in few.columns.items():
-        assert_array_equal(column, ours.columns[name][:9], err_msg=name)
+    for runs in (9, 1):
+        few = aj.rollouts(*loop, **options | {"runs": runs})
+        for name, column in few.columns.items():
+            assert_array_equal(column, ours.columns[name][:runs], err_msg=name)
+
+
+def test_more_runs_than_a_compiled_loop_was_made_for():
+    """A loop that was compiled for one run has all its numbers as constants."""
+    loop, options = study("ur5"), {"duration": 0.1, "dt": 2e-3, "seed": 7}
+    one = aj.rollouts(*loop, runs=1, **options)
+    many = aj.rollouts(*loop, runs=3, **options)
+    assert_array_equal(many.columns["final_error"][:1], one.columns["final_error"])
+    require_agreement(many, aj.rollouts(*loop, runs=3, engine="python", **options))
 
 
 def test_divergence():
@@ -185,11 +196,46 @@ def test_what_is_not_covered_runs_in_python_and_says_so(panda):
     predicted = PredictedMeasurement(controller, aj.AdaptiveKinematics(controller.task))
     many = aj.rollouts(predicted, errors, region, runs=1, duration=0.01)
     assert many.study.engine == "python"
-    assert many.study.reason.startswith("controller must be a SetpointController to make code of")
-    with pytest.raises(aj.InvalidInputError, match="must be a SetpointController to make code"):
+    assert many.study.reason.startswith("controller must be a SetpointController, or one in a Tor")
+    with pytest.raises(aj.InvalidInputError, match="must be a SetpointController, or one in a"):
         aj.rollouts(predicted, errors, region, runs=1, duration=0.01, engine="lanes")
     with pytest.raises(UnknownNameError, match="engine"):
         aj.rollouts(controller, errors, region, engine="cuda")
+
+
+def test_what_derived_classes_do_is_not_taken_for_what_theirs_do(panda):
+    class Weak(aj.TorqueLimited):
+        def step(self, *arguments):
+            state, answer = super().step(*arguments)
+            return state, answer._replace(torque=0.5 * answer.torque)
+
+    class Blind(HeldMeasurement):
+        pass
+
+    class Sticky(aj.Uncertainty):
+        def plant(self, values):
+            plant = super().plant(values)
+            return aj.Plant(plant.robot, plant.sensor, 5.0 * values[0])
+
+    controller, errors, region = study("panda")
+    limits = aj.Limits(effort=panda.effort_limits)
+    own = Sticky(panda, object_length=(0.0, 0.2), object_mass=(0.0, 0.5))
+    for loop, text in (
+        ((Weak(controller, limits), errors), "controller must be a TorqueLimited itself to "),
+        ((Blind(controller, 0.1), errors), "controller must be a HeldMeasurement itself to "),
+        ((controller, own), "uncertainty must be one whose plant and robot are those of Uncert"),
+    ):
+        many = aj.rollouts(*loop, region, runs=1, duration=0.01)
+        assert many.study.engine == "python"
+        assert many.study.reason.startswith(text)
+
+
+def test_a_compiled_law_runs_in_lanes_as_the_one_that_it_was_made_from():
+    for loop in (study("ur5"), limited(study("ur5"), 0.3)):
+        options = {"runs": 3, "duration": 0.1, "dt": 2e-3}
+        ours = aj.rollouts(compiled(loop[0]), *loop[1:], **options)
+        assert ours.study.engine == "lanes"
+        assert digest(ours) == digest(aj.rollouts(*loop, **options))
 
 
 def test_without_llvmlite(monkeypatch):
@@ -226,6 +272,26 @@ def test_regular_parts_of_a_box(name):
     assert 0 < ours.columns["stayed"].sum() < 24
     plain = aj.rollouts(*loop, **SHORT)
     assert ours.n_left != plain.n_left
+
+
+def test_a_region_that_is_regular_where_the_task_is():
+    """What is rare in the step is needed again where it is recorded, beyond that block."""
+    arm = aj.load_robot("ur5")
+    bent = functools.partial(_nonsingular, bend={arm.joint_names[2]: 0.3})
+    errors = aj.Uncertainty(arm, bent, object_length=(0.0, 0.2), object_axis="z")
+    task = errors.believed_task()
+    loop = aj.SetpointController(task), errors
+    box = aj.JointBox.around(arm, [0.0, -1.0, 1.0, 0.5, 0.5, 0.0], 1.0)
+    part, options = (
+        aj.stability.RegularPart(box, task, 0.2),
+        {"runs": 10, "duration": 0.1, "dt": 2e-3},
+    )
+    ours = aj.rollouts(*loop, part, engine="lanes", **options)
+    require_agreement(ours, aj.rollouts(*loop, part, engine="python", **options))
+
+
+def _nonsingular(robot, bend):
+    return aj.tasks.NonsingularTask(aj.PositionTask(robot), bend, 0.3)
 
 
 def test_boxes_of_continuous_joints():

@@ -486,9 +486,23 @@ def test_what_is_not_covered_is_refused(panda):
     class OwnLaw(aj.SetpointController):
         pass
 
+    class OwnPosture(Posture):
+        pass
+
+    class OwnLimits(aj.TorqueLimited):
+        pass
+
     task = aj.PositionTask(panda)
     for controller, text in (
-        (OwnLaw(task), "controller must be a SetpointController to make code of it, got "),
+        (OwnLaw(task), "controller must be a SetpointController, or one in a TorqueLimited with "),
+        (
+            OwnLimits(aj.SetpointController(task), aj.Limits(effort=panda.effort_limits)),
+            "controller must be a TorqueLimited itself to make code of it, got OwnLimits: ",
+        ),
+        (
+            aj.SetpointController(task, posture=OwnPosture(panda.neutral(), 1.0)),
+            "posture must be a Posture or AwayFromStops itself, and AwayFromStops for an arm with ",
+        ),
         (
             aj.SetpointController(task, saturation=OwnSaturation(0.1)),
             "saturation must be Linear, Sine or Tanh to make code of it, got ",
@@ -503,7 +517,7 @@ def test_what_is_not_covered_is_refused(panda):
                 aj.PositionTask(aj.load_robot("kinova"), axes="xy"),
                 posture=Posture(aj.load_robot("kinova").neutral(), 1.0),
             ),
-            "posture must be AwayFromStops, or that of an arm without continuous joints, to make ",
+            "posture must be a Posture or AwayFromStops itself, and AwayFromStops for an arm with ",
         ),
     ):
         with pytest.raises(aj.InvalidInputError) as refused:
@@ -569,6 +583,20 @@ def test_a_whole_run_within_limits_of_effort_is_that_of_python(panda, learns, mo
     for part in ("q", "v", "tau", "slack", "V"):
         found, expected = getattr(quick, part), getattr(plain, part)
         assert_allclose(found, expected, rtol=1e-8, atol=1e-8, err_msg=part)
+
+
+def test_a_plant_that_moves_otherwise_is_not_taken_for_a_plant(panda):
+    """Such as one of MuJoCo, which has a floor."""
+
+    class Slow(aj.Plant):
+        def _forward(self, q, v, tau):
+            return 0.5 * super()._forward(q, v, tau)
+
+    plant, task = Slow(panda), aj.PositionTask(panda)
+    target = plant.sensor.value(plant.ready_configuration()) + 0.05
+    plain, quick = pair(task)
+    runs = [aj.simulate(plant, law, target, duration=2.1, dt=1e-3) for law in (plain, quick)]
+    assert_allclose(runs[1].q, runs[0].q, rtol=0, atol=1e-9)
 
 
 @pytest.mark.study

@@ -193,3 +193,12 @@ def test_linearization_of_eqs_28_and_29_entry_by_entry(numbers, rng):
         assert_allclose(
             A @ np.concatenate([dq, v, dtheta]), np.concatenate([v, acceleration, rate])
         )
+
+
+def test_where_nothing_is_learnt_it_is_the_linearization_of_eq_9(numbers, rng):
+    J, root = rng.normal(size=(M, NV)), rng.normal(size=(NV, NV))
+    inertia, B = root @ root.T + np.eye(NV), rng.uniform(0, 1, NV)
+    parts = inertia, J, numbers["J_hat"]
+    nothing = np.zeros((NV, M)), numbers["kp"], numbers["kv"], B, np.zeros((NV, 0)), np.zeros(0)
+    A = law.adaptive_closed_loop_matrix(*parts, *nothing, 0.0)
+    assert_allclose(A, law.closed_loop_matrix(*parts, numbers["kp"], numbers["kv"], B))

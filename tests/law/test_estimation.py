@@ -112,3 +112,11 @@ def test_the_best_rotation_is_a_maximum(d, rng):
         )
         moved = (law.rotation_exp(e * turn) @ best - law.rotation_exp(-e * turn) @ best) / (2 * e)
         assert_allclose(law.tangents(best) @ turn, moved.ravel(), atol=1e-6)
+
+
+def test_the_cross_matrix_turns_as_its_generators_do(rng):
+    phi, a = rng.normal(size=3), rng.normal(size=3)
+    assert_allclose(law.cross_matrix(phi) @ a, np.cross(phi, a))
+    for angles in (phi, phi[:1]):
+        expected = np.tensordot(angles, law.generators(2 if len(angles) == 1 else 3), 1)
+        assert_allclose(law.cross_matrix(angles), expected)

@@ -25,6 +25,17 @@ def test_the_saturated_error_is_bounded_and_has_its_rate(rng, speed, size):
     assert_allclose(s_dot, expected, atol=1e-8)
 
 
+def test_the_task_velocity_has_its_rate(rng):
+    z, z_dot, feed, feed_dot = rng.normal(size=(4, 3))
+
+    def velocity(t):
+        return law.task_velocity(z + t * z_dot, z_dot, feed + t * feed_dot, feed_dot, 3.0, 8.0)
+
+    u, u_dot = velocity(0.0)
+    assert_allclose(u, feed - 3.0 * law.saturated(z, z_dot, 8.0)[0])
+    assert_allclose(u_dot, rate_of(lambda t: velocity(t)[0]), atol=1e-8)
+
+
 def motion(rng, m, n, singular=None):
     """Ĵ(t), u(t), n₀(t) that are smooth, and near-singular at t = 0 if asked for."""
     J0, J1, J2 = rng.normal(size=(3, m, n))

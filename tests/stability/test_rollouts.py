@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 import approxjac as aj
+from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_study import _judged
@@ -105,6 +106,13 @@ def test_threads_and_processes_give_the_same(controller, uncertainty, serial):
     with ThreadPoolExecutor(1) as pool:
         threads = aj.rollouts(controller, by_lambda, REGION, executor=pool, **SHORT)
     require_same(threads, aj.rollouts(controller, by_lambda, REGION, **SHORT))
+
+
+def test_what_a_folder_cannot_know_again_is_refused(uncertainty, tmp_path):
+    own = dataclasses.replace(uncertainty, task=lambda robot: aj.PositionTask(robot, axes="xz"))
+    controller = aj.SetpointController(own.believed_task())
+    with pytest.raises(aj.InvalidInputError, match=r"must be picklable .* a lambda is not\)"):
+        aj.rollouts(controller, own, REGION, folder=tmp_path, **SHORT)
 
 
 def test_learnt_gravity_in_threads(uncertainty):
@@ -316,3 +324,19 @@ def test_the_interval_holds_where_failures_end_it(failures, probability):
 def test_a_bar(controller, uncertainty, capsys):
     aj.rollouts(controller, uncertainty, REGION, progress=True, **SHORT)
     assert "5/5" in capsys.readouterr().err
+
+
+def test_a_share_that_is_not_all_is_not_shown_as_all():
+    assert [percent(each) for each in (0.0, 1e-9, 0.5, 0.99995, 1.0)] == [
+        "0.0", "0.1", "50.0", "99.9", "100.0",
+    ]  # fmt: skip
+
+
+def test_a_file_that_is_damaged_is_named(tmp_path, controller, uncertainty):
+    options = {"runs": 3, "duration": 0.1, "dt": 2e-3, "folder": tmp_path, "engine": "python"}
+    aj.rollouts(controller, uncertainty, REGION, **options)
+    file = next(tmp_path.iterdir())
+    for damage in (b"", b"junk", file.read_bytes()[:100]):
+        file.write_bytes(damage)
+        with pytest.raises(aj.InvalidInputError, match=file.name):
+            aj.rollouts(controller, uncertainty, REGION, **options)

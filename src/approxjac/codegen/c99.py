@@ -50,7 +50,7 @@ def constant(value: float) -> str:
 
 
 def _rare(
-    _: int, condition: str, lines: list[str], results: list[tuple[str, str, str]]
+    _: str, condition: str, lines: list[str], results: list[tuple[str, str, str]]
 ) -> list[str]:
     return [
         *(f"    double {name} = {other};" for name, _, other in results),

@@ -44,8 +44,9 @@ typedef enum {
 $statuses
 } ${prefix}_status;
 
-/* What limits did to the torque of the law. With limits of torques alone nothing is learnt where
-   the proof is given up, and nothing where the torque is limited without it. */
+/* What limits did to the torque of the law. Whatever is said below of joints that go on learning,
+   with limits of torques alone nothing is learnt where the proof is given up, and nothing where
+   the torque is limited without it. */
 typedef enum {
 $limit_statuses
 } ${prefix}_limit_status;

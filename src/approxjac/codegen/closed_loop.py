@@ -74,14 +74,21 @@ def require_covered(controller: Controller, plant: Plant) -> None:
     """Refuse a closed loop of which no code can be made.
 
     Raises:
-        InvalidInputError: Another law, task or plant than those covered.
+        InvalidInputError: Another law, task or plant than those covered, or a class derived from
+            theirs, which may do something else.
     """
+    if isinstance(controller, HeldMeasurement) and type(controller) is not HeldMeasurement:
+        raise InvalidInputError(
+            "controller must be a HeldMeasurement itself to make code of it, got "
+            f"{type(controller).__name__}: {controller!r}",
+            given=controller,
+        )
     limits.require_covered(inside(controller))
     tasks.require_covered(plant.sensor)
-    if plant.servo is not None or plant.torque_limits is not None:
+    if type(plant) is not Plant or plant.servo is not None or plant.torque_limits is not None:
         raise InvalidInputError(
-            "plant must be one without a servo and torque_limits to make code of it, got "
-            f"{plant!r}",
+            "plant must be a Plant itself, without a servo and torque_limits, to make code of it, "
+            f"got {plant!r}",
             given=plant,
         )
 

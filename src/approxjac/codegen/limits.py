@@ -51,6 +51,13 @@ def require_covered(controller: Controller) -> None:
         InvalidInputError: Another law than `setpoint.require_covered` takes, other limits than
             those of effort, a weight that is no diagonal, or a cross_weight.
     """
+    controller = getattr(controller, "ordinary", controller)  # of one that is compiled
+    if isinstance(controller, TorqueLimited) and type(controller) is not TorqueLimited:
+        raise InvalidInputError(
+            "controller must be a TorqueLimited itself to make code of it, got "
+            f"{type(controller).__name__}: {controller!r}",
+            given=controller,
+        )
     if not isinstance(controller, TorqueLimited):
         setpoint.require_covered(controller)
         return

@@ -197,21 +197,21 @@ def _source(program: Program, width: int) -> str:
         return f"<{', '.join([f'double 0x{bits:016X}'] * width)}>"
 
     def rare(
-        number: int, condition: str, lines: list[str], results: list[tuple[str, str, str]]
+        label: str, condition: str, lines: list[str], results: list[tuple[str, str, str]]
     ) -> list[str]:
         return [
-            f"  %any{number} = bitcast B {condition} to i{width}",
-            f"  %is{number} = icmp ne i{width} %any{number}, 0",
-            f"  br label %before{number}",
-            f"before{number}:",
-            f"  br i1 %is{number}, label %rare{number}, label %after{number}",
-            f"rare{number}:",
+            f"  %any{label} = bitcast B {condition} to i{width}",
+            f"  %is{label} = icmp ne i{width} %any{label}, 0",
+            f"  br label %before{label}",
+            f"before{label}:",
+            f"  br i1 %is{label}, label %rare{label}, label %after{label}",
+            f"rare{label}:",
             *lines,
             *(f"  {name}.rare = select B {condition}, D {a}, D {b}" for name, a, b in results),
-            f"  br label %after{number}",
-            f"after{number}:",
+            f"  br label %after{label}",
+            f"after{label}:",
             *(
-                f"  {name} = phi D [ {name}.rare, %rare{number} ], [ {b}, %before{number} ]"
+                f"  {name} = phi D [ {name}.rare, %rare{label} ], [ {b}, %before{label} ]"
                 for name, _, b in results
             ),
         ]

@@ -167,7 +167,7 @@ class Language(NamedTuple):
         assigned: The line that assigns a text to a name, which is a condition or is not.
         read: The text that reads an input, of its name and its place.
         constant: The text of a number.
-        rare: Of a number of the block, its condition, its lines, and for each result its name, what
+        rare: Of a label of the block, its condition, its lines, and for each result its name, what
             it is in the block and what it is elsewhere: the lines of both.
     """
 
@@ -176,19 +176,26 @@ class Language(NamedTuple):
     assigned: Callable[[str, str, bool], str]
     read: Callable[[str, int], str]
     constant: Callable[[float], str]
-    rare: Callable[[int, str, list[str], list[tuple[str, str, str]]], list[str]]
+    rare: Callable[[str, str, list[str], list[tuple[str, str, str]]], list[str]]
 
 
 class Writer:
-    """Writes the operations of a graph in a language, each once."""
+    """Writes the operations of a graph in a language, each once.
+
+    But what was written in a rare block is not known beyond it: `lines` that need it later have it
+    again, under another name.
+    """
 
     def __init__(self, graph: Graph, language: Language) -> None:
         self._graph, self._language = graph, language
         self._names: dict[int, str] = {}
+        self._calls, self._again = 0, ""
 
     def lines(self, wanted: Sequence[Number]) -> tuple[list[str], list[str]]:
         """Return the lines that compute some numbers, and what they are called there."""
         graph, rare = self._graph, self._language.rare
+        self._again = f"_{self._calls}" if self._calls else ""
+        self._calls += 1
         places = [place for place in graph.needed(wanted) if place not in self._names]
         inside = self._inside(places, wanted)
         lines: list[str] = []
@@ -210,12 +217,15 @@ class Writer:
                 ]
                 body = [line for each in own for line in self._line(each)]
                 for each in results:
-                    self._names[each] = f"{self._language.variable}{each}"
+                    self._names[each] = f"{self._language.variable}{each}{self._again}"
                 told = []
                 for each in results:
                     _, a, b = graph.nodes[each].arguments
                     told.append((self._names[each], self._name(a), self._name(b)))
-                lines += rare(number, self._name(node.arguments[0]), body, told)
+                label = f"{number}{self._again}"
+                lines += rare(label, self._name(node.arguments[0]), body, told)
+        for place in inside:
+            self._names.pop(place, None)
         return lines, [self._name(graph.place(number)) for number in wanted]
 
     def _inside(self, places: list[int], wanted: Sequence[Number]) -> dict[int, int]:
@@ -251,7 +261,7 @@ class Writer:
         if operation == "constant":
             return []
         language = self._language
-        self._names[place] = f"{language.variable}{place}"
+        self._names[place] = f"{language.variable}{place}{self._again}"
         if operation == "input":
             assert isinstance(value, tuple)
             text = language.read(*value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import NoneType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from approxjac.codegen.graph import Condition, Scalar, select
 from approxjac.codegen.linear import Factors, damped_gram_solve
 from approxjac.codegen.rigid_body import Arm, Configured
 from approxjac.codegen.symbols import Symbols, any_of, symbols
-from approxjac.controllers import Posture
+from approxjac.controllers import AwayFromStops, Posture
 from approxjac.controllers.default_gains import slow_rate
 from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.gravity import (
@@ -73,7 +74,9 @@ def require_covered(controller: Controller) -> None:
     """
     if type(controller) is not SetpointController:
         raise InvalidInputError(
-            f"controller must be a SetpointController to make code of it, got {controller!r}",
+            "controller must be a SetpointController, or one in a TorqueLimited with limits of "
+            "effort alone, to make code of it (`compiled` also takes a TrackingController; what "
+            f"else goes around a law goes around the compiled one), got {controller!r}",
             given=controller,
         )
     tasks.require_covered(controller.task)
@@ -90,10 +93,11 @@ def require_covered(controller: Controller) -> None:
             f"make code of it, got {type(gravity).__name__}: {gravity!r}",
             given=gravity,
         )
-    if isinstance(posture, Posture) and robot.nq != robot.nv:
+    is_own = type(posture) in (Posture, AwayFromStops, NoneType)
+    if not is_own or (isinstance(posture, Posture) and robot.nq != robot.nv):
         raise InvalidInputError(
-            "posture must be AwayFromStops, or that of an arm without continuous joints, to make "
-            f"code of it, got {posture!r}",
+            "posture must be a Posture or AwayFromStops itself, and AwayFromStops for an arm with "
+            f"continuous joints, to make code of it, got {posture!r}",
             given=posture,
         )
 

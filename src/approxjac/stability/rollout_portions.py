@@ -8,6 +8,7 @@ import math
 import os
 import pickle
 import uuid
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -57,9 +58,9 @@ def carried_out(
             size = 1 if executor is None and folder is None else min(shared, _PORTION)
         pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
     part = _part if folder is None else partial(_kept_part, Path(folder))
-    if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
+    if folder is not None or isinstance(executor, ProcessPoolExecutor):  # others may pickle more
         for study in studies:
-            _require_picklable(study, executor)
+            _require_picklable(study)
     futures = [executor.submit(part, studies[k], indices) for k, indices in pieces if executor]
     found: list[list[dict[str, Array]]] = [[] for _ in studies]
     left = [math.inf if failures is None else failures] * len(studies)
@@ -99,15 +100,15 @@ def told(progress: Progress, total: int) -> Iterator[Callable[[int], None]]:
         yield tell
 
 
-def _require_picklable(study: Study, executor: Executor) -> None:
+def _require_picklable(study: Study) -> None:
     try:
         pickle.dumps(study)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InvalidInputError(
-            "controller, uncertainty and region must be picklable to go to other processes "
-            "(functools.partial(PositionTask, axes='xz') is, a lambda is not): "
-            f"{error}",
-            given=executor,
+            "controller, uncertainty and region must be picklable to go to other processes or to "
+            "be known again in a folder (functools.partial(PositionTask, axes='xz') is, a lambda "
+            f"is not): {error}",
+            given=study,
         ) from error
 
 
@@ -122,12 +123,19 @@ def _kept_part(folder: Path, study: Study, indices: range) -> dict[str, Array]:
     name = hashlib.sha256(pickle.dumps((study, indices))).hexdigest()[:20]
     file = folder / f"{name}.npz"
     if file.exists():
-        with np.load(file) as columns:
-            return dict(columns)
+        try:
+            with file.open("rb") as stream, np.load(stream) as columns:
+                return dict(columns)
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise InvalidInputError(
+                f"folder must hold whole files only, but {file} cannot be read ({error}); delete "
+                "it, and its runs are done again",
+                given=folder,
+            ) from error
     part = _part(study, indices)
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
-    with unfinished.open("wb") as stream:
-        np.savez(stream, **part)  # type: ignore[arg-type]
+    with unfinished.open("wb") as kept:
+        np.savez(kept, **part)  # type: ignore[arg-type]
     unfinished.replace(file)  # at once, so that a file that is there is whole
     return part

@@ -116,6 +116,7 @@ class Study:
             from approxjac.codegen.closed_loop import require_covered
 
             require_covered(self.controller, self.plant(self.uncertainty.believed))
+            self._require_alike()
             self._box()
         except InvalidInputError as error:
             if engine is not None:
@@ -125,11 +126,22 @@ class Study:
             package_of("fast", "llvmlite")
         elif importlib.util.find_spec("llvmlite") is None:
             return replace(self, reason="llvmlite is not installed")
+        study = replace(self, engine="lanes", examples=min(runs, _EXAMPLES))
         try:
-            key = hashlib.sha256(pickle.dumps(self)).hexdigest()
+            key = hashlib.sha256(pickle.dumps(study)).hexdigest()
         except (pickle.PicklingError, AttributeError, TypeError):
             key = uuid.uuid4().hex  # for the threads of this process
-        return replace(self, engine="lanes", examples=min(runs, _EXAMPLES), key=key)
+        return replace(study, key=key)
+
+    def _require_alike(self) -> None:
+        """Refuse true robots that may differ in more than lengths, axes, masses and cameras."""
+        own = type(self.uncertainty)
+        if (own.plant, own.robot) != (Uncertainty.plant, Uncertainty.robot):
+            raise InvalidInputError(
+                "uncertainty must be one whose plant and robot are those of Uncertainty for lanes, "
+                f"got {own.__name__}: {self.uncertainty!r}",
+                given=self.uncertainty,
+            )
 
     def _box(self) -> Box:
         """Return the region as lanes take it, or refuse it."""

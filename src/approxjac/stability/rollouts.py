@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import joined
+from approxjac.formatting import joined, percent
 from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant, Sensing, Trajectory
 from approxjac.simulation.sampled_loop import require_fit, wanted_of
@@ -164,8 +164,8 @@ class Rollouts:
         return (
             f"{self.n_converged} of {self.n} runs converged to within {study.tolerance:g} {unit} "
             f"throughout the last tenth of their {study.duration:g} s: "
-            f"{100 * self.share:.1f} %, with 95 % confidence "
-            f"{100 * low:.1f} to {100 * high:.1f} %; {self.n_diverged} diverged, {self.n_left} "
+            f"{percent(self.share)} %, with 95 % confidence "
+            f"{percent(low)} to {percent(high)} %; {self.n_diverged} diverged, {self.n_left} "
             f"went outside the region without diverging; the worst, run {worst.index}, {ended} "
             f"with {study.uncertainty.describe(worst.values)}"
         )

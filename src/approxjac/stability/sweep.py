@@ -15,7 +15,7 @@ import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import joined
+from approxjac.formatting import joined, percent
 from approxjac.interface import Controller
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_portions import Progress, carried_out
@@ -46,8 +46,8 @@ class Sweep:
 
         The labels; "runs", "share" that converges, with the ends "low" and "high" of its interval;
         "diverged" and "left" the region; "settling_time" [s], the median, with runs that have not
-        settled as infinite; "final_error", "peak_torque" and "peak_speed", the largest, the last
-        two of runs that did not diverge.
+        settled as infinite; "final_error" [units of the task], "peak_torque" and "peak_speed"
+        [shares of the limits], the largest, the last two of runs that did not diverge.
         """
         pairs = [label if len(self.names) == 2 else (label,) for label in self.points]
         found = {name: _column(each) for name, each in zip(self.names, zip(*pairs), strict=True)}  # noqa: B905
@@ -63,7 +63,7 @@ class Sweep:
             settled = f"half settle within {half:.3g} s" if half < np.inf else "half never settle"
             lines.append(
                 f"{label}: {runs.n_converged} of {runs.n} converged, "
-                f"{100 * row['share']:.1f} % ({100 * row['low']:.1f} to {100 * row['high']:.1f} %);"
+                f"{percent(row['share'])} % ({percent(row['low'])} to {percent(row['high'])} %);"
                 f" {settled}; worst {row['final_error']:.3g} {unit} off"
             )
         return "\n".join(lines)
@@ -116,7 +116,8 @@ def sweep(
     if not names or not all(given[name] for name in names):
         raise InvalidInputError(
             "controller or uncertainty must be a dict that is not empty, such as {1: errors, "
-            f"2: errors.scaled(2)}}, got {controller!r} and {uncertainty!r}",
+            "2: errors.scaled(2)}, or {kv: law.with_gains(aj.Gains(400, kv, 1)) for kv in (40, 80)}"
+            f", got a {type(controller).__name__} and a {type(uncertainty).__name__}",
             given=given,
         )
     choices = [given[name].items() for name in names]  # type: ignore[union-attr]
