@@ -4,10 +4,10 @@ The torque that acts is the law's own and an error, τ = u + w, M q̈ = −C q̇
 the V of `law.matrix_form` obeys V̇ = −zᵀQz + yᵀw with y = q̇ + G s. A torque that was computed
 earlier has missed what u did since, so that w is small where u̇ is, in the mean over any time:
 
-    ∫ wᵀD⁻¹w dt ≤ γ² (1 + δ) ∫ u̇ᵀD⁻¹u̇ dt,   γ of `hold_gain`, 1 + δ of `drift`.
+    √(∫ wᵀD⁻¹w dt) ≤ Γ √(∫ u̇ᵀD⁻¹u̇ dt),   Γ = γ of `hold_gain` times `growth`.
 
 u̇ = T₀z + Uw and a rest that is quadratic in q̇, which is at most κ |q̇|_M |q̇|_D. With |q̇|_M ≤ v̄ and
-b = γκv̄, the form `held_form` is positive for some λ ≥ 0 wherever V is bounded by its start.
+b = Γκv̄, V is bounded by its start wherever the form `held_form` is positive for some λ ≥ 0.
 Where x comes in frames, s in the torque is s + w_x with
 
     ∫ w_xᵀX w_x dt ≤ γ_x² ∫ |s' J_e q̇|²_X dt,   X constant and diagonal.
@@ -43,10 +43,20 @@ def hold_gain(period: float, late: float) -> float:
     return late + 2.0 * period / math.pi
 
 
-def drift(rate: float, period: float, late: float) -> float:
-    """1 + δ = e^(2 r (h + d)), for a weight that changes by at most e^(r t) in a time t [1/s]."""
-    exponent = 2.0 * rate * (period + late)
-    return math.exp(exponent) if exponent < _MOST else math.inf
+def growth(rate: float, span: float, lag: float = 0.0) -> float:
+    """What γ grows by if signals count e^(rate · t) in time; infinite where nothing bounds it.
+
+    For rates of V, and for weights that change by at most e^(2 · rate · t) in a time t.
+
+    Args:
+        rate: [1/s].
+        span: Longest time that what acts is out of date [s].
+        lag: Mean age of what a filter with a falling response makes of it [s]. Such an age σ is
+            less spread than one with exponential distribution, so E σe^(rate σ) ≤ lag/(1 −
+            rate lag)².
+    """
+    exponent, left = rate * span, 1.0 - rate * lag
+    return math.exp(exponent) / left**2 if exponent < _MOST and left > 0.0 else math.inf
 
 
 class TorqueRate(NamedTuple):
@@ -128,6 +138,13 @@ def damping_turn(M: Array, D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> 
     return tensor_bound(_turned(gradient, root_M, root, root))
 
 
+def damping_turn_along(M: Array, D: Array, J_hat: Array, dJ_hat: Array, kv: Array) -> Array:
+    """k_f, (…): |∂D[q̇]p| is at most k_f |q̇|_D |p|_M in the norm of D⁻¹."""
+    root, root_M = _inverse_root(D), _inverse_root(M)
+    gradient = _damping_gradient(J_hat, dJ_hat, kv)
+    return tensor_bound(_turned(gradient, root, root, root_M))
+
+
 def stiffness_turn(D: Array, dJ_hat: Array, kp: Array) -> Array:
     """ē, (…): |∂Ĵᵀ[q̇]K_p s| is at most ē |q̇|_D |s| in the norm of D⁻¹."""
     root, gradient = _inverse_root(D), dJ_hat.mT * kp  # [k, a, j]
@@ -175,8 +192,9 @@ def held_form(
         kp: Diagonal of K_p.
         rate: Of `torque_rate`; of `damping_rate_of_torque` where x comes in frames.
         multiplier: λ ≥ 0.
-        gain: γ² (1 + δ) [s²].
-        b: Of what is quadratic in q̇, γκv̄, and with frames (h + d) ē s̄ more; constant.
+        gain: Γ² [s²].
+        b: What w has beside Γ times T z + U w is at most b |q̇|_D: Γκv̄ of what is quadratic in q̇,
+            and with frames (h + d) ē s̄ more; constant.
         frames: The diagonal of X (m,), s'(e) J_e (…, m, n_v), and γ_x² [s²], where x comes in
             frames: N is 2 n_v + 2 m then, 2 n_v + m without.
     """

@@ -12,7 +12,8 @@ from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.families import Weights
 from approxjac.stability.matrix_form import MatrixForm, best_weights
 from approxjac.stability.region import JointBox
-from approxjac.stability.sampled_test import SampledTest
+from approxjac.stability.sampled_form import SampledForm
+from approxjac.stability.sampled_test import SampledTest, largest_errors
 from approxjac.stability.samples import Indices
 from approxjac.validation import Array
 
@@ -90,12 +91,19 @@ def _travel(test: SampledTest, saturation: Saturation) -> tuple[Array, float, We
     """The least `Attraction.travel`, its rate, the function of V, and V at the start at most."""
     whole, weights = test.form.with_speed(_SLOWER * test.speed), test.weights
     n = whole.samples.M.shape[-1]
-    largest = _largest_ratio(saturation, test.reach)
+    largest = _largest_ratio(saturation, whole, weights)
     best, chosen, of_best = np.full(n, np.inf), 0.0, weights
     worst = whole.take(np.argsort(test.margins)[:_WORST])
     for rate in _RATES:
+        if not whole.at_rate(rate, largest).is_possible():
+            break
         found = best_weights(worst.at_rate(rate, largest), "free").weights
-        faster = whole.at_rate(rate, largest)
+        if (found.w <= 0.0).any():
+            continue
+        # errors are as large as this function lets them be
+        faster = whole.with_reach(whole.largest_s(found)).at_rate(
+            rate, _largest_ratio(saturation, whole, found)
+        )
         for multiple in _MULTIPLES:
             scaled = found._replace(multiplier=multiple * found.multiplier)
             F = faster.decrease(scaled)
@@ -110,8 +118,9 @@ def _travel(test: SampledTest, saturation: Saturation) -> tuple[Array, float, We
     return best / np.sqrt(of_best.w.max()), chosen, of_best, whole.level(of_best)
 
 
-def _largest_ratio(saturation: Saturation, reach: Array) -> float:
-    """Largest S(e)/s(e)² of errors up to `reach`: ½ where s(e) = e."""
+def _largest_ratio(saturation: Saturation, form: SampledForm, weights: Weights) -> float:
+    """Largest S(e)/s(e)² of motions that stay below v̄: ½ where s(e) = e."""
+    reach = largest_errors(saturation, weights.w, 0.5 * form.speed**2)
     errors = np.linspace(0.0, 1.0, 200)[1:, np.newaxis] * reach
     s = saturation.s(errors)
     positive = s > 0.0

@@ -28,9 +28,10 @@ class Hold(NamedTuple):
     Attributes:
         gain: γ of the torque, or of its part with D_c where x comes in frames [s].
         span: Longest time that a torque is out of date [s].
-        lag: Of the filter of q̇ [s].
+        lag: Mean age of q̇ that a filter makes of it [s].
         frames: γ_x of x that comes in frames [s]; None where x is read with the rest.
         age: Longest time that x is out of date [s].
+        turned: γ of what q alone makes of the torque while q̇ is that old [s].
     """
 
     gain: float
@@ -38,23 +39,29 @@ class Hold(NamedTuple):
     lag: float
     frames: float | None = None
     age: float = 0.0
+    turned: float = 0.0
 
     @classmethod
     def of(cls, latency: Latency) -> Hold:
         """Return that of a loop.
 
-        A filter of differences of q, with its time constant τ, is late by τ and half a period: of
-        each q̇ it has the means over earlier periods.
+        A filter of differences of q, with its time constant τ, has the means of q̇ over earlier
+        periods, with falling weights: it is late by τ and half a period in the mean. Frames that
+        do not fall on samples wait for the next one, each for another time; counted back by the
+        longest, the times that they are used for follow each other without a gap, each with an
+        error that is zero where its frame was taken, so that `hold_gain` remains.
         """
         h, d = latency.period, latency.torque_delay
         lag = latency.velocity_filter + 0.5 * h if latency.velocity_filter > 0.0 else 0.0
-        gain, span = sampled_form.hold_gain(h, d) + lag, h + d + lag
+        turned = lag + 0.5 * h if lag else 0.0
+        gain, span = sampled_form.hold_gain(h, d) + lag, h + d
         if not (lag or latency.image_period or latency.image_age):
             return cls(gain, span, lag)
         held, late = max(latency.image_period, h), h * math.ceil(latency.image_age / h - _MULTIPLE)
         if abs(held / h - round(held / h)) > _MULTIPLE:
-            held += h
-        return cls(gain, span, lag, sampled_form.hold_gain(held, late + d), held + late + d)
+            late += h
+        x = sampled_form.hold_gain(held, late + d)
+        return cls(gain, span, lag, x, held + late + d, turned)
 
 
 class Turning(NamedTuple):
@@ -64,11 +71,15 @@ class Turning(NamedTuple):
         curvature: κ.
         damping: k_R.
         stiffness: ē.
+        filtered: k_f, where q̇ is filtered.
+        gravity: Largest |∂g q̇| in the norm of D⁻¹ over |q̇|_D, where q̇ is filtered [1/s].
     """
 
     curvature: float
     damping: float
     stiffness: float
+    filtered: float = 0.0
+    gravity: float = 0.0
 
 
 class _Rates(NamedTuple):
@@ -118,7 +129,7 @@ class SampledForm(MatrixForm):
             ),
             sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, setting.kp, dg),
         )
-        self.turning = self._turning(D_c) if turning is None else turning
+        self.turning = self._turning(D_c, dg) if turning is None else turning
         # of L⁻¹UL, D = LLᵀ: the rate at which the torque's error answers itself [1/s]
         turned = self._of_samples.root @ self._rates.whole.U @ np.linalg.inv(self._of_samples.root)
         self._fastest = float(np.linalg.svd(turned, compute_uv=False)[:, 0].max())
@@ -128,19 +139,32 @@ class SampledForm(MatrixForm):
         return self._rates.whole if self.hold.frames is None else self._rates.damping
 
     @property
+    def _growth(self) -> float:
+        rate = self._decay[0] + self.turning.damping * self.speed
+        return sampled_form.growth(rate, self.hold.span, self.hold.lag)
+
+    @property
     def _gain(self) -> float:
-        """γ²(1 + δ) [s²]."""
-        drift = sampled_form.drift(self.turning.damping * self.speed, self.hold.span, 0.0)
-        return self.hold.gain**2 * drift
+        """Γ² [s²]."""
+        return (self.hold.gain * self._growth) ** 2
 
     @property
     def _b(self) -> float:
-        hold, (kappa, k_R, e_bar) = self.hold, self.turning
-        along = hold.gain * kappa + k_R * hold.lag
-        return along * self.speed + (0.0 if hold.frames is None else hold.span * e_bar * self.reach)
+        hold, turning, v_bar = self.hold, self.turning, self.speed
+        b = hold.gain * turning.curvature * v_bar
+        b += hold.turned * (turning.filtered * v_bar + turning.gravity)
+        if hold.frames is not None:
+            b += hold.span * turning.stiffness * self.reach
+        return self._growth * b
+
+    @property
+    def _frames(self) -> float | None:
+        """γ_x, grown with the rate [s]."""
+        x = self.hold.frames
+        return None if x is None else x * sampled_form.growth(self._decay[0], self.hold.age)
 
     def with_latency(self, latency: Latency) -> Self:
-        """Return this of a loop with another latency."""
+        """Return this of a loop with another period and delay of torques."""
         other = copy.copy(self)
         other.hold = Hold.of(latency)
         return other
@@ -152,9 +176,7 @@ class SampledForm(MatrixForm):
             rate: ρ [1/s].
             largest: Of S(e)/s(e)².
         """
-        other, hold = copy.copy(self), self.hold
-        frames = None if hold.frames is None else hold.frames * math.exp(rate * hold.age)
-        other.hold = hold._replace(gain=hold.gain * math.exp(rate * hold.span), frames=frames)
+        other = copy.copy(self)
         other._decay = rate, largest
         return other
 
@@ -170,16 +192,22 @@ class SampledForm(MatrixForm):
         other.reach = reach
         return other
 
-    def _turning(self, D_c: Array) -> Turning:
+    def _turning(self, D_c: Array, dg: Array | None) -> Turning:
         at, D, kv = self.samples, self._of_samples.D, self.setting.kv
+        filtered, gravity, root = 0.0, 0.0, self._of_samples.root
+        if self.hold.lag and dg is not None:
+            gravity = float(np.linalg.norm(root @ dg @ root.mT, 2, axis=(-2, -1)).max())
         if not self.speed:
-            return Turning(0.0, 0.0, 0.0)
+            return Turning(0.0, 0.0, 0.0, 0.0, gravity)
+        if self.hold.lag:
+            along = sampled_form.damping_turn_along(at.M, D, at.J_hat, at.dJ_hat, kv)
+            filtered = float(along.max())
         kappa = sampled_form.torque_curvature(at.M, at.dM, D, D_c, at.J_hat, at.dJ_hat, kv)
         k_R = sampled_form.damping_turn(at.M, D, at.J_hat, at.dJ_hat, kv)
         e_bar = 0.0
         if self.hold.frames is not None:
             e_bar = float(sampled_form.stiffness_turn(D, at.dJ_hat, self.setting.kp).max())
-        return Turning(float(kappa.max()), float(k_R.max()), e_bar)
+        return Turning(float(kappa.max()), float(k_R.max()), e_bar, filtered, gravity)
 
     def _with(self, samples: Samples, changed: Callable[[Array], Array]) -> Self:
         other = super()._with(samples, changed)
@@ -215,9 +243,9 @@ class SampledForm(MatrixForm):
 
     def _form(self, weights: Weights, Q: Array, G: Array) -> Array:
         of, at, frames = self._of_samples, self.samples, None
-        if self.hold.frames is not None:
+        if self._frames is not None:
             X = np.zeros(len(weights.w)) + weights.X
-            frames = X, at.slope[..., np.newaxis] * at.J_e, self.hold.frames**2
+            frames = X, at.slope[..., np.newaxis] * at.J_e, self._frames**2
         F = sampled_form.held_form(
             Q, G, of.D, at.J_hat, self.setting.kp, self._rate, weights.multiplier, self._gain,
             self._b, frames,
@@ -274,6 +302,14 @@ class SampledForm(MatrixForm):
     def kinetic_share(self, weights: Weights) -> float:
         """σ², (0, 1): V ≥ ½(1 − σ²)|q̇|²_M at these samples."""
         return float(self._kinetic(weights, self.cross_weight(weights)).max())
+
+    def largest_s(self, weights: Weights) -> float:
+        """Largest |s(e)| of motions that begin with V ≤ `level`; infinite where V bounds none.
+
+        V ≥ ½ (1 − σ²) sᵀ(2c̄W + Ω)s.
+        """
+        least = float(np.linalg.eigvalsh(weights.block(self.setting.c_bar))[0])
+        return self.speed / math.sqrt(least) if least > 0.0 else math.inf
 
     def level(self, weights: Weights) -> float:
         """c [J]: from V ≤ c on, |q̇|_M stays below v̄."""

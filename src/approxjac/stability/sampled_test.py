@@ -125,9 +125,9 @@ def sampled_test(
         best, family = _best(form, known)
         margins = check.margins(best.weights)
         # s̄ is of the weights that were begun with: of smaller ones errors may be larger
-        least = float(np.linalg.eigvalsh(best.weights.block(setting.c_bar))[0])
-        if least < 2.0 * setting.c_bar * float(potential.min()):
-            whole = whole.with_reach(speed / math.sqrt(least))
+        reach = whole.largest_s(best.weights)
+        if reach > whole.reach:
+            whole = whole.with_reach(reach)
             form, check = whole.take(slice(len(samples))), whole.take(slice(len(samples), None))
             best = best._replace(margins=form.margins(best.weights))
             margins = check.margins(best.weights)
@@ -139,7 +139,7 @@ def sampled_test(
     return SampledTest(
         family, best.weights, best.margins, len(fresh), violations, loop.region.independent,
         latency, speed, level, float((energies <= level).mean()),
-        _largest_errors(saturation, best.weights.w, level), form,
+        largest_errors(saturation, best.weights.w, level), form,
     )  # fmt: skip
 
 
@@ -167,7 +167,7 @@ def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:
     return max(found, key=lambda each: float(each[0].margins.min()))
 
 
-def _largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
+def largest_errors(saturation: Saturation, w: Array, level: float) -> Array:
     """The largest eᵢ with wᵢSᵢ(eᵢ) ≤ c, the others being zero, shape (m,)."""
     low, high = np.zeros(len(w)), np.full(len(w), 1e-9)
     while ((w * saturation.S(high) < level) & (high < 1e6)).any():
