@@ -58,8 +58,9 @@ class Hold(NamedTuple):
         if not (lag or latency.image_period or latency.image_age):
             return cls(gain, span, lag)
         held, late = max(latency.image_period, h), h * math.ceil(latency.image_age / h - _MULTIPLE)
-        if abs(held / h - round(held / h)) > _MULTIPLE:
-            late += h
+        frames = latency.image_period / h
+        if abs(frames - round(frames)) > _MULTIPLE:
+            late += min(latency.image_period, h)
         x = sampled_form.hold_gain(held, late + d)
         return cls(gain, span, lag, x, held + late + d, turned)
 

@@ -1,0 +1,331 @@
+"""Attack the certificate of the loop as it runs: sampled, late, with x in frames and a filtered q̇.
+
+A setup is a random arm with a tool that may be longer and heavier than believed, gains, damping,
+friction, saturation, a box, delays, images and a filter. Its period is the longest of a few that
+are certified, near what the loop is stable with at all. Certified ones are attacked: with true
+robots from inside the box of errors linearised as they run, with recorded runs along which V must
+not rise above its start, and with rollouts in lanes, from starts that are certified to stay.
+
+    python examples/studies/attack_certificate.py --out results/attack_certificate
+
+docs/tables/attack_certificate.md is its table. Exit code 1 means that a counterexample was found.
+"""
+
+import math
+import sys
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from certify import lyapunov
+from common import carried_object, head, parser, row, run_all, write
+
+import approxjac as aj
+from approxjac.controllers import Latency
+from approxjac.stability.attraction import attraction
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.matrix_form import MatrixForm, best_weights
+from approxjac.stability.region import Region
+from approxjac.stability.rollout_study import Study
+from approxjac.stability.rollouts import as_study
+from approxjac.stability.sampled_test import growth, sampled_test
+
+ARMS = (
+    "two_link", "panda", "ur5", "xarm7", "kinova", "z1", "ur10", "so101", "talos_arm", "tiago_arm",
+    "baxter_left_arm",
+)  # fmt: skip
+POSES = ("ur5", "kinova", "ur10", "z1")  # six joints: half of theirs are tasks of as many coordinates
+SAMPLES = 100  # to choose a function on, and again to check it
+SHARES = (0.76, 0.6, 0.45, 0.3, 0.15, 0.05)  # of the exact period, the longest first
+INNER, OF_EACH = 12, 5  # true robots from inside, and linearisations of each
+RECORDED, STEPS = 3, 600  # runs along which V is watched, and their length in periods
+LANES, OTHERS, LONGEST = 4000, 500, 4000  # rollouts of a setup; [periods]
+CALMER = 0.25  # times the period, where no starts are certified to stay with it
+DURATION = 2.0  # of rollouts [s], if that is not longer than LONGEST
+RISE = 1e-6  # of V above its start that is round-off
+
+
+class Outcome(NamedTuple):
+    """What became of a setup."""
+
+    name: str
+    latency: Latency | None  # None where no period was certified
+    share: float  # of the longest stable period
+    margin: float
+    radius: float  # of certified starts that stay [rad]
+    growth: np.ndarray  # of the inner linearisations
+    rises: list  # largest V(t)/V(0) − 1 of recorded runs
+    kept: int  # recorded runs that stayed in the box
+    rollouts: int
+    staying: int  # of them from starts that are certified to stay
+    diverged: int
+    left: int  # the box, of those certified to stay
+    others: int  # that left, of those that no one says will stay
+
+    def counterexamples(self):
+        """Return what contradicts the certificate, in words."""
+        found = [f"errors grow by {g:.6f} from frame to frame" for g in self.growth if g >= 1.0]
+        found += [f"V rises by {rise:.2g} above its start" for rise in self.rises if rise > RISE]
+        found += [f"{self.diverged} rollouts diverge"] if self.diverged else []
+        found += [f"{self.left} rollouts leave"] if self.left else []
+        return [f"{self.name}, {self.latency!r}: {text}" for text in found]
+
+
+# -- setups ---------------------------------------------------------------------------------------
+
+
+def draw(number, seed):
+    """Return the closed loop of a setup, its errors, and its latency in periods of 1 s."""
+    rng = np.random.default_rng([seed, number])
+    name = ARMS[number % len(ARMS)]
+    robot, (length, mass) = aj.load_robot(name), carried_object(name)
+    weightless = rng.random() < 0.6
+    held = {"object_length": (0.0, length * rng.uniform(0.25, 1.5))}
+    if weightless:
+        robot = robot.with_gravity((0.0, 0.0, 0.0))
+        held["object_mass"] = (0.0, mass * rng.uniform())
+    task = aj.PoseTask if name in POSES and rng.random() < 0.5 else None
+    plain = aj.Uncertainty(robot, task, **held)
+    believed = plain.believed_task()
+    usual = aj.default_gains(believed)
+    kp, kv = (factor * np.asarray(gain) for factor, gain in zip(
+        3.0 ** rng.uniform(-1.0, 1.0, 2), (usual.kp, usual.kv), strict=True
+    ))  # fmt: skip
+    half = rng.uniform(0.05, 0.2)
+    q = regular(plain, half, rng)
+    damping = np.maximum(usual.damping, 0.05 * np.max(kv)) * np.ones(robot.nv)
+    if rng.random() < 0.6:  # in the shape of inertia, with which periods may be longer
+        damping = 10.0 * np.diag(aj.Plant(robot).dynamics.M(q)) + 0.003 * np.max(kv)
+    damping = damping * 4.0 ** rng.uniform(-1.0, 1.0)
+    friction = 0.3 * float(np.mean(damping)) * rng.uniform() if rng.random() < 0.5 else 0.0
+    errors = replace(plain, friction=friction)
+    saturation = aj.law.Linear()
+    if rng.random() < 0.5:
+        size = half * float(np.linalg.norm(believed.jacobian(q), 2))
+        saturation = (aj.law.Sine, aj.law.Tanh)[rng.integers(2)](size * rng.uniform(0.2, 2.0))
+    gravity = aj.NoGravity(believed.robot) if weightless else None
+    controller = aj.SetpointController(
+        believed, aj.Gains(kp, kv, damping), gravity=gravity, saturation=saturation
+    )
+    every = int(rng.choice([0, 0, 1, 5, 17, 33]))
+    latency = Latency(
+        1.0, float(rng.integers(3)), float(rng.choice([0.0, 0.0, 0.0, 1.0, 4.0])), float(every),
+        float(rng.integers(2 * every + 1)),
+    )  # fmt: skip
+    return controller, errors, aj.JointBox.around(errors.arm, q, half), latency, rng
+
+
+def regular(errors, half, rng):
+    """Return the middle of a box within the joint limits, where no Jacobian is nearly singular."""
+    low, high = errors.arm.position_limits
+    tasks = [errors.believed_task(), *(errors.plant(each).sensor for each in errors.corners())]
+    while True:
+        q = errors.arm.random_configuration(rng)
+        at = pin.difference(errors.arm.model, errors.arm.neutral(), q)
+        if (at - half < low).any() or (at + half > high).any():
+            continue  # stops are nothing that a certificate speaks of
+        sizes = [np.linalg.svd(task.jacobian(q), compute_uv=False) for task in tasks]
+        if all(values[-1] > 0.1 * values[0] for values in sizes):
+            return q
+
+
+def in_seconds(latency, period):
+    """Return a latency whose times are counted in periods with another one [s]."""
+    times = ("period", "torque_delay", "velocity_filter", "image_period", "image_age")
+    return Latency(*(period * getattr(latency, name) for name in times))
+
+
+def longest_stable(loop, samples, latency):
+    """Return the longest period that no sample's exact linearisation grows with [s]."""
+    low, high = 1e-6, 1.0
+    while high > 1.05 * low:
+        middle = math.sqrt(low * high)
+        stable = (growth(loop, samples, in_seconds(latency, middle)) < 1.0).all()
+        low, high = (middle, high) if stable else (low, middle)
+    return low
+
+
+# -- attack ---------------------------------------------------------------------------------------
+
+
+def attack(case):
+    """Certify a setup, if it can be, and hold the certificate against what happens."""
+    number, seed, runs = case
+    controller, errors, region, counted, rng = draw(number, seed)
+    name = f"{ARMS[number % len(ARMS)]}, {type(controller.task).__name__}, setup {number}"
+    loop = ClosedLoop(controller, errors, region)
+    try:
+        samples, fresh = (loop.draw(SAMPLES, rng) for _ in range(2))
+    except aj.errors.InvalidInputError:  # Ĵ loses rank in the box
+        return nothing(name)
+    known = best_weights(MatrixForm(samples, loop.setting), "free")
+    if known.margins.min() <= 0.0:
+        return nothing(name)
+    longest = longest_stable(loop, samples.take(slice(24)), counted)
+    for share in SHARES:
+        latency = in_seconds(counted, share * longest)
+        test = sampled_test(loop, known, samples, fresh, latency)
+        if test.certified and test.level > 0.0:
+            break
+    else:
+        return nothing(name)
+    inner = [errors.sample(rng) for _ in range(INNER)]
+    grown = np.concatenate([linearised(controller, errors.plant(v), region, latency, rng)
+                            for v in inner])  # fmt: skip
+    recorded = [watched(controller, errors.plant(v), region, test, latency, rng)
+                for v in inner[:RECORDED]]  # fmt: skip
+    radius, timed = staying(loop, test, rng), latency
+    if not radius:
+        timed = in_seconds(counted, CALMER * share * longest)
+        radius = staying(loop, sampled_test(loop, known, samples, fresh, timed), rng)
+    runs = runs if radius else min(runs, OTHERS)
+    columns = in_lanes(controller, errors, region, timed, radius, runs, seed)
+    diverged, left = (int(np.sum(columns[each])) for each in ("diverged", "left"))
+    return Outcome(
+        name, latency, share, test.margin, radius, grown, [rise for rise, _ in recorded],
+        sum(stayed for _, stayed in recorded), runs, runs if radius else 0,
+        diverged if radius else 0, left if radius else 0, 0 if radius else left + diverged,
+    )  # fmt: skip
+
+
+def staying(loop, test, rng):
+    """Return the radius of starts that are certified to stay, 0 where there are none [rad]."""
+    found = attraction(loop, test, rng)
+    return 0.0 if found is None else found.radius
+
+
+def nothing(name):
+    """Return that a setup was not certified."""
+    return Outcome(name, None, 0.0, 0.0, 0.0, np.zeros(0), [], 0, 0, 0, 0, 0, 0)
+
+
+def linearised(controller, plant, region, latency, rng):
+    """Return by what errors of a true robot grow from frame to frame, shape (OF_EACH,)."""
+    loop = ClosedLoop(controller, plant, region)
+    return growth(loop, loop.draw(OF_EACH, rng), latency)
+
+
+def start(plant, controller, region, test, rng):
+    """Return a configuration and a target of the region with V ≤ c at rest."""
+    q, end = region.sample(2, rng)
+    target = plant.sensor.value(end)
+    model, share = plant.robot.model, 1.0
+    while True:
+        there = np.array(pin.interpolate(model, end, q, share))
+        e = plant.sensor.error(plant.sensor.value(there), target)
+        if float(controller.saturation.S(e) @ test.weights.w) <= test.level:
+            return there, target
+        share *= 0.8
+
+
+def as_sensed(latency):
+    """Return how sensors lag."""
+    rate = 1.0 / latency.image_period if latency.image_period else None
+    lag = latency.velocity_filter or None
+    return aj.Sensing(x_rate=rate, x_delay=latency.image_age, velocity_filter=lag)
+
+
+def watched(controller, plant, region, test, latency, rng):
+    """Return the largest V(t)/V(0) − 1 of a run up to its first exit, and whether there is none."""
+    q, target = start(plant, controller, region, test, rng)
+    real = aj.Plant(
+        plant.robot, plant.sensor, friction=plant.friction, sensing=as_sensed(latency),
+        actuator_delay=latency.torque_delay,
+    )  # fmt: skip
+    record = aj.simulate(
+        real, controller, target, q, STEPS * latency.period, dt=latency.period, integrator="rk4"
+    )
+    inside = np.array([region.contains(q) for q in record.q])
+    kept = np.arange(len(inside) if inside.all() else int(inside.argmin()))
+    loop = ClosedLoop(controller, plant, region, target)
+    seen = loop.samples_at(np.zeros(len(kept), dtype=int), record.q[kept])
+    V = lyapunov(loop, seen, loop.setting, test.weights, record, kept)
+    return float(V.max(initial=V[0]) / V[0] - 1.0), bool(inside.all())
+
+
+@dataclass(frozen=True, eq=False)
+class Within(Study):
+    """A study whose runs start, and have targets, in a smaller region than they are to stay in."""
+
+    starts: Region | None = None
+
+    def start(self, index):
+        """Return how a run begins."""
+        return Study.start(replace(self, region=self.starts, starts=None), index)
+
+
+def in_lanes(controller, errors, region, latency, radius, runs, seed):
+    """Return rollouts, from certified starts where there are some."""
+    steps = max(100, min(LONGEST, math.ceil(DURATION / latency.period)))
+    study = as_study(
+        controller, errors, region, runs=runs, duration=steps * latency.period, dt=latency.period,
+        seed=seed, sensing=as_sensed(latency), actuator_delay=latency.torque_delay,
+    )  # fmt: skip
+    inside = aj.JointBox.around(errors.arm, region.center, radius) if radius else region
+    fields = {name: getattr(study, name) for name in Study.__dataclass_fields__}
+    columns = Within(**fields, starts=inside).columns(range(runs))
+    columns["left"] = ~columns["stayed"] & ~columns["diverged"]
+    return columns
+
+
+# -- table ----------------------------------------------------------------------------------------
+
+
+def table(outcomes):
+    """Return what was attacked and what came of it, as Markdown."""
+    lines = head(
+        "arm", "setups", "certified", "period over the longest stable, median", "linearisations",
+        "largest growth", "recorded runs", "largest V(t)/V(0) − 1", "rollouts",
+        "from starts that stay", "of them diverged", "left", "other rollouts that left",
+    )  # fmt: skip
+    names = dict.fromkeys(o.name.split(",")[0] for o in outcomes)
+    for name in names:
+        lines.append(summed(name, [o for o in outcomes if o.name.split(",")[0] == name]))
+    lines.append(summed("**all**", outcomes))
+    certified = [o for o in outcomes if o.latency]
+    kinds = {
+        "torque delay": lambda t: t.torque_delay, "images": lambda t: t.image_period,
+        "filter of q̇": lambda t: t.velocity_filter,
+        "none of these": lambda t: t == Latency(t.period),
+    }  # fmt: skip
+    told = (f"{sum(bool(of(o.latency)) for o in certified)} with {kind}"
+            for kind, of in kinds.items())  # fmt: skip
+    found = [text for o in outcomes for text in o.counterexamples()]
+    return "\n".join([
+        *lines, "", f"Certified: {', '.join(told)}.", "", f"Counterexamples: {len(found)}.",
+        *(f"- {text}" for text in found), "",
+        "`python examples/studies/attack_certificate.py` writes this.", "",
+    ])  # fmt: skip
+
+
+def summed(name, outcomes):
+    """Return a row."""
+    mine = [o for o in outcomes if o.latency]
+    if not mine:
+        return row(name, len(outcomes), 0, *["–"] * 10)
+    rises = [rise for o in mine for rise in o.rises]
+    counts = [sum(getattr(o, field) for o in mine) for field in
+              ("rollouts", "staying", "diverged", "left", "others")]  # fmt: skip
+    return row(
+        name, len(outcomes), len(mine), f"{np.median([o.share for o in mine]):.2f}",
+        sum(len(o.growth) for o in mine), f"{max(o.growth.max() for o in mine):.6f}", len(rises),
+        f"{max(rises):.1g}", *counts,
+    )  # fmt: skip
+
+
+def main():
+    options = parser(__doc__, "results/attack_certificate")
+    options.add_argument("--setups", type=int, default=88)
+    options.add_argument("--seed", type=int, default=22)
+    args = options.parse_args()
+    setups, runs = (len(ARMS), 200) if args.quick else (args.setups, LANES)
+    outcomes = run_all(attack, [(k, args.seed, runs) for k in range(setups)], args.jobs)
+    found = [text for o in outcomes for text in o.counterexamples()]
+    summary = {"setups": setups, "seed": args.seed, "counterexamples": found}
+    write(args.out, {"attack_certificate.md": table(outcomes)}, summary)
+    return bool(found)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
