@@ -35,7 +35,7 @@ ARMS = (
     "two_link", "panda", "ur5", "xarm7", "kinova", "z1", "ur10", "so101", "talos_arm", "tiago_arm",
     "baxter_left_arm",
 )  # fmt: skip
-POSES = ("ur5", "kinova", "ur10", "z1")  # six joints: half of theirs are tasks of as many coordinates
+POSES = ("ur5", "kinova", "ur10", "z1")  # half of their tasks have as many coordinates
 SAMPLES = 100  # to choose a function on, and again to check it
 SHARES = (0.76, 0.6, 0.45, 0.3, 0.15, 0.05)  # of the exact period, the longest first
 INNER, OF_EACH = 12, 5  # true robots from inside, and linearisations of each
@@ -315,6 +315,7 @@ def summed(name, outcomes):
 
 
 def main():
+    """Run the study from the command line."""
     options = parser(__doc__, "results/attack_certificate")
     options.add_argument("--setups", type=int, default=88)
     options.add_argument("--seed", type=int, default=22)

@@ -77,6 +77,7 @@ def test_bounds_of_what_turns_hold_in_every_direction(seed):
     _, controller, _, q, _, at, rng = setup("panda", law.Linear(), seed)
     M, D, kv, kp = at["M"], at["D"], at["kv"], at["kp"]
     turn = sampled_form.damping_turn(M, D, at["J_hat"], at["dJ_hat"], kv)
+    along = sampled_form.damping_turn_along(M, D, at["J_hat"], at["dJ_hat"], kv)
     stiff = sampled_form.stiffness_turn(D, at["dJ_hat"], kp)
     root = np.linalg.inv(np.linalg.cholesky(D))
     for _ in range(50):
@@ -88,6 +89,9 @@ def test_bounds_of_what_turns_hold_in_every_direction(seed):
         )
         most = np.abs(np.linalg.eigvalsh(root @ changed @ root.T / 1e-6)).max()
         assert most <= turn * np.sqrt(v @ M @ v) * (1.0 + 1e-4)
+        p = rng.normal(size=7)
+        size = np.linalg.norm(root @ changed @ p) / 1e-6
+        assert size <= along * np.sqrt((v @ D @ v) * (p @ M @ p)) * (1.0 + 1e-4)
         pushed = (J_hat - at["J_hat"]).T @ (kp * s) / 1e-6
         size = np.linalg.norm(root @ pushed)
         assert size <= stiff * np.sqrt(v @ D @ v) * np.linalg.norm(s) * (1.0 + 1e-4)
@@ -114,6 +118,25 @@ def test_the_lemma_on_signals(seed, late, shortest):
     rate = np.cumsum(np.gradient(u, fine) ** 2) * fine
     gain = sampled_form.hold_gain(1.0, late)
     assert (error <= gain**2 * rate * (1.0 + 5e-3) + 1e-6).all()
+
+
+@pytest.mark.parametrize("time_constant", [1e-3, 0.5, 3.0])
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.8])
+def test_what_a_filter_makes_older_grows_less_than_by_its_bound(time_constant, share):
+    """E σe^(rσ) of the ages σ of the filter of differences, with samples of 1 s."""
+    a, lag = 1.0 / (1.0 + time_constant), time_constant + 0.5
+    rate, fine = share / lag, 200
+    ages = (np.arange(fine * int(100.0 * lag)) + 0.5) / fine
+    weights = a * (1.0 - a) ** np.floor(ages) / fine
+    assert_allclose(weights.sum(), 1.0)
+    assert_allclose(weights @ ages, lag, rtol=1e-4)
+    grown = weights @ (ages * np.exp(rate * ages))
+    assert lag <= grown <= lag * sampled_form.growth(rate, 0.0, lag)
+
+
+def test_nothing_bounds_what_grows_faster_than_a_filter_forgets():
+    assert np.isinf(sampled_form.growth(1.0, 0.1, 1.0))
+    assert_allclose(sampled_form.growth(2.0, 0.1), np.exp(0.2))
 
 
 @pytest.mark.parametrize("has_frames", [False, True])

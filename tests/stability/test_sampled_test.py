@@ -1,0 +1,166 @@
+"""The certificate of the loop as it runs: what it refuses, what it reaches, what it rests on."""
+
+import math
+from functools import partial
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+from approxjac.controllers import Latency
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.matrix_form import MatrixForm, best_weights
+from approxjac.stability.sampled_form import Hold
+from approxjac.stability.sampled_test import growth, largest, sampled_test
+
+Q0 = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)
+LATE_IMAGES = Latency(1e-3, image_period=0.034, image_age=0.060)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
+
+
+def panda(arm, damping, kp=400.0, kv=80.0, half=0.15):
+    """The Panda of the acceptance figures: a tool of up to 20 cm and 0.5 kg that is not known."""
+    errors = aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5), object_axis="x")
+    task = errors.believed_task()
+    controller = aj.SetpointController(
+        task, aj.Gains(kp, kv, damping), gravity=aj.NoGravity(task.robot)
+    )
+    return controller, errors, aj.JointBox.around(arm, Q0, half)
+
+
+def certificate(parts, latency, n=200, seed=0):
+    """The sampled test of a loop, chosen on n samples and checked on as many."""
+    loop, rng = ClosedLoop(*parts), np.random.default_rng(seed)
+    samples, fresh = (loop.draw(n, rng) for _ in range(2))
+    known = best_weights(MatrixForm(samples, loop.setting), "free")
+    return sampled_test(loop, known, samples, fresh, latency)
+
+
+def test_the_loop_that_diverges_is_not_certified_and_its_report_says_so(arm):
+    """Certified in continuous time, unstable at 1 kHz: THEORY.md, section 8."""
+    parts = panda(arm, 20.0)
+    report = aj.stability_report(*parts, configurations=100, latency=Latency(1e-3))
+    assert report.certified_in_continuous_time is not None
+    assert report.certified_by is None
+    assert not report.passed
+    assert not report.sampled.certified
+    assert report.verdict().startswith("certified: no")
+    assert "errors grow at" in report.verdict()
+    assert report.growth.max() > 1.5
+    faster = certificate(parts, Latency(0.45e-3), n=100)
+    assert faster.certified
+    assert faster.margin > 0.2
+
+
+def test_the_panda_at_1_khz(arm):
+    test = certificate(panda(arm, 5.0), Latency(1e-3))
+    assert test.certified
+    assert test.margin > 0.2
+    assert test.reach.min() > 0.25
+
+
+@pytest.mark.parametrize(("damping", "length"), [(2.0, 0.0), (5.0, 0.2), (20.0, 0.2)])
+def test_the_period_certified_at_a_posture_is_a_quarter_of_pi_of_the_exact_one(
+    arm, damping, length
+):
+    controller, errors, region = panda(arm, damping, half=1e-9)
+    plant = errors.plant((length, 0.5 if length else 0.0))
+    loop = ClosedLoop(controller, plant, region)
+    samples = loop.draw(4, np.random.default_rng(0))
+    known = best_weights(MatrixForm(samples, loop.setting), "free")
+
+    def stable(latency):
+        return bool((growth(loop, samples, latency) < 1.0).all())
+
+    def certified(latency):
+        return sampled_test(loop, known, samples, samples, latency).certified
+
+    exact = largest(stable, Latency, 8e-3 / damping)
+    assert 0.75 < largest(certified, Latency, 0.5 * exact) / exact < 0.25 * math.pi + 0.01
+
+
+@pytest.mark.parametrize(("kp", "kv", "least"), [(400.0, 80.0, 0.0), (50.0, 50.0, 0.28)])
+def test_late_images_are_certified(arm, kp, kv, least):
+    test = certificate(panda(arm, 5.0, kp, kv), LATE_IMAGES, n=120)
+    assert test.certified
+    assert test.margin > least
+
+
+# -- what it rests on -----------------------------------------------------------------------------
+
+
+def errors_of_frames(period, age, *, on_samples):
+    """What makes w_x of ṡ where frames are taken every so many samples and wait for the next."""
+    fine = 20
+    t = (np.arange(16 * fine) + 0.5) / fine
+    sample, edges = np.floor(t), np.arange(16 * fine) / fine
+    if on_samples:  # as of `Sensing`
+        seen = sample - math.ceil(age - 1e-9)
+        taken = np.ceil(np.floor(seen / period + 1e-6) * period - 1e-9)
+    else:
+        taken = np.floor((sample - age) / period + 1e-9) * period
+
+    def reached(times):
+        return np.clip((times[:, np.newaxis] - edges) * fine, 0.0, 1.0) / fine
+
+    return reached(np.maximum(taken, 0.0)) - reached(t)
+
+
+@pytest.mark.parametrize("on_samples", [False, True])
+@pytest.mark.parametrize(
+    ("period", "age"),
+    [(1.02, 0.0), (1.1, 0.0), (3.1, 0.0), (1.05, 1.0), (2.2, 1.1), (0.7, 0.0), (3.0, 2.0)],
+)
+def test_the_gain_of_frames_holds_for_every_signal(period, age, on_samples):
+    """Also where frames fall between samples, which 2/π (period + sample) does not bound."""
+    errors = errors_of_frames(period, age, on_samples=on_samples)
+    hold = Hold.of(Latency(1.0, image_period=period, image_age=age))
+    assert np.linalg.norm(errors, 2) <= hold.frames
+
+
+@pytest.mark.parametrize("lag", [0.01, 1.0, 4.0])
+def test_the_gain_of_a_filter_holds_for_every_signal(lag):
+    fine, n = 12, 30
+    passed = np.tril(np.ones((n * fine, n * fine))) / fine - 0.5 * np.eye(n * fine) / fine
+    means = passed.reshape(n, fine, -1).mean(axis=1)
+    seen, a = np.zeros((n, n * fine)), 1.0 / (1.0 + lag)
+    for k in range(1, n):
+        seen[k] = (1.0 - a) * seen[k - 1] + a * means[k - 1]
+    errors = np.repeat(seen, fine, axis=0) - passed
+    assert np.linalg.norm(errors, 2) <= Hold.of(Latency(1.0, velocity_filter=lag)).gain
+
+
+@pytest.mark.parametrize("latency", [Latency(1e-3), LATE_IMAGES])
+def test_states_below_the_level_are_as_slow_and_near_as_assumed(arm, latency):
+    test = certificate(panda(arm, 5.0), latency, n=60)
+    form, weights, rng = test.form, test.weights, np.random.default_rng(1)
+    at = form.samples
+    v, s = (rng.normal(size=shape) for shape in (at.M.shape[:2], at.s.shape))
+    G = form.cross_weight(weights)
+    for share in np.linspace(0.0, 1.0, 9):
+        z, e = share * v, (1.0 - share) * s
+        kinetic = np.einsum("ni,nij,nj->n", z, at.M, z)
+        V = 0.5 * kinetic + np.einsum("ni,nij,njk,nk->n", z, at.M, G, e)
+        V += weights.at_rest(0.5 * e**2, e)
+        scale = test.level / V
+        assert (np.sqrt(scale * kinetic) <= test.speed * (1.0 + 1e-9)).all()
+        size = np.sqrt(scale) * np.linalg.norm(e, axis=1)
+        assert (size <= form.largest_s(weights) * (1.0 + 1e-9)).all()
+    assert form.largest_s(weights) <= form.reach * (1.0 + 1e-9)
+
+
+def test_gravity_counts_where_velocities_are_filtered():
+    """g is not filtered with what it is held with, so what q turns it by meanwhile is left over."""
+    robot = aj.load_robot("two_link")
+    make = partial(aj.SetpointController, aj.PositionTask(robot), aj.Gains(100.0, 20.0, 5.0))
+    box = aj.JointBox.around(robot, (0.3, 1.2), 0.1)
+    filtered = Latency(1e-3, velocity_filter=4e-3)
+    heavy = certificate((make(), aj.Plant(robot), box), filtered, n=16)
+    exact = certificate((make(), aj.Plant(robot), box), Latency(1e-3), n=16)
+    assert heavy.form.turning.gravity > 0.0
+    assert exact.form.turning.gravity == 0.0
+    assert heavy.form._b > heavy.form.hold.gain * heavy.form.turning.curvature * heavy.speed
