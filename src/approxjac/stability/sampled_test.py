@@ -148,7 +148,7 @@ def below(test: SampledTest, level: float, saturation: Saturation, samples: Samp
     level = min(level, test.level)
     energies = test.weights.at_rest(saturation.S(samples.e), samples.s)
     covered = float((energies <= level).mean())
-    reach = _largest_errors(saturation, test.weights.w, level)
+    reach = largest_errors(saturation, test.weights.w, level)
     return replace(test, level=level, covered=covered, reach=reach)
 
 
