@@ -30,8 +30,9 @@ NAMES = {
     "paper": "paper's weights",
     "free": "free potential",
     "wide": "widened",
+    "full": "coupled",
 }
-TESTS = tuple(NAMES)  # Theorem 1 and the three families of the matrix form ("test 2")
+TESTS = tuple(NAMES)  # Theorem 1 and the four families of the matrix form ("test 2")
 DAMPINGS = ((1.0, 1.0), (1.0, 4.0), (4.0, 4.0), (4.0, 16.0), (1.0, 0.25), (4.0, 1.0))
 CONFIGURATIONS, FEW = 500, 120  # that a test looks at
 TIME_CONSTANTS, LONGEST, PIECES, UNSTABLE_RUN = 12.0, 200.0, 3, 10.0  # of a run; [s]
