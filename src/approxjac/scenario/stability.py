@@ -10,15 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.controllers import SetpointController
+from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.robots import Robot
 from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.build import BuiltScenario, build, loaded_arm
 from approxjac.scenario.configurations import configuration_of
+from approxjac.scenario.control import latency_of, limits_of
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import Plant, Trajectory
 from approxjac.stability import (
+    Damping,
     JointBox,
     Region,
     RegularPart,
@@ -52,7 +54,7 @@ class StabilityResult:
     scenario: Scenario
     report: StabilityReport
     tolerances: dict[Test, Tolerance] = field(default_factory=dict)  # scales of the errors
-    raised_damping: float | None = None  # its factor with which all errors are certified
+    damping: Damping | None = None  # with which all errors are certified
     certified_part: Uncertainty | None = None  # the errors, scaled down, certified as it is
     map: StabilityMap | None = None
 
@@ -78,7 +80,7 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     arm, gravity = loaded_arm(scenario), choice.gravity
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
-    # a report is of eq. (1), and of whatever target
+    # a report is of whatever target; limits come around the law that is built
     law = replace(choice, gravity=gravity, limits="none", torque_rate=None)
     built = build(replace(scenario, controller=law), arm)
     truth = _truth(arm, built, analysis)
@@ -110,20 +112,27 @@ def analyse(
     analysis, tell = scenario.stability, progress or (lambda what, share: None)
     controller, uncertainty = loop.controller, uncertainty_of(loop)
     where: Any = {"region": loop.region, "target": loop.target, "seed": scenario.run.seed}
-    drawn: Any = {**where, "configurations": analysis.configurations}
+    drawn: Any = {
+        **where, "configurations": analysis.configurations, "latency": latency_of(scenario)
+    }  # fmt: skip
     runs = analysis.runs if isinstance(loop.truth, Uncertainty) else 0
+    limits = limits_of(scenario, controller.task.robot)
+    limited: SetpointController | TorqueLimited = controller
+    if limits is not None:  # a report looks at efforts alone
+        limited = TorqueLimited(controller, Limits(effort=limits.effort))
     report = stability_report(
-        controller, loop.truth, executor=executor, progress=tell, runs=runs, **drawn
+        limited, loop.truth, executor=executor, progress=tell, runs=runs, **drawn
     )
     found(report)
     if uncertainty is None:
         return StabilityResult(scenario, report)
 
     tolerances = tolerance(controller, uncertainty, progress=partial(tell, "tolerance"), **where)
-    raised = part = map_ = None
-    if not report.passed:
-        raised = damping_that_certifies(
-            controller, uncertainty, progress=partial(tell, "more damping"), **drawn
+    damping = part = map_ = None
+    # whatever damping and errors are, nothing certifies where Ĵ loses rank or gravity is wrong
+    if not report.passed and report.gravity_is_exact and report.singular_q is None:
+        damping = damping_that_certifies(
+            controller, uncertainty, progress=partial(tell, "other damping"), **drawn
         )
         part = part_that_certifies(
             controller, uncertainty, largest=min(1.0, tolerances["matrix"].scale),
@@ -136,7 +145,7 @@ def analyse(
             runs=analysis.map_runs,
             executor=executor, progress=partial(tell, "map"), **where,
         )  # fmt: skip
-    return StabilityResult(scenario, report, tolerances, raised, part, map_)
+    return StabilityResult(scenario, report, tolerances, damping, part, map_)
 
 
 def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:

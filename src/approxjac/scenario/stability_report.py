@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 
 def consequences(result: StabilityResult) -> str:
     """Return how far each test tolerates the errors, and what follows."""
-    lines = ["how far the errors may be scaled (a search, on fewer configurations)"]
+    lines = [
+        "how far the errors may be scaled, in continuous time (a search, on fewer configurations)"
+    ]
     for test, found in result.tolerances.items():
         fails = f"; fails with {found.worst_text}" if found.worst_text else ""
         box = found.uncertainty.describe_box()
@@ -43,7 +45,6 @@ def consequences(result: StabilityResult) -> str:
 def advice(result: StabilityResult) -> list[str]:
     """Return what follows, as sentences that a person can act on."""
     report, uncertainty = result.report, uncertainty_of(result.report.loop)
-    controller = report.loop.controller
     errors = "the true robot" if isinstance(report.loop.truth, Plant) else "the belief as it is"
     errors = errors if uncertainty is None else uncertainty.describe_box()
     if not report.gravity_is_exact:
@@ -56,29 +57,38 @@ def advice(result: StabilityResult) -> list[str]:
     if not report.local.stable:
         unstable = 100 * (1 - report.local.share)
         lines = [
-            f"with all of these errors not stable near {unstable:.3g} % of the targets, so no "
-            "test can certify the region: smaller errors, another region or a smaller a = k_p/k_v "
-            "may"
+            f"with all of these errors not stable near {unstable:.3g} % of the targets, in "
+            "continuous time already, so no test can certify the region: smaller errors, another "
+            "region or a smaller a = k_p/k_v may"
         ]
     else:
         first = report.theorem1
         best = max(report.matrix.values(), key=lambda test: (test.certified, test.margin))
         allowed = f"{'<' if first.holds else '>='} {max(first.allowed_p, 0.0):.3g}"
         lines = [
-            f"Theorem 1 {'certifies' if first.holds else 'does not certify'} {errors}: "
-            f"p = {first.p:.3g} {allowed}",
-            f"the matrix form {'certifies' if best.certified else 'does not certify'} it: margin "
+            f"in continuous time Theorem 1 {'certifies' if first.holds else 'does not certify'} "
+            f"{errors}: p = {first.p:.3g} {allowed}",
+            f"in continuous time the matrix form "
+            f"{'certifies' if best.certified else 'does not certify'} it: margin "
             f"{best.margin:.3g}, violated in {best.violations} of {best.checked} further "
             "configurations",
         ]
-    if result.raised_damping is not None:
-        damping = short(result.raised_damping * controller.diagonals.damping)
-        times = f"{result.raised_damping:g} times what it is"
-        lines.append(f"raise damping to {damping}, {times}, to certify it")
+        if (report.growth >= 1.0).any():
+            lines.append(
+                "as it runs, errors grow: a shorter period, shorter delays or less damping of "
+                "light joints may help"
+            )
+    certified = "in continuous time" if report.sampled is None else "as it runs"
+    if result.damping is not None:
+        values, factor = result.damping
+        how = "in the shape of the arm's inertia"
+        if factor is not None:
+            how = f"{factor:g} times what it is"
+        lines.append(f"with a damping of {short(values)}, {how}, it is certified {certified}")
     if result.certified_part is not None:
         part = result.certified_part.describe_box()
-        lines.append(f"as it is, and with all configurations, certified are errors of {part}")
-    return lines
+        lines.append(f"with the damping that it has, certified {certified} are errors of {part}")
+    return [report.verdict(), *lines]
 
 
 def draw_allowed_error(result: StabilityResult) -> Figure:
@@ -111,7 +121,8 @@ def draw_workspace(result: StabilityResult) -> Figure:
     figure, axes = new_figure(
         len(planes),
         size=(5.2 * len(planes), 4.6),
-        title=f"{robot.name}: margin of the matrix form{between}where the believed tip is",
+        title=f"{robot.name}: margin of the matrix form in continuous time,{between}"
+        "where the believed tip is",
     )
     for ax, plane in zip(axes, planes, strict=True):
         plot_margins(positions, best.margins, plane, ax, title=f"{plane[0]}-{plane[1]} plane")
@@ -146,7 +157,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
         own=_own(result, uncertainty),
         ax=ax,
         title=textwrap.fill(
-            f"{loop.controller.task.robot.name}: where each test passes; "
+            f"{loop.controller.task.robot.name}: where each test passes, in continuous time; "
             f"errors of scale 1 are {uncertainty.describe_box()}",
             64,
         ),
@@ -219,7 +230,7 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             }
             for test, each in result.tolerances.items()
         },
-        "raised_damping": result.raised_damping,
+        "damping": None if result.damping is None else result.damping._asdict(),
         "certified_part": part and part.describe_box(),
         "advice": advice(result),
         "gains": result.report.loop.controller.diagonals._asdict(),

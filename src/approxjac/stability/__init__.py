@@ -8,6 +8,7 @@ from approxjac.stability.report import StabilityReport, stability_report
 from approxjac.stability.rollout_study import Study
 from approxjac.stability.rollouts import Rollout, Rollouts, rollouts
 from approxjac.stability.suggestion import (
+    Damping,
     Suggestion,
     damping_that_certifies,
     part_that_certifies,
@@ -18,6 +19,7 @@ from approxjac.stability.tolerance import Tolerance, tolerance
 from approxjac.stability.uncertainty import Uncertainty
 
 __all__ = [
+    "Damping",
     "JointBox",
     "LocalStability",
     "LyapunovValue",

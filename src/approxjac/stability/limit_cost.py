@@ -35,6 +35,7 @@ class LimitCost:
         holds: Whether motors can hold the arm at all samples.
         protects: Whether the limiter keeps the very V of the report falling.
         proof: Whether the limiter keeps any V falling.
+        weighs: Whether the arm's weight is counted; not of a robot without gravity.
     """
 
     clipped: float
@@ -43,6 +44,7 @@ class LimitCost:
     holds: bool
     protects: bool
     proof: bool
+    weighs: bool
 
     @property
     def verdict(self) -> str:
@@ -56,7 +58,10 @@ class LimitCost:
     def __str__(self) -> str:
         if not self.holds:
             return "the motors cannot hold the arm everywhere in the region"
-        return "; ".join([self._at_rest(), *self._certified(), self._beyond()])
+        left_out = "limits of speed, position and rate are not looked at"
+        if not self.weighs:
+            left_out += ", nor is the arm's weight, which its robot here does not have"
+        return "; ".join([self._at_rest(), *self._certified(), self._beyond(), left_out])
 
     def _at_rest(self) -> str:
         ends = {unit: value for unit, value in self.free.items() if np.isfinite(value)}
@@ -77,16 +82,12 @@ class LimitCost:
         if self.protects:
             return (
                 "where it is limited, in continuous time V still falls as without limits in every "
-                "step of status PROOF_KEPT; as it runs, nothing is proven there. "
-                "Limits of speed, position and rate are not looked at"
+                "step of status PROOF_KEPT; as it runs, nothing is proven there"
             )
         why = "the limiter clips"
         if self.proof:
             why = "the limiter keeps another V falling (cross_weight=report.cross_weight: this one)"
-        return (
-            f"where it is limited nothing of this is proven, as {why}. "
-            "Limits of speed, position and rate are not looked at"
-        )
+        return f"where it is limited nothing of this is proven, as {why}"
 
 
 def within_limits(report: StabilityReport, limiter: TorqueLimited) -> StabilityReport:
@@ -158,9 +159,9 @@ def limit_cost(
         along = along + np.sqrt(np.einsum("nij,jk,nik->ni", pull, potential, pull))
         # ½(1 − σ²) is level/v̄²
         level = sampled.level * min(1.0, float((room / along).min() / sampled.speed)) ** 2
-    return LimitCost(
-        float((asked > effort).any(axis=1).mean()), free, level, holds, protects, limiter.proof
-    )
+    clipped = float((asked > effort).any(axis=1).mean())
+    weighs = bool(np.any(loop.plants[0].robot.gravity))
+    return LimitCost(clipped, free, level, holds, protects, limiter.proof, weighs)
 
 
 def _gravity(loop: ClosedLoop, samples: Samples) -> Array:

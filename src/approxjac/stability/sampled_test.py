@@ -186,7 +186,7 @@ def growth(loop: ClosedLoop, samples: Samples, latency: Latency) -> Array:
     grows nor dies out: self-motion, and what no joint feels of what is learnt. Friction counts as
     held. From 1 on the loop is unstable there.
     """
-    kp, kv, damping = loop.controller.diagonals
+    kp, kv, damping = loop.diagonals
     learning, n = loop.controller.adaptation, samples.M.shape[-1]
     D = law.dissipation(samples.J_hat, kv, damping + loop.plants[0].friction)
     rate, pull = np.zeros_like(samples.M), np.zeros_like(samples.J_hat.mT)

@@ -1,0 +1,108 @@
+"""Suggestions are of loops that pass as they run, and damping may have the arm's shape."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import approxjac as aj
+from approxjac.controllers import tuned
+from approxjac.controllers.usual_postures import usual_postures
+from approxjac.stability import suggestion
+from approxjac.stability.closed_loop import ClosedLoop
+from approxjac.stability.sampled_test import growth, largest
+
+Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+KHZ = aj.Latency(period=1e-3)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def tools(arm):
+    return aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5), object_axis="x")
+
+
+@pytest.fixture(scope="module")
+def box(arm):
+    return aj.JointBox.around(arm, Q, 0.15)
+
+
+def law_of(tools, gains):
+    return aj.SetpointController(tools.believed_task(), gains, gravity=aj.NoGravity(tools.arm))
+
+
+def longest_period(tools, box, gains):
+    """The longest period that is stable near 60 targets [s]."""
+    loop = ClosedLoop(law_of(tools, gains), tools, box)
+    samples = loop.draw(60, np.random.default_rng(0))
+    return largest(
+        lambda latency: bool((growth(loop, samples, latency) < 1.0).all()),
+        lambda period: replace(KHZ, period=period),
+        KHZ.period,
+    )
+
+
+def test_tuned_damping_has_the_shape_of_the_inertia_by_itself(tools, box):
+    """r Mᵢᵢ and a floor: so it stands periods four times as long as equal damping does."""
+    task = tools.believed_task()
+    own = np.median(np.diagonal(usual_postures(task).M, axis1=1, axis2=2), axis=0)
+    damping = tuned(task).gains.diagonals(task.m, 7).damping
+    floor = damping - tuned(task).rate * own
+    np.testing.assert_allclose(floor, floor[0], rtol=1e-9)
+    equal = aj.Gains(400.0, 80.0, 5.0)
+    assert longest_period(tools, box, tuned(task).gains) > 4.0 * longest_period(tools, box, equal)
+
+
+def test_damping_in_the_arms_shape_where_more_of_it_diverges(tools, box, monkeypatch):
+    """With 20 N m s on each joint it is unstable at 1 kHz, and more so with more."""
+    asked = []
+
+    def report(controller, errors, region, **options):
+        asked.append((controller.diagonals.damping, options["latency"]))
+        return SimpleNamespace(passed=True)
+
+    monkeypatch.setattr(suggestion, "stability_report", report)
+    law = law_of(tools, aj.Gains(400.0, 80.0, 20.0))
+    found = aj.stability.damping_that_certifies(law, tools, box, latency=KHZ)
+    assert found.factor is None
+    assert found.values[1] > 20.0 > 1.0 > found.values[6]
+    assert len(asked) == 1  # no report of what the linearisation refutes
+    assert asked[0][1] is KHZ
+    # in continuous time more damping would have done
+    slow = aj.stability.damping_that_certifies(law, tools, box, latency=aj.Latency(period=1e-4))
+    assert slow.factor == 1.5
+
+
+def test_suggested_gains_follow_the_latency(tools, box):
+    """Where torques are late the damping is less, and the late loop is stable."""
+    late = aj.Latency(period=5e-3, torque_delay=1e-2)
+    quick = {"test": "local", "settling_time": 2.0, "configurations": 40}
+    early, found = (aj.suggest_gains(tools, box, latency=each, **quick) for each in (KHZ, late))
+    assert np.sum(found.found.gains.damping) < np.sum(early.found.gains.damping)
+    loop = ClosedLoop(law_of(tools, found.found.gains), tools, box)
+    assert growth(loop, loop.draw(60, np.random.default_rng(7)), late).max() < 1.0
+    assert "as it runs so does the loop: slowest decay " in str(found)
+
+
+def test_gains_that_a_report_refuses_are_not_suggested(tools, box, monkeypatch):
+    """The first that meet the demands in continuous time are passed over."""
+    refused = []
+
+    def report(controller, errors, region, **options):
+        refused.append(controller.gains)
+        return SimpleNamespace(passed=len(refused) > 1, sampled=SimpleNamespace(margin=0.2))
+
+    monkeypatch.setattr(suggestion, "stability_report", report)
+    monkeypatch.setattr(suggestion, "margin", lambda test, samples, setting: 0.3)
+    found = aj.suggest_gains(tools, box, settling_time=2.0, configurations=20)
+    assert len(refused) == 2
+    assert found.found.gains is refused[1]
+    assert found.found.margin == 0.2
+    passed_over = next(each for each in found.tried if each.gains is refused[0])
+    assert passed_over.margin == 0.0
+    assert "(matrix passes, and as it runs so does the loop: margin 0.2)" in str(found)
