@@ -214,7 +214,8 @@ def start(plant, controller, region, test, rng):
     while True:
         there = np.array(pin.interpolate(model, end, q, share))
         e = plant.sensor.error(plant.sensor.value(there), target)
-        if float(controller.saturation.S(e) @ test.weights.w) <= test.level:
+        saturation = controller.saturation
+        if float(test.weights.at_rest(saturation.S(e), saturation.s(e))) <= test.level:
             return there, target
         share *= 0.8
 
