@@ -47,9 +47,9 @@ def arm_numbers(robot: Robot, frames: Sequence[str] = ()) -> ArmNumbers:
         UnknownNameError: No such frame.
     """
     model = robot.mimic_joints.model
-    joints = list(model.jointPlacements)[1:]
+    joints = model.jointPlacements.tolist()[1:]  # list(...) takes ten times as long
     placed = [model.frames[all_frame_id(robot, frame)].placement for frame in frames]
-    inertias = list(model.inertias)[1:]
+    inertias = model.inertias.tolist()[1:]
     return ArmNumbers(
         np.array([each.rotation for each in joints]),
         np.array([each.translation for each in joints]),
@@ -62,6 +62,8 @@ def arm_numbers(robot: Robot, frames: Sequence[str] = ()) -> ArmNumbers:
 
 def all_frame_id(robot: Robot, frame: str) -> int:
     """Return the index of a frame in the model in which mimic joints move on their own."""
+    if robot.mimic_joints.model is robot.model:
+        return robot.frame_id(frame)
     kind = robot.model.frames[robot.frame_id(frame)].type
     return int(robot.mimic_joints.model.getFrameId(frame, kind))
 

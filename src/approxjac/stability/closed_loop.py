@@ -30,7 +30,7 @@ from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5
 """Gravity torque that counts as none [N m or N]."""
-SHARED = 4
+SHARED = 8
 """Samples that functions are chosen on, of each true robot from inside of the errors."""
 _REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
 _STARTS = 20  # of the search for configurations that attain a target
