@@ -127,6 +127,15 @@ def _largest_ratio(saturation: Saturation, form: SampledForm, weights: Weights) 
     return float((saturation.S(errors)[positive] / s[positive] ** 2).max(initial=0.5))
 
 
+def _robots(loop: ClosedLoop, n: int, rng: np.random.Generator) -> Indices:
+    """Return true robots in any order, half of them corners where there are others; shape (n,)."""
+    corners, others = len(loop.corners), len(loop.plants) - len(loop.corners)
+    found = np.arange(n) % corners
+    if others:
+        found[: n // 2] = corners + np.arange(n // 2) % others
+    return rng.permutation(found)
+
+
 class _Starts:
     """Starts and targets near the middle of a box, and its boundary, the same at each asking."""
 
@@ -140,12 +149,12 @@ class _Starts:
         drawn[:, ::2] = np.sign(drawn[:, ::2])
         drawn[1, ::4] = -drawn[0, ::4]
         self._pairs = drawn
-        self._truths = np.arange(_PAIRS) % len(loop.plants)
+        self._truths = _robots(loop, _PAIRS, rng)
         edges = rng.uniform(-1.0, 1.0, (_EDGES, n))
         edges[np.arange(_EDGES), np.arange(_EDGES) % n] = np.where(
             rng.random(_EDGES) < 0.5, -1.0, 1.0
         )
-        self._edges = edges
+        self._edges, self._edge_truths = edges, _robots(loop, _EDGES, rng)
 
     def errors(self, radius: float) -> Array:
         """Return errors of starts within a radius, shape (N, m)."""
@@ -154,8 +163,7 @@ class _Starts:
 
     def lowest(self, radius: float) -> float:
         """Return the smallest V on the boundary, with any speed, of targets within a radius [J]."""
-        truths = np.arange(_EDGES) % len(self._loop.plants)
-        motions = self._edges
+        truths, motions = self._edge_truths, self._edges
         ends = np.resize(self._pairs[1], motions.shape)
         least = np.inf
         for look in range(1 + _CLOSER):
