@@ -26,7 +26,7 @@ _FAMILIES = {
 
 def verdict(report: StabilityReport) -> str:
     """Return in one line whether the loop as it runs is certified, and why not."""
-    runs = _rate(report.latency)
+    runs = _timed(report.latency)
     if report.certified_by is not None and report.sampled is not None:
         return f"certified: yes, margin {report.sampled.margin:.2g}, as it runs at {runs}"
     if report.passed:
@@ -120,7 +120,9 @@ def _as_it_runs(report: StabilityReport) -> list[Row]:
     said = "holds" if sampled.certified else "does not hold"
     if sampled.certified and report.reason:
         said = "withdrawn"
-    figures = f"margin {sampled.margin:.3g}, {_FAMILIES[sampled.family]}; {_starts(report)}"
+    figures = f"margin {sampled.margin:.3g}, {_FAMILIES[sampled.family]}"
+    if sampled.certified:
+        figures += f"; {_starts(report)}"
     rows = [("as it runs, matrix form", said, figures)]
     if not report.reason:
         is_proven = report.attraction is not None and report.attraction.radius > 0.0
@@ -207,6 +209,7 @@ def _case(report: StabilityReport, among: Samples | LocalTest, index: int) -> st
     return f"{report.describe_truth(int(among.truth[index]))} at q = [{q}]"
 
 
-def _rate(latency: Latency) -> str:
+def _timed(latency: Latency) -> str:
     rate = 1.0 / latency.period
-    return f"{1e-3 * rate:.3g} kHz" if rate >= 1e3 else f"{rate:.3g} Hz"
+    runs = f"{1e-3 * rate:.3g} kHz" if rate >= 1e3 else f"{rate:.3g} Hz"
+    return f"{runs} with its delays" if latency.of_position > latency.period else runs

@@ -36,10 +36,10 @@ class SampledTest(MatrixTest):
         speed: v̄ of `law.sampled_form`: √(q̇ᵀMq̇) stays below it along the motions that this speaks
             of [√J].
         level: c [J]: motions that begin with V ≤ c stay below v̄.
-        covered: Share of the samples that may be started from, at rest.
+        covered: Share of the samples away from their targets that may be started from, at rest.
         reach: Largest error of one task coordinate that may be started from at rest, the others
             being zero, shape (m,) [units of the task].
-        form: What it rests on.
+        form: What it rests on; the samples that it was chosen on come first.
     """
 
     latency: Latency
@@ -135,19 +135,19 @@ def sampled_test(
             break
     violations = int((margins <= 0.0).sum())
     level = max(0.0, whole.level(best.weights))
-    energies = best.weights.at_rest(saturation.S(everywhere.e), everywhere.s)
-    return SampledTest(
+    test = SampledTest(
         family, best.weights, best.margins, len(fresh), violations, loop.region.independent,
-        latency, speed, level, float((energies <= level).mean()),
-        largest_errors(saturation, best.weights.w, level), form,
+        latency, speed, level, 1.0, np.zeros(len(potential)), whole,
     )  # fmt: skip
+    return below(test, level, saturation, everywhere)
 
 
 def below(test: SampledTest, level: float, saturation: Saturation, samples: Samples) -> SampledTest:
     """Return a test for motions that begin with V ≤ level only, if that is less than its own."""
     level = min(level, test.level)
-    energies = test.weights.at_rest(saturation.S(samples.e), samples.s)
-    covered = float((energies <= level).mean())
+    away = samples.take(np.flatnonzero(samples.e.any(axis=1)))  # a third is at the target
+    energies = test.weights.at_rest(saturation.S(away.e), away.s)
+    covered = float((energies <= level).mean()) if len(away) else 1.0
     reach = largest_errors(saturation, test.weights.w, level)
     return replace(test, level=level, covered=covered, reach=reach)
 
