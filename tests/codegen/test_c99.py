@@ -483,7 +483,7 @@ def test_what_is_not_covered_is_refused_by_name(tmp_path):
                 aj.PositionTask(kinova := aj.load_robot("kinova"), axes="xy"),
                 posture=Posture(kinova.neutral(), 5.0),
             ),
-            "without continuous joints",
+            "AwayFromStops for an arm with continuous joints",
         ),
     ):
         with pytest.raises(aj.InvalidInputError, match=text):
