@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 
 import approxjac as aj
 from approxjac import law
@@ -28,6 +29,22 @@ def linear():
         J_hat.T * FORCE @ J_hat + np.diag(TORQUE), ALPHA * np.linalg.inv(J_hat),
     )  # fmt: skip
     return law.LinearLaw(*(part[np.newaxis] for part in parts))
+
+
+def test_friction_acts_all_the_time():
+    """Against the matrix exponential of M q̈ = τ − B_n q̇ with a torque that is held."""
+    loop, dt, friction = linear(), 0.3, np.array([0.0, 2.0])
+    loop = loop._replace(learning=0.0 * loop.learning)
+    [A] = law.frame_map(loop, dt, 1, 0, friction=friction)
+    M_inv, n = loop.M_inv[0], 2
+    torque = np.hstack([-loop.stiffness[0] @ loop.J[0], -loop.damping[0], np.eye(n)])
+    rates = np.zeros((3 * n, 3 * n))
+    rates[:n, n : 2 * n] = np.eye(n)
+    rates[n : 2 * n, n : 2 * n] = -M_inv * friction
+    rates[n : 2 * n, 2 * n :] = M_inv
+    over = expm(rates * dt)[: 2 * n]
+    expected = over[:, : 2 * n] @ np.eye(2 * n, 3 * n) + over[:, 2 * n :] @ torque
+    assert_allclose(A[: 2 * n], expected, atol=1e-9 * np.abs(expected).max())
 
 
 @settings(max_examples=25)

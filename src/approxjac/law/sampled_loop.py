@@ -8,6 +8,8 @@ import numpy as np
 
 from approxjac.validation import Array
 
+_SMALL = 1e-5  # friction times the time of a sample over inertia, below which series serve
+
 
 class LinearLaw(NamedTuple):
     """The linearised loop at rest at its target, a batch of k of them.
@@ -36,15 +38,16 @@ def frame_map(
     age: int,
     torque_late: int = 0,
     velocity_filter: float = 0.0,
+    friction: Array | None = None,
 ) -> Array:
     """Map of the state from one frame of x to the next, exact but for gravity's gradient.
 
     Between samples the torque is held. With κ what is left of the learnt torque to learn, near the
     target,
 
-        M q̈ = −ĴᵀK_p x − (ĴᵀK_vĴ + B_c) q̇ + κ,   κ̇ = −Y L Yᵀ (q̇ + αĴ⁺x),
+        M q̈ = −ĴᵀK_p x − (ĴᵀK_vĴ + B_c) q̇ + κ − B_n q̇,   κ̇ = −Y L Yᵀ (q̇ + αĴ⁺x),
 
-    where Y L Yᵀ is all that counts of what learns: it has the n_v rates of the learnt torque and
+    the friction B_n alone not held, where Y L Yᵀ is all that counts of what learns: it has the n_v rates of the learnt torque and
     none of those combinations of parameters that no joint feels. A frame is taken at the first of
     each `samples` samples and read from `age` samples later until the next one has aged as much.
 
@@ -55,6 +58,7 @@ def frame_map(
         age: Samples from a frame to the first torque that uses it.
         torque_late: Samples from a torque to its effect.
         velocity_filter: Time constant of the filter of q̇ [s]; 0 is an exact q̇.
+        friction: Diagonal of B_n, the arm's own, shape (n_v,); none by default.
 
     Returns:
         Square, shape (k, N, N), N = 3 n_v and what is delayed or filtered.
@@ -72,10 +76,11 @@ def frame_map(
     torque = learnt - loop.stiffness @ x - loop.damping @ v_seen
     acting = np.concatenate([np.broadcast_to(late, (k, *late.shape)), torque], axis=1)
     accelerated = loop.M_inv @ acting[:, :n]
+    left, once, twice = _coasting(loop.M_inv, np.zeros(n) if friction is None else friction, dt)
     sample = np.concatenate(
         [
-            q + dt * v + 0.5 * dt**2 * accelerated,
-            v + dt * accelerated,
+            q + once @ v + twice @ accelerated,
+            left @ v + once @ accelerated,
             learnt - dt * loop.learning @ (v_seen + loop.pull @ x),
             np.broadcast_to(w_after, (k, *w_after.shape)),
             acting[:, n:],
@@ -98,3 +103,18 @@ def frame_map(
             state = over @ np.concatenate([state, x_read], axis=1)
     kept = [np.broadcast_to(each, (k, m, plain + waiting * m)) for each in seen[:waiting]]
     return np.concatenate([state, *kept], axis=1)
+
+
+def _coasting(M_inv: Array, friction: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Return e^(−Ft) of F = M⁻¹B_n after dt, its integral and the integral of that, (k, n_v, n_v)."""
+    root = np.linalg.cholesky(M_inv)
+    rates, modes = np.linalg.eigh(root.mT @ (friction[:, np.newaxis] * root))
+    x = np.maximum(rates, 0.0) * dt
+    safe = np.where(x > _SMALL, x, 1.0)
+    once = np.where(x > _SMALL, -np.expm1(-safe) / safe, 1.0 - 0.5 * x)
+    twice = np.where(x > _SMALL, (1.0 - once) / safe, 0.5 - x / 6.0)
+    there = root @ modes
+    back = np.linalg.inv(there)
+    parts = (np.exp(-x), dt * once, dt**2 * twice)
+    left, first, second = (there @ (part[..., np.newaxis] * back) for part in parts)
+    return left, first, second

@@ -183,12 +183,12 @@ def growth(loop: ClosedLoop, samples: Samples, latency: Latency) -> Array:
     """Return by what errors near targets are multiplied from frame to frame at most, shape (N,).
 
     The spectral radius of `law.frame_map` at each sample taken as a target, without what neither
-    grows nor dies out: self-motion, and what no joint feels of what is learnt. Friction counts as
-    held. From 1 on the loop is unstable there.
+    grows nor dies out: self-motion, and what no joint feels of what is learnt. From 1 on the loop
+    is unstable there.
     """
     kp, kv, damping = loop.diagonals
     learning, n = loop.controller.adaptation, samples.M.shape[-1]
-    D = law.dissipation(samples.J_hat, kv, damping + loop.plants[0].friction)
+    D = law.dissipation(samples.J_hat, kv, damping)
     rate, pull = np.zeros_like(samples.M), np.zeros_like(samples.J_hat.mT)
     if learning is not None:
         Y = np.array(list(map(learning.Y, samples.q, samples.J_hat)))
@@ -198,7 +198,8 @@ def growth(loop: ClosedLoop, samples: Samples, latency: Latency) -> Array:
     M_inv: Array = np.asarray(np.linalg.inv(samples.M))
     linear = LinearLaw(M_inv, samples.J, samples.J_hat.mT * kp, D, rate, pull)
     dt, frames, age, late = latency.in_samples()
-    whole = law.frame_map(linear, dt, frames, age, late, latency.velocity_filter)
+    friction = loop.plants[0].friction
+    whole = law.frame_map(linear, dt, frames, age, late, latency.velocity_filter, friction)
     if learning is None:  # nothing is learnt
         kept = np.r_[0 : 2 * n, 3 * n : whole.shape[-1]]
         whole = whole[:, kept[:, np.newaxis], kept]
