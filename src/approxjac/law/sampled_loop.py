@@ -47,9 +47,10 @@ def frame_map(
 
         M q̈ = −ĴᵀK_p x − (ĴᵀK_vĴ + B_c) q̇ + κ − B_n q̇,   κ̇ = −Y L Yᵀ (q̇ + αĴ⁺x),
 
-    the friction B_n alone not held, where Y L Yᵀ is all that counts of what learns: it has the n_v rates of the learnt torque and
-    none of those combinations of parameters that no joint feels. A frame is taken at the first of
-    each `samples` samples and read from `age` samples later until the next one has aged as much.
+    the friction B_n alone not held, where Y L Yᵀ is all that counts of what learns: it has the n_v
+    rates of the learnt torque and none of those combinations of parameters that no joint feels. A
+    frame is taken at the first of each `samples` samples and read from `age` samples later until
+    the next one has aged as much.
 
     Args:
         loop: The loop.
@@ -106,7 +107,7 @@ def frame_map(
 
 
 def _coasting(M_inv: Array, friction: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Return e^(−Ft) of F = M⁻¹B_n after dt, its integral and the integral of that, (k, n_v, n_v)."""
+    """Return e^(−Ft) of F = M⁻¹B_n after dt, its integral and that of this, (k, n_v, n_v)."""
     root = np.linalg.cholesky(M_inv)
     rates, modes = np.linalg.eigh(root.mT @ (friction[:, np.newaxis] * root))
     x = np.maximum(rates, 0.0) * dt
