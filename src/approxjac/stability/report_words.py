@@ -148,10 +148,11 @@ def _limits(cost: LimitCost) -> Row:
 
 def _timing(report: StabilityReport) -> str:
     certified, exact = report.largest_period
-    return (
-        f"certified up to a period of {1e3 * certified:.3g} ms, near targets stable up to "
-        f"{1e3 * exact:.3g} ms; certified up to torques {1e3 * report.largest_delay:.3g} ms late"
-    )
+    near = f"near targets stable up to a period of {1e3 * exact:.3g} ms"
+    if not certified:
+        return f"{near}; this function certifies none"
+    late = f"certified up to torques {1e3 * report.largest_delay:.3g} ms late"
+    return f"certified up to a period of {1e3 * certified:.3g} ms, {near}; {late}"
 
 
 def _stays(report: StabilityReport) -> str:
