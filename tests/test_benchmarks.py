@@ -60,4 +60,4 @@ def test_steps_leave_no_memory_behind(benchmark):
     for law in control_step.laws("panda"):
         step = law.ours
         # below a byte a step, once in a few times, as other threads of a test run allocate, too
-        assert any(memory.left_behind(step, inputs, 500) < 500 for _ in range(3)), law.name
+        assert any(memory.left_behind(step, inputs, 1500) < 1500 for _ in range(3)), law.name
