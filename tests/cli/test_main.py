@@ -56,7 +56,7 @@ def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all(capsys)
     assert "Tell whether a controller is stable before anything moves" in listed
     assert "Exit code" not in listed
     assert "Example: approxjac stability panda --object-length 0 0.3" in own
-    assert "Exit code 0 if Theorem 1 or the matrix form certifies the region, 1 if not." in own
+    assert "Exit code 0 if the region is certified, 1 if not: of the loop as it runs" in own
 
 
 @pytest.mark.parametrize("command", ["simulate", "stability"])
