@@ -139,9 +139,7 @@ class StabilityReport:
             return self._contradiction
         if self.sampled is None:
             return "gravity is learnt, of which there are certificates in continuous time only"
-        if not self.sampled.certified:
-            return "no Lyapunov function was found that allows for the hold and the delays"
-        return ""
+        return self.sampled.reason
 
     @property
     def _contradiction(self) -> str:

@@ -53,6 +53,18 @@ class SampledTest(MatrixTest):
         verdict = "certified" if self.certified else "not certified"
         return f"SampledTest({self.latency!r}: {verdict}, margin {self.margin:.3g})"
 
+    @property
+    def reason(self) -> str:
+        """Why it is not certified; empty where it is."""
+        if self.certified:
+            return ""
+        if self.margin > 0.0:
+            return (
+                f"the Lyapunov function found for it is violated in {self.violations} of "
+                f"{self.checked} further configurations"
+            )
+        return "no Lyapunov function was found that allows for the hold and the delays"
+
     def largest_period(self) -> float:
         """Return the largest period that this function certifies, all else the same [s]."""
         return largest(self._passes, self._of_period, self.latency.period)
