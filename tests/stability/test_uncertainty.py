@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac.codegen.arm_numbers import arm_numbers
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.matrix_form import MatrixForm, best_weights
@@ -107,6 +108,33 @@ def test_the_truth_at_what_is_believed_is_the_belief(panda, everything, rng):
             q = plant.robot.random_configuration(rng)
             assert_array_equal(plant.sensor.jacobian(q), task.jacobian(q))
             assert_array_equal(plant.sensor.value(q), task.value(q))
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur5", "pr2_left_arm"])
+def test_a_robot_that_moves_is_each_of_the_others(name, rng):
+    arm = aj.load_robot(name)
+    errors = aj.Uncertainty(
+        arm,
+        object_length=(0.0, 0.3),
+        object_mass=(0.0, 1.0),
+        joint_shifts={arm.joint_names[-1]: (0.02, 0.0, 0.01)},
+        joint_rotations={arm.joint_names[0]: (0.0, 0.05, 0.0)},
+    )
+    moving = errors.moving()
+    drawn = [errors.low, *(errors.sample(rng) for _ in range(3)), errors.believed, errors.high]
+    seen = set()
+    for values in [*drawn, *reversed(drawn)]:
+        own, moved = errors.plant(values), moving.plant(values)
+        q, frames = arm.random_configuration(rng), (own.robot.tip,)
+        each = (arm_numbers(robot, frames) for robot in (own.robot, moved.robot))
+        for one, other in zip(*each, strict=True):
+            assert_array_equal(one, other)
+        assert_array_equal(own.sensor.value(q), moved.sensor.value(q))
+        assert_array_equal(own.dynamics.g(q), moved.dynamics.g(q))
+        assert moved.robot == own.robot  # by its text
+        seen.add(id(moved.robot))
+    assert len(seen) == 2  # it, and what is believed
+    assert errors.plant(errors.high).robot is not errors.plant(errors.high).robot
 
 
 def test_nothing_uncertain(arm):

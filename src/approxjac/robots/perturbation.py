@@ -41,6 +41,7 @@ class Perturbation:
         joints: Sequence[str] = (),
     ) -> None:
         self._given = (arm, held, axis, tuple(joints))
+        self._moved: PerturbedRobot | None = None
         self.base = arm if held is None else arm.with_object(*held, axis=axis)
         self._outward = None if self.base.tip is None else self.base.outward_axis()
         n = None
@@ -54,6 +55,20 @@ class Perturbation:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._given
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Perturbation:
+        return self  # it never changes
+
+    def moving(self) -> Perturbation:
+        """Return this with a robot that is always the same one, moved: use it before the next."""
+        moving = object.__new__(type(self))
+        vars(moving).update(vars(self))
+        moving._moved = PerturbedRobot.like(self.base, _outward=self._outward)
+        return moving
+
+    def moves(self, robot: Robot) -> bool:
+        """Return whether a robot is the one that moves."""
+        return robot is self._moved
 
     def robot(self, length: float, mass: float, shifts: Array, rotations: Array) -> Robot:
         """Return a robot.
@@ -71,7 +86,8 @@ class Perturbation:
         if self._given[1] is not None:
             object_size(length, mass, OBJECT_RADIUS)
         values = (length, mass, shifts, rotations)
-        robot = PerturbedRobot.like(self.base, _outward=self._outward, _made_by=(self, values))
+        robot = self._moved or PerturbedRobot.like(self.base, _outward=self._outward)
+        robot._made_by = self, values
         robot.__dict__.pop("tree", None)  # that of `base`
         for model, parts in zip(robot.models, self._parts, strict=True):
             parts.change(model, *values)
@@ -177,8 +193,9 @@ class _Parts:
             total = rest
             for k in parts:
                 total = total + at[k].act(inertias[k]).toDynamicParameters()
-            if total[0] != 0.0:  # or it has no centre of mass
-                model.inertias[j] = pin.Inertia.FromDynamicParameters(total)
+            # what has no mass has no centre of mass
+            known = pin.Inertia.FromDynamicParameters(total) if total[0] else pin.Inertia.Zero()
+            model.inertias[j] = known
 
 
 _NO_TURN = np.eye(3)

@@ -120,7 +120,10 @@ class JointBox(Region):
         return cls(robot, -radius, radius, q)
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
-        motions = rng.uniform(self.lower, self.upper, (n, self.robot.nv))
+        # as rng.uniform, which takes its time
+        motions = self.lower + self.spread * rng.random((n, self.robot.nv))
+        if self.robot.nq == self.robot.nv:
+            return np.asarray(self.center + motions)
         model, center = self.robot.model, self.center
         return np.array([pin.integrate(model, center, motion) for motion in motions])
 

@@ -7,6 +7,7 @@ import hashlib
 import math
 import os
 import pickle
+import threading
 import uuid
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +15,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +59,8 @@ def carried_out(
         else:
             size = 1 if executor is None and folder is None else min(shared, _PORTION)
         pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
-    part = _part if folder is None else partial(_kept_part, Path(folder))
+    part = partial(_part, _Copies())
+    part = part if folder is None else partial(_kept_part, Path(folder), part)
     if folder is not None or isinstance(executor, ProcessPoolExecutor):  # others may pickle more
         for study in studies:
             _require_picklable(study)
@@ -112,13 +115,31 @@ def _require_picklable(study: Study) -> None:
         ) from error
 
 
-def _part(study: Study, indices: range) -> dict[str, Array]:
+class _Copies:
+    """Copies of studies, as tasks and controllers have scratch memory: one instance a thread."""
+
+    def __init__(self) -> None:
+        self._here = threading.local()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), ()  # other processes have their own
+
+    def of(self, study: Study) -> Study:
+        """Return that of this thread, which it keeps until it is asked for another study's."""
+        known = vars(self._here).get("known")
+        if known is None or known[0] is not study:
+            known = self._here.known = study, copy.deepcopy(study)
+        return known[1]
+
+
+def _part(copies: _Copies, study: Study, indices: range) -> dict[str, Array]:
     """Return the columns of some runs."""
-    # tasks and controllers have scratch memory: one instance a thread
-    return copy.deepcopy(study).columns(indices)
+    return copies.of(study).columns(indices)
 
 
-def _kept_part(folder: Path, study: Study, indices: range) -> dict[str, Array]:
+def _kept_part(
+    folder: Path, part: Callable[..., dict[str, Array]], study: Study, indices: range
+) -> dict[str, Array]:
     """Return the columns of some runs, from their file if there is one."""
     name = hashlib.sha256(pickle.dumps((study, indices))).hexdigest()[:20]
     file = folder / f"{name}.npz"
@@ -132,10 +153,10 @@ def _kept_part(folder: Path, study: Study, indices: range) -> dict[str, Array]:
                 "it, and its runs are done again",
                 given=folder,
             ) from error
-    part = _part(study, indices)
+    found = part(study, indices)
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
     with unfinished.open("wb") as kept:
-        np.savez(kept, **part)  # type: ignore[arg-type]
+        np.savez(kept, **found)  # type: ignore[arg-type]
     unfinished.replace(file)  # at once, so that a file that is there is whole
-    return part
+    return found

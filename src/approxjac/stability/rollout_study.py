@@ -226,8 +226,9 @@ class Study:
     def _of_lanes(self, indices: range) -> dict[str, Array]:
         """Return runs in lanes, as columns; those that lanes leave are runs in Python."""
         lanes, rows, begun = _lanes_of(self), [], []
+        moving = replace(self, uncertainty=self.uncertainty.moving())
         for index in indices:
-            start = self.start(index)
+            start = moving.start(index)
             at = index, start.values, start.q, start.target
             rows.append((*at, *([math.nan] * 4), *([False] * 3)))
             begun.append(start.begun(self.controller))
