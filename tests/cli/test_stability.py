@@ -131,6 +131,42 @@ def test_camera_of_the_two_link_arm():
     assert report.draw_map(result) is not None
 
 
+def test_rollouts_are_of_the_loop_that_runs():
+    scenario = Scenario(
+        "two_link",
+        sensor={"noise": 2e-3, "rate": 50.0, "delay": 0.04, "dropout": 0.1, "velocity_filter": 0.0},
+        loop={"dt": 2e-3, "actuator_delay": 4e-3},
+        run={"duration": 1.5, "tolerance": 0.02, "seed": 3},
+        stability={
+            "object_length": (0.0, 0.3), "around": (0.5, 1.2), "configurations": 20, "runs": 4,
+            "map": ("object_length", "x"), "map_by": "rollouts", "map_points": 2, "map_runs": 3,
+        },
+    )  # fmt: skip
+    loop = study.prepare(scenario)
+    result = study.analyse(scenario, loop)
+    late = {
+        "dt": 2e-3, "duration": 1.5, "tolerance": 0.02, "seed": 3, "actuator_delay": 4e-3,
+        "sensing": aj.Sensing(
+            x_noise=2e-3, x_rate=50.0, x_delay=0.04, x_dropout=0.1, velocity_filter=0.0
+        ),
+    }  # fmt: skip
+    limits = aj.Limits(effort=loop.controller.task.robot.effort_limits)
+    law = aj.TorqueLimited(loop.controller, limits)
+    expected = aj.rollouts(law, loop.truth, loop.region, runs=4, **late)
+    found = result.report.rollouts
+    assert list(found.table) == list(expected.table)
+    for name, column in expected.table.items():
+        np.testing.assert_array_equal(found.table[name], column)
+    ideal = aj.rollouts(law, loop.truth, loop.region, runs=4, **late | {"sensing": None})
+    assert (ideal.columns["final_error"] < expected.columns["final_error"]).all()
+    again = stability_map(
+        loop.controller, loop.truth, loop.region, names=result.map.names, x=result.map.x,
+        y=result.map.y, by="rollouts", runs=3, **late,
+    )  # fmt: skip
+    np.testing.assert_array_equal(result.map.rollouts, again.rollouts)
+    assert found.columns["final_error"].min() > 0.0
+
+
 def test_a_map_by_rollouts():
     scenario = Scenario(
         "two_link",

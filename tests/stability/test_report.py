@@ -210,6 +210,8 @@ def test_bad_input_is_named(tools, box, weightless):
         aj.stability_report(controller, tools, box, configurations=3)
     with pytest.raises(aj.InvalidInputError, match="seed must be an integer >= 0, got -1"):
         aj.stability_report(controller, tools, box, seed=-1)
+    with pytest.raises(aj.InvalidInputError, match="duration must be given with runs"):
+        aj.stability_report(controller, weightless, box, configurations=40, duration=5.0)
     with pytest.raises(aj.InvalidInputError, match="runs needs truth to be an Uncertainty"):
         aj.stability_report(controller, weightless.with_object(0.1), box, configurations=40, runs=5)
     with pytest.raises(aj.InvalidInputError, match="region must be a Region, such as JointBox"):

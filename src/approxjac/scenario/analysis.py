@@ -27,7 +27,7 @@ class Analysis:
         sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
         target: The one target; by default all targets within the region.
         configurations: Count of those that are drawn.
-        runs: Rollouts of 10 s.
+        runs: Rollouts, with the sensors, delays, duration and tolerance of a run.
         map: Two parameters of the stability map, of error, a, kv and damping; by rollouts also two
             of the errors, or of x, y and z of the believed tip at the start.
         map_by: The four tests, or rollouts.

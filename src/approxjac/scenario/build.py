@@ -243,7 +243,7 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
     true = scenario.true
     options: dict[str, Any] = {
         "coulomb": true.coulomb,
-        "sensing": _sensing(scenario.sensor),
+        "sensing": sensing_of(scenario.sensor),
         "actuator_delay": scenario.loop.actuator_delay,
         "torque_limits": motors if np.isfinite(motors).any() else None,
     }
@@ -255,7 +255,7 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
     return Plant(truth, sensor, true.friction, **options)
 
 
-def _sensing(given: Sensor) -> Sensing | None:
+def sensing_of(given: Sensor) -> Sensing | None:
     """Return the errors of measurements; None if there are none."""
     if given == Sensor():
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions
 from approxjac.scenario.build import BuiltScenario
 from approxjac.scenario.reachability import too_far
+from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import Trajectory
 from approxjac.validation import Array
 
@@ -50,13 +52,9 @@ class Result:
     @property
     def tolerance(self) -> float:
         """Error below which the task counts as done [m, and rad of a pose; px of an image]."""
-        given = self.built.scenario.run.tolerance
-        if given is not None:
-            return given
-        least = _TOLERANCE
-        if self.in_pixels:
-            least = self.built.scenario.sensor.noise or _HALF_A_PIXEL
-        if not self.on_path:
+        scenario = self.built.scenario
+        least = tolerance_of(scenario, self.run.task_units)
+        if scenario.run.tolerance is not None or not self.on_path:
             return least
         size = float(np.linalg.norm(self.run.x_d - self.run.x_d[0], axis=1).max())
         return max(least, _STRAY * size)
@@ -275,6 +273,13 @@ class Result:
             "largest_torque_violation": (np.abs(run.tau) - limits.effort).max().clip(0.0),
             "peak_speed_ratio": self.peak_speed_ratio,
         }
+
+
+def tolerance_of(scenario: Scenario, units: Iterable[str]) -> float:
+    """Return the error below which a task of some units is done: m, and rad of a pose; px."""
+    if scenario.run.tolerance is not None:
+        return scenario.run.tolerance
+    return (scenario.sensor.noise or _HALF_A_PIXEL) if "px" in units else _TOLERANCE
 
 
 def _peak(values: Array, limits: Array) -> float:

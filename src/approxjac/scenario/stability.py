@@ -12,11 +12,13 @@ import numpy as np
 
 from approxjac.controllers import Limits, SetpointController, TorqueLimited
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.interface import Controller
 from approxjac.robots import Robot
 from approxjac.scenario.analysis import Analysis
-from approxjac.scenario.build import BuiltScenario, build, loaded_arm
+from approxjac.scenario.build import BuiltScenario, build, loaded_arm, sensing_of
 from approxjac.scenario.configurations import configuration_of
 from approxjac.scenario.control import latency_of, limits_of
+from approxjac.scenario.result import tolerance_of
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import Plant, Trajectory
 from approxjac.stability import (
@@ -116,13 +118,15 @@ def analyse(
         **where, "configurations": analysis.configurations, "latency": latency_of(scenario)
     }  # fmt: skip
     runs = analysis.runs if isinstance(loop.truth, Uncertainty) else 0
+    as_it_runs = rollout_options(scenario, controller)
     limits = limits_of(scenario, controller.task.robot)
     limited: SetpointController | TorqueLimited = controller
     if limits is not None:  # a report looks at efforts alone
         limited = TorqueLimited(controller, Limits(effort=limits.effort))
     report = stability_report(
-        limited, loop.truth, executor=executor, progress=tell, runs=runs, **drawn
-    )
+        limited, loop.truth, executor=executor, progress=tell, runs=runs, **drawn,
+        **as_it_runs if runs else {},
+    )  # fmt: skip
     found(report)
     if uncertainty is None:
         return StabilityResult(scenario, report)
@@ -142,10 +146,22 @@ def analyse(
         x, y = (_values(name, loop, uncertainty, analysis.map_points) for name in analysis.map)
         map_ = stability_map(
             controller, uncertainty, names=analysis.map, x=x, y=y, by=analysis.map_by,
-            runs=analysis.map_runs,
-            executor=executor, progress=partial(tell, "map"), **where,
+            runs=analysis.map_runs, executor=executor, progress=partial(tell, "map"),
+            **where, **as_it_runs,
         )  # fmt: skip
     return StabilityResult(scenario, report, tolerances, damping, part, map_)
+
+
+def rollout_options(scenario: Scenario, controller: Controller) -> dict[str, Any]:
+    """Return options of `rollouts` that make them as a run of a scenario is."""
+    run, dt = scenario.run, latency_of(scenario).period
+    return {
+        "dt": dt,
+        "duration": max(1, round(run.duration / dt)) * dt,
+        "tolerance": tolerance_of(scenario, controller.task.units),
+        "sensing": sensing_of(scenario.sensor),
+        "actuator_delay": scenario.loop.actuator_delay,
+    }
 
 
 def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:

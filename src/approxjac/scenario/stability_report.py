@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.formatting import joined, plain, short
-from approxjac.scenario.stability import StabilityResult, uncertainty_of
+from approxjac.scenario.stability import StabilityResult, rollout_options, uncertainty_of
 from approxjac.simulation import Plant
 from approxjac.stability import Uncertainty
 from approxjac.stability.map import PARAMETERS, labels
@@ -145,7 +145,10 @@ def draw_map(result: StabilityResult) -> Figure | None:
     if np.isfinite(found.rollouts).any():
         # half way between all runs and the next smaller share
         share = found.rollouts - 1.0 + 0.5 / max(1, result.scenario.stability.map_runs)
-        boundaries.append(("test 4, rollouts reach 1 mm in 10 s", *coarse, share))
+        options = rollout_options(result.scenario, loop.controller)
+        within = f"{options['tolerance']:g} {joined(loop.controller.task.units)}"
+        told = f"test 4, rollouts reach {within} in {options['duration']:g} s"
+        boundaries.append((told, *coarse, share))
     figure, (ax,) = new_figure(size=(7.0, 5.8))
     plot_map(
         found.x,

@@ -14,7 +14,7 @@ from approxjac.controllers import CrossWeight, Latency, SetpointController, Torq
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import plain
 from approxjac.robots import Robot
-from approxjac.simulation import Plant, Sensing
+from approxjac.simulation import Plant
 from approxjac.stability import report_words
 from approxjac.stability.attraction import Attraction, attraction
 from approxjac.stability.certificate import MatrixTest, refine_constants, refine_weights
@@ -24,7 +24,7 @@ from approxjac.stability.limit_cost import LimitCost, within_limits
 from approxjac.stability.local import LocalTest, local_test
 from approxjac.stability.matrix_form import Best, MatrixForm, best_weights
 from approxjac.stability.region import Region
-from approxjac.stability.rollouts import Rollouts, rollouts
+from approxjac.stability.rollouts import Rollouts, as_late, rollouts
 from approxjac.stability.sampled_test import SampledTest, growth, largest, sampled_test
 from approxjac.stability.samples import Samples
 from approxjac.stability.theorem1 import CONSTANTS, Theorem1, theorem1
@@ -33,7 +33,6 @@ from approxjac.validation import Array, as_integer, require
 
 _TARGETS = 1000  # that the loop as it runs is linearised at
 _WORST = 60
-_DURATION = 10.0  # of rollouts [s]
 _THEOREM1 = ("holds", "p", "allowed_p", "alpha", "margin", "allowed_p_large_gains", "alpha_range")
 
 
@@ -287,6 +286,7 @@ def stability_report(
     seed: int = 0,
     executor: Executor | None = None,
     progress: Callable[[str, float], None] | None = None,
+    **options: Any,
 ) -> StabilityReport:
     """Tell before anything moves whether a controller is stable, and by how much.
 
@@ -309,6 +309,8 @@ def stability_report(
         seed: Of all drawing, ≥ 0.
         executor: Where the rollouts run; here by default.
         progress: Called with what is being done and the share of it.
+        options: Others of `rollouts`, such as sensing, duration, tolerance; they run as late as
+            `latency` says by default.
 
     Raises:
         InvalidInputError: Law (5) or a posture torque, a task whose Jacobian uses the measured x,
@@ -323,6 +325,11 @@ def stability_report(
     require("latency", latency, Latency, "Latency(period=...) or None")
     half = as_integer("configurations", configurations, 20) // 2
     rng = np.random.default_rng(as_integer("seed", seed, 0))
+    if options and not runs:
+        raise InvalidInputError(
+            f"{' and '.join(options)} must be given with runs, the number of rollouts, got none",
+            given=options,
+        )
     if runs and not isinstance(truth, Uncertainty):
         raise InvalidInputError(
             "runs needs truth to be an Uncertainty, from which rollouts draw true robots, "
@@ -370,7 +377,7 @@ def stability_report(
     if runs and isinstance(truth, Uncertainty):
         outcome = rollouts(
             controller, truth, loop.region, target=target, runs=runs, seed=seed, executor=executor,
-            progress=lambda done: tell("rollouts", done / runs), **_as_late(latency),
+            progress=lambda done: tell("rollouts", done / runs), **as_late(latency) | options,
         )  # fmt: skip
     first = theorem1(everywhere, setting, constants)
     singular_q = loop.singular_configuration(samples)
@@ -382,17 +389,3 @@ def stability_report(
         singular_q, damped_q, seed,
     )  # fmt: skip
     return report if limiter is None else within_limits(report, limiter)
-
-
-def _as_late(latency: Latency) -> dict[str, Any]:
-    """Options of rollouts that are sampled and late like the loop."""
-    frames = 1.0 / latency.image_period if latency.image_period else None
-    return {
-        "dt": latency.period,
-        "duration": latency.period * round(_DURATION / latency.period),
-        "actuator_delay": latency.torque_delay,
-        "sensing": Sensing(
-            x_delay=latency.image_age, x_rate=frames,
-            velocity_filter=latency.velocity_filter or None,
-        ),
-    }  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from approxjac.controllers import Latency
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined, percent
 from approxjac.interface import Controller, Target, TargetPath
@@ -24,6 +25,7 @@ from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array, as_integer, as_number, require
 
 _EXECUTOR: Any = (Executor, NoneType)
+_DURATION = 10.0  # [s]
 _PROGRESS: Any = (Callable, bool, NoneType)
 
 Engine = Literal["lanes", "python"]
@@ -178,7 +180,7 @@ def rollouts(
     *,
     target: Sequence[float] | Array | Target | TargetPath | None = None,
     runs: int = 100,
-    duration: float = 10.0,
+    duration: float = _DURATION,
     dt: float = 1e-3,
     tolerance: float = 1e-3,
     seed: int = 0,
@@ -251,7 +253,7 @@ def as_study(
     *,
     target: Sequence[float] | Array | Target | TargetPath | None = None,
     runs: int = 100,
-    duration: float = 10.0,
+    duration: float = _DURATION,
     dt: float = 1e-3,
     tolerance: float = 1e-3,
     seed: int = 0,
@@ -275,6 +277,20 @@ def as_study(
         late.actuator_delay,
     )  # fmt: skip
     return study.with_engine(engine, runs)
+
+
+def as_late(latency: Latency) -> dict[str, Any]:
+    """Return options of rollouts of the usual duration that are sampled and late like a loop."""
+    return {
+        "dt": latency.period,
+        "duration": latency.period * round(_DURATION / latency.period),
+        "actuator_delay": latency.torque_delay,
+        "sensing": Sensing(
+            x_delay=latency.image_age,
+            x_rate=1.0 / latency.image_period if latency.image_period else None,
+            velocity_filter=latency.velocity_filter or None,
+        ),
+    }
 
 
 def checked(
