@@ -12,6 +12,9 @@ from collections.abc import Iterable
 from typing import Any
 
 
+_FEW = 5  # names that are told all
+
+
 class ApproxJacError(Exception):
     """Root of all errors raised on purpose by this library.
 
@@ -43,8 +46,8 @@ class UnknownNameError(ApproxJacError, LookupError):
         near = near or difflib.get_close_matches(str(name), self.valid, n=3, cutoff=0.5)
         if near:
             message += f"; did you mean {' or '.join(repr(n) for n in near)}?"
-        elif self.valid:
-            message += f"; valid are {', '.join(self.valid)}"
+        if self.valid and (not near or len(self.valid) <= _FEW):
+            message += f"{'' if near else ';'} valid are {', '.join(self.valid)}"
         super().__init__(message, given=name)
 
 

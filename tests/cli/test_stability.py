@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -164,7 +165,10 @@ def test_rollouts_are_of_the_loop_that_runs():
         y=result.map.y, by="rollouts", runs=3, **late,
     )  # fmt: skip
     np.testing.assert_array_equal(result.map.rollouts, again.rollouts)
-    assert found.columns["final_error"].min() > 0.0
+    told, where = report.told_of_map(result, Path("out"))[1:], str(Path("out") / "map.png")
+    assert "of all points at object_length 0." in told[0]
+    assert "with 95 % confidence" in told[1]
+    assert told[2] == f"The map is {where}"
 
 
 def test_a_map_by_rollouts():

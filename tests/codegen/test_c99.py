@@ -490,5 +490,7 @@ def test_what_is_not_covered_is_refused_by_name(tmp_path):
             aj.export_c(controller, tmp_path / "none")
     assert not (tmp_path / "none").exists()
     (tmp_path / "file").write_text("")
+    with pytest.raises(aj.InvalidInputError, match="folder must be a folder, got 3"):
+        aj.export_c(law, 3)
     with pytest.raises(aj.InvalidInputError, match="folder must be one that can be made"):
         aj.export_c(law, tmp_path / "file" / "none")

@@ -92,12 +92,12 @@ STUDIES = {
     ),
     "later than the run": (
         lambda: moves(False),
-        {"actuator_delay": 1e9, "sensing": Sensing(x_delay=1e20)},
+        {"actuator_delay": 1e9, "sensing": Sensing(x_delay=0.598)},
     ),
     "all": (moves, ALL),
     "at bounds that depend on each other": (
         lambda: test_lanes.study("panda", learns=True),
-        {"actuator_delay": 10.0, "sensing": Sensing(x_delay=10.0)},
+        {"actuator_delay": 10.0, "sensing": Sensing(x_delay=0.598)},
     ),
     "all, (5)": (lambda: moves(False, velocity=DifferentiatedVelocity(0.02)), ALL),
     "all, limits": (lambda: test_lanes.limited(moves(), 0.4), ALL),

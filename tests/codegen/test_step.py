@@ -585,6 +585,16 @@ def test_a_whole_run_within_limits_of_effort_is_that_of_python(panda, learns, mo
         assert_allclose(found, expected, rtol=1e-8, atol=1e-8, err_msg=part)
 
 
+def test_what_python_does_again_is_told_once(panda):
+    law = compiled(aj.SetpointController(aj.PositionTask(panda), aj.Gains(400.0, 80.0, 50.0)))
+    assert repr(law) == f"compiled({law.ordinary!r})"
+    told, target = [], np.array([0.5, 0.1, 0.5])
+    with pytest.raises(aj.errors.SimulationError):
+        aj.simulate(aj.Plant(panda), law, target, duration=2.0, dt=1e-3, progress=told.append)
+    assert len(told) > 3
+    assert (np.diff(told) > 0.0).all()
+
+
 def test_a_plant_that_moves_otherwise_is_not_taken_for_a_plant(panda):
     """Such as one of MuJoCo, which has a floor."""
 

@@ -231,6 +231,10 @@ def test_joints_that_touched_their_stops_are_reported():
         ({"run": {"duration": 1e-4}}, "run.duration must be a finite number >= loop.dt = 0.002"),
         ({"believed": {"camera": {"roll": 0.5}}}, "believed.camera is for task.kind image"),
         ({"task": {"kind": "pose", "axes": "xyz"}}, "task.axes are those of a position"),
+        (
+            {"sensor": {"delay": 20.0}},
+            r"sensor.delay must be shorter than the run, 20 \[s\], got 20",
+        ),
         ({"sensor": {"lost_part": 1}}, "sensor.lost_part needs a time in sensor.lost"),
         ({"loop": {"dt": "continuous"}, "sensor": {"noise": 0.1}}, "sensor needs a loop.dt in s"),
         ({"true": {"object": {"length": 200.0}}}, r"at most 10 \[m\], got 200 and 0.01; 200 mm ar"),

@@ -57,6 +57,8 @@ def digest(found):
 def test_each_point_is_what_rollouts_say(found, laws, scaled, region):
     assert found.names == ("controller", "uncertainty")
     assert [*found.points] == [(times, scale) for times in DAMPING for scale in SCALES]
+    with pytest.raises(aj.errors.UnknownNameError, match=r"point 3 not in the sweep; valid are \("):
+        found.points[3]
     runs = found.points[2.0, 0.5]
     alone = aj.rollouts(laws[2.0], scaled[0.5], region, **OPTIONS)
     assert runs.study.engine == "lanes"

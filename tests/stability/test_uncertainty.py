@@ -509,6 +509,7 @@ REFUSED = [
     ({"factor": -1.0}, "factor must be a finite number >= 0, got -1.0"),
     ({"friction": (0.1, 0.2, 0.3)}, r"friction must have shape \(2,\)"),
     ({"friction": -1.0}, "friction must be >= 0"),
+    ({"object_axis": (0, 0, 0)}, "axis must not be zero"),  # without a length, too
 ]  # fmt: skip
 
 

@@ -52,5 +52,8 @@ def stability(
         )
     report.write(result, out)
     print(report.consequences(result))
+    told = report.told_of_map(result, out)
+    if told:
+        print("", *told, sep="\n")
     print(f"\nPictures and summary.json are in {out}")
     return 0 if result.report.passed else 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 from string import Template
 
@@ -15,7 +16,7 @@ from approxjac.codegen.limits import require_covered
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.errors import InvalidInputError
-from approxjac.validation import Array
+from approxjac.validation import Array, require
 
 _RECORDED, _SHOWN = 50, 4  # steps of the self-test, and of the example
 _DT = 1e-3
@@ -23,7 +24,7 @@ _LOST = 10  # x is, every so many steps
 _OFF_CIRCLE = 1e-3  # what Robot.configuration takes, too
 
 
-def export_c(controller: SetpointController | TorqueLimited, folder: str | Path) -> Path:
+def export_c(controller: SetpointController | TorqueLimited, folder: str | PathLike[str]) -> Path:
     """Write a controller as plain C99: no allocation, no library but libm, re-entrant.
 
     The folder gets controller.h and controller.c, an example main.c, a selftest.c with recorded
@@ -47,6 +48,7 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | Path)
         InvalidInputError: A controller that is not covered, or a folder that cannot be made.
     """
     require_covered(controller)
+    require("folder", folder, (str, PathLike), "a folder")
     step = sampled_step(controller)
     named = words(controller, step)
     records = _recorded(step)

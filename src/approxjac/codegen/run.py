@@ -93,10 +93,10 @@ class _Loop:
             row[n_before:] = answered
             if following - k > 1:
                 self._lanes.run(*self._arrays, following - k - 2, 1)
+            if flat[place[TOLD.left]].any() or flat[place[TOLD.diverged]].any():
+                return None
             if progress is not None:
                 progress(k * loop.dt)
-        if flat[place[TOLD.left]].any() or flat[place[TOLD.diverged]].any():
-            return None
         n = len(at)
         q, v, x, x_d, tau, state, e, rate = (
             table[:, place[name]]

@@ -124,6 +124,9 @@ class _MachineCode:
     def __reduce__(self) -> tuple[Any, ...]:
         return compiled, (self.ordinary,)
 
+    def __repr__(self) -> str:
+        return f"compiled({self.ordinary!r})"
+
     def _rebuilt(self, **changes: Any) -> Any:
         return compiled(self.ordinary._rebuilt(**changes))
 

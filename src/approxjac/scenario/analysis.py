@@ -32,7 +32,8 @@ class Analysis:
             of the errors, or of x, y and z of the believed tip at the start.
         map_by: The four tests, or rollouts.
         map_points: Values of each parameter; 0 draws no map.
-        map_runs: Rollouts at each point of the map's coarse grid; by rollouts at each point.
+        map_runs: Rollouts at each point of the map's coarse grid, 2 by default; by rollouts at each
+            point, 100 by default.
     """
 
     object_length: Interval | None = None
@@ -53,4 +54,4 @@ class Analysis:
     map: tuple[str, str] = ("error", "a")
     map_by: Literal["tests", "rollouts"] = "tests"
     map_points: int = at_least(40)
-    map_runs: int = at_least(2)
+    map_runs: int | None = at_least(None)

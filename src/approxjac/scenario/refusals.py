@@ -85,6 +85,9 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
         if sensor.rate is not None and sensor.rate > 1.0 / dt * (1.0 + 1e-9):
             wanted = f"at most that of control, {1.0 / dt:g} [Hz]"
             yield sensor.rate, f"sensor.rate must be {wanted}, got {sensor.rate:g}"
+    if sensor.delay >= run.duration:
+        wanted = f"shorter than the run, {run.duration:g} [s]"
+        yield sensor.delay, f"sensor.delay must be {wanted}, got {sensor.delay:g}"
     part, parts = sensor.lost_part, max(task.points, len(task.frames))
     if (part or 1) > parts:
         yield part, f"sensor.lost_part must be one of the parts of x, 1 to {parts}, got {part}"

@@ -46,6 +46,7 @@ from approxjac.tasks.analysis import features
 from approxjac.validation import Array
 
 Progress = Callable[[str, float], None]
+_MAP_RUNS = {"tests": 2, "rollouts": 100}
 _DRAWN = 200  # configurations that tell how far the tip gets
 
 
@@ -143,11 +144,12 @@ def analyse(
             progress=partial(tell, "smaller errors"), **drawn,
         )  # fmt: skip
     if analysis.map_points:
+        given = analysis.map_runs
+        runs = _MAP_RUNS[analysis.map_by] if given is None else given
         x, y = (_values(name, loop, uncertainty, analysis.map_points) for name in analysis.map)
         map_ = stability_map(
             controller, uncertainty, names=analysis.map, x=x, y=y, by=analysis.map_by,
-            runs=analysis.map_runs, executor=executor, progress=partial(tell, "map"),
-            **where, **as_it_runs,
+            runs=runs, executor=executor, progress=partial(tell, "map"), **where, **as_it_runs,
         )  # fmt: skip
     return StabilityResult(scenario, report, tolerances, damping, part, map_)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.formatting import joined, plain, short
+from approxjac.formatting import joined, percent, plain, short
 from approxjac.scenario.stability import StabilityResult, rollout_options, uncertainty_of
 from approxjac.simulation import Plant
 from approxjac.stability import Uncertainty
@@ -40,6 +40,28 @@ def consequences(result: StabilityResult) -> str:
         box = found.uncertainty.describe_box()
         lines.append(f"{test:<9} to {found.scale:<6.3g} {box}{fails}")
     return "\n".join([*([*lines, ""] if result.tolerances else []), *advice(result)])
+
+
+def told_of_map(result: StabilityResult, out: Path) -> list[str]:
+    """Return what came of the runs of a map by rollouts, and where its picture is."""
+    found, lines = result.map, []
+    if found is not None and found.runs.any() and result.scenario.stability.map_by == "rollouts":
+        names, made = " and ".join(found.names), np.flatnonzero(found.runs)
+        share, n = found.rollouts.ravel(), found.runs.ravel()
+        converged = float(share[made] @ n[made]) / n.sum()
+        lines.append(f"map: {percent(converged)} % of {n.sum()} runs over {names} converge")
+        for what, k in (
+            ("least", made[share[made].argmin()]),
+            ("most", made[share[made].argmax()]),
+        ):
+            j, i = np.unravel_index(k, found.runs.shape)
+            low, high = found.intervals[j, i]
+            lines.append(
+                f"  {what} of all points at {found.names[0]} {found.x[i]:.3g}, {found.names[1]} "
+                f"{found.y[j]:.3g}: {percent(share[k])} % of {n[k]}, with 95 % confidence "
+                f"{percent(low)} to {percent(high)} %"
+            )
+    return lines if found is None else [*lines, f"The map is {out / 'map.png'}"]
 
 
 def advice(result: StabilityResult) -> list[str]:
@@ -144,7 +166,7 @@ def draw_map(result: StabilityResult) -> Figure | None:
     ]
     if np.isfinite(found.rollouts).any():
         # half way between all runs and the next smaller share
-        share = found.rollouts - 1.0 + 0.5 / max(1, result.scenario.stability.map_runs)
+        share = found.rollouts - 1.0 + 0.5 / np.maximum(1, found.runs)
         options = rollout_options(result.scenario, loop.controller)
         within = f"{options['tolerance']:g} {joined(loop.controller.task.units)}"
         told = f"test 4, rollouts reach {within} in {options['duration']:g} s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from types import NoneType
@@ -128,8 +129,22 @@ def simulate(
             else None
         )
         if code is not None and observer is None:
+            progress = None if progress is None else _onwards(progress)
             run = code(loop, stride, progress)
         return run or _sampled(loop, stride, observer, progress)
+
+
+def _onwards(progress: Progress) -> Progress:
+    """Return what tells each time once, also where a run begins anew."""
+    reached = -math.inf
+
+    def tell(t: float) -> None:
+        nonlocal reached
+        if t > reached:
+            reached = t
+            progress(t)
+
+    return tell
 
 
 def _continuous_law(

@@ -25,6 +25,7 @@ from approxjac.stability.uncertainty import Uncertainty
 from approxjac.validation import Array, as_integer, as_number, require
 
 _EXECUTOR: Any = (Executor, NoneType)
+_FOLDER: Any = (str, PathLike, NoneType)
 _DURATION = 10.0  # [s]
 _PROGRESS: Any = (Callable, bool, NoneType)
 
@@ -241,7 +242,7 @@ def rollouts(
         tolerance=tolerance, seed=seed, sensing=sensing, actuator_delay=actuator_delay,
         engine=engine, runs=runs,
     )  # fmt: skip
-    runs, failures = checked(runs, failures, executor, progress)
+    runs, failures = checked(runs, failures, executor, folder, progress)
     (columns,) = carried_out([study], runs, failures, executor, folder, progress)
     return Rollouts(columns, study)
 
@@ -270,6 +271,12 @@ def as_study(
     require("region", region, Region, "a Region, such as JointBox(robot)")
     runs, seed = as_integer("runs", runs, 1), as_integer("seed", seed, 0)
     duration = as_number("duration", duration, unit="s", minimum=dt)
+    if sensing is not None and sensing.x_delay >= duration:
+        raise InvalidInputError(
+            f"x_delay must be shorter than the duration, {duration:g} [s], or nothing arrives that "
+            f"is measured in a run, got {sensing.x_delay:g}",
+            given=sensing,
+        )
     tolerance = as_number("tolerance", tolerance, above=0.0)
     x_d = None if target is None else wanted_of(uncertainty.believed_task(), target, 0.0)
     study = Study(
@@ -294,11 +301,16 @@ def as_late(latency: Latency) -> dict[str, Any]:
 
 
 def checked(
-    runs: int, failures: int | None, executor: Executor | None, progress: Progress
+    runs: int,
+    failures: int | None,
+    executor: Executor | None,
+    folder: str | PathLike[str] | None,
+    progress: Progress,
 ) -> tuple[int, int | None]:
-    """Return the numbers of runs and of failures, or refuse them, an executor or a function."""
+    """Return the numbers of runs and of failures, or refuse them or what carries them out."""
     require("executor", executor, _EXECUTOR, "an executor of concurrent.futures or None")
     require("progress", progress, _PROGRESS, "a function of the number of runs done, or True")
+    require("folder", folder, _FOLDER, "a folder, or None")
     failures = None if failures is None else as_integer("failures", failures, 1)
     return as_integer("runs", runs, 1), failures
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import joined, percent
 from approxjac.interface import Controller
 from approxjac.stability.region import Region
@@ -27,18 +27,26 @@ from approxjac.validation import Array
 Label = Any
 
 
+class _Points(dict[Label, Rollouts]):
+    def __missing__(self, label: Label) -> Rollouts:
+        raise UnknownNameError("point", label, "the sweep", map(repr, self))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep:
     """Rollouts at several points. Its text is a line for each.
 
     Attributes:
         names: What differs from point to point: "controller", "uncertainty", or both.
-        points: Label → the runs there. A label is a key of what was given; where both differ, a
-            pair of keys.
+        points: Label → the runs there; an UnknownNameError for a label that there is not. A label
+            is a key of what was given; where both differ, a pair of keys.
     """
 
     names: tuple[str, ...]
     points: dict[Label, Rollouts]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", _Points(self.points))
 
     @property
     def table(self) -> dict[str, Array]:
@@ -127,7 +135,7 @@ def sweep(
         point = given | dict(zip(names, (each for _, each in choice), strict=True))
         study = as_study(region=region, runs=runs, **point, **options)
         studies[label if len(names) == 2 else label[0]] = study
-    runs, failures = checked(runs, failures, executor, progress)
+    runs, failures = checked(runs, failures, executor, folder, progress)
     together = _sharing([*studies.values()])
     each = carried_out(together, runs, failures, executor, folder, progress)
     found = zip(studies, together, each, strict=True)

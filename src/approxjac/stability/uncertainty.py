@@ -15,6 +15,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Perturbation, Robot
+from approxjac.robots.urdf_edit import direction
 from approxjac.simulation import Plant
 from approxjac.stability.coordinates import (
     Coordinate,
@@ -106,6 +107,8 @@ class Uncertainty:
         as_number("believed_length", self.believed_length, unit="m", minimum=0.0)
         as_number("believed_mass", self.believed_mass, unit="kg", minimum=0.0)
         as_number("factor", self.factor, minimum=0.0)
+        if self.object_axis is not None:
+            direction(self.object_axis)
         # copies, so that nobody changes them later
         for name, unit in (("joint_shifts", "m"), ("joint_rotations", "rad")):
             self._set(name, as_bounds(name, getattr(self, name), self.arm, unit))

@@ -90,6 +90,7 @@ def write_index(
         InvalidInputError: A folder without such pages, or that cannot be written to, or a picture
             that is not in it.
     """
+    require("folder", folder, (str, Path), "a folder")
     folder = Path(folder)
     pictures = {} if pictures is None else pictures
     require("pictures", pictures, Mapping, 'titles by file names, such as {"map.png": "Map"}')
