@@ -33,6 +33,10 @@ ALLOWED = {
         "controllers", "law", "tasks", "robots", "interface", "formatting", "validation", "errors",
         "extras",
     },
+    "realtime": {
+        "simulation", "controllers", "tasks", "robots", "interface", "formatting", "validation",
+        "errors", "extras",
+    },
     "stability": {
         "codegen", "controllers", "simulation", "law", "tasks", "robots", "interface",
         "formatting", "validation", "errors", "extras",

@@ -58,6 +58,10 @@ class MeasurementError(ApproxJacError, ValueError):
     """A measurement without which no safe torque exists (q or v not finite)."""
 
 
+class DriverError(ApproxJacError, RuntimeError):
+    """A robot that refuses, has stopped by itself, or cannot be reached; with its own words."""
+
+
 class SimulationError(ApproxJacError, RuntimeError):
     """A simulation that could not be carried to its end."""
 

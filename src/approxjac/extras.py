@@ -9,6 +9,7 @@ from approxjac.errors import MissingPackageError
 
 _NEEDED_BY = {
     "fast": "compiled code",
+    "franka": "FrankaDriver",
     "mujoco": "MujocoPlant",
     "view": "the browser view",
 }

@@ -1,0 +1,161 @@
+"""Lead a Franka FR3 through its makers' client: a simulated one, over the protocol of the real one.
+
+The tip of a 20 cm tool, of which neither the controller nor the robot knows, goes to a target 12 cm
+away, and along a circle. Needs `pip install 'approxjac[franka]'` and what `make_environment` makes.
+
+    python examples/franka/over_the_wire.py --runs 20
+"""
+
+import argparse
+import gc
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+from simulated_franka import Camera, SimulatedFranka, missing
+
+import approxjac as aj
+from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, Latency
+from approxjac.realtime.franka import FrankaDriver
+
+DT = 1e-3
+FAR = 0.12  # m
+LATE = {"noise": 1e-3, "rate": 60.0, "late": 0.03}  # of a camera: 1 mm, 60 Hz, 30 ms
+ROTORS = 0.1  # inertia of the drives as the joints feel them [kg m²]
+
+
+def reach(robot, seed=0):
+    """Bring the tip of a tool that nobody knows to a point."""
+    driver = FrankaDriver(robot.address, Camera(robot.truth), realtime=False)
+    belief = robot.arm.with_object(0.0)
+    rest = aj.AdaptiveGravity(belief, theta0=0.0)  # of gravity, which the robot adds
+    law = aj.SetpointController(aj.PositionTask(belief), gravity=rest)
+    controller = aj.TorqueLimited(law, driver.limits)
+    return lead(driver, controller, away(driver.read().x, seed), 8.0)
+
+
+def reach_by_camera(robot, seed=0):
+    """The same by a camera."""
+    driver = FrankaDriver(robot.address, Camera(robot.truth, **LATE, seed=seed), realtime=False)
+    belief = robot.arm.with_object(0.0)
+    rest = aj.AdaptiveGravity(belief, theta0=0.0)
+    lags = Latency(torque_delay=DT, image_period=1.0 / LATE["rate"], image_age=LATE["late"])
+    law = aj.SetpointController(aj.PositionTask(belief), gravity=rest, latency=lags)
+    controller = aj.TorqueLimited(law, driver.limits)
+    return lead(driver, controller, away(tip(robot, driver.read().q), seed), 8.0)
+
+
+def circle(robot, seed=0):
+    """Follow a circle of 10 cm in 4 s, three times, with kinematics and dynamics that learn."""
+    driver = FrankaDriver(
+        robot.address, Camera(robot.truth), gravity=robot.arm, realtime=False
+    )  # law T compensates all of gravity
+    task = aj.PositionTask(robot.arm.with_object(0.0))
+    kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
+    dynamics = AdaptiveDynamics(task.robot, rotor_inertia=ROTORS)
+    law = aj.TrackingController(task, kinematics=kinematics, dynamics=dynamics)
+    return lead(driver, aj.TorqueLimited(law, driver.limits), around(driver.read().x, seed), 12.0)
+
+
+def circle_by_velocities(robot, seed=0):
+    """The same by joint velocities and a camera."""
+    camera = Camera(robot.truth, **LATE, seed=seed)
+    driver = FrankaDriver(robot.address, camera, command="velocity", realtime=False)
+    task = aj.PositionTask(robot.arm.with_object(0.0))
+    kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=LATE["noise"])
+    controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
+    return lead(driver, controller, around(tip(robot, driver.read().q), seed), 12.0)
+
+
+def reach_by_velocities(robot, seed=0):
+    """Reach by joint velocities."""
+    driver = FrankaDriver(robot.address, Camera(robot.truth), command="velocity", realtime=False)
+    task = aj.PositionTask(robot.arm.with_object(0.0))
+    kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
+    controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
+    return lead(driver, controller, away(driver.read().x, seed), 8.0)
+
+
+KINDS = reach, reach_by_camera, circle, reach_by_velocities, circle_by_velocities
+
+
+def away(x, seed=0):
+    """Return a point that is 12 cm away from x: forward, right and up, or as a seed has it."""
+    way = np.array([1.0, -1.0, 1.0]) if seed == 0 else np.random.default_rng(seed).normal(size=3)
+    return x + FAR * way / np.linalg.norm(way)
+
+
+def around(x, seed=0):
+    """Return a circle of 10 cm in 4 s that begins at x, flat or as a seed has it."""
+    normal = (0.0, 0.0, 1.0) if seed == 0 else np.random.default_rng(seed).normal(size=3)
+    turn = aj.Circle(center=np.zeros(3), radius=0.1, period=4.0, normal=normal)
+    return replace(turn, center=x - turn.at(0.0).x)
+
+
+def tip(robot, q):
+    """Return where the true tip is."""
+    return aj.PositionTask(robot.truth).value(q)
+
+
+def errors(robot, run):
+    """Return how far the true tip is from the target at each instant [m]."""
+    task = aj.PositionTask(robot.truth)
+    return np.linalg.norm([task.value(q) for q in run.q] - run.target, axis=1)
+
+
+def lead(driver, controller, target, duration):
+    """Run a controller on a robot, and brake it; return what happened, with steps' times [s]."""
+    at = target.at if hasattr(target, "at") else lambda t: aj.Target(target)
+    first, rows = driver.read(), []
+    state = controller.initial_state(first)
+    gc.disable()
+    try:
+        while not rows or rows[-1][0] < duration:
+            m = driver.read()
+            t, begun = m.t - first.t, time.perf_counter()
+            wanted = at(t)
+            state, answer = controller.step(state, m, wanted, DT)
+            work = time.perf_counter() - begun
+            driver.send(answer.torque)
+            rows.append((t, m.q, m.v, wanted.x, begun, work))
+    finally:
+        gc.enable()
+        driver.brake()
+    names = "t", "q", "v", "target", "begun", "work"
+    return SimpleNamespace(**dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)))
+
+
+def main():
+    """Run them all, and say how they went."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=len(KINDS), help="one kind after the other")
+    runs = parser.parse_args().runs
+    if missing():
+        parser.error(missing())
+    reflexes = 0
+    for i in range(runs):
+        kind = KINDS[i % len(KINDS)]
+        with SimulatedFranka() as robot:
+            try:
+                run = kind(robot, i // len(KINDS))
+            except aj.errors.DriverError as error:
+                print(f"{kind.__name__:>22}  {error}")
+                reflexes += 1
+                continue
+        error = 1e3 * errors(robot, run)
+        told = [f"{error[np.searchsorted(run.t, t)]:.3g} mm at {t:g} s" for t in (1.0, 2.0, 5.0)]
+        late = error[run.t > 5.0]
+        gaps = 1e3 * np.diff(run.begun)
+        print(
+            f"{kind.__name__:>22}  {', '.join(told)}; later at most {late.max():.3g}, "
+            f"rms {np.sqrt(np.mean(late**2)):.3g}; a step {1e6 * np.median(run.work):.0f} µs, "
+            f"99 % within {1e6 * np.quantile(run.work, 0.99):.0f}; "
+            f"periods {np.median(gaps):.2f} ms, at most {gaps.max():.1f}",
+            flush=True,
+        )
+    print(f"{runs} runs, {reflexes} ended by the robot")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,236 @@
+"""`FrankaDriver`: a Franka FR3 by its makers' own client, pylibfranka."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from approxjac.controllers import Limits
+from approxjac.errors import DriverError, InvalidInputError
+from approxjac.extras import package_of
+from approxjac.interface import Measurement
+from approxjac.robots import Dynamics, Robot
+from approxjac.validation import Array, as_limits, require
+
+_DT = 1e-3  # [s]
+_LOW = np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196])
+_HIGH = np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196])
+_EFFORT = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])
+_SPEED = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
+_TORQUE_RATE, _ACCELERATION, _JERK = 1000.0, 10.0, 5000.0
+# speed at a distance d from a joint's end: √(2ad) less an offset; from the arm's URDF
+_BRAKING = np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0])
+_OFFSET = np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35])
+_INSIDE = 1e-3  # of these limits, for what is lost in rounding
+
+Sensor = Callable[[float, Array], "Array | tuple[Array, float]"]
+
+
+class FrankaDriver:
+    """A Franka FR3, by its makers' client and network protocol, at 1 kHz.
+
+    The robot adds gravity, as it knows it, to the torques that it is sent. Control begins with the
+    first command; until then, and after `brake`, the robot holds itself.
+
+    Commands are brought within the rates that the robot takes, as its makers' own loop does it:
+    torques within its efforts and 1000 N m/s of the last that it got, velocities within 10 rad/s²,
+    5000 rad/s³ and its speeds near joint ends. Whatever else is beyond its limits ends in a reflex,
+    of which it does not recover by itself: see `recover`.
+
+    Args:
+        address: Of the robot's control unit.
+        sensor: Function of the robot's time t [s] and q, shape (7,), that returns x, or x and the
+            time t_x [s] at which it was taken; NaN where there is none. It is called once a period
+            and must not wait.
+        command: "torque", or "velocity" for a controller that commands velocities.
+        gravity: The robot as it knows itself, whose gravity is taken off again: for controllers
+            that compensate all of it, such as law T. None sends torques as they are, for those that
+            leave it to the robot.
+        collision: Torques of the joints and forces on the tip above which a contact is a collision
+            and ends in a reflex: a number or shape (7,) [N m], and a number or shape (6,) [N, N m].
+            None leaves what the robot has.
+        realtime: Whether to demand a kernel and a priority for real time, as a robot should have.
+
+    Raises:
+        DriverError: No connection, or the robot refuses.
+        MissingPackageError: pylibfranka is not installed.
+        InvalidInputError: An argument that is none of these.
+    """
+
+    dt: float = _DT
+
+    def __init__(
+        self,
+        address: str,
+        sensor: Sensor,
+        *,
+        command: Literal["torque", "velocity"] = "torque",
+        gravity: Robot | None = None,
+        collision: tuple[float | Sequence[float] | Array, float | Sequence[float] | Array]
+        | None = None,
+        realtime: bool = True,
+    ) -> None:
+        require("address", address, str, "a name or an IP address")
+        require("sensor", sensor, Callable, "a function of t and q that returns x")  # type: ignore[arg-type]
+        require("command", command, str, '"torque" or "velocity"')
+        if command not in ("torque", "velocity"):
+            told = f'command must be "torque" or "velocity", got {command!r}'
+            raise InvalidInputError(told, given=command)
+        self.command: Literal["torque", "velocity"] = command
+        if gravity is not None:
+            require("gravity", gravity, Robot, "a Robot, such as the arm without its tool")
+        self.adds_gravity = gravity is None
+        self._gravity = None if gravity is None else Dynamics(gravity)
+        self.limits = Limits(
+            effort=_EFFORT,
+            rate=_TORQUE_RATE if command == "torque" else None,
+            position=(_LOW, _HIGH),
+            velocity=_SPEED,
+        )
+        self._sensor = sensor
+        self._franka: Any = package_of("franka", "pylibfranka")
+        self._errors = (RuntimeError, ValueError, self._franka.FrankaException)
+        self._lock, self._braked = threading.Lock(), False
+        self._robot: Any
+        self._state: Any  # that was read last
+        self._control: Any = None  # what commands go to, while the robot takes some
+        config = self._franka.RealtimeConfig
+        self._address = address, config.kEnforce if realtime else config.kIgnore
+        self._collision: tuple[list[float], ...] = ()
+        if collision is not None:
+            torques = as_limits("collision[0]", collision[0], 7, unit="N m").tolist()
+            forces = as_limits("collision[1]", collision[1], 6, unit="N, N m").tolist()
+            self._collision = torques, torques, forces, forces
+        self._connect()
+
+    def read(self) -> Measurement:
+        """Wait for the state of the next period and return it, with the sensor's x.
+
+        Raises:
+            DriverError: A reflex, `brake` from another thread, or a lost connection: the robot
+                waits for 1 s at most, while no other thread of Python runs.
+        """
+        control = self._control
+        try:
+            state = self._robot.read_once() if control is None else control.readOnce()[0]
+        except self._errors as error:
+            raise self._named("read", error) from error
+        self._state = state
+        t, q = state.time.to_sec(), np.array(state.q)
+        x = self._sensor(t, q)
+        x, t_x = x if isinstance(x, tuple) else (x, None)
+        return Measurement(t, q, np.array(state.dq), x, t_x)
+
+    def send(self, command: Array) -> None:
+        """Send torques [N m] or velocities [rad/s], shape (7,); the first ones begin control.
+
+        Raises:
+            DriverError: The robot refuses them, or it was braked.
+        """
+        with self._lock:
+            if self._braked:
+                told = "cannot send: the robot was braked; recover() lets it take commands again"
+                raise DriverError(told, given=command)
+            try:
+                if self._control is None:
+                    self._control = self._started()
+                if self.command == "torque":
+                    if self._gravity is not None:
+                        command = command - self._gravity.g(np.array(self._state.q))
+                    sent = self._franka.Torques(self._within_rate(command).tolist())
+                else:
+                    sent = self._franka.JointVelocities(self._within_jerk(command).tolist())
+                self._control.writeOnce(sent)
+            except self._errors as error:
+                raise self._named("send", error) from error
+
+    def brake(self) -> None:
+        """End control: the robot stops and holds itself. Nothing is sent until `recover`.
+
+        May be called from any thread, twice, and after a reflex, which has stopped the robot.
+        """
+        self._braked = True
+        with self._lock:
+            control, self._control = self._control, None
+            if control is None:
+                return
+            try:
+                self._robot.stop()
+            except self._errors:
+                # Whoever lets go of it asks the robot to stop once more, and libfranka ends the
+                # whole process where nobody answers: so it stays.
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(control))
+                self._is_lost = True
+
+    def recover(self) -> None:
+        """Let the robot take commands again after `brake`, and clear the error of a reflex.
+
+        Only call it when somebody has seen why it stopped.
+
+        Raises:
+            DriverError: The robot cannot recover, such as while its stop is pressed.
+        """
+        self.brake()
+        if self._is_lost:
+            self._connect()
+        state = self._asked("read", self._robot.read_once)
+        if state.robot_mode == self._franka.RobotMode.Reflex or state.current_errors:
+            self._asked("recover", self._robot.automatic_error_recovery)
+        self._state = self._asked("read", self._robot.read_once)
+        self._braked = False
+
+    def _connect(self) -> None:
+        """Connect, and tell the robot what it is to know."""
+        self._robot = self._asked("connect", self._franka.Robot, *self._address)
+        self._is_lost = False
+        if self._collision:
+            set_them = self._robot.set_collision_behavior
+            self._asked("set the collision thresholds", set_them, *self._collision)
+        self._state = self._asked("read", self._robot.read_once)
+
+    def _started(self) -> Any:
+        """Begin control."""
+        if self.command == "torque":
+            return self._robot.start_torque_control()
+        impedance = self._franka.ControllerMode.JointImpedance
+        return self._robot.start_joint_velocity_control(impedance)
+
+    def _within_rate(self, torque: Array) -> Array:
+        """Return torques within efforts, and their rate of the last that the robot got."""
+        before, change = np.array(self._state.tau_J_d), (1.0 - _INSIDE) * _TORQUE_RATE * _DT
+        low, high = np.maximum(before - change, -_EFFORT), np.minimum(before + change, _EFFORT)
+        return np.asarray(np.minimum(np.maximum(torque, low), high))
+
+    def _within_jerk(self, velocity: Array) -> Array:
+        """Return velocities within speed, acceleration and jerk of the last that the robot got.
+
+        Source: `limitRate` of libfranka, src/rate_limiting.cpp.
+        """
+        state = self._state
+        q, before, a = np.array(state.q), np.array(state.dq_d), np.array(state.ddq_d)
+        high = np.minimum(_SPEED, _towards(_HIGH - q)) - _INSIDE
+        low = _INSIDE - np.minimum(_SPEED, _towards(q - _LOW))
+        most, jerk = (1.0 - _INSIDE) * _ACCELERATION, (1.0 - _INSIDE) * _JERK
+        change = np.clip((velocity - before) / _DT - a, -jerk * _DT, jerk * _DT)
+        upper = np.minimum(jerk / most * (high - before), most)
+        lower = np.maximum(jerk / most * (low - before), -most)
+        return np.asarray(before + _DT * np.maximum(np.minimum(a + change, upper), lower))
+
+    def _asked(self, what: str, function: Callable[..., Any], *given: Any) -> Any:
+        """Call a function of the client, whose errors become ours."""
+        try:
+            return function(*given)
+        except self._errors as error:
+            raise self._named(what, error) from error
+
+    def _named(self, what: str, error: Exception) -> DriverError:
+        return DriverError(f"cannot {what}: {error}", given=what)
+
+
+def _towards(left: Array) -> Array:
+    """Return the speed that the robot allows at a distance from its joints' ends."""
+    return np.asarray(np.maximum(np.sqrt(np.maximum(2.0 * _BRAKING * left, 0.0)) - _OFFSET, 0.0))

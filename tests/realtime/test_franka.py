@@ -1,0 +1,349 @@
+"""`FrankaDriver`: by a client that is made up, and over the wire to a simulated robot.
+
+The latter are marked `wire`: they need pylibfranka and the environment of a simulated Franka, see
+examples/franka.
+"""
+
+import functools
+import sys
+import threading
+import time
+import types
+
+import numpy as np
+import over_the_wire
+import pytest
+from over_the_wire import errors, lead
+from simulated_franka import Camera, SimulatedFranka, missing
+
+import approxjac as aj
+from approxjac.errors import DriverError, InvalidInputError, MissingPackageError
+from approxjac.realtime.franka import FrankaDriver
+
+STILL = np.zeros(7)
+
+
+# --- by a client that is made up --------------------------------------------------------------
+
+
+class ControlException(RuntimeError):
+    """What the client raises after a reflex."""
+
+
+class Client(types.ModuleType):
+    """What the driver uses of pylibfranka, around a robot that answers to the letter."""
+
+    class FrankaException(Exception):
+        pass
+
+    RealtimeConfig = types.SimpleNamespace(kEnforce="enforced", kIgnore="ignored")
+    ControllerMode = types.SimpleNamespace(JointImpedance="joint impedance")
+    RobotMode = types.SimpleNamespace(Reflex="reflex", Idle="idle")
+
+    def __init__(self):
+        super().__init__("pylibfranka")
+        self.calls, self.mode, self.fails, self.time = [], "idle", "", 0.0
+        self.q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+        self.sent, self.acceleration = np.zeros(7), np.zeros(7)
+
+    def Robot(self, address, config):
+        self.calls.append(("connect", address, config))
+        return self
+
+    def Torques(self, tau):
+        return np.array(tau)
+
+    JointVelocities = Torques
+
+    def read_once(self):
+        if self.fails:
+            raise ControlException(self.fails)
+        self.time += 1e-3
+        state = {name: list(self.sent) for name in ("tau_J_d", "dq_d")}
+        return types.SimpleNamespace(
+            time=types.SimpleNamespace(to_sec=lambda now=self.time: now), q=list(self.q),
+            dq=[0.1] * 7, ddq_d=list(self.acceleration), robot_mode=self.mode,
+            current_errors=False, **state,
+        )  # fmt: skip
+
+    def readOnce(self):
+        return self.read_once(), None
+
+    def writeOnce(self, command):
+        self.acceleration = (command - self.sent) / 1e-3
+        self.sent = command
+
+    def start_torque_control(self):
+        self.calls.append(("torque",))
+        return self
+
+    def start_joint_velocity_control(self, mode):
+        self.calls.append(("velocity", mode))
+        return self
+
+    def set_collision_behavior(self, *thresholds):
+        self.calls.append(("collision", *thresholds))
+
+    def stop(self):
+        self.calls.append(("stop",))
+
+    def automatic_error_recovery(self):
+        self.calls.append(("recovery",))
+        self.mode, self.fails = "idle", ""
+
+    def reflex(self):
+        self.mode, self.fails = "reflex", 'motion aborted by reflex! ["joint_reflex"]'
+
+
+@pytest.fixture
+def client(monkeypatch):
+    made = Client()
+    monkeypatch.setitem(sys.modules, "pylibfranka", made)
+    return made
+
+
+def seen(t, q):
+    return np.array([1.0, 2.0, t]), t - 0.03
+
+
+def test_without_the_client_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pylibfranka", None)
+    with pytest.raises(MissingPackageError, match=r"FrankaDriver needs .*approxjac\[franka\]"):
+        FrankaDriver("robot", seen)
+
+
+def test_it_reads_the_robot_and_its_sensor(client):
+    driver = FrankaDriver("robot", seen)
+    m = driver.read()
+    assert client.calls == [("connect", "robot", "enforced")]  # and nothing moves
+    assert m.t == pytest.approx(2e-3)
+    np.testing.assert_array_equal(m.q, client.q)
+    np.testing.assert_array_equal(m.v, [0.1] * 7)
+    np.testing.assert_array_equal(m.x, [1.0, 2.0, m.t])
+    assert m.t_x == m.t - 0.03
+    assert FrankaDriver("robot", lambda t, q: STILL).read().t_x is None
+
+
+def test_torques_keep_the_robots_rate_and_efforts(client):
+    driver = FrankaDriver("robot", seen)
+    for wanted in (np.full(7, 100.0), np.full(7, -100.0)):
+        steps = []
+        for _ in range(250):
+            driver.read()
+            before = client.sent
+            driver.send(wanted)
+            steps.append(np.abs(client.sent - before).max())
+        assert 0.99 < max(steps) <= 1.0  # N m in a millisecond
+        np.testing.assert_allclose(client.sent, np.sign(wanted) * driver.limits.effort)
+    driver.send(client.sent + 0.5)
+    assert client.calls.count(("torque",)) == 1
+
+
+def test_gravity_that_the_robot_adds_is_taken_off_where_the_controller_has_it(client):
+    arm = aj.load_robot("panda")
+    driver = FrankaDriver("robot", seen, gravity=arm)
+    assert not driver.adds_gravity
+    g = aj.robots.Dynamics(arm).g(client.q)
+    for _ in range(100):
+        driver.read()
+        driver.send(g + 0.5)
+    np.testing.assert_allclose(client.sent, 0.5, atol=1e-12)
+
+
+def test_velocities_keep_acceleration_jerk_and_the_speeds_near_joint_ends(client):
+    driver = FrankaDriver("robot", seen, command="velocity")
+    sent = []
+    for k in range(900):
+        driver.read()
+        driver.send(np.full(7, 9.0 if k < 500 else -9.0))
+        sent.append(client.sent)
+    assert ("velocity", "joint impedance") in client.calls
+    rates = np.diff(sent, axis=0, prepend=0.0) / 1e-3
+    assert 9.9 < np.abs(rates).max() <= 10.0
+    assert np.abs(np.diff(rates, axis=0)).max() <= 5.0 + 1e-9
+    fastest = np.max(sent, axis=0)
+    assert (fastest <= driver.limits.velocity).all()
+    np.testing.assert_allclose(fastest[4], 9.99 * 0.5, rtol=0.01)  # as far as it got
+    client.q = np.array(driver.limits.position[1]) - 0.01
+    for _ in range(2000):
+        driver.read()
+        driver.send(np.full(7, 9.0))
+    assert (np.abs(client.sent) < 0.25).all()
+
+
+def test_brake_ends_it_until_somebody_recovers_it(client):
+    driver = FrankaDriver("robot", seen)
+    driver.brake()  # there is nothing to stop yet
+    driver.recover()
+    driver.read()
+    driver.send(STILL)
+    others = [threading.Thread(target=driver.brake) for _ in range(3)]
+    for other in others:
+        other.start()
+    for other in others:
+        other.join()
+    assert client.calls.count(("stop",)) == 1
+    with pytest.raises(DriverError, match=r"braked; recover\(\)"):
+        driver.send(STILL)
+    assert ("recovery",) not in client.calls
+    driver.recover()
+    driver.send(STILL)
+    assert ("recovery",) not in client.calls  # there was no reflex
+    assert client.calls.count(("torque",)) == 2
+
+
+def test_a_reflex_has_a_name_and_is_not_recovered_from_by_itself(client):
+    driver = FrankaDriver("robot", seen)
+    driver.send(STILL)
+    client.reflex()
+    with pytest.raises(DriverError, match=r"cannot read: motion aborted .*joint_reflex") as raised:
+        driver.read()
+    assert isinstance(raised.value.__cause__, ControlException)
+    driver.brake()
+    driver.brake()
+    assert ("recovery",) not in client.calls
+    client.fails = ""
+    driver.recover()
+    assert client.calls[-1] == ("recovery",)
+    assert driver.read().t > 0.0
+
+
+def test_collision_thresholds_are_told_to_the_robot(client):
+    FrankaDriver("robot", seen, collision=(20.0, [30.0] * 3 + [10.0] * 3), realtime=False)
+    torques, forces = [20.0] * 7, [30.0] * 3 + [10.0] * 3
+    assert client.calls == [
+        ("connect", "robot", "ignored"), ("collision", torques, torques, forces, forces),
+    ]  # fmt: skip
+
+
+def test_it_says_what_is_wrong_with_arguments(client):
+    for wrong in (
+        {"command": "position"}, {"gravity": 9.81}, {"collision": (-1.0, 1.0)},
+        {"sensor": None}, {"address": None},
+    ):  # fmt: skip
+        with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+            FrankaDriver(**{"address": "robot", "sensor": seen} | wrong)
+
+
+# --- over the wire ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def robot():
+    with SimulatedFranka() as made:
+        yield made
+
+
+needs_robot = pytest.mark.skipif(bool(missing()), reason=missing())
+
+
+def hold(robot, driver):
+    """Send what holds the tool, again and again."""
+    m = driver.read()
+    weight = [aj.robots.Dynamics(arm).g(m.q) for arm in (robot.arm, robot.truth)]
+    for _ in range(5000):
+        driver.read()
+        driver.send(weight[1] - weight[0])
+
+
+@pytest.mark.wire
+@needs_robot
+def test_the_tip_of_an_unknown_tool_arrives_in_spite_of_friction(robot):
+    run = over_the_wire.reach(robot)
+    error = errors(robot, run)
+    assert error[0] == pytest.approx(0.12, abs=1e-4)
+    assert error[run.t > 2.0].max() < 1e-3
+    assert error[run.t > 5.0].max() < 1e-4
+    # the arm moves as its time stamps say
+    moved, told = np.diff(run.q, axis=0), run.v[1:] * np.diff(run.t)[:, None]
+    assert np.abs(moved).sum() == pytest.approx(np.abs(told).sum(), rel=1e-3)
+    assert 60e-6 < np.median(run.work) < 1e-3
+
+
+@pytest.mark.wire
+@needs_robot
+def test_it_arrives_by_a_camera(robot):
+    run = over_the_wire.reach_by_camera(robot)
+    assert errors(robot, run)[run.t > 2.0].max() < 1.5e-3
+
+
+@pytest.mark.wire
+@needs_robot
+def test_it_follows_a_circle_by_torques(robot):
+    run = over_the_wire.circle(robot)
+    assert errors(robot, run)[run.t > 4.0].max() < 1.5e-3
+
+
+@pytest.mark.wire
+@needs_robot
+def test_it_arrives_by_velocities(robot):
+    error = errors(robot, run := over_the_wire.reach_by_velocities(robot))
+    assert error[run.t > 2.0].max() < 1e-3
+    assert error[run.t > 5.0].max() < 1e-4
+
+
+@pytest.mark.wire
+@needs_robot
+def test_it_follows_a_circle_by_velocities_and_a_camera(robot):
+    run = over_the_wire.circle_by_velocities(robot)
+    assert errors(robot, run)[run.t > 4.0].max() < 1.5e-3
+
+
+@pytest.mark.wire
+@needs_robot
+def test_it_goes_on_after_a_reflex_when_told_to(robot):
+    driver = FrankaDriver(robot.address, Camera(robot.truth), realtime=False)
+    belief = robot.arm.with_object(0.0)
+    law = aj.SetpointController(
+        aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief, theta0=0.0)
+    )
+    controller = aj.TorqueLimited(law, driver.limits)
+    goal = over_the_wire.away(driver.read().x)
+    lead(driver, controller, goal, 0.3)  # it is on its way then
+    driver.recover()
+    driver.read()
+    driver.send(STILL)
+    time.sleep(0.1)  # so much silence the robot does not bear
+    with pytest.raises(DriverError, match="communication_constraints_violation"):
+        hold(robot, driver)
+    driver.brake()
+    with pytest.raises(DriverError, match=r"recover\(\)"):
+        driver.send(STILL)
+    driver.recover()
+    run = lead(driver, controller, goal, 4.0)
+    assert np.linalg.norm(Camera(robot.truth)(0.0, run.q[-1])[0] - goal) < 1e-3
+
+
+@pytest.mark.wire
+@needs_robot
+def test_the_brake_closes_from_another_thread(robot, request):
+    # the client keeps the interpreter's lock while it waits: others have to ask for it sooner
+    request.addfinalizer(functools.partial(sys.setswitchinterval, sys.getswitchinterval()))
+    sys.setswitchinterval(5e-4)
+    driver = FrankaDriver(robot.address, Camera(robot.truth), realtime=False)
+    other = threading.Timer(0.2, driver.brake)
+    other.start()
+    with pytest.raises(DriverError, match="braked"):
+        hold(robot, driver)
+    other.join()
+    begun = driver.read()
+    while (m := driver.read()).t < begun.t + 1.0:
+        pass
+    assert np.abs(m.v).max() < 1e-3  # the robot holds itself
+    assert np.abs(m.q - begun.q).max() < 0.01
+
+
+@pytest.mark.wire
+@needs_robot
+def test_its_limits_are_those_of_the_robots_urdf(robot):
+    told, known = FrankaDriver(robot.address, Camera(robot.truth), realtime=False).limits, robot.arm
+    np.testing.assert_allclose(told.effort, known.effort_limits)
+    np.testing.assert_allclose(told.velocity, known.velocity_limits)
+    np.testing.assert_allclose(told.position, known.position_limits)
+
+
+@pytest.mark.wire
+@needs_robot
+def test_a_robot_that_is_not_there_is_said_by_name(robot):
+    with pytest.raises(DriverError, match="cannot connect"):
+        FrankaDriver("127.0.0.254", Camera(robot.truth), realtime=False)
