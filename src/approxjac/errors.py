@@ -66,6 +66,10 @@ class SimulationError(ApproxJacError, RuntimeError):
     """A simulation that could not be carried to its end."""
 
 
+class ControlError(ApproxJacError, RuntimeError):
+    """A robot's run that an error ended; the arm was braked, and `given` is the run until then."""
+
+
 class MissingPackageError(ApproxJacError, ImportError):
     """A package is not installed that only a part of this library needs."""
 

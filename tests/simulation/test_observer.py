@@ -110,7 +110,7 @@ def test_it_stops_the_run(panda, every):
     ("options", "message"),
     [
         ({"dt": None}, "dt must be given for an observer: it looks at every step"),
-        ({"observer": "me"}, "observer must be a function of a SampledLoop, got 'me'"),
+        ({"observer": "me"}, "observer must be a function of a Loop, got 'me'"),
     ],
 )
 def test_what_is_no_observer_is_refused(panda, options, message):

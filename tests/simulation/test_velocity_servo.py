@@ -13,7 +13,7 @@ import approxjac as aj
 from approxjac.controllers import HeldMeasurement
 from approxjac.interface import Controller
 from approxjac.robots import Dynamics
-from approxjac.simulation import SampledLoop, VelocityServo
+from approxjac.simulation import Loop, VelocityServo
 from approxjac.simulation.integrators import INTEGRATORS
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -243,7 +243,7 @@ def test_another_command_than_the_plants_is_refused(panda):
     with pytest.raises(aj.InvalidInputError, match=told.format("torque", "velocity")):
         aj.simulate(bare, own, target, START)
 
-    def exchanging(loop: SampledLoop):
+    def exchanging(loop: Loop):
         loop.exchange(own)
 
     with pytest.raises(aj.InvalidInputError, match=told.format("torque", "velocity")):

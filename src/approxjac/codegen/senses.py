@@ -14,7 +14,6 @@ from approxjac.codegen.rigid_body import difference, moved
 from approxjac.codegen.symbols import Symbols, symbols
 from approxjac.interface import Target, TargetPath
 from approxjac.simulation import Plant, Sensing
-from approxjac.simulation.sampled_loop import target_at
 from approxjac.simulation.sensing import (
     filtered,
     frames_of,
@@ -22,6 +21,7 @@ from approxjac.simulation.sensing import (
     lost_entries,
     rounded,
 )
+from approxjac.simulation.targets import target_at
 from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_diagonal
 

@@ -28,9 +28,9 @@ from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import (
+    Loop,
     MujocoPlant,
     Plant,
-    SampledLoop,
     Sensing,
     VelocityServo,
     simulate,
@@ -97,7 +97,7 @@ class BuiltScenario:
     def run(
         self,
         progress: Callable[[float], None] | None = None,
-        observer: Callable[[SampledLoop], None] | None = None,
+        observer: Callable[[Loop], None] | None = None,
     ) -> Result:
         """Simulate, with the arguments of `simulate`, and judge the run."""
         from approxjac.scenario.result import Result

@@ -17,10 +17,11 @@ from approxjac.errors import InvalidInputError, MeasurementError, SimulationErro
 from approxjac.interface import ContinuousController, Controller, Target, TargetPath
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation.integrators import INTEGRATORS
+from approxjac.simulation.loop import Loop
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.record import Record
-from approxjac.simulation.sampled_loop import (
-    SampledLoop,
+from approxjac.simulation.sampled_loop import SampledLoop
+from approxjac.simulation.targets import (
     Wanted,
     diverged,
     first_state,
@@ -32,7 +33,7 @@ from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array, as_array, as_integer, as_number, require
 
 Progress = Callable[[float], None]
-Observer = Callable[[SampledLoop], None]
+Observer = Callable[[Loop], None]
 _FUNCTION: Any = (Callable, NoneType)
 _STALL_STEPS = 1000
 
@@ -79,7 +80,7 @@ def simulate(
         rtol: Relative tolerance of the continuous integration.
         atol: Absolute tolerance of the continuous integration.
         progress: Called now and then with the time reached [s].
-        observer: Called with the `SampledLoop`, which says what it may do, at every step of
+        observer: Called with the `Loop`, which says what it may do, at every step of
             sampled control. An observer that is a context manager is entered before the run and
             left after it, however it ends.
 
@@ -108,7 +109,7 @@ def simulate(
         raise UnknownNameError("integrator", integrator, "the integrators", INTEGRATORS)
     as_integer("seed", seed, 0)
     require("progress", progress, _FUNCTION, "a function of the time reached [s]")
-    require("observer", observer, _FUNCTION, "a function of a SampledLoop")
+    require("observer", observer, _FUNCTION, "a function of a Loop")
     # a loop that diverges overflows before the error says so
     with np.errstate(over="ignore", invalid="ignore"):
         if dt is None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -67,6 +67,8 @@ class Trajectory:
     task_units: tuple[str, ...]
     scene: Scene | None = None
     derived: Callable[[Trajectory, str], Array] = field(kw_only=True)
+    _more_arrays: ClassVar[tuple[str, ...]] = ()  # of what derives from it, in its files too
+    _more_texts: ClassVar[tuple[str, ...]] = ()
 
     @cached_property
     def task_torque(self) -> Array:
@@ -163,8 +165,8 @@ class Trajectory:
             TrajectoryFileError: The file cannot be written.
         """
         path = _npz(path)
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        texts = {name: getattr(self, name) for name in _TEXTS}
+        arrays = {name: getattr(self, name) for name in (*_ARRAYS, *self._more_arrays)}
+        texts = {name: getattr(self, name) for name in (*_TEXTS, *self._more_texts)}
         texts["scene"] = None if self.scene is None else self.scene.to_dict()
         try:
             # an open file, because numpy would add a second ending to .NPZ
@@ -177,7 +179,7 @@ class Trajectory:
         return path
 
     @classmethod
-    def load(cls, path: str | Path) -> Trajectory:
+    def load(cls, path: str | Path) -> Self:
         """Read a run that `save` wrote.
 
         Raises:
@@ -188,7 +190,9 @@ class Trajectory:
             # opened here, because NumPy leaves a damaged file open
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 texts = json.loads(str(file["texts"]))
-                arrays = {name: file[name] for name in _ARRAYS}
+                arrays = {name: file[name] for name in (*_ARRAYS, *cls._more_arrays)}
+            known = (*_TEXTS, *cls._more_texts, "scene")
+            texts = {name: texts[name] for name in known}
             scene = texts.pop("scene")
             for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])

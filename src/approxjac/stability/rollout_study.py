@@ -17,8 +17,8 @@ from approxjac.errors import InvalidInputError, SimulationError, UnknownNameErro
 from approxjac.extras import package_of
 from approxjac.interface import Controller
 from approxjac.simulation import Plant, Sensing, Trajectory, simulate
-from approxjac.simulation.sampled_loop import Wanted, target_at, x_of
 from approxjac.simulation.simulate import whole
+from approxjac.simulation.targets import Wanted, target_at, x_of
 from approxjac.stability.region import JointBox, Region, RegularPart
 from approxjac.stability.uncertainty import Uncertainty
 from approxjac.stability.visibility import UnattainedError, VisiblePart

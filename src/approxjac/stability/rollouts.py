@@ -17,7 +17,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined, percent
 from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant, Sensing, Trajectory
-from approxjac.simulation.sampled_loop import require_fit, wanted_of
+from approxjac.simulation.targets import require_fit, wanted_of
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_portions import Progress, carried_out
 from approxjac.stability.rollout_study import Study

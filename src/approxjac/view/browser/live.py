@@ -16,8 +16,8 @@ import numpy as np
 from approxjac.controllers.wrapper import with_task
 from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
+from approxjac.simulation.loop import Loop
 from approxjac.simulation.record import Record, scene_of
-from approxjac.simulation.sampled_loop import SampledLoop
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array, as_array, as_number
 from approxjac.view.browser.document import asset, document, page_data
@@ -76,7 +76,7 @@ class LiveView:
         self._origin = self._next = 0.0
         self._before: Any = None  # what Ctrl-C did before
 
-    def __call__(self, loop: SampledLoop) -> None:
+    def __call__(self, loop: Loop) -> None:
         """Show a step of a run, do what the user wants, and wait until it is time to go on."""
         if self._closed:
             told = "a LiveView is for one run, and this one has shown its run: make another one"
@@ -118,7 +118,7 @@ class LiveView:
 
     # -- showing ------------------------------------------------------------------------
 
-    def _start(self, loop: SampledLoop) -> None:
+    def _start(self, loop: Loop) -> None:
         if self._believe is not None:
             with_task(loop.controller, loop.controller.task)  # or there is no changing the belief
         self._look(loop)
@@ -143,7 +143,7 @@ class LiveView:
         self._interrupted = True
         signal.signal(signal.SIGINT, self._before)
 
-    def _look(self, loop: SampledLoop) -> Stage:
+    def _look(self, loop: Loop) -> Stage:
         """See anew who takes part."""
         scene = scene_of(loop.plant, loop.controller, len(loop.state))
         self._frames = Frames(scene)
@@ -175,7 +175,7 @@ class LiveView:
         assert self._server is not None  # there is no run without it
         self._server.send(json.dumps(parts))
 
-    def _show(self, loop: SampledLoop) -> None:
+    def _show(self, loop: Loop) -> None:
         self._next = time.perf_counter() + _FRAME
         row = self._row(loop)
         self._tell(rows=[row])
@@ -185,7 +185,7 @@ class LiveView:
             self._every *= 2
             self._rows = {key // 2: kept for key, kept in self._rows.items()}
 
-    def _row(self, loop: SampledLoop) -> dict[str, Any]:
+    def _row(self, loop: Loop) -> dict[str, Any]:
         """Return what the page shows of this step, as JSON can have it."""
         record, x = Record(loop.plant, 1), loop.measurement.x
         answer, controller = loop.answer, loop.controller
@@ -196,11 +196,11 @@ class LiveView:
 
     # -- time ---------------------------------------------------------------------------
 
-    def _begin(self, loop: SampledLoop) -> None:
+    def _begin(self, loop: Loop) -> None:
         """Let the run be where it is now."""
         self._origin = time.perf_counter() - loop.t / self._speed
 
-    def _wait(self, loop: SampledLoop) -> None:
+    def _wait(self, loop: Loop) -> None:
         """Wait until it is the run's time, and while it is to pause."""
         while not loop.ended:
             if self._paused:
@@ -217,7 +217,7 @@ class LiveView:
 
     # -- what the user wants ------------------------------------------------------------
 
-    def _obey(self, loop: SampledLoop) -> bool:
+    def _obey(self, loop: Loop) -> bool:
         """Do what pages ask for, say what cannot be done; return whether there was anything."""
         assert self._server is not None  # there is no run without it
         if self._interrupted:
@@ -234,7 +234,7 @@ class LiveView:
             self._tell(controls=self._controls(), **note)
         return bool(wishes)
 
-    def _do(self, loop: SampledLoop, wish: str, value: Any) -> None:
+    def _do(self, loop: Loop, wish: str, value: Any) -> None:
         if wish == "target":
             loop.aim_at(_numbers("target", value))
         elif wish == "point":
@@ -270,7 +270,7 @@ def _speed(value: float) -> float:
     return math.inf if value == math.inf else as_number("speed", value, above=0.0)
 
 
-def _with_point(loop: SampledLoop, point: Array) -> Array:
+def _with_point(loop: Loop, point: Array) -> Array:
     """Return the target with the position of what is followed moved to a point (3,) [m]."""
     place, target = as_array("point", point, (3,), "m"), np.array(loop.target)
     for feature in features(loop.plant.sensor):
@@ -281,7 +281,7 @@ def _with_point(loop: SampledLoop, point: Array) -> Array:
     raise InvalidInputError("the target is no position, which a point could be", given=point)
 
 
-def _with_pixel(loop: SampledLoop, pixel: Array) -> Array:
+def _with_pixel(loop: Loop, pixel: Array) -> Array:
     """Return the target with the image of point i moved to (u, v), for `pixel` (i, u, v)."""
     i, u, v = as_array("pixel", pixel, (3,))
     feature = image_feature(loop.plant.sensor)

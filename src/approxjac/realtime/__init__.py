@@ -1,0 +1,11 @@
+"""The loop on a robot: drivers, `control`, and the faults that it looks for."""
+
+from approxjac.realtime.accuracy import Accuracy
+from approxjac.realtime.control import control
+from approxjac.realtime.driver import Driver
+from approxjac.realtime.faults import Fault
+from approxjac.realtime.pace import Pace
+from approxjac.realtime.robot_run import RobotRun
+from approxjac.realtime.simulated_driver import SimulatedDriver
+
+__all__ = ["Accuracy", "Driver", "Fault", "Pace", "RobotRun", "SimulatedDriver", "control"]

@@ -1,0 +1,95 @@
+"""`Brake`: a driver's brake, closed once, by whoever is first; and the watchdog that may be it."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+
+from approxjac.realtime.driver import Driver
+
+_LOOKS = 4  # of the watchdog within the time that it allows
+
+
+class HungError(BaseException):
+    """What interrupts a call that does not come back; no error that a driver could catch."""
+
+
+class Brake:
+    """A driver's brake, closed once.
+
+    Args:
+        driver: The robot.
+
+    Attributes:
+        error: What the driver raised instead of braking, or None.
+        closed_at: When it was closed, by `time.perf_counter`; None before [s].
+    """
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver, self._lock = driver, threading.Lock()
+        self.error: BaseException | None = None
+        self.closed_at: float | None = None
+
+    def close(self) -> None:
+        """Brake, unless that was done."""
+        with self._lock:
+            if self.closed_at is not None:
+                return
+            self.closed_at = time.perf_counter()
+            try:
+                self._driver.brake()
+            except Exception as error:
+                self.error = error
+
+
+class Watchdog:
+    """A thread that brakes when the loop does not come round in time.
+
+    It then interrupts the main thread, if that runs the loop, out of the call that hangs. It cannot
+    run while an extension holds the interpreter's lock.
+
+    Args:
+        brake: What it closes.
+        longest: Time that a round may take [s].
+
+    Attributes:
+        bit: Whether it had to brake.
+    """
+
+    def __init__(self, brake: Brake, longest: float) -> None:
+        self._brake, self._longest = brake, longest
+        self._loop = threading.current_thread()
+        self._is_main = self._loop is threading.main_thread()
+        self._beat, self._over = time.perf_counter(), threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="approxjac watchdog", daemon=True)
+        self.bit = False
+
+    def beat(self) -> None:
+        """Say that the loop has come round."""
+        self._beat = time.perf_counter()
+
+    def __enter__(self) -> Watchdog:
+        if self._is_main:
+            self._before = signal.signal(signal.SIGALRM, self._interrupt)
+        self.beat()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._is_main:
+            signal.signal(signal.SIGALRM, self._before)
+
+    def _watch(self) -> None:
+        while not self._over.wait(self._longest / _LOOKS):
+            if time.perf_counter() - self._beat > self._longest:
+                self.bit = True
+                self._brake.close()
+                if self._is_main and self._loop.ident is not None:
+                    signal.pthread_kill(self._loop.ident, signal.SIGALRM)
+                return
+
+    def _interrupt(self, *_: object) -> None:
+        if self.bit and not self._over.is_set():
+            raise HungError

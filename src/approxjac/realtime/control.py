@@ -1,0 +1,234 @@
+"""`control`: the loop on a robot, and nothing left undone when it ends."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import fields
+from types import NoneType
+from typing import Any
+
+import numpy as np
+
+from approxjac.errors import ControlError
+from approxjac.formatting import joined
+from approxjac.interface import Controller, Target, TargetPath
+from approxjac.realtime.accuracy import Accuracy
+from approxjac.realtime.brake import Brake, HungError, Watchdog
+from approxjac.realtime.driver import Driver
+from approxjac.realtime.faults import Fault
+from approxjac.realtime.loop import RobotLoop
+from approxjac.realtime.onlooker import Onlooker
+from approxjac.realtime.robot_run import RobotRun
+from approxjac.realtime.scheduling import undisturbed
+from approxjac.realtime.start_checks import require_able, require_at_rest, require_held
+from approxjac.realtime.stop_signals import StopSignals
+from approxjac.simulation.plant import Plant
+from approxjac.simulation.simulate import Observer
+from approxjac.simulation.targets import require_fit, wanted_of
+from approxjac.simulation.trajectory import Trajectory
+from approxjac.simulation.velocity_servo import VelocityServo
+from approxjac.tasks import Task
+from approxjac.validation import Array, as_integer, as_limits, as_number, require
+
+_ROWS = 60_000  # recorded at most
+_WARM = 50  # steps before the first that counts: caches, and whatever is made at first use
+_HANGS = 2.0  # times `late`, after which the watchdog brakes
+_SPEED = {"m": 0.2, "rad": 0.5, "px": 100.0}  # of targets that are eased in, per s
+_ASTRAY = {"m": 0.15, "rad": 0.5, "px": 150.0}
+_UNSEEN = {"m": 0.01, "rad": 0.04, "px": 10.0}
+
+
+def control(
+    driver: Driver,
+    controller: Controller,
+    target: Sequence[float] | Array | Target | TargetPath,
+    duration: float = 60.0,
+    *,
+    state: Array | None = None,
+    accuracy: Accuracy | None = None,
+    speed: float | Sequence[float] | Array | None = None,
+    astray: float | Sequence[float] | Array | None = None,
+    unseen: float | Sequence[float] | Array | None = None,
+    patience: float = 1.0,
+    late: float = 0.02,
+    stop: threading.Event | None = None,
+    observer: Observer | None = None,
+    record_every: float | None = None,
+    cpu: int | None = None,
+    priority: int | None = None,
+) -> RobotRun:
+    """Run a controller on a robot, and brake it whatever happens.
+
+    It begins only where the robot stands still, is seen, and is held by what the controller would
+    send. The target starts at the tip, as it is seen, and joins the path that is asked for. Every
+    period is looked at for faults (`Fault`): of sensing, at which the robot brakes at once, and
+    others, at which the controller brings it to rest first, as it does at the end. SIGINT, SIGTERM,
+    SIGHUP and SIGQUIT bring it to rest, too; a second one brakes at once. A watchdog brakes if the
+    driver hangs. What is sent is within the controller's limits.
+
+    Args:
+        driver: The robot.
+        controller: Anything with the interface of `Controller`, for the period of the driver.
+            Within `TorqueLimited` where the robot has limits.
+        target: x_d, a `Target` that moves, or a path; its time is that of the run, which counts
+            periods.
+        duration: After which the arm is brought to rest [s].
+        state: State of the controller to begin with, such as `controller.resumed(...)` gives.
+        accuracy: How well the sensors, and Ĵ, are known: a fault exceeds it.
+        speed: Of the target on its way to the path, a number or shape (m,) [unit of the task/s];
+            0.2 m/s, 0.5 rad/s and 100 px/s by default.
+        astray: Error to the moving target which is a fault, a number or shape (m,) [unit of the
+            task]; 0.15 m, 0.5 rad and 150 px by default.
+        unseen: How far the tip may move while x is lost, as it is believed, a number or shape (m,)
+            [unit of the task]; 0.01 m, 0.04 rad and 10 px by default.
+        patience: Time for which x may be lost, or limits void the proof, and which a controlled
+            stop may take [s].
+        late: Time from command to command that is a fault, by the robot's clock; after twice as
+            long by this machine's the watchdog brakes [s].
+        stop: Brings the arm to rest when another thread sets it.
+        observer: Called with a copy of the loop some 30 times a second, in a thread of its own,
+            such as `view.LiveView()`.
+        record_every: Time between recorded instants [s]; as often as 60 000 of them allow by
+            default. The last second before the end is recorded period by period.
+        cpu: The processor to run on.
+        priority: Of SCHED_FIFO, from 1 to 99, for which Linux wants a permission.
+
+    Returns:
+        The record of the run, with why it ended.
+
+    Raises:
+        InvalidInputError: Arguments out of range, a controller that does not fit the driver, or an
+            arm that must not begin as it stands; nothing was sent then.
+        ControlError: The driver or the controller raised an error, which is its cause. The arm was
+            braked, and `given` is the run until then.
+    """
+    require("driver", driver, Driver, "a Driver, with read, send and brake")
+    plant = Plant(controller.task.robot, controller.task._measured, **_servo(controller))
+    require_fit(plant, controller, driver.dt)
+    require_able(driver, controller)
+    wanted = wanted_of(controller.task, target, 0.0)
+    duration = as_number("duration", duration, unit="s", above=0.0)
+    steps = math.ceil(duration / driver.dt)
+    require("accuracy", accuracy, (Accuracy, NoneType), "Accuracy(...)")
+    require("stop", stop, (threading.Event, NoneType), "a threading.Event")
+    require("observer", observer, (Callable, NoneType), "a function of a Loop")  # type: ignore[arg-type]
+    task = controller.task
+    speeds = _bounds("speed", speed, task, _SPEED, "/s")
+    far = _bounds("astray", astray, task, _ASTRAY)
+    hidden = _bounds("unseen", unseen, task, _UNSEEN)
+    patience = as_number("patience", patience, unit="s", above=0.0)
+    late = as_number("late", late, unit="s", above=0.0)
+    stride = max(1, math.ceil(steps / _ROWS))
+    if record_every is not None:
+        every = as_number("record_every", record_every, unit="s", above=0.0)
+        stride = max(1, round(every / driver.dt))
+    if priority is not None:
+        as_integer("priority", priority, 1)
+    brake, signals = Brake(driver), StopSignals()
+    with ExitStack() as held:
+        held.callback(brake.close)  # whatever happens from here on
+        first = require_at_rest(driver, task)
+        loop = RobotLoop(
+            driver, plant, controller, wanted, first, steps, stride, accuracy or Accuracy(),
+            speeds, far, hidden, _fastest(driver, plant), patience, late, state,
+        )  # fmt: skip
+        require_held(driver, loop)
+        for _ in range(_WARM):
+            controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
+        watched = held.enter_context(Onlooker(loop, observer))
+        held.enter_context(signals)
+        held.enter_context(undisturbed(cpu, priority))
+        error: BaseException | None = None
+        watchdog = Watchdog(brake, _HANGS * late)
+        try:
+            with watchdog:
+                why = _run(loop, steps, watchdog, signals, stop, watched)
+        except HungError:
+            why = ""
+        except Exception as raised:
+            error, why = raised, f"{type(raised).__name__}: {raised}"
+        brake.close()
+        if watchdog.bit:
+            loop.fault = Fault.READ_HUNG
+        elif error is not None:
+            loop.fault = Fault.FAILED
+        run = _run_of(loop, why)
+    error = error or brake.error
+    if error is not None:
+        raise ControlError(
+            f"{type(error).__name__} at {run.t[-1]:.3f} s: {error}; the arm was "
+            + ("braked" if brake.error is None else "NOT braked, as the driver's brake() failed"),
+            given=run,
+        ) from error
+    return run
+
+
+def _run(
+    loop: RobotLoop,
+    steps: int,
+    watchdog: Watchdog,
+    signals: StopSignals,
+    stop: threading.Event | None,
+    watched: Onlooker,
+) -> str:
+    """Run to the end, and return why it ended."""
+    why = ""
+    # a stop at the end of time takes some periods more
+    while loop.step < len(loop.gaps):
+        if not why:
+            if signals.name:
+                why = f"{signals.name}: brought to rest"
+            elif (stop is not None and stop.is_set()) or loop.stopped:
+                why = "asked to stop: brought to rest"
+            elif loop.step >= steps:
+                why = "its time was over: brought to rest"
+            elif loop.fault is not None:
+                why = f"{loop.fault}: {loop.fault.message}; brought to rest"
+            if why:
+                loop.halt()
+        if signals.count > 1:
+            return f"{signals.name}, twice: braked at once"
+        watched.serve()
+        if not loop.advance():
+            break
+        watchdog.beat()
+    return why
+
+
+def _run_of(loop: RobotLoop, why: str) -> RobotRun:
+    fault = loop.fault
+    if fault is not None and not fault.stops:
+        why = f"{fault.name}: {fault.message}; braked at once" + (f" ({why})" if why else "")
+    run = loop.record().trajectory()
+    done = slice(1, max(loop.step, 1))
+    return RobotRun(
+        **{field.name: getattr(run, field.name) for field in fields(Trajectory)},
+        ended=why,
+        fault_name="" if fault is None else fault.name,
+        stop_distance=float(loop.stop_distance),
+        stop_bound=float(loop.stop_bound),
+        gap=loop.gaps[done].astype(float),
+        work=loop.works[done].astype(float),
+    )
+
+
+def _servo(controller: Controller) -> dict[str, Any]:
+    """Return the options of a plant that takes what the controller commands."""
+    return {"servo": VelocityServo()} if controller.command == "velocity" else {}
+
+
+def _bounds(name: str, given: Any, task: Task, usual: Mapping[str, float], per: str = "") -> Array:
+    """Return what was given, or what is usual for the units, shape (m,)."""
+    if given is None:
+        return np.array([usual.get(unit, math.inf) for unit in task.units])
+    return as_limits(name, given, task.m, unit=joined(task.units) + per)
+
+
+def _fastest(driver: Driver, plant: Plant) -> Array:
+    """Return the joint speeds beyond which something is wrong, shape (n_v,)."""
+    known = plant.robot.velocity_limits
+    told = driver.limits.for_joints(plant.robot.nv).velocity
+    return np.asarray(np.minimum(known, np.asarray(told)))

@@ -1,0 +1,257 @@
+"""`RobotLoop`: a controller and a robot, period by period."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from approxjac.interface import (
+    Controller,
+    LimitStatus,
+    Measurement,
+    Status,
+    Target,
+    TargetPath,
+)
+from approxjac.realtime.accuracy import Accuracy
+from approxjac.realtime.driver import Driver
+from approxjac.realtime.easing import Eased, Halt
+from approxjac.realtime.fault_watch import FaultWatch
+from approxjac.realtime.faults import Fault
+from approxjac.realtime.sensor_watch import SensorWatch
+from approxjac.simulation.loop import Loop
+from approxjac.simulation.plant import Plant
+from approxjac.simulation.record import Record, scene_of
+from approxjac.simulation.targets import Wanted, first_state, wanted_of, x_of
+from approxjac.validation import Array
+
+_TAIL = 1000  # periods before the end of which each is recorded
+_HALT = 0.3  # s, within which the target of a controlled stop comes to rest
+_AT_REST = 0.05  # rad/s or m/s
+_FASTER = 0.15  # of its largest speed, by which a joint may be faster than it is led to be
+_FADES = 0.995  # of that a period
+_LOST = (Status.MEASUREMENT_LOST, Status.NOT_PREDICTED)
+
+
+class RobotLoop(Loop):
+    """A loop whose measurements come from a robot, with a watch over them.
+
+    Args:
+        driver: The robot.
+        plant: What is believed of it.
+        controller: The controller.
+        path: Where the target is.
+        first: The measurement it begins with.
+        steps: Of the whole run.
+        stride: Steps from one instant that is recorded to the next.
+        accuracy: Of sensors and kinematics.
+        speeds: How fast targets are eased in, shape (m,) [unit/s].
+        astray: Largest error to the moving target, shape (m,) [unit].
+        unseen: How far the tip may move while x is lost, shape (m,) [unit].
+        fastest: Largest joint speeds, shape (n_v,).
+        patience: Time for which x may be lost, or limits void the proof [s].
+        late: Time from command to command that is a fault [s].
+        state: Of the controller; its initial one by default.
+
+    Attributes:
+        fault: What is wrong, or None.
+        halting: Whether it is being brought to rest.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        plant: Plant,
+        controller: Controller,
+        path: Wanted,
+        first: Measurement,
+        steps: int,
+        stride: int,
+        accuracy: Accuracy,
+        speeds: Array,
+        astray: Array,
+        unseen: Array,
+        fastest: Array,
+        patience: float,
+        late: float,
+        state: Array | None,
+    ) -> None:
+        super().__init__(plant, controller, path, driver.dt, steps)
+        self._driver, self._speeds, self._astray = driver, speeds, astray
+        self._patience, self._unseen = patience, unseen
+        task, still = controller.task, np.zeros(controller.task.m)
+        self._begun = first.t
+        self.measurement = self._timed(first)
+        self.truth = self.measurement
+        self._eased: Eased | Halt = Eased(task, path, 0.0, first.x, still, speeds)
+        self._aim()
+        self.state = first_state(plant, controller, self._wanted, self.measurement, self.dt, state)
+        self._control()
+        commands_velocity = driver.command == "velocity"
+        self._watch = FaultWatch(plant.robot, self.dt, accuracy, fastest, late, commands_velocity)
+        learnt = scene_of(plant, controller, len(self.state)).learnt
+        self._accuracy, self._is_learnt = accuracy, bool(learnt)
+        self._sensor = SensorWatch(task, self.dt, accuracy, unseen, self._is_learnt)
+        self.fault: Fault | None = None
+        self.halting = False
+        self._lost = self._limited = self._halted = 0
+        self._blind, self._asked, self._fastest = False, np.zeros(plant.robot.nv), fastest
+        self._sent = self._read = time.perf_counter()
+        self.stop_distance = self.stop_bound = np.nan
+        self._stopped_at = first.x
+        self._stride = stride
+        rounds = steps + math.ceil(patience / self.dt) + 2  # with those of a stop
+        self._record = Record(plant, rounds // stride + _TAIL + 2)
+        self._tail: deque[tuple[int, tuple[Any, ...]]] = deque()
+        self.gaps = np.zeros(rounds, dtype=np.float32)
+        self.works = np.zeros(rounds, dtype=np.float32)
+
+    def advance(self) -> bool:
+        """Carry out a period; return whether the run goes on. It never sends after a fault."""
+        measurement = self._timed(self._driver.read())
+        self._read = time.perf_counter()
+        self.measurement = measurement
+        fault = self._watch.look(measurement, self._read)
+        known = bool(np.isfinite(measurement.q).all() and np.isfinite(measurement.v).all())
+        if fault is None and known:
+            fault = self._sensor.look(measurement)
+        if fault is not None:
+            self.fault = fault if self.fault is None or not fault.stops else self.fault
+            if not fault.stops:
+                return False
+        if known:
+            self._look(measurement)
+            if self.fault is not None and not self.fault.stops:
+                return False
+            self._control()
+            self._judge()
+        # without q and q̇ the last command goes out once more, which no limit has to object to
+        self._driver.send(self.tau)
+        self._watch.sent(self.tau, self.answer.reference)
+        now = time.perf_counter()
+        self.gaps[self.step], self.works[self.step] = now - self._sent, now - self._read
+        self._sent = now
+        if known:
+            self._keep()
+            self.state = self._after
+        self.step += 1
+        return not self._rests()
+
+    def halt(self) -> None:
+        """Bring the arm to rest with the controller, from the next period on."""
+        if self.halting:
+            return
+        self.halting = True
+        task = self.controller.task
+        velocity = np.zeros(task.m) if self._aims.v is None else self._aims.v
+        stop = Halt(task, self.step * self.dt, self.target, velocity, _HALT)
+        error = task.error(self.truth.x, self.target)
+        faster = task.jacobian(self.truth.q) @ self.truth.v - velocity
+        self._eased, self._stopped_at = stop, self.truth.x
+        ways = error, stop.distance, _HALT * faster, 6.0 * np.asarray(self._accuracy.x)
+        self.stop_bound = float(sum(np.linalg.norm(way) for way in ways))
+        self.stop_distance = 0.0
+
+    def aim_at(self, target: Target | TargetPath | Array) -> None:
+        """Move the target, which is eased in from where it is now."""
+        aims, now = self._aims, self.step * self.dt
+        path = wanted_of(self.plant.sensor, target, now)
+        if self.halting:
+            return
+        self.path = path
+        still = np.zeros(self.controller.task.m)
+        velocity = still if aims.v is None else aims.v
+        self._eased = Eased(self.controller.task, path, now, self.target, velocity, self._speeds)
+
+    def exchange(self, controller: Controller) -> None:
+        """Let another controller go on, from the next step on."""
+        super().exchange(controller)
+        self._sensor = SensorWatch(
+            controller.task, self.dt, self._accuracy, self._unseen, self._is_learnt
+        )
+
+    def record(self) -> Record:
+        """Return what was recorded, with each of the last periods."""
+        while self._tail:
+            self._evict(last=True)
+        return self._record
+
+    def _timed(self, measurement: Measurement) -> Measurement:
+        """Return it in the time of the run."""
+        t_x = measurement.t_x
+        return measurement._replace(
+            t=measurement.t - self._begun, t_x=None if t_x is None else t_x - self._begun
+        )
+
+    def _aim(self) -> None:
+        self._aims = self._eased.at(self.step * self.dt)
+        self._wanted = self._aims
+        self.target = x_of(self._wanted)
+
+    def _look(self, measurement: Measurement) -> None:
+        """Take the new measurement: where is the target, and is the arm where it should be?"""
+        x, task = measurement.x, self.controller.task
+        sees = bool(np.isfinite(x).all())
+        if self._blind and sees and not self.halting:
+            # from where it is seen again
+            now, still = self.step * self.dt, np.zeros(task.m)
+            self._eased = Eased(task, self.path, now, x, still, self._speeds)
+            self._blind = False
+        self._aim()
+        self.truth = measurement if sees else measurement._replace(x=self.truth.x)
+        if not sees:
+            return
+        error = task.error(x, self.target)
+        if (np.abs(error) > self._astray).any():
+            self.fault = self.fault or Fault.ASTRAY
+        if self.halting:
+            way = float(np.linalg.norm(task.error(x, self._stopped_at)))
+            self.stop_distance = max(self.stop_distance, way)
+
+    def _judge(self) -> None:
+        """Look at what the controller says of its answer."""
+        asked = self.answer.reference
+        if asked is not None:
+            fastest = np.abs(asked)
+            self._asked = np.maximum(_FADES * self._asked, 2.0 * fastest + fastest.max())
+            if (np.abs(self.measurement.v) > self._asked + _FASTER * self._fastest).any():
+                self.fault = self.fault or Fault.TOO_FAST
+        lost = self.answer.status in _LOST
+        self._lost = self._lost + 1 if lost else 0
+        self._blind = self._blind or lost
+        voids = self.answer.limit_status >= LimitStatus.PROOF_GIVEN_UP
+        voids &= self.answer.limit_status is not LimitStatus.EXCEEDED
+        self._limited = self._limited + 1 if voids else 0
+        if self._lost * self.dt > self._patience or (lost and self.halting):
+            self.fault = self.fault or Fault.BLIND
+        elif self._limited * self.dt > self._patience:
+            self.fault = self.fault or Fault.LIMITS
+
+    def _rests(self) -> bool:
+        """Return whether the run is over: at rest after a stop, or with no time left for it."""
+        if self.fault is not None and not self.fault.stops:
+            return True
+        if not self.halting:
+            return False
+        self._halted += 1
+        slow = bool(np.abs(self.measurement.v).max() < _AT_REST)
+        since = self._halted * self.dt
+        return (slow and since > _HALT) or since > self._patience
+
+    def _keep(self) -> None:
+        instant = (
+            self.truth, self.measurement.x, self.state, self.answer, self.tau, self.target,
+            self.controller,
+        )  # fmt: skip
+        self._tail.append((self.step, instant))
+        if len(self._tail) > _TAIL:
+            self._evict(last=False)
+
+    def _evict(self, last: bool) -> None:
+        step, instant = self._tail.popleft()
+        if last or step % self._stride == 0:
+            self._record.add(*instant)

@@ -1,0 +1,66 @@
+"""`RobotRun`: the record of a run on a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from approxjac.realtime.faults import Fault
+from approxjac.simulation.trajectory import Trajectory
+from approxjac.validation import Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobotRun(Trajectory):
+    """The record of a run on a robot, which plots and pages take like any other `Trajectory`.
+
+    What nobody can know stands for what is: x is what was measured last, the scene has the believed
+    robot twice, and V is that of the believed arm.
+
+    Attributes:
+        ended: Why it ended, in words.
+        fault_name: Of the `Fault` that ended it; "" without one.
+        stop_distance: How far x went from the call for a controlled stop until the brake, NaN
+            without one [length in the units of the task].
+        stop_bound: How far it may go: the error then, the way of the target that comes to rest,
+            and what is faster than that target for the 0.3 s that this takes.
+        gap: Time from command to command in each period of the run, shape (K,) [s].
+        work: Time from the measurement to the command in each, shape (K,) [s].
+    """
+
+    ended: str = field(kw_only=True)
+    fault_name: str = field(kw_only=True)
+    stop_distance: float = field(kw_only=True)
+    stop_bound: float = field(kw_only=True)
+    gap: Array = field(kw_only=True)
+    work: Array = field(kw_only=True)
+    _more_arrays: ClassVar[tuple[str, ...]] = ("gap", "work")
+    _more_texts: ClassVar[tuple[str, ...]] = (
+        "ended", "fault_name", "stop_distance", "stop_bound",
+    )  # fmt: skip
+
+    @property
+    def fault(self) -> Fault | None:
+        """What was wrong, or None."""
+        return Fault[self.fault_name] if self.fault_name else None
+
+    def late(self, longest: float) -> int:
+        """Return how many commands came later than a time after the one before [s]."""
+        return int((self.gap > longest).sum())
+
+    def __str__(self) -> str:
+        lines = [super().__str__(), f"ended   {self.ended}"]
+        if np.isfinite(self.stop_distance):
+            lines.append(
+                f"stop    within {self.stop_distance:.3g} {self.task_unit} "
+                f"(at most {self.stop_bound:.3g} was foreseen)"
+            )
+        if len(self.work):
+            half, most, worst = 1e6 * np.percentile(self.work, [50.0, 99.0, 100.0])
+            lines.append(
+                f"work    {half:.0f} µs in the median, 99 % within {most:.0f}, worst {worst:.0f}; "
+                f"longest gap {1e3 * self.gap.max():.3g} ms"
+            )
+        return "\n".join(lines)

@@ -1,0 +1,111 @@
+"""What has to hold before a loop begins on a robot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from approxjac.controllers import ControllerWrapper, TorqueLimited
+from approxjac.errors import InvalidInputError
+from approxjac.formatting import listed
+from approxjac.interface import Controller, LimitStatus, Measurement
+from approxjac.realtime.driver import Driver
+from approxjac.realtime.loop import RobotLoop
+from approxjac.robots import Dynamics
+from approxjac.robots.joint_limits import beyond_positions
+from approxjac.tasks import Task
+
+_READS = 5
+_AT_REST = 0.05  # rad/s or m/s
+_HELD = 0.2  # share of the largest torque by which what is believed of gravity may be off
+
+
+def require_able(driver: Driver, controller: Controller) -> None:
+    """Refuse a controller that may command what the robot does not do."""
+    if controller.command != driver.command:
+        raise InvalidInputError(
+            f"command of the controller must be {driver.command!r}, which the driver sends, got "
+            f"{controller.command!r} of {controller!r}",
+            given=controller,
+        )
+    nv = controller.task.robot.nv
+    most = driver.limits.for_joints(nv)
+    if driver.command != "torque":
+        return
+    inside = controller
+    while isinstance(inside, ControllerWrapper) and not isinstance(inside, TorqueLimited):
+        inside = inside.controller
+    own = inside.limits.for_joints(nv) if isinstance(inside, TorqueLimited) else None
+    for name, unit in (("effort", "N m or N"), ("rate", "N m/s or N/s")):
+        wanted = np.asarray(getattr(most, name))
+        given = np.full(nv, np.inf) if own is None else np.asarray(getattr(own, name))
+        if (given > wanted * (1.0 + 1e-9)).any():
+            raise InvalidInputError(
+                f"controller must keep the robot's limits of {name}, {listed(wanted)} [{unit}], "
+                f"such as TorqueLimited(controller, driver.limits), got {controller!r}",
+                given=controller,
+            )
+
+
+def require_at_rest(driver: Driver, task: Task) -> Measurement:
+    """Return a first measurement of an arm at rest, within its limits and seen."""
+    robot, last, measured = task.robot, -np.inf, None
+    for _ in range(_READS):
+        measured = driver.read()
+        sizes = len(measured.q), len(measured.v), len(measured.x)
+        if sizes != (robot.nq, robot.nv, task.n_x):
+            raise InvalidInputError(
+                f"driver must read q, q̇ and x with {robot.nq}, {robot.nv} and {task.n_x} numbers, "
+                f"got {sizes}",
+                given=measured,
+            )
+        if not measured.t > last:
+            raise InvalidInputError(
+                f"the clock of the driver must go on, got {measured.t!r} s after {last!r} s",
+                given=measured,
+            )
+        last = measured.t
+    assert measured is not None
+    for name, values in (("q", measured.q), ("v", measured.v), ("x", measured.x)):
+        if not np.isfinite(values).all():
+            raise InvalidInputError(
+                f"{name} must be known before the arm moves, got {listed(values)}", given=measured
+            )
+    if (np.abs(measured.v) > _AT_REST).any():
+        raise InvalidInputError(
+            f"the arm must be at rest, below {_AT_REST} rad/s or m/s, got v = {listed(measured.v)}",
+            given=measured,
+        )
+    if (beyond_positions(robot, measured.q[None])[0] > 0.0).any():
+        raise InvalidInputError(
+            f"q must be within the joints' limits, got {listed(measured.q)}", given=measured
+        )
+    return measured
+
+
+def require_held(driver: Driver, loop: RobotLoop) -> None:
+    """Refuse to begin where the command does not hold the arm, as it is believed to be."""
+    answer, limits = loop.answer, driver.limits.for_joints(loop.plant.robot.nv)
+    if answer.limit_status in (LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED):
+        raise InvalidInputError(
+            f"the limits do not hold the arm as it stands: {answer.limit_status.message}",
+            given=answer,
+        )
+    if driver.command != "torque" or answer.gravity is None:
+        return
+    most = np.asarray(limits.effort)
+    needed = np.zeros(len(most))
+    if not driver.adds_gravity:
+        needed = Dynamics(loop.controller.task.robot).g(loop.measurement.q)
+    slack = _HELD * np.where(np.isfinite(most), most, np.abs(needed).max())
+    if (np.abs(answer.gravity - needed) > slack).any():
+        told = (
+            "the robot adds its own gravity: the controller must learn what is left of it, "
+            "AdaptiveGravity(robot, theta0=0.0), or leave it out, NoGravity(robot)"
+            if driver.adds_gravity
+            else "the controller must compensate gravity, such as by AdaptiveGravity(robot)"
+        )
+        raise InvalidInputError(
+            f"{told}; it compensates {listed(answer.gravity)}, and the arm takes "
+            f"{listed(needed)} [N m or N]",
+            given=answer,
+        )

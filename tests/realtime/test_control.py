@@ -1,0 +1,344 @@
+"""The loop on a robot: where it begins, how it ends, and that the arm is braked whatever happens."""
+
+import dataclasses
+import math
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import approxjac as aj
+from approxjac.errors import ControlError, InvalidInputError
+from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
+
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+SLOW = 2.0  # s: a busy machine is no fault here
+
+
+class Wrapped:
+    """A driver around another one; tests change what they break."""
+
+    def __init__(self, driver):
+        self.driver = driver
+        self.dt, self.command, self.limits = driver.dt, driver.command, driver.limits
+        self.adds_gravity = driver.adds_gravity
+        self.sent, self.brakes = [], 0
+
+    def read(self):
+        return self.driver.read()
+
+    def send(self, command):
+        self.sent.append(command.copy())
+        self.driver.send(command)
+
+    def brake(self):
+        self.brakes += 1
+        self.driver.brake()
+
+
+@pytest.fixture
+def plant(panda):
+    truth = panda.with_object(0.2, 0.5, axis="x")
+    return aj.Plant(truth, aj.PositionTask(truth))
+
+
+@pytest.fixture
+def controller(panda):
+    belief = panda.with_object(0.0)
+    law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
+    return aj.TorqueLimited(law, aj.Limits.of(belief))
+
+
+def driver_of(plant, kind=Wrapped, **options):
+    return kind(SimulatedDriver(plant, START, pace=math.inf, **options))
+
+
+def goal(plant, way=(0.05, -0.05, 0.05)):
+    return plant.sensor.value(START) + way
+
+
+def run(driver, controller, duration=1.0, **options):
+    plant = driver.driver.plant
+    options = {"late": SLOW, **options}
+    return control(driver, controller, goal(plant), duration, **options)
+
+
+def test_it_brings_the_tip_there_and_brakes(plant, controller):
+    driver = driver_of(plant)
+    found = run(driver, controller, 3.0)
+    assert found.error_norm[-1] < 1e-4
+    assert np.linalg.norm(plant.sensor.value(driver.driver.q) - goal(plant)) < 1e-4
+    assert found.fault is None
+    assert found.ended == "its time was over: brought to rest"
+    assert driver.brakes == 1
+    assert driver.driver.braked
+    # the target starts at the tip and is led there: no jump
+    assert_array_equal(found.x_d[0], plant.sensor.value(START))
+    assert np.abs(np.diff(found.x_d, axis=0)).max() < 1.001e-3 * 0.2
+    assert len(found.gap) == len(found.work) == len(driver.sent) - 1
+
+
+def test_a_run_is_saved_whole(plant, controller, tmp_path):
+    found = run(driver_of(plant), controller, 0.2)
+    again = RobotRun.load(found.save(tmp_path / "run.npz"))
+    for field in dataclasses.fields(RobotRun):
+        if field.name not in ("scene", "derived"):
+            assert_array_equal(getattr(again, field.name), getattr(found, field.name))
+    assert "its time was over" in str(again)
+    plain = aj.Trajectory.load(tmp_path / "run.npz")
+    assert_array_equal(plain.q, found.q)
+
+
+def test_long_runs_keep_their_last_second(plant, controller):
+    found = run(driver_of(plant), controller, 2.0, record_every=0.1)
+    steps = np.diff(found.t)
+    assert_allclose(steps[-999:], 1e-3, atol=1e-9)
+    assert_allclose(steps[:-1000], 0.1, atol=1e-9)
+    assert len(steps) > 1005
+
+
+def test_a_controlled_stop_stays_within_its_bound(plant, controller):
+    asked = threading.Event()
+
+    class Stopping(Wrapped):
+        def read(self):
+            if len(self.sent) == 300:  # in mid-motion
+                asked.set()
+            return super().read()
+
+    driver = driver_of(plant, Stopping)
+    found = run(driver, controller, stop=asked)
+    assert found.ended == "asked to stop: brought to rest"
+    assert 0.3 < found.t[-1] < 1.2
+    assert np.abs(driver.driver.v).max() < 0.06
+    assert 1e-3 < found.stop_distance < found.stop_bound < 0.08
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_a_signal_brings_it_to_rest(plant, controller, name):
+    class Signalled(Wrapped):
+        def read(self):
+            if len(self.sent) == 200:
+                os.kill(os.getpid(), getattr(signal, name))
+            return super().read()
+
+    before = signal.getsignal(getattr(signal, name))
+    driver = driver_of(plant, Signalled)
+    found = run(driver, controller)
+    assert found.ended == f"{name}: brought to rest"
+    assert np.abs(driver.driver.v).max() < 0.06
+    assert driver.brakes == 1
+    assert signal.getsignal(getattr(signal, name)) == before
+
+
+def test_a_second_signal_brakes_at_once(plant, controller):
+    class Signalled(Wrapped):
+        def read(self):
+            if len(self.sent) in (200, 210):
+                os.kill(os.getpid(), signal.SIGINT)
+            return super().read()
+
+    driver = driver_of(plant, Signalled)
+    found = run(driver, controller)
+    assert found.ended == "SIGINT, twice: braked at once"
+    assert len(driver.sent) < 215
+    assert driver.brakes == 1
+
+
+@pytest.mark.parametrize("where", ["read", "send"])
+def test_an_error_brakes_and_keeps_the_run(plant, controller, where):
+    class Failing(Wrapped):
+        def read(self):
+            if where == "read" and len(self.sent) == 100:
+                raise OSError("the cable")
+            return super().read()
+
+        def send(self, command):
+            if where == "send" and len(self.sent) == 100:
+                raise OSError("the cable")
+            super().send(command)
+
+    driver = driver_of(plant, Failing)
+    with pytest.raises(ControlError, match="OSError at 0.[01]+ s: the cable; the arm was braked") as e:
+        run(driver, controller)
+    assert driver.brakes == 1
+    assert e.value.given.fault is Fault.FAILED
+    assert len(e.value.given.t) >= 99
+    assert isinstance(e.value.__cause__, OSError)
+
+
+def test_a_brake_that_fails_is_told(plant, controller):
+    class Stuck(Wrapped):
+        def brake(self):
+            raise OSError("no pressure")
+
+    with pytest.raises(ControlError, match="NOT braked, as the driver's brake"):
+        run(driver_of(plant, Stuck), controller, 0.1)
+
+
+def test_a_driver_that_hangs_is_braked_by_the_watchdog(plant, controller):
+    braked = []
+
+    class Hanging(Wrapped):
+        def read(self):
+            if len(self.sent) == 100:
+                self.since = time.perf_counter()
+                time.sleep(30.0)
+            return super().read()
+
+        def brake(self):
+            braked.append(time.perf_counter() - getattr(self, "since", math.nan))
+            super().brake()
+
+    found = run(driver_of(plant, Hanging), controller, late=0.1)
+    assert found.fault is Fault.READ_HUNG
+    assert len(braked) == 1
+    assert 0.15 < braked[0] < 2.0  # twice `late`, on a machine that may be busy
+
+
+def test_a_few_periods_without_q_are_bridged(plant, controller):
+    class Blinking(Wrapped):
+        def read(self):
+            measured = super().read()
+            if 100 <= len(self.sent) < 103:
+                return measured._replace(q=np.full(7, np.nan))
+            return measured
+
+    driver = driver_of(plant, Blinking)
+    found = run(driver, controller)
+    assert found.fault is None
+    assert_array_equal(driver.sent[100], driver.sent[99])
+    assert_array_equal(driver.sent[102], driver.sent[99])
+    assert np.isfinite(driver.sent).all()
+
+
+def test_where_x_is_seen_again_the_target_begins_there(plant, controller):
+    class Blind(Wrapped):
+        def read(self):
+            measured = super().read()
+            if 200 <= len(self.sent) < 230:
+                return measured._replace(x=np.full(3, np.nan))
+            return measured
+
+    found = run(driver_of(plant, Blind), controller, 3.0, unseen=0.05)
+    assert found.fault is None
+    assert np.isnan(found.x_measured).any(axis=1).sum() == 30
+    k = int(np.flatnonzero(np.isnan(found.x_measured[:, 0]))[-1]) + 1
+    assert_allclose(found.x_d[k], found.x[k], atol=1e-12)
+    assert found.error_norm[-1] < 1e-4
+
+
+def test_an_observer_sees_it_and_moves_the_target(plant, controller):
+    second = goal(plant, (0.0, 0.1, 0.0))
+    seen, moved = [], []
+
+    class Watched(Wrapped):
+        def read(self):
+            time.sleep(2e-4)
+            return super().read()
+
+    def observe(loop):
+        seen.append((loop.t, loop.step, threading.current_thread().name))
+        if loop.step > 200 and not moved:
+            loop.aim_at(second)
+            moved.append(loop.step)
+
+    found = run(driver_of(plant, Watched), controller, 4.0, observer=observe)
+    assert len(seen) > 3
+    assert {name for _, _, name in seen} == {"approxjac observer"}
+    assert_allclose(found.x_d[-1], second)
+    assert found.error_norm[-1] < 1e-3
+    assert np.abs(np.diff(found.x_d, axis=0)).max() < 1e-3  # it goes there without a jump
+
+
+def test_an_observer_that_fails_stops_no_arm(plant, controller):
+    def observe(loop):
+        raise ZeroDivisionError
+
+    assert run(driver_of(plant), controller, 0.3, observer=observe).fault is None
+
+
+def test_a_path_is_followed(plant, controller):
+    driver = driver_of(plant)
+    center = goal(plant, (-0.05, 0.0, 0.0))
+    path = aj.Circle(center, 0.05, 4.0)
+    found = control(driver, controller, path, 4.0, late=SLOW)
+    assert_allclose(found.x_d[3000], path.at(3.0).x)
+    assert found.error_norm[2000:].max() < 0.02
+
+
+REFUSED = {
+    "limits": "controller must keep the robot's limits of effort",
+    "falls": "the controller must compensate gravity, such as by AdaptiveGravity",
+    "adds": "the robot adds its own gravity: the controller must learn what is left of it",
+    "moving": "the arm must be at rest",
+    "blind": "x must be known before the arm moves",
+    "clock": "the clock of the driver must go on",
+    "period": "must be",
+    "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got (6, 7, 3)",
+    "duration": "duration must be a finite number > 0 [s], got 0.0",
+    "driver": "driver must be a Driver",
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, panda, what):
+    belief = controller.task.robot
+    changed = {
+        "moving": lambda m: m._replace(v=np.full(7, 0.1)),
+        "blind": lambda m: m._replace(x=np.full(3, np.nan)),
+        "clock": lambda m: m._replace(t=1.0),
+        "sizes": lambda m: m._replace(q=m.q[:6]),
+    }
+
+    class Changed(Wrapped):
+        def read(self):
+            return changed.get(what, lambda m: m)(super().read())
+
+    driver = driver_of(plant, Changed, adds_gravity=panda if what == "adds" else None)
+    if what == "limits":
+        controller = controller.controller
+    elif what == "falls":
+        law = aj.SetpointController(controller.task, gravity=aj.NoGravity(belief))
+        controller = aj.TorqueLimited(law, aj.Limits.of(belief))
+    elif what == "period":
+        driver.dt = 2e-3
+    given = object() if what == "driver" else driver
+    with pytest.raises(InvalidInputError) as refused:
+        control(given, controller, goal(plant), 0.0 if what == "duration" else 1.0)
+    assert REFUSED[what] in str(refused.value)
+    assert driver.sent == []
+
+
+def test_a_robot_that_adds_gravity_is_led_by_what_is_left(plant, panda):
+    belief = panda.with_object(0.0)
+    gravity = aj.AdaptiveGravity(belief, theta0=0.0)
+    law = aj.SetpointController(aj.PositionTask(belief), gravity=gravity)
+    limited = aj.TorqueLimited(law, aj.Limits.of(belief))
+    driver = driver_of(plant, adds_gravity=panda)
+    assert run(driver, limited, 4.0).error_norm[-1] < 1e-3
+
+
+def test_velocities_are_commanded(panda):
+    truth = panda.with_object(0.2, 0.5, axis="x")
+    servo = aj.simulation.VelocityServo()
+    plant = aj.Plant(truth, aj.PositionTask(truth), servo=servo)
+    task = aj.PositionTask(panda.with_object(0.0))
+    kinematics = aj.AdaptiveKinematics(task, unknown=("tool",), noise=1e-3, dt=8e-3)
+    law = aj.TrackingController(task, kinematics=kinematics, dt=8e-3, command="velocity")
+    found = run(driver_of(plant, dt=8e-3), law, 4.0)
+    assert found.fault is None
+    assert found.error_norm[-1] < 1e-3
+
+
+def test_in_real_time_the_arm_does_not_wait(plant, controller):
+    driver = Wrapped(SimulatedDriver(plant, START))
+    begun = time.perf_counter()
+    found = run(driver, controller, 0.5)
+    passed = time.perf_counter() - begun
+    assert found.t[-1] <= passed
+    assert_allclose(driver.driver.t, passed, rtol=0.5)  # building the loop takes some of it
