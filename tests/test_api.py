@@ -14,7 +14,7 @@ import pytest
 import approxjac as aj
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "api.md"
-MODULES = ("robots", "tasks", "controllers", "simulation", "stability", "law", "view")
+MODULES = ("robots", "tasks", "controllers", "simulation", "realtime", "stability", "law", "view")
 DIRECTIVE = re.compile(r"^\.\. auto(\w+):: (\S+)\n((?:   :.*\n)*)", re.MULTILINE)
 
 

@@ -107,7 +107,7 @@ def controller_of(case, sensor, task):
         return aj.TrackingController(sensor, kinematics=KnownKinematics(sensor), dynamics=dynamics)
     if case.law == BELIEVED:
         return aj.TrackingController(task, kinematics=KnownKinematics(task))
-    kinematics = aj.AdaptiveCamera(task, noise=NOISE, delay=DELAY)
+    kinematics = aj.controllers.AdaptiveCamera(task, noise=NOISE, delay=DELAY)
     if case.law == LEARNT:
         return aj.TrackingController(task, kinematics=kinematics)
     gravity = aj.AdaptiveGravity(task.robot)

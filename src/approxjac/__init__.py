@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from approxjac import law
 from approxjac.controllers import (
-    AdaptiveCamera,
     AdaptiveGravity,
     AdaptiveKinematics,
     Gains,
@@ -49,8 +48,10 @@ from approxjac.tasks import (
 
 if TYPE_CHECKING:
     from approxjac import codegen as codegen
+    from approxjac import realtime as realtime
     from approxjac import stability, view
     from approxjac.codegen.c_files import export_c
+    from approxjac.realtime.control import control
     from approxjac.scenario import Scenario
 
     # from their own modules: through the package, type checkers take functions that are named as
@@ -65,12 +66,11 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_LAZY = ("codegen", "stability", "view")  # modules that many programs never need
-_FROM = {"Scenario": "scenario", "export_c": "codegen"}
+_LAZY = ("codegen", "realtime", "stability", "view")  # modules that many programs never need
+_FROM = {"Scenario": "scenario", "control": "realtime", "export_c": "codegen"}
 _MODULES = ("controllers", "errors", "robots", "simulation", "tasks")  # of further names
 
 __all__ = [
-    "AdaptiveCamera",
     "AdaptiveGravity",
     "AdaptiveKinematics",
     "Circle",
@@ -105,6 +105,7 @@ __all__ = [
     "Trajectory",
     "Uncertainty",
     "Waypoints",
+    "control",
     "default_gains",
     "export_c",
     "law",
@@ -123,7 +124,7 @@ __all__ = [
 if not TYPE_CHECKING:  # or no name would be unknown to type checkers
 
     def __getattr__(name: str) -> Any:
-        """Load `stability`, `view` and the names of `_FROM` and `stability` when asked for."""
+        """Load modules of `_LAZY` and the names of `_FROM` and `stability` when asked for."""
         if name in _LAZY:
             found = importlib.import_module(f"approxjac.{name}")
         elif name in __all__:

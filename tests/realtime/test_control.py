@@ -1,4 +1,4 @@
-"""The loop on a robot: where it begins, how it ends, and that the arm is braked whatever happens."""
+"""The loop on a robot: where it begins, how it ends, and that the arm is always braked."""
 
 import dataclasses
 import math
@@ -115,7 +115,7 @@ def test_a_controlled_stop_stays_within_its_bound(plant, controller):
     assert found.ended == "asked to stop: brought to rest"
     assert 0.3 < found.t[-1] < 1.2
     assert np.abs(driver.driver.v).max() < 0.06
-    assert 1e-3 < found.stop_distance < found.stop_bound < 0.08
+    assert 1e-3 < found.stop_distance < found.stop_bound < 0.1
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
@@ -163,7 +163,9 @@ def test_an_error_brakes_and_keeps_the_run(plant, controller, where):
             super().send(command)
 
     driver = driver_of(plant, Failing)
-    with pytest.raises(ControlError, match="OSError at 0.[01]+ s: the cable; the arm was braked") as e:
+    with pytest.raises(
+        ControlError, match=r"OSError at 0\.[01]+ s: the cable; the arm was braked"
+    ) as e:
         run(driver, controller)
     assert driver.brakes == 1
     assert e.value.given.fault is Fault.FAILED

@@ -482,7 +482,7 @@ def test_what_does_not_explain_an_image_is_said_to_be_its_center_or_distortion(p
     camera = aj.PinholeCamera.looking_at(
         (0.45, 0.0, 0.4), (1.5, -0.8, 0.9), focal_length=600.0, size=(640, 480)
     )
-    kinematics = aj.AdaptiveCamera(aj.ImageTask(panda, camera))
+    kinematics = aj.controllers.AdaptiveCamera(aj.ImageTask(panda, camera))
     q = np.array(HOME)
     state = kinematics.initial_state(aj.Measurement(0.0, q, 0.0 * q, kinematics.task.value(q)))
     learnt = kinematics.report(state)._replace(chi_squared=5.3, angle=2.0, seconds=3.0)

@@ -253,7 +253,7 @@ def test_the_tip_of_an_image_task_is_the_learnt_one_too(panda):
     )
     truth = panda.with_object(0.1, axis="x")
     task = aj.ImageTask(panda, camera)
-    kinematics = aj.AdaptiveCamera(task, unknown=("tool",), dt=2e-3)
+    kinematics = aj.controllers.AdaptiveCamera(task, unknown=("tool",), dt=2e-3)
     controller = aj.TrackingController(task, kinematics=kinematics, dt=2e-3)
     plant = aj.Plant(truth, aj.ImageTask(truth, camera))
     x_d = plant.sensor.value(START) + [60.0, -40.0]

@@ -1,0 +1,82 @@
+"""The loop on a robot: a Panda with an unknown tool in real time, and an encoder that freezes.
+
+You will see: `aj.control` leads an arm behind a driver at 1 kHz, here one in MuJoCo with friction,
+a camera of 60 images a second and encoders. The target starts at the tip and is eased in; at the
+end the arm is brought to rest and braked. In a second run an encoder freezes in mid-motion: the arm
+is braked some milliseconds later. How long periods took is told as it was; on a busy machine some
+are late, and the arm goes on with the last torque meanwhile, as a real one does.
+
+You will learn: what a driver is, what `control` looks after, and what its run tells.
+
+    python examples/11_on_a_robot.py --out results/examples
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import approxjac as aj
+from approxjac import view
+from approxjac.realtime import Accuracy, SimulatedDriver
+
+arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+arguments.add_argument("--out", type=Path, default=Path("results/examples"))
+out = arguments.parse_args().out
+out.mkdir(parents=True, exist_ok=True)
+
+panda = aj.load_robot("panda")
+truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
+camera = aj.Sensing(x_noise=5e-4, x_rate=60.0, x_delay=0.03)
+plant = aj.MujocoPlant(
+    truth, aj.PositionTask(truth), friction=0.5, coulomb=0.2, sensing=camera
+)  # stands in for your arm
+start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+
+latency = aj.Latency(image_period=1 / 60, image_age=0.03)
+law = aj.SetpointController(
+    aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief), latency=latency
+)
+controller = aj.TorqueLimited(law, aj.Limits.of(belief))
+accuracy = Accuracy(q=1e-5, v=1e-3, x=5e-4)  # of encoders, velocities and camera
+goal = plant.sensor.value(start) + [0.10, -0.15, 0.16]
+
+driver = SimulatedDriver(plant, start)  # yours: FrankaDriver(...), or a class of three methods
+run = aj.control(driver, controller, goal, duration=5.0, accuracy=accuracy, late=0.5)
+print(run)
+
+
+class Frozen(SimulatedDriver):
+    """An arm whose fourth encoder tells the same from 0.6 s on."""
+
+    def read(self):
+        """Return a measurement with one joint as it was."""
+        measured = super().read()
+        if self.t < 0.6:
+            self.kept = measured.q[3]
+            return measured
+        q, v = measured.q.copy(), measured.v.copy()
+        q[3], v[3] = self.kept, 0.0
+        return measured._replace(q=q, v=v)
+
+
+broken = aj.control(
+    Frozen(plant, start), controller, goal, duration=5.0, accuracy=accuracy, late=0.5
+)
+print(f"\nencoder frozen at 0.6 s: {broken.ended}, at {broken.t[-1]:.3f} s")
+
+figure, (left, middle, right) = view.new_figure(3, title="A Panda in the loop of a robot")
+with view.style():
+    for one, name in ((run, "sound"), (broken, "encoder frozen at 0.6 s")):
+        error = np.linalg.norm(one.x_measured - goal, axis=1)
+        left.plot(one.t, 1e3 * error, label=name)
+        middle.plot(one.t, np.abs(one.v).max(axis=1), label=name)
+    left.set(xlabel="time [s]", ylabel="|x − goal|, measured [mm]", title="Error to the goal")
+    middle.set(xlabel="time [s]", ylabel="max |q̇| [rad/s]", title="Fastest joint, as told")
+    for name, values in (("command to command", run.gap), ("work", run.work)):
+        right.hist(1e3 * values, bins=np.geomspace(0.02, 20.0, 60), histtype="step", label=name)
+    right.set(xlabel="[ms]", ylabel="periods", title="Timing", xscale="log", yscale="log")
+for ax in (left, middle, right):
+    view.legend_below(ax)
+for path in view.save_figure(figure, out / "on_a_robot"):
+    print(path)
