@@ -28,22 +28,21 @@ def require_able(driver: Driver, controller: Controller) -> None:
             given=controller,
         )
     nv = controller.task.robot.nv
-    most = driver.limits.for_joints(nv)
     if driver.command != "torque":
         return
     inside = controller
     while isinstance(inside, ControllerWrapper) and not isinstance(inside, TorqueLimited):
         inside = inside.controller
-    own = inside.limits.for_joints(nv) if isinstance(inside, TorqueLimited) else None
-    for name, unit in (("effort", "N m or N"), ("rate", "N m/s or N/s")):
-        wanted = np.asarray(getattr(most, name))
-        given = np.full(nv, np.inf) if own is None else np.asarray(getattr(own, name))
-        if (given > wanted * (1.0 + 1e-9)).any():
-            raise InvalidInputError(
-                f"controller must keep the robot's limits of {name}, {listed(wanted)} [{unit}], "
-                f"such as TorqueLimited(controller, driver.limits), got {controller!r}",
-                given=controller,
-            )
+    most = np.asarray(driver.limits.for_joints(nv).effort)
+    own = np.full(nv, np.inf)
+    if isinstance(inside, TorqueLimited):
+        own = np.asarray(inside.limits.for_joints(nv).effort)
+    if (own > most * (1.0 + 1e-9)).any():
+        raise InvalidInputError(
+            f"controller must keep the robot's limits of effort, {listed(most)} [N m or N], such "
+            f"as TorqueLimited(controller, driver.limits), got {controller!r}",
+            given=controller,
+        )
 
 
 def require_at_rest(driver: Driver, task: Task) -> Measurement:
