@@ -1,23 +1,28 @@
 """The certificate of the loop as it runs, attacked: a small part by default."""
 
 import attack_certificate as study
+import attacks
 import numpy as np
 import pytest
 
-SMALL = {"SAMPLES": 24, "SHARES": (0.3,), "INNER": 3, "OF_EACH": 2, "RECORDED": 1, "STEPS": 150}
+SMALL = {"SAMPLES": 24, "SHARES": (0.3,), "INNER": 3, "RECORDED": 1, "UNEVEN": 2, "DRIFTS": 1}
+SHORT = {"OF_EACH": 2, "STEPS": 150, "RATED": 40, "LONGEST": 200}
 
 
 @pytest.fixture
 def small(monkeypatch):
     for name, value in SMALL.items():
         monkeypatch.setattr(study, name, value)
-    monkeypatch.setattr(study, "LONGEST", 200)
+    for name, value in SHORT.items():
+        monkeypatch.setattr(attacks, name, value)
 
 
 def test_nothing_contradicts_a_few_certificates(small):
-    outcomes = [study.attack((number, 5, 16)) for number in (0, 7, 10, 11)]
+    outcomes = [study.attack((number, 5, 16)) for number in (0, 7, 10)]
     assert all(o.latency and o.radius > 0.0 for o in outcomes)
     assert not [text for o in outcomes for text in o.counterexamples()]
+    assert sum(len(o.uneven) for o in outcomes) >= 4
+    assert sum(len(o.drifts) for o in outcomes) >= 2
     assert "Counterexamples: 0." in study.table(outcomes)
 
 
@@ -25,10 +30,11 @@ def test_what_contradicts_is_told(small):
     fine = study.nothing("panda, PositionTask, setup 1")
     assert not fine.counterexamples()
     broken = fine._replace(
-        latency=study.Latency(), growth=np.array([1.01]), rises=[1e-3], diverged=1, left=2
-    )
-    assert len(broken.counterexamples()) == 4
-    assert "Counterexamples: 4." in study.table([fine, broken])
+        latency=study.Latency(), growth=np.array([1.01]), rises=[1e-3], uneven=[1e-3], drifts=[2.0],
+        diverged=1, left=2,
+    )  # fmt: skip
+    assert len(broken.counterexamples()) == 6
+    assert "Counterexamples: 6." in study.table([fine, broken])
 
 
 @pytest.mark.study

@@ -25,6 +25,8 @@ _EDGES = 1500  # configurations on the boundary
 _CLOSER, _AROUND = 4, 300  # closer looks at the lowest place of the boundary, and of how many
 _HALVINGS = 12
 _SLOWER = 0.125  # times v̄ of all starts: those that stay are slower
+_LOOKS, _NEAR, _CLOSE = 8, 40, 0.15  # around those that travel farthest; share of the spread
+_UNSEEN = 1.1  # times the most that samples travel
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,7 +39,8 @@ class Attraction:
 
     Attributes:
         travel: Shape (n_v,) [rad/√J or m/√J]; infinite where no rate was found.
-        rate: ρ of that rate [1/s].
+        rate: ρ of that rate [1/s]; 0 where none was found.
+        weights: Of the V that has it.
         level: Smallest V on the boundary, and at most `SampledTest.level` [J]; 0 with joints to
             spare. Of the loop without torque limits.
         radius: Starts at rest, and targets of configurations, within so much of the middle of the
@@ -47,6 +50,7 @@ class Attraction:
 
     travel: Array
     rate: float
+    weights: Weights
     level: float
     radius: float
     error: float
@@ -62,6 +66,8 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
         return None
     saturation = loop.controller.saturation
     travel, rate, weights, most = _travel(test, saturation)
+    if rate:
+        travel = _UNSEEN * _farthest(loop, test, weights, rate, rng)
     level = 0.0
     starts = _Starts(loop, box, test.weights, rng)
     spare = box.robot.nv - loop.controller.task.m
@@ -84,15 +90,14 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
     if not spare:
         level = min(test.level, starts.lowest(low))
     error = float(np.linalg.norm(starts.errors(low), axis=1).max()) if low else 0.0
-    return Attraction(travel, rate, level, low, error)
+    return Attraction(travel, rate, weights, level, low, error)
 
 
 def _travel(test: SampledTest, saturation: Saturation) -> tuple[Array, float, Weights, float]:
     """The least `Attraction.travel`, its rate, the function of V, and V at the start at most."""
-    whole, weights = test.form.with_speed(_SLOWER * test.speed), test.weights
-    n = whole.samples.M.shape[-1]
+    whole, weights = slower(test.form), test.weights
     largest = _largest_ratio(saturation, whole, weights)
-    best, chosen, of_best = np.full(n, np.inf), 0.0, weights
+    best, chosen, of_best = np.full(whole.samples.M.shape[-1], np.inf), 0.0, weights
     worst = whole.take(np.argsort(test.margins)[:_WORST])
     for rate in _RATES:
         if not whole.at_rate(rate, largest).is_possible():
@@ -100,22 +105,60 @@ def _travel(test: SampledTest, saturation: Saturation) -> tuple[Array, float, We
         found = best_weights(worst.at_rate(rate, largest), "free").weights
         if (found.w <= 0.0).any():
             continue
-        # errors are as large as this function lets them be
-        faster = whole.with_reach(whole.largest_s(found)).at_rate(
-            rate, _largest_ratio(saturation, whole, found)
-        )
         for multiple in _MULTIPLES:
             scaled = found._replace(multiplier=multiple * found.multiplier)
-            F = faster.decrease(scaled)
-            try:
-                np.linalg.cholesky(F)
-            except np.linalg.LinAlgError:
+            if np.isinf(travels(worst, saturation, scaled, rate)).any():
                 continue
-            inverse = np.diagonal(np.linalg.inv(F), axis1=1, axis2=2)[:, :n]
-            travel = np.sqrt(inverse.max(axis=0) / (2.0 * rate)) * np.sqrt(found.w.max())
+            travel = travels(whole, saturation, scaled, rate).max(axis=0) * np.sqrt(found.w.max())
             if travel.max() < best.max():
-                best, chosen, of_best = travel, rate, found
+                best, chosen, of_best = travel, rate, scaled
     return best / np.sqrt(of_best.w.max()), chosen, of_best, whole.level(of_best)
+
+
+def _farthest(
+    loop: ClosedLoop, test: SampledTest, weights: Weights, rate: float, rng: np.random.Generator
+) -> Array:
+    """The most that samples travel by a function, with a closer look around those that do."""
+    form, saturation = test.form, loop.controller.saturation
+    samples = form.samples
+    found = travels(slower(form), saturation, weights, rate)
+    most: Array = found.max(axis=0)
+    for _ in range(_LOOKS):
+        k = int((found / most).max(axis=1).argmax())
+        samples = loop.near(samples, k, _NEAR, _CLOSE, rng)
+        near = SampledForm(
+            samples, form.setting, loop.plants[0].friction, test.latency, form.speed, form.reach,
+            loop.gravity_gradients(samples), form.turning,
+        )  # fmt: skip
+        found = travels(slower(near), saturation, weights, rate)
+        if (found <= most).all():
+            break
+        most = np.maximum(most, found.max(axis=0))
+        if np.isinf(most).any():
+            return np.full(len(most), np.inf)
+    return most
+
+
+def slower(form: SampledForm) -> SampledForm:
+    """Return a form of the slower motions that are asked whether they stay."""
+    return form.with_speed(_SLOWER * form.speed)
+
+
+def travels(form: SampledForm, saturation: Saturation, weights: Weights, rate: float) -> Array:
+    """Return `Attraction.travel` by each sample, shape (N, n_v); infinite where F − ρP ⊁ 0.
+
+    Errors are as large as the function lets them be.
+    """
+    faster = form.with_reach(form.largest_s(weights)).at_rate(
+        rate, _largest_ratio(saturation, form, weights)
+    )
+    F = faster.decrease(weights)
+    positive = np.linalg.eigvalsh(F)[:, 0] > 0.0
+    n = form.samples.M.shape[-1]
+    found = np.full((len(F), n), np.inf)
+    inverse = np.diagonal(np.linalg.inv(F[positive]), axis1=1, axis2=2)[:, :n]
+    found[positive] = np.sqrt(inverse / (2.0 * rate))
+    return found
 
 
 def _largest_ratio(saturation: Saturation, form: SampledForm, weights: Weights) -> float:

@@ -9,6 +9,8 @@ import numpy as np
 
 from approxjac import law
 from approxjac.controllers import CrossWeight, TorqueLimited
+from approxjac.robots import Dynamics
+from approxjac.robots.robot import STANDARD_GRAVITY
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.sampled_test import SampledTest, below
 from approxjac.stability.samples import Samples
@@ -17,6 +19,7 @@ from approxjac.validation import Array
 if TYPE_CHECKING:
     from approxjac.stability.report import StabilityReport
 
+_FEW = 20  # samples that a weight that is not counted is looked up at
 _FAR = 1e9  # an error at which a saturation that is bounded has its bound
 
 
@@ -35,7 +38,8 @@ class LimitCost:
         holds: Whether motors can hold the arm at all samples.
         protects: Whether the limiter keeps the very V of the report falling.
         proof: Whether the limiter keeps any V falling.
-        weighs: Whether the arm's weight is counted; not of a robot without gravity.
+        uncounted: Largest share of a motor that the arm's weight takes when upright, where it is
+            not counted, as of a robot without gravity; 0 where it is.
     """
 
     clipped: float
@@ -44,50 +48,67 @@ class LimitCost:
     holds: bool
     protects: bool
     proof: bool
-    weighs: bool
+    uncounted: float
 
     @property
     def verdict(self) -> str:
-        """Return in two words which V the limiter protects, or that motors are too weak."""
+        """Return in a few words what is proven where torques are limited."""
         if not self.holds:
             return "cannot hold"
         if not self.proof:
-            return "clips"
-        return "keeps this V" if self.protects else "another V"
+            return "no proof"
+        return "V falls" if self.protects else "another V"
 
     def __str__(self) -> str:
+        each = ((name.removeprefix("torque limits, "), told) for name, _, told in self.rows())
+        return "; ".join(f"{name}: {told}" for name, told in each)
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Return rows of a report's table: what, verdict, figures."""
         if not self.holds:
-            return "the motors cannot hold the arm everywhere in the region"
-        left_out = "limits of speed, position and rate are not looked at"
-        if not self.weighs:
-            left_out += ", nor is the arm's weight, which its robot here does not have"
-        return "; ".join([self._at_rest(), *self._certified(), self._beyond(), left_out])
+            told = "the motors cannot hold the arm everywhere in the region"
+            return [("torque limits", self.verdict, told)]
+        told = "limits of speed, position and rate"
+        if self.uncounted:
+            told += (
+                ", and the arm's weight, as it is given without gravity: upright it takes up to "
+                f"{100.0 * self.uncounted:.3g} % of a motor"
+            )
+        return [
+            ("torque limits, at rest", "", self._at_rest()),
+            *self._certified(),
+            ("torque limits, where they act", self.verdict, self._beyond()),
+            ("torque limits, not looked at", "", told),
+        ]
 
     def _at_rest(self) -> str:
         ends = {unit: value for unit, value in self.free.items() if np.isfinite(value)}
         if not ends:
-            return "at rest no error asks for more torque than the motors have"
+            return "no error asks for more torque than the motors have"
         sizes = " or ".join(f"{value:.2g} {unit}" for unit, value in ends.items())
         return (
-            f"at rest the torque is clipped from errors of {sizes} on, somewhere in the region and "
-            f"in some direction: in {100.0 * self.clipped:.3g} % of the samples"
+            f"errors below {sizes} never ask for more than the motors have; larger ones do "
+            f"somewhere, as in {100.0 * self.clipped:.3g} % of the samples"
         )
 
-    def _certified(self) -> list[str]:
+    def _certified(self) -> list[tuple[str, str, str]]:
         if not self.level:
             return []
-        return ["certified as it runs are only starts whose motions never ask for so much"]
+        told = "only starts whose motions never ask for more than the motors have"
+        return [("torque limits, certified", "", told)]
 
     def _beyond(self) -> str:
         if self.protects:
             return (
-                "where it is limited, in continuous time V still falls as without limits in every "
-                "step of status PROOF_KEPT; as it runs, nothing is proven there"
+                "in steps of status PROOF_KEPT as without limits, if sampled infinitely fast; as "
+                "it runs nothing is proven there"
             )
-        why = "the limiter clips"
         if self.proof:
-            why = "the limiter keeps another V falling (cross_weight=report.cross_weight: this one)"
-        return f"where it is limited nothing of this is proven, as {why}"
+            return (
+                "the limiter keeps another V falling, and nothing told here is proven there; "
+                "TorqueLimited(..., cross_weight=report.cross_weight) keeps this one"
+            )
+        return "the limiter clips, and nothing is proven there"
 
 
 def within_limits(report: StabilityReport, limiter: TorqueLimited) -> StabilityReport:
@@ -160,8 +181,17 @@ def limit_cost(
         # ½(1 − σ²) is level/v̄²
         level = sampled.level * min(1.0, float((room / along).min() / sampled.speed)) ** 2
     clipped = float((asked > effort).any(axis=1).mean())
-    weighs = bool(np.any(loop.plants[0].robot.gravity))
-    return LimitCost(clipped, free, level, holds, protects, limiter.proof, weighs)
+    uncounted = 0.0
+    if not np.any(loop.plants[0].robot.gravity):
+        uncounted = float((np.abs(_upright(loop, samples)) / effort).max())
+    return LimitCost(clipped, free, level, holds, protects, limiter.proof, uncounted)
+
+
+def _upright(loop: ClosedLoop, samples: Samples) -> Array:
+    """The torque that would hold the true arm upright at a few samples, (N, n_v)."""
+    few = slice(None, None, max(1, len(samples) // _FEW))
+    arms = [loop.plants[t].robot.with_gravity(STANDARD_GRAVITY) for t in samples.truth[few]]
+    return np.array([Dynamics(arm).g(q) for arm, q in zip(arms, samples.q[few], strict=True)])
 
 
 def _gravity(loop: ClosedLoop, samples: Samples) -> Array:

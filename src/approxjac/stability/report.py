@@ -104,7 +104,7 @@ class StabilityReport:
         Where gravity is learnt there is none of the loop as it runs: the one in continuous time has
         to do, with nothing that contradicts it.
         """
-        learns = self.sampled is None and not self._contradiction
+        learns = self.sampled is None and not self.contradiction
         return self.certified_by is not None or (
             learns and self.certified_in_continuous_time is not None
         )
@@ -134,14 +134,15 @@ class StabilityReport:
     @property
     def reason(self) -> str:
         """Why the loop as it runs is not certified; empty where it is."""
-        if self._contradiction:
-            return self._contradiction
-        if self.sampled is None:
-            return "gravity is learnt, of which there are certificates in continuous time only"
-        return self.sampled.reason
+        if self.contradiction:
+            return self.contradiction
+        if self.sampled is not None:
+            return self.sampled.reason
+        why = "gravity is learnt, of which there are certificates in continuous time only"
+        return why if self.certified_in_continuous_time else f"{why}, and none was found"
 
     @property
-    def _contradiction(self) -> str:
+    def contradiction(self) -> str:
         """What no certificate can stand beside; empty where there is nothing."""
         unstable = self.growth >= 1.0
         if not self.gravity_is_exact:
@@ -153,10 +154,8 @@ class StabilityReport:
         if self.limits is not None and not self.limits.holds:
             return "the motors cannot hold the arm everywhere in the region"
         if unstable.any():
-            return (
-                f"errors grow at {100.0 * unstable.mean():.3g} % of the targets, by the exact "
-                "linearisation of the loop as it runs"
-            )
+            share = 100.0 * unstable.mean()
+            return f"errors grow at {share:.3g} % of the targets (exact linearisation)"
         if not self.local.stable:
             return "errors grow at some targets, in continuous time too"
         if self.rollouts is not None and self.rollouts.n_diverged:
@@ -258,9 +257,10 @@ class StabilityReport:
         return {name: plain(value) for name, value in found.items()}
 
     def _sampled_summary(self, names: tuple[str, ...]) -> dict[str, Any] | None:
-        test = self.sampled
+        test, stays = self.sampled, self.attraction
         if test is None:
             return None
+        of_stays = {} if stays is None else vars(stays) | {"weights": stays.weights._asdict()}
         return {
             **{
                 name: getattr(test, name) for name in (*names, "speed", "level", "covered", "reach")
@@ -270,7 +270,7 @@ class StabilityReport:
             "largest_period": self.largest_period[0],
             "largest_stable_period": self.largest_period[1],
             "largest_torque_delay": self.largest_delay,
-            "attraction": None if self.attraction is None else vars(self.attraction),
+            "attraction": of_stays or None,
         }
 
 

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import math
+import re
+import textwrap
 from typing import TYPE_CHECKING
 
+import numpy as np
+import pinocchio as pin
+
 from approxjac.controllers import Latency
-from approxjac.stability.limit_cost import LimitCost
+from approxjac.formatting import joined, percent
+from approxjac.stability.certificate import MatrixTest
 from approxjac.stability.local import LocalTest
+from approxjac.stability.region import JointBox
+from approxjac.stability.rollouts import Rollouts
 from approxjac.stability.samples import Samples
 from approxjac.stability.uncertainty import Uncertainty
 
@@ -15,6 +24,19 @@ if TYPE_CHECKING:
 
 Row = tuple[str, str, str]
 """Of the table: test, verdict, and the figures it rests on."""
+
+_WIDTH = 100  # of the text
+_UNITS = re.compile(r"(\d) (%|[a-z]+)\b")
+_TINY = 1e-6
+_BEWARE = ""
+_SECTIONS = {
+    _BEWARE: "beware",
+    "as it runs": "as it runs (what the verdict is about)",
+    "torque limits": "torque limits",
+    "rollouts": "rollouts (simulated as it runs)",
+    "in continuous time": "in continuous time (as if sampled infinitely fast, to compare)",
+    "worst case": "worst cases (what to look at first)",
+}
 
 _FAMILIES = {
     "paper": "paper's weights",
@@ -39,49 +61,97 @@ def verdict(report: StabilityReport) -> str:
 
 
 def text(report: StabilityReport) -> str:
-    """Return all of it."""
-    rows, paper = table(report), report.matrix["paper"]
-    first, second = (max(len(row[k]) for row in rows) for k in range(2))
-    lines = [f"{test:<{first}}  {said:<{second}}  {figures}" for test, said, figures in rows]
-    drawn = (
-        f"{len(paper.margins)} configurations, {paper.checked} further ones to check, seed "
-        f"{report.seed}"
-    )
-    return "\n".join([verdict(report), *_covers(report), drawn, *lines])
+    """Return all of it: the verdict, what it means, what it is about, and the figures."""
+    rows = table(report)
+    lines = [verdict(report), *textwrap.wrap(_meaning(report), _WIDTH)]
+    lines += _block("about", [(name, "", told) for name, told in _about(report)])
+    for section, title in _SECTIONS.items():
+        found = [row for row in rows if _section(row) == section]
+        lines += _block(title, [(row[0].removeprefix(f"{section}, "), *row[1:]) for row in found])
+    return "\n".join(lines)
 
 
 def table(report: StabilityReport) -> list[Row]:
-    """Return a row for each test."""
+    """Return a row for each test, and what else there is to be told."""
     return [
-        *_assumptions(report),
+        *_beware(report),
         *_as_it_runs(report),
-        *([] if report.limits is None else [_limits(report.limits)]),
+        *([] if report.limits is None else report.limits.rows()),
         *_in_continuous_time(report),
-        *([] if report.rollouts is None else [("rollouts", "", str(report.rollouts))]),
+        *([] if report.rollouts is None else _rollouts(report.rollouts)),
     ]
 
 
-def _covers(report: StabilityReport) -> list[str]:
-    """What the verdict is about: timing, law, errors, region."""
+def _section(row: Row) -> str:
+    """Return the part of the text that a row is in."""
+    return next((name for name in _SECTIONS if name and row[0].startswith(name)), _BEWARE)
+
+
+def _block(title: str, rows: list[Row]) -> list[str]:
+    """Return rows below their title, wrapped; nothing where there are none."""
+    if not rows:
+        return []
+    first, second = (max(len(row[k]) for row in rows) for k in range(2))
+    lines = []
+    for name, said, figures in rows:
+        start = f"  {name:<{first}}  " + (f"{said:<{second}}  " if second else "")
+        whole = _UNITS.sub("\\1\u00a0\\2", figures)  # no number goes without its unit
+        told = textwrap.fill(
+            whole, _WIDTH, initial_indent=start, subsequent_indent=" " * len(start),
+            break_on_hyphens=False, drop_whitespace=True,
+        )  # fmt: skip
+        lines.append(told.replace("\u00a0", " ") or start.rstrip())
+    return ["", title, *lines]
+
+
+def _meaning(report: StabilityReport) -> str:
+    """What follows from the verdict, in a sentence or two."""
+    if report.certified_by is not None:
+        return (
+            "From the starts told below the error goes to zero, as long as the arm stays in the "
+            "region."
+        )
+    if report.passed:
+        return (
+            "If it were sampled infinitely fast, the error would go to zero as long as the arm "
+            "stays in the region. As it runs nothing is proven; nothing seen here speaks against "
+            "it."
+        )
+    if report.contradiction:
+        return "The reason is something found about this loop, not only a proof that was not found."
+    return "No proof was found. The loop may still be stable: see near targets, and rollouts."
+
+
+def _about(report: StabilityReport) -> list[tuple[str, str]]:
+    """What the verdict is about."""
     truth, latency = report.loop.truth, report.latency
     errors = truth.describe_box() if isinstance(truth, Uncertainty) else "one true robot"
-    late = [f"torques {1e3 * latency.torque_delay:.3g} ms late"] if latency.torque_delay else []
+    late = [f"torques {_ms(latency.torque_delay)} late"] if latency.torque_delay else []
     if latency.velocity_filter:
-        late.append(f"joint velocities filtered over {1e3 * latency.velocity_filter:.3g} ms")
+        late.append(f"joint velocities filtered over {_ms(latency.velocity_filter)}")
     if latency.image_period or latency.image_age:
-        late.append(
-            f"x every {1e3 * latency.image_period:.3g} ms, {1e3 * latency.image_age:.3g} ms old"
-        )
-    timing = ", ".join([f"a period of {1e3 * latency.period:.3g} ms", *late])
+        every = f"every {_ms(latency.image_period)}, " if latency.image_period else ""
+        late.append(f"x {every}{_ms(latency.image_age)} old")
+    learns = report.loop.controller.adaptation is not None
+    gravity = "gravity is learnt" if learns else "gravity is known exactly"
+    paper = report.matrix["paper"]
     return [
-        f"  for {report.loop.controller!r}, no torque limit in reach, viscous friction",
-        f"  with {timing}",
-        f"  errors: {errors}",
-        f"  region: {report.loop.region!r}",
+        ("law", repr(report.loop.controller)),
+        ("timing", ", ".join([f"a period of {_ms(latency.period)}", *(late or ["nothing late"])])),
+        ("errors", errors),
+        ("region", repr(report.loop.region)),
+        ("assumed", f"{gravity}, friction is viscous, no torque limit and no joint stop in reach"),
+        (
+            "drawn",
+            f"{len(paper.margins)} configurations to choose Lyapunov functions, {paper.checked} "
+            f"others to check them, seed {report.seed}; nothing is proven of those in between",
+        ),
+        ("margin", "share of the designed damping left in the worst configuration: above 0 passes"),
     ]
 
 
-def _assumptions(report: StabilityReport) -> list[Row]:
+def _beware(report: StabilityReport) -> list[Row]:
+    """Rows about what is not as certificates assume, or as one may think."""
     rows = []
     if not report.gravity_is_exact:
         figures = (
@@ -104,110 +174,209 @@ def _assumptions(report: StabilityReport) -> list[Row]:
             "them out"
         )
         rows.append(("learning", "damped", figures))
+    beyond = _beyond_limits(report)
+    if beyond:
+        figures = (
+            f"the region reaches past those of {', '.join(beyond)}: the arm stops there, and "
+            "nothing below knows of that"
+        )
+        rows.append(("joint limits", "beyond", figures))
+    counted = _counted(report.latency)
+    if counted:
+        rows.append(("timing", "rounded", counted))
     return rows
+
+
+def _beyond_limits(report: StabilityReport) -> list[str]:
+    """Names of joints that the region lets go beyond their limits."""
+    region, robot = report.loop.region, report.loop.plants[0].robot
+    zero = robot.neutral()
+    if isinstance(region, JointBox):
+        middle = pin.difference(robot.model, zero, region.center)
+        low, high = middle + region.lower, middle + region.upper
+    else:
+        motions = np.array([pin.difference(robot.model, zero, q) for q in report.samples.q])
+        low, high = motions.min(axis=0), motions.max(axis=0)
+    least, most = robot.position_limits
+    beyond = (low < least - _TINY) | (high > most + _TINY)
+    return [name for name, is_so in zip(robot.joint_names, beyond, strict=True) if is_so]
+
+
+def _counted(latency: Latency) -> str:
+    """How rollouts and the linearisation round times; empty where they do not."""
+    period = latency.period
+    dt, _, age, late = latency.in_samples()
+    told = {
+        "rollouts": _rounded(
+            latency, period, round(latency.torque_delay / period), round(latency.image_age / period)
+        ),
+        "the linearisation near targets": _rounded(latency, dt, late, age),
+    }
+    if told["rollouts"] == told["the linearisation near targets"]:
+        told = {" and ".join(told): told["rollouts"]}
+    found = [f"{who} have {what}" for who, what in told.items() if what]
+    return f"{'; '.join(found)} (whole periods), all else as given" if found else ""
+
+
+def _rounded(latency: Latency, dt: float, late: int, age: int) -> str:
+    """What time in whole samples of dt [s] makes of a latency; empty where it is the same."""
+    times = {"late": (latency.torque_delay, late * dt), "old": (latency.image_age, age * dt)}
+    off = {
+        how: now for how, (given, now) in times.items() if abs(given - now) > _TINY * latency.period
+    }
+    told = [f"{'torques' if how == 'late' else 'x'} {_ms(now)} {how}" for how, now in off.items()]
+    if dt > latency.period * (1.0 + _TINY):
+        told = [f"a period of {_ms(dt)}", *told]
+    return ", ".join(told)
 
 
 def _as_it_runs(report: StabilityReport) -> list[Row]:
     """Rows about the loop that is sampled and late."""
-    sampled, unstable = report.sampled, report.growth >= 1.0
-    figures = (
-        f"at {100.0 * (1.0 - unstable.mean()):.4g} % of {len(unstable)} targets; errors are "
-        f"multiplied by at most {report.growth.max():.6g} from frame to frame"
-    )
-    near = ("as it runs, near targets", "unstable" if unstable.any() else "stable", figures)
+    sampled = report.sampled
+    near = _near_targets(report)
     if sampled is None:
         return [near]
     said = "holds" if sampled.certified else "does not hold"
     if sampled.certified and report.reason:
         said = "withdrawn"
-    figures = f"margin {sampled.margin:.3g}, {_FAMILIES[sampled.family]}"
-    if sampled.certified:
-        figures += f"; {_starts(report)}"
-    rows = [("as it runs, matrix form", said, figures)]
+    rows = [("as it runs, matrix form", said, f"{_margin(sampled)}; {_FAMILIES[sampled.family]}")]
     if not report.reason:
-        is_proven = report.attraction is not None and report.attraction.radius > 0.0
-        rows.append(("staying in the region", "proven" if is_proven else "assumed", _stays(report)))
-    return [*rows, ("largest period and delay", "", _timing(report)), near]
+        rows += [("as it runs, starts", "", _starts(report)), _stays(report)]
+    return [*rows, *_longest(report), near]
+
+
+def _margin(test: MatrixTest) -> str:
+    """The margin of a test, and how far it is to be trusted."""
+    if not math.isfinite(test.margin):
+        return "hold and delays are too long for any function of this kind"
+    told = f"margin {test.margin:.3g}"
+    if test.certified:
+        told += f"; violated in none of {test.checked} further ones"
+        if test.independent:
+            told += f", at most {100 * test.violating_at_most:.2g} % of all (95 %)"
+    elif test.margin > 0.0:
+        told += f"; violated in {test.violations} of {test.checked} further ones"
+    else:
+        told += f"; positive in {100 * test.share:.3g} % of the configurations"
+    return told
+
+
+def _near_targets(report: StabilityReport) -> Row:
+    """Row about the exact linearisation of the loop as it runs."""
+    unstable, worst = report.growth >= 1.0, float(report.growth.max())
+    dt, frames, _, _ = report.latency.in_samples()
+    if unstable.any():
+        told = (
+            f"errors grow at {unstable.sum()} of {len(unstable)} targets, at worst to "
+            f"{worst:.3g} times in {_ms(frames * dt)}"
+        )
+        return "as it runs, near targets", "unstable", told
+    decay = -math.log(worst) / (frames * dt) if worst > 0.0 else math.inf
+    told = f"at all of {len(unstable)} targets, the slowest error decays at {decay:.3g}/s"
+    return "as it runs, near targets", "stable", told
 
 
 def _starts(report: StabilityReport) -> str:
     """Which starts the form covers."""
     sampled = report.sampled
     assert sampled is not None
-    units = report.loop.controller.task.units
-    reach = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(sampled.reach, units, strict=True))
+    units, reach = report.loop.controller.task.units, sampled.reach
+    each = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(reach, units, strict=True))
+    if len(set(units)) == 1:
+        each = f"{', '.join(f'{r:.2g}' for r in reach)} {units[0]}"
     return (
-        f"for starts at rest with errors of at most {reach} in one coordinate alone, "
+        f"at rest, with errors of at most {each} in one coordinate alone; "
         f"{100.0 * sampled.covered:.3g} % of those drawn"
     )
 
 
-def _limits(cost: LimitCost) -> Row:
-    return "torque limits", cost.verdict, str(cost)
-
-
-def _timing(report: StabilityReport) -> str:
-    certified, exact = report.largest_period
-    near = f"near targets stable up to a period of {1e3 * exact:.3g} ms"
-    if not certified:
-        return f"{near}; this function certifies none"
-    late = f"certified up to torques {1e3 * report.largest_delay:.3g} ms late"
-    return f"certified up to a period of {1e3 * certified:.3g} ms, {near}; {late}"
-
-
-def _stays(report: StabilityReport) -> str:
-    found = report.attraction
+def _stays(report: StabilityReport) -> Row:
+    """Row about starts from which the region is not left."""
+    name, found = "as it runs, staying", report.attraction
     if found is None or not found.radius:
-        return "rollouts test it (those that went outside)"
+        return name, "assumed", "from no start is it proven that the arm stays in the region"
     unit = "rad" if set(report.loop.plants[0].robot.joint_units) == {"rad"} else "rad or m"
-    return (
-        f"from rest within {found.radius:.2g} {unit} of its middle in every joint, to targets of "
-        f"configurations as near (errors of up to {found.error:.2g} "
-        f"{report.loop.controller.task.units[0]}); from elsewhere it is assumed"
+    told = (
+        f"proven from rest within {found.radius:.2g} {unit} of the region's middle in every joint, "
+        f"to targets as near (errors of up to {found.error:.2g} "
+        f"{report.loop.controller.task.units[0]}); assumed from elsewhere"
     )
+    return name, "in part", told
+
+
+def _longest(report: StabilityReport) -> list[Row]:
+    """Rows about how much slower and later the loop may be."""
+    certified, exact = report.largest_period
+    told = f"near targets stable up to {_ms(exact)}" if exact else "near targets never stable"
+    if not certified:
+        return [("as it runs, longest period", "", f"{told}; this function passes at none")]
+    passes = f"this function passes up to {_ms(certified)}, with no margin left there"
+    rows = [("as it runs, longest period", "", f"{passes}; {told}")]
+    delay = report.largest_delay
+    late = f"this function passes up to {_ms(delay)}" if delay else "this function bears none"
+    return [*rows, ("as it runs, longest delay of torques", "", late)]
 
 
 def _in_continuous_time(report: StabilityReport) -> list[Row]:
+    """Rows about the same loop if it were sampled infinitely fast."""
     first = report.theorem1
     passed = "holds" if report.is_as_assumed else "would hold"
     figures = (
-        f"p = {first.p:.3g} {'<' if first.holds else '>='} {max(first.allowed_p, 0.0):.3g} "
-        f"allowed at alpha = {first.alpha:.3g}/s; worst p with "
-        f"{_case(report, report.samples, first.worst['p'])}"
+        f"Jacobian error p = {first.p:.3g} {'<' if first.holds else '>='} "
+        f"{max(first.allowed_p, 0.0):.3g} allowed"
     )
     said = passed if first.holds else "does not hold"
     rows = [("in continuous time, Theorem 1", said, figures)]
     for family, test in report.matrix.items():
-        if test.certified:
-            told = f"none of {test.checked} further ones violates it"
-            if test.independent:
-                told += f", at most {100 * test.violating_at_most:.2g} % of all do (95 %)"
-        elif test.margin > 0.0:
-            told = f"violated in {test.violations} of {test.checked} further configurations"
-        else:
-            told = f"holds in {100 * test.share:.3g} % of the configurations"
         said = passed if test.certified else "does not hold"
-        figures = (
-            f"margin {test.margin:.3g}; {told}; worst with "
-            f"{_case(report, report.samples, test.worst)}"
-        )
-        rows.append((f"in continuous time, {_FAMILIES[family]}", said, figures))
+        rows.append((f"in continuous time, {_FAMILIES[family]}", said, _margin(test)))
     local = report.local
     learns = report.loop.controller.adaptation is not None
     learnt = " (learnt parameters, often slow, included)" if learns else ""
     figures = (
         f"at {100 * local.share:.4g} % of {len(local.q)} configurations; slowest decay "
-        f"{local.decay_rates.min():.3g}/s{learnt}, damping ratio "
-        f"{local.damping_ratios.min():.2g}; worst with {_case(report, local, local.worst)}"
+        f"{local.decay_rates.min():.3g}/s{learnt}, damping ratio {local.damping_ratios.min():.2g}"
     )
     said = "stable" if local.stable else "not stable"
-    return [*rows, ("in continuous time, near targets", said, figures)]
+    rows.append(("in continuous time, near targets", said, figures))
+    form = report.sampled or list(report.matrix.values())[-1]
+    worst: list[tuple[str, Samples | LocalTest, int]] = [
+        ("matrix form", report.samples, form.worst),
+        ("near targets", local, local.worst),
+        ("Theorem 1", report.samples, first.worst["p"]),
+    ]
+    rows += [(f"worst case, {name}", "", _case(report, among, k)) for name, among, k in worst]
+    return rows
+
+
+def _rollouts(found: Rollouts) -> list[Row]:
+    """Rows about simulated runs."""
+    low, high = found.interval
+    worst, study = found.worst, found.study
+    unit = joined(study.controller.task.units)
+    ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
+    values = study.uncertainty.describe(worst.values)
+    return [
+        (
+            "rollouts, converged",
+            f"{found.n_converged} of {found.n}",
+            f"to within {study.tolerance:g} {unit} by the last tenth of {study.duration:g} s; of "
+            f"all {percent(low)} to {percent(high)} % do (95 %)",
+        ),
+        ("rollouts, diverged", f"{found.n_diverged} of {found.n}", ""),
+        ("rollouts, left the region", f"{found.n_left} of {found.n}", "without diverging"),
+        ("rollouts, worst", f"run {worst.index}", f"{ended}, with {values}"),
+    ]
 
 
 def _case(report: StabilityReport, among: Samples | LocalTest, index: int) -> str:
     """One of the cases: the true robot and the configuration."""
     q = ", ".join(f"{value + 0.0:.2f}" for value in among.q[index])
     return f"{report.describe_truth(int(among.truth[index]))} at q = [{q}]"
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms"
 
 
 def _timed(latency: Latency) -> str:
