@@ -50,7 +50,7 @@ SAMPLES = 100  # to choose a function on, and again to check it
 SHARES = (0.76, 0.6, 0.45, 0.3, 0.15, 0.05)  # of the exact period, the longest first
 INNER = 12  # true robots from inside
 RECORDED, UNEVEN, DRIFTS = 3, 6, 3  # runs along which V, or how far they drift, is watched
-LANES, OTHERS = 5000, 500  # rollouts of a setup
+LANES, OTHERS = 5500, 500  # rollouts of a setup
 CALMER = 0.25  # times the period, where no starts are certified to stay with it
 RISE = 1e-6  # of V above its start that is round-off
 

@@ -26,6 +26,7 @@ _CLOSER, _AROUND = 4, 300  # closer looks at the lowest place of the boundary, a
 _HALVINGS = 12
 _SLOWER = 0.125  # times v̄ of all starts: those that stay are slower
 _LOOKS, _NEAR, _CLOSE = 8, 40, 0.15  # around those that travel farthest; share of the spread
+_TRIED = 4  # functions, until samples nearby have a bound, too
 _UNSEEN = 1.1  # times the most that samples travel
 
 
@@ -65,9 +66,13 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
     if not test.certified or not isinstance(box, JointBox) or not test.level:
         return None
     saturation = loop.controller.saturation
-    travel, rate, weights, most = _travel(test, saturation)
-    if rate:
-        travel = _UNSEEN * _farthest(loop, test, weights, rate, rng)
+    travel, rate, weights = np.full(box.robot.nv, np.inf), 0.0, test.weights
+    for _, its_rate, its_weights in _rates(test, saturation)[:_TRIED]:
+        farthest = _UNSEEN * _farthest(loop, test, its_weights, its_rate, rng)
+        if np.isfinite(farthest).all():
+            travel, rate, weights = farthest, its_rate, its_weights
+            break
+    most = slower(test.form).level(weights)
     level = 0.0
     starts = _Starts(loop, box, test.weights, rng)
     spare = box.robot.nv - loop.controller.task.m
@@ -93,12 +98,11 @@ def attraction(loop: ClosedLoop, test: SampledTest, rng: np.random.Generator) ->
     return Attraction(travel, rate, weights, level, low, error)
 
 
-def _travel(test: SampledTest, saturation: Saturation) -> tuple[Array, float, Weights, float]:
-    """The least `Attraction.travel`, its rate, the function of V, and V at the start at most."""
-    whole, weights = slower(test.form), test.weights
-    largest = _largest_ratio(saturation, whole, weights)
-    best, chosen, of_best = np.full(whole.samples.M.shape[-1], np.inf), 0.0, weights
-    worst = whole.take(np.argsort(test.margins)[:_WORST])
+def _rates(test: SampledTest, saturation: Saturation) -> list[tuple[float, float, Weights]]:
+    """Functions that die out with a rate: size of their travel, rate, weights; the least first."""
+    whole = slower(test.form)
+    largest = _largest_ratio(saturation, whole, test.weights)
+    worst, all_found = whole.take(np.argsort(test.margins)[:_WORST]), []
     for rate in _RATES:
         if not whole.at_rate(rate, largest).is_possible():
             break
@@ -109,10 +113,10 @@ def _travel(test: SampledTest, saturation: Saturation) -> tuple[Array, float, We
             scaled = found._replace(multiplier=multiple * found.multiplier)
             if np.isinf(travels(worst, saturation, scaled, rate)).any():
                 continue
-            travel = travels(whole, saturation, scaled, rate).max(axis=0) * np.sqrt(found.w.max())
-            if travel.max() < best.max():
-                best, chosen, of_best = travel, rate, scaled
-    return best / np.sqrt(of_best.w.max()), chosen, of_best, whole.level(of_best)
+            size = float(travels(whole, saturation, scaled, rate).max() * np.sqrt(found.w.max()))
+            if np.isfinite(size):
+                all_found.append((size, rate, scaled))
+    return sorted(all_found, key=lambda each: each[0])
 
 
 def _farthest(

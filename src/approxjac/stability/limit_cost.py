@@ -19,7 +19,7 @@ from approxjac.validation import Array
 if TYPE_CHECKING:
     from approxjac.stability.report import StabilityReport
 
-_FEW = 20  # samples that a weight that is not counted is looked up at
+_FEW = 100  # samples that a weight that is not counted is looked up at
 _FAR = 1e9  # an error at which a saturation that is bounded has its bound
 
 
@@ -71,8 +71,8 @@ class LimitCost:
         told = "limits of speed, position and rate"
         if self.uncounted:
             told += (
-                ", and the arm's weight, as it is given without gravity: upright it takes up to "
-                f"{100.0 * self.uncounted:.3g} % of a motor"
+                ", and the arm's weight, as it is given without gravity: upright it takes some "
+                f"{100.0 * self.uncounted:.2g} % of a motor"
             )
         return [
             ("torque limits, at rest", "", self._at_rest()),

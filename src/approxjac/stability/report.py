@@ -137,7 +137,9 @@ class StabilityReport:
         if self.contradiction:
             return self.contradiction
         if self.sampled is not None:
-            return self.sampled.reason
+            neither = self.sampled.margin <= 0.0 and self.certified_in_continuous_time is None
+            nowhere = "no Lyapunov function was found, nor one for continuous time"
+            return nowhere if neither else self.sampled.reason
         why = "gravity is learnt, of which there are certificates in continuous time only"
         return why if self.certified_in_continuous_time else f"{why}, and none was found"
 
@@ -317,6 +319,11 @@ def stability_report(
             an empty region or one that a true camera sees nothing of, a target that no
             configuration of a true robot attains, or numbers out of range.
     """
+    if options and not runs:
+        raise InvalidInputError(
+            f"{' and '.join(options)} must be given with runs, the number of rollouts, got none",
+            given=options,
+        )
     limiter = controller if isinstance(controller, TorqueLimited) else None
     inside: Any = controller if limiter is None else limiter.controller
     loop = ClosedLoop(inside, truth, region, target)
@@ -325,11 +332,6 @@ def stability_report(
     require("latency", latency, Latency, "Latency(period=...) or None")
     half = as_integer("configurations", configurations, 20) // 2
     rng = np.random.default_rng(as_integer("seed", seed, 0))
-    if options and not runs:
-        raise InvalidInputError(
-            f"{' and '.join(options)} must be given with runs, the number of rollouts, got none",
-            given=options,
-        )
     if runs and not isinstance(truth, Uncertainty):
         raise InvalidInputError(
             "runs needs truth to be an Uncertainty, from which rollouts draw true robots, "
