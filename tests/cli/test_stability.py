@@ -165,7 +165,9 @@ def test_rollouts_are_of_the_loop_that_runs():
         y=result.map.y, by="rollouts", runs=3, **late,
     )  # fmt: skip
     np.testing.assert_array_equal(result.map.rollouts, again.rollouts)
-    told, where = report.told_of_map(result, Path("out"))[1:], str(Path("out") / "map.png")
+    map_, *told = report.told_of_map(result, Path("out"))
+    where = Path("out") / "map.png"
+    assert f"% of {result.map.runs.sum()} runs over object_length and x converge, with 95 %" in map_
     assert "of all points at object_length 0." in told[0]
     assert "with 95 % confidence" in told[1]
     assert told[2] == f"The map is {where}"

@@ -16,6 +16,7 @@ from approxjac.simulation import Plant
 from approxjac.stability import Uncertainty
 from approxjac.stability.map import PARAMETERS, labels
 from approxjac.stability.rollout_map import PLACES
+from approxjac.stability.rollouts import clopper_pearson
 from approxjac.tasks import FrameKinematics
 from approxjac.view import (
     new_figure,
@@ -48,8 +49,12 @@ def told_of_map(result: StabilityResult, out: Path) -> list[str]:
     if found is not None and found.runs.any() and result.scenario.stability.map_by == "rollouts":
         names, made = " and ".join(found.names), np.flatnonzero(found.runs)
         share, n = found.rollouts.ravel(), found.runs.ravel()
-        converged = float(share[made] @ n[made]) / n.sum()
-        lines.append(f"map: {percent(converged)} % of {n.sum()} runs over {names} converge")
+        good, total = round(float(share[made] @ n[made])), int(n.sum())
+        sure = ""
+        if found.names[0] not in PARAMETERS:  # or points share what is drawn
+            low, high = clopper_pearson(good, total)
+            sure = f", with 95 % confidence {percent(low)} to {percent(high)} %"
+        lines.append(f"map: {percent(good / total)} % of {total} runs over {names} converge{sure}")
         for what, k in (
             ("least", made[share[made].argmin()]),
             ("most", made[share[made].argmax()]),
