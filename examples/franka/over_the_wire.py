@@ -7,20 +7,16 @@ away, and along a circle. Needs `pip install 'approxjac[franka]'` and what `make
 """
 
 import argparse
-import gc
-import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 from simulated_franka import Camera, SimulatedFranka, missing
 
 import approxjac as aj
 from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, Latency
-from approxjac.realtime.franka import FrankaDriver
+from approxjac.realtime import FrankaDriver
 
-DT = 1e-3
-FAR = 0.12  # m
+FAR, DURATION = 0.12, 8.0  # m, s
 LATE = {"noise": 1e-3, "rate": 60.0, "late": 0.03}  # of a camera: 1 mm, 60 Hz, 30 ms
 ROTORS = 0.1  # inertia of the drives as the joints feel them [kg m²]
 
@@ -32,7 +28,7 @@ def reach(robot, seed=0):
     rest = aj.AdaptiveGravity(belief, theta0=0.0)  # of gravity, which the robot adds
     law = aj.SetpointController(aj.PositionTask(belief), gravity=rest)
     controller = aj.TorqueLimited(law, driver.limits)
-    return lead(driver, controller, away(driver.read().x, seed), 8.0)
+    return aj.control(driver, controller, away(driver.read().x, seed), DURATION)
 
 
 def reach_by_camera(robot, seed=0):
@@ -40,14 +36,14 @@ def reach_by_camera(robot, seed=0):
     driver = FrankaDriver(robot.address, Camera(robot.truth, **LATE, seed=seed), realtime=False)
     belief = robot.arm.with_object(0.0)
     rest = aj.AdaptiveGravity(belief, theta0=0.0)
-    lags = Latency(torque_delay=DT, image_period=1.0 / LATE["rate"], image_age=LATE["late"])
+    lags = Latency(torque_delay=1e-3, image_period=1.0 / LATE["rate"], image_age=LATE["late"])
     law = aj.SetpointController(aj.PositionTask(belief), gravity=rest, latency=lags)
     controller = aj.TorqueLimited(law, driver.limits)
-    return lead(driver, controller, away(tip(robot, driver.read().q), seed), 8.0)
+    return aj.control(driver, controller, away(tip(robot, driver.read().q), seed), DURATION)
 
 
 def circle(robot, seed=0):
-    """Follow a circle of 10 cm in 4 s, three times, with kinematics and dynamics that learn."""
+    """Follow a circle of 10 cm in 4 s, twice, with kinematics and dynamics that learn."""
     driver = FrankaDriver(
         robot.address, Camera(robot.truth), gravity=robot.arm, realtime=False
     )  # law T compensates all of gravity
@@ -55,7 +51,9 @@ def circle(robot, seed=0):
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
     dynamics = AdaptiveDynamics(task.robot, rotor_inertia=ROTORS)
     law = aj.TrackingController(task, kinematics=kinematics, dynamics=dynamics)
-    return lead(driver, aj.TorqueLimited(law, driver.limits), around(driver.read().x, seed), 12.0)
+    return aj.control(
+        driver, aj.TorqueLimited(law, driver.limits), around(driver.read().x, seed), DURATION
+    )
 
 
 def circle_by_velocities(robot, seed=0):
@@ -65,7 +63,7 @@ def circle_by_velocities(robot, seed=0):
     task = aj.PositionTask(robot.arm.with_object(0.0))
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=LATE["noise"])
     controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
-    return lead(driver, controller, around(tip(robot, driver.read().q), seed), 12.0)
+    return aj.control(driver, controller, around(tip(robot, driver.read().q), seed), DURATION)
 
 
 def reach_by_velocities(robot, seed=0):
@@ -74,7 +72,7 @@ def reach_by_velocities(robot, seed=0):
     task = aj.PositionTask(robot.arm.with_object(0.0))
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
     controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
-    return lead(driver, controller, away(driver.read().x, seed), 8.0)
+    return aj.control(driver, controller, away(driver.read().x, seed), DURATION)
 
 
 KINDS = reach, reach_by_camera, circle, reach_by_velocities, circle_by_velocities
@@ -99,31 +97,9 @@ def tip(robot, q):
 
 
 def errors(robot, run):
-    """Return how far the true tip is from the target at each instant [m]."""
-    task = aj.PositionTask(robot.truth)
-    return np.linalg.norm([task.value(q) for q in run.q] - run.target, axis=1)
-
-
-def lead(driver, controller, target, duration):
-    """Run a controller on a robot, and brake it; return what happened, with steps' times [s]."""
-    at = target.at if hasattr(target, "at") else lambda t: aj.Target(target)
-    first, rows = driver.read(), []
-    state = controller.initial_state(first)
-    gc.disable()
-    try:
-        while not rows or rows[-1][0] < duration:
-            m = driver.read()
-            t, begun = m.t - first.t, time.perf_counter()
-            wanted = at(t)
-            state, answer = controller.step(state, m, wanted, DT)
-            work = time.perf_counter() - begun
-            driver.send(answer.torque)
-            rows.append((t, m.q, m.v, wanted.x, begun, work))
-    finally:
-        gc.enable()
-        driver.brake()
-    names = "t", "q", "v", "target", "begun", "work"
-    return SimpleNamespace(**dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)))
+    """Return how far the true tip is from the target until it is brought to rest [m]."""
+    n = np.searchsorted(run.t, DURATION)
+    return np.linalg.norm([tip(robot, q) for q in run.q[:n]] - run.x_d[:n], axis=1)
 
 
 def main():
@@ -133,28 +109,32 @@ def main():
     runs = parser.parse_args().runs
     if missing():
         parser.error(missing())
-    reflexes = 0
+    reflexes = alarms = 0
     for i in range(runs):
         kind = KINDS[i % len(KINDS)]
         with SimulatedFranka() as robot:
             try:
                 run = kind(robot, i // len(KINDS))
-            except aj.errors.DriverError as error:
+            except aj.errors.ControlError as error:
                 print(f"{kind.__name__:>22}  {error}")
                 reflexes += 1
                 continue
+        if run.fault is not None:
+            print(f"{kind.__name__:>22}  {run.ended}")
+            alarms += 1
+            continue
         error = 1e3 * errors(robot, run)
         told = [f"{error[np.searchsorted(run.t, t)]:.3g} mm at {t:g} s" for t in (1.0, 2.0, 5.0)]
-        late = error[run.t > 5.0]
-        gaps = 1e3 * np.diff(run.begun)
+        late = error[np.searchsorted(run.t, 5.0) :]
+        gaps = 1e3 * run.gap[1:]
         print(
             f"{kind.__name__:>22}  {', '.join(told)}; later at most {late.max():.3g}, "
-            f"rms {np.sqrt(np.mean(late**2)):.3g}; a step {1e6 * np.median(run.work):.0f} µs, "
+            f"rms {np.sqrt(np.mean(late**2)):.3g}; {1e6 * np.median(run.work):.0f} µs of work, "
             f"99 % within {1e6 * np.quantile(run.work, 0.99):.0f}; "
             f"periods {np.median(gaps):.2f} ms, at most {gaps.max():.1f}",
             flush=True,
         )
-    print(f"{runs} runs, {reflexes} ended by the robot")
+    print(f"{runs} runs, {reflexes} ended by the robot, {alarms} by a fault")
 
 
 if __name__ == "__main__":

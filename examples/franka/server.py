@@ -14,8 +14,8 @@ starts and stops it. It is the server of franka-sim with all that it enforces, b
 
 import argparse
 import logging
+import sys
 import tempfile
-import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -64,10 +64,9 @@ class Arm(MujocoFrankaSim):
         return np.clip(tau, -FR3_FORCE_LIMITS, FR3_FORCE_LIMITS)
 
     def run_simulation(self):
-        """Say that the server listens, and leave the steps to it."""
+        """Say that the server listens, and leave the steps to it, until nobody wants it."""
         print("ready", flush=True)
-        while self.running:
-            time.sleep(0.1)
+        sys.stdin.read()
 
 
 class Server(FrankaSimServer):
@@ -96,7 +95,7 @@ def mjcf_of(urdf, armature, friction, damping):
 
 
 def main():
-    """Serve until the process is ended."""
+    """Serve until the standard input ends."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("urdf", nargs="?", default=URDF, help="arm with what it holds")
     parser.add_argument("--host", default="127.0.0.1", help="address to listen at")

@@ -54,11 +54,11 @@ class SimulatedFranka:
             command = [os.environ[PYTHON], SERVER, urdf, "--host", self.address]
             process = subprocess.Popen(
                 [*command, "--friction", str(self._friction)],
-                stdout=subprocess.PIPE, stderr=said, text=True,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, text=True,
             )  # fmt: skip
             opened.callback(process.wait)
-            opened.callback(process.terminate)
             opened.enter_context(process.stdout)
+            opened.enter_context(process.stdin)  # whose end ends it
             if process.stdout.readline() != "ready\n":
                 said.seek(0)
                 raise RuntimeError(f"the simulated Franka did not start: {said.read()}")

@@ -4,8 +4,11 @@ from approxjac.realtime.accuracy import Accuracy
 from approxjac.realtime.control import control
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.faults import Fault
+from approxjac.realtime.franka import FrankaDriver
 from approxjac.realtime.pace import Pace
 from approxjac.realtime.robot_run import RobotRun
 from approxjac.realtime.simulated_driver import SimulatedDriver
 
-__all__ = ["Accuracy", "Driver", "Fault", "Pace", "RobotRun", "SimulatedDriver", "control"]
+__all__ = [
+    "Accuracy", "Driver", "Fault", "FrankaDriver", "Pace", "RobotRun", "SimulatedDriver", "control",
+]  # fmt: skip

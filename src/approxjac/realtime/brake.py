@@ -78,6 +78,7 @@ class Watchdog:
 
     def __exit__(self, *_: object) -> None:
         self._over.set()
+        self._thread.join()  # its alarm would end the process, once nobody waits for it
         if self._is_main:
             signal.signal(signal.SIGALRM, self._before)
 

@@ -21,11 +21,13 @@ _LOW = np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196])
 _HIGH = np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196])
 _EFFORT = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])
 _SPEED = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
-_TORQUE_RATE, _ACCELERATION, _JERK = 1000.0, 10.0, 5000.0
+# The robot takes 1000 N m/s, 10 rad/s² and 5000 rad/s³. It may have got a command late that counts
+# as lost for its state: what is sent next then differs from it by two or three times these.
+_TORQUE_RATE, _ACCELERATION, _JERK = 500.0, 7.0, 1000.0
 # speed at a distance d from a joint's end: √(2ad) less an offset; from the arm's URDF
 _BRAKING = np.array([6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0])
 _OFFSET = np.array([0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35])
-_INSIDE = 1e-3  # of these limits, for what is lost in rounding
+_INSIDE = 1e-3  # rad/s within these speeds, for what is lost in rounding
 
 Sensor = Callable[[float, Array], "Array | tuple[Array, float]"]
 
@@ -37,9 +39,10 @@ class FrankaDriver:
     first command; until then, and after `brake`, the robot holds itself.
 
     Commands are brought within the rates that the robot takes, as its makers' own loop does it:
-    torques within its efforts and 1000 N m/s of the last that it got, velocities within 10 rad/s²,
-    5000 rad/s³ and its speeds near joint ends. Whatever else is beyond its limits ends in a reflex,
-    of which it does not recover by itself: see `recover`.
+    torques within its efforts and 500 N m/s of the last that it got, velocities within 7 rad/s²,
+    1000 rad/s³ and its speeds near joint ends; that is less than it takes, so that a command which
+    comes late is no jump. Whatever else is beyond its limits ends in a reflex, of which it does not
+    recover by itself: see `recover`.
 
     Args:
         address: Of the robot's control unit.
@@ -201,7 +204,7 @@ class FrankaDriver:
 
     def _within_rate(self, torque: Array) -> Array:
         """Return torques within efforts, and their rate of the last that the robot got."""
-        before, change = np.array(self._state.tau_J_d), (1.0 - _INSIDE) * _TORQUE_RATE * _DT
+        before, change = np.array(self._state.tau_J_d), _TORQUE_RATE * _DT
         low, high = np.maximum(before - change, -_EFFORT), np.minimum(before + change, _EFFORT)
         return np.asarray(np.minimum(np.maximum(torque, low), high))
 
@@ -214,10 +217,10 @@ class FrankaDriver:
         q, before, a = np.array(state.q), np.array(state.dq_d), np.array(state.ddq_d)
         high = np.minimum(_SPEED, _towards(_HIGH - q)) - _INSIDE
         low = _INSIDE - np.minimum(_SPEED, _towards(q - _LOW))
-        most, jerk = (1.0 - _INSIDE) * _ACCELERATION, (1.0 - _INSIDE) * _JERK
-        change = np.clip((velocity - before) / _DT - a, -jerk * _DT, jerk * _DT)
-        upper = np.minimum(jerk / most * (high - before), most)
-        lower = np.maximum(jerk / most * (low - before), -most)
+        most = _JERK * _DT
+        change = np.minimum(np.maximum((velocity - before) / _DT - a, -most), most)
+        upper = np.minimum(_JERK / _ACCELERATION * (high - before), _ACCELERATION)
+        lower = np.maximum(_JERK / _ACCELERATION * (low - before), -_ACCELERATION)
         return np.asarray(before + _DT * np.maximum(np.minimum(a + change, upper), lower))
 
     def _asked(self, what: str, function: Callable[..., Any], *given: Any) -> Any:
