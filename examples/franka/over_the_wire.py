@@ -17,6 +17,7 @@ from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, Latency
 from approxjac.realtime import FrankaDriver
 
 FAR, DURATION = 0.12, 8.0  # m, s
+PATIENT = {"late": 0.5}  # s: the simulated robot waits as long as this machine is busy elsewhere
 LATE = {"noise": 1e-3, "rate": 60.0, "late": 0.03}  # of a camera: 1 mm, 60 Hz, 30 ms
 ROTORS = 0.1  # inertia of the drives as the joints feel them [kg m²]
 
@@ -28,7 +29,7 @@ def reach(robot, seed=0):
     rest = aj.AdaptiveGravity(belief, theta0=0.0)  # of gravity, which the robot adds
     law = aj.SetpointController(aj.PositionTask(belief), gravity=rest)
     controller = aj.TorqueLimited(law, driver.limits)
-    return aj.control(driver, controller, away(driver.read().x, seed), DURATION)
+    return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **PATIENT)
 
 
 def reach_by_camera(robot, seed=0):
@@ -39,7 +40,9 @@ def reach_by_camera(robot, seed=0):
     lags = Latency(torque_delay=1e-3, image_period=1.0 / LATE["rate"], image_age=LATE["late"])
     law = aj.SetpointController(aj.PositionTask(belief), gravity=rest, latency=lags)
     controller = aj.TorqueLimited(law, driver.limits)
-    return aj.control(driver, controller, away(tip(robot, driver.read().q), seed), DURATION)
+    return aj.control(
+        driver, controller, away(tip(robot, driver.read().q), seed), DURATION, **PATIENT
+    )
 
 
 def circle(robot, seed=0):
@@ -63,7 +66,9 @@ def circle_by_velocities(robot, seed=0):
     task = aj.PositionTask(robot.arm.with_object(0.0))
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=LATE["noise"])
     controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
-    return aj.control(driver, controller, around(tip(robot, driver.read().q), seed), DURATION)
+    return aj.control(
+        driver, controller, around(tip(robot, driver.read().q), seed), DURATION, **PATIENT
+    )
 
 
 def reach_by_velocities(robot, seed=0):
@@ -72,7 +77,7 @@ def reach_by_velocities(robot, seed=0):
     task = aj.PositionTask(robot.arm.with_object(0.0))
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
     controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
-    return aj.control(driver, controller, away(driver.read().x, seed), DURATION)
+    return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **PATIENT)
 
 
 KINDS = reach, reach_by_camera, circle, reach_by_velocities, circle_by_velocities
@@ -98,7 +103,7 @@ def tip(robot, q):
 
 def errors(robot, run):
     """Return how far the true tip is from the target until it is brought to rest [m]."""
-    n = np.searchsorted(run.t, DURATION)
+    n = np.searchsorted(run.t, DURATION, **PATIENT)
     return np.linalg.norm([tip(robot, q) for q in run.q[:n]] - run.x_d[:n], axis=1)
 
 

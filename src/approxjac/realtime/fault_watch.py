@@ -120,7 +120,9 @@ class FaultWatch:
     def sent(self, command: Array, reference: Array | None) -> None:
         """Take note of what was sent, and of the joint velocity it is to lead to, both (n_v,)."""
         self._command = command
-        self._asked = command if self._commands_velocity or reference is None else reference
+        if self._commands_velocity:
+            reference = command
+        self._asked = np.zeros_like(command) if reference is None else reference
 
     def _unanswered(self, same: Array) -> bool:
         """Return whether a joint stands still under a command that must move it."""

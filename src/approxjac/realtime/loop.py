@@ -176,6 +176,8 @@ class RobotLoop(Loop):
 
     def record(self) -> Record:
         """Return what was recorded, with each of the last periods."""
+        if self.step == 0:  # nothing could be sent: the instant before it
+            self._keep()
         while self._tail:
             self._evict(last=True)
         return self._record
