@@ -103,7 +103,7 @@ def tip(robot, q):
 
 def errors(robot, run):
     """Return how far the true tip is from the target until it is brought to rest [m]."""
-    n = np.searchsorted(run.t, DURATION, **PATIENT)
+    n = np.searchsorted(run.t, DURATION)
     return np.linalg.norm([tip(robot, q) for q in run.q[:n]] - run.x_d[:n], axis=1)
 
 
