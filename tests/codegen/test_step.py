@@ -20,7 +20,7 @@ from approxjac.controllers import (
     Posture,
     RegressorGravity,
 )
-from approxjac.errors import MeasurementError, MissingPackageError
+from approxjac.errors import InvalidInputError, MeasurementError, MissingPackageError
 from approxjac.law import Sine, Tanh, theta_hat_rate
 from approxjac.robots import GravityRegressor
 from approxjac.simulation.sampled_loop import SampledLoop
@@ -312,13 +312,32 @@ def test_what_is_not_usual_is_answered_as_in_numpy(rng):
     }
 
 
-def test_a_target_that_moves_is_answered_as_in_numpy(panda, rng, asked):
-    plain, ours = pair(aj.PositionTask(panda))
+@pytest.mark.parametrize("is_limited", [False, True])
+def test_a_target_that_moves_is_a_usual_step(panda, rng, asked, is_limited):
+    plain, ours = pair(aj.PositionTask(panda), gravity=learning(panda))
     measurement, target = measured(plain.task, rng, 0.01, BENT)
-    moving = aj.Target(target, np.array([0.1, 0.0, 0.2]))
-    expected = plain.evaluate(np.zeros(0), measurement, moving)
-    assert_same(ours.evaluate(np.zeros(0), measurement, moving), expected)
-    assert len(asked) == 1
+    if is_limited:
+        plain = aj.TorqueLimited(plain, aj.Limits(effort=panda.effort_limits))
+        ours = compiled(plain)
+    state = plain.initial_state(measurement)
+    for moving in (
+        aj.Target(target, np.array([0.1, 0.0, 0.2])),
+        aj.Target(target, np.array([0.1, 0.0, 0.2]), np.array([0.0, 1.0, 0.0])),
+        aj.Target(target),
+    ):
+        expected_after, expected = plain.step(state, measurement, moving, 1e-3)
+        asked.clear()
+        after, answer = ours.step(state, measurement, moving, 1e-3)
+        assert asked == []
+        assert_same(answer, expected)
+        assert_allclose(after, expected_after, rtol=1e-12, atol=1e-12)
+        if expected.reference is None:
+            assert answer.reference is None
+        else:
+            assert_allclose(answer.reference, expected.reference, rtol=0, atol=1e-12)
+    wrong = aj.Target(target, np.zeros(2))
+    with pytest.raises(InvalidInputError, match="v of the target"):
+        ours.step(state, measurement, wrong, 1e-3)
 
 
 def test_parts_of_an_image_that_are_lost_and_quaternions_that_are_none(panda, rng):

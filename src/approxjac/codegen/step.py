@@ -25,8 +25,8 @@ _ROUND_OFF = 1e-12
 _OK = float(setpoint.STATUSES.index(Status.OK))
 
 
-def step_program(controller: Controller, *, may_lose: bool) -> Program:
-    """Return the program of one evaluation of a law with its limits, for a target at rest.
+def step_program(controller: Controller, *, may_lose: bool, moves: bool = False) -> Program:
+    """Return the program of one evaluation of a law with its limits.
 
     What is kept are its arguments "q", "v", "x", "target" and "state", and its answer "torque",
     "rate" (the law's own), "e", "gravity", "J_hat", "status" (its place in `setpoint.STATUSES`),
@@ -36,6 +36,8 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     Args:
         controller: A controller that `limits.require_covered` takes.
         may_lose: Whether x may be lost.
+        moves: Whether the target may move: an argument "target_v" more, and "reference" in the
+            answer.
     """
     inside = limits.law_of(controller)
     task, robot = inside.task, inside.task.robot
@@ -44,9 +46,11 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
     q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
     x, target = program.kept("x", task.n_x), program.kept("target", task.n_x)
     state = program.kept("state", setpoint.n_state(inside))
-    answer = setpoint.answer(inside, arm.at(q), q, v, x, target, state, may_lose=may_lose)
+    v_d = program.kept("target_v", task.m) if moves else None
+    answer = setpoint.answer(inside, arm.at(q), q, v, x, target, state, may_lose=may_lose, v_d=v_d)
     within = limits.limited(controller, answer, v)
-    numbers = (q, v, x, target, state, answer.e, answer.torque, answer.rate)
+    numbers = [q, v, x, target, state, answer.e, answer.torque, answer.rate]
+    numbers += [] if v_d is None else [v_d]
     size = sum(((each * each).sum() for each in numbers), 0.0)
     usual = (answer.status == _OK) & (size < HUGE**2)
     for joint in list(robot.model.joints)[1:]:
@@ -60,6 +64,8 @@ def step_program(controller: Controller, *, may_lose: bool) -> Program:
         "slack": within.slack, "left": select(answer.left, 1.0, 0.0),
         "usual": select(usual, 1.0, 0.0),
     }  # fmt: skip
+    if moves:
+        found["reference"] = answer.reference
     for name, value in found.items():
         program.kept(name, symbols(value).size)
     program.step(found)
@@ -70,9 +76,8 @@ def compiled(controller: Controller) -> Any:
     """Return a controller that computes the same to rounding, with its usual steps as machine code.
 
     A usual step is one whose status is OK. Whatever is not (x is lost, Ĵ near a singular pose,
-    torques beyond the limits where gravity is learnt, a target that moves, wrong arguments) is left
-    to the controller as it is, from the beginning. Of law T targets move; what is left is what is
-    not `OK`, and its kinematics learn from frames in Python.
+    torques beyond the limits where gravity is learnt, wrong arguments) is left to the controller
+    as it is, from the beginning. Kinematics of law T learn from frames in Python.
 
     It needs llvmlite (`pip install 'approxjac[fast]'`), and some tenths of a second to be built. A
     copy of it, as another process gets, is built again.
@@ -140,19 +145,19 @@ class _MachineCode:
         usually: Any = super()
         ordinary: Any = getattr(usually, "evaluate", None)
         ordinary_step: Any = usually.step
-        program = step_program(controller, may_lose=False)
+        program = step_program(controller, may_lose=False, moves=True)
         buffer = np.zeros((1, program.n_rows, 1))
         flat = buffer[0, :, 0]
         run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
-        q_in, v_in, x_in, target_in, state_in = (
-            flat[place[name]] for name in ("q", "v", "x", "target", "state")
+        q_in, v_in, x_in, target_in, state_in, rate_in = (
+            flat[place[name]] for name in ("q", "v", "x", "target", "state", "target_v")
         )
         first = place["torque"].start
         answered = flat[first:]
-        torque_at, rate_at, e_at, gravity_at, J_at = (
+        torque_at, rate_at, e_at, gravity_at, J_at, reference_at = (
             slice(place[name].start - first, place[name].stop - first)
-            for name in ("torque", "rate", "e", "gravity", "J_hat")
+            for name in ("torque", "rate", "e", "gravity", "J_hat", "reference")
         )
         usual_at, limit_at, slack_at = (
             place[name].start - first for name in ("usual", "limit_status", "slack")
@@ -164,20 +169,26 @@ class _MachineCode:
         learns = unlimited, LimitStatus.FREE, LimitStatus.PROOF_KEPT
         statuses = {float(each): each for each in LimitStatus}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
-        ok = Status.OK
+        ok, m = Status.OK, (inside.task.m,)
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             """Return the answer of a usual step, or None."""
             try:
                 _, q, v, x, _ = measurement
+                x_d, v_d = (target, None) if type(target) is array else target[:2]
                 if (
-                    (q.shape, v.shape, x.shape, target.shape, state.shape) == shapes  # type: ignore[union-attr]
+                    (q.shape, v.shape, x.shape, x_d.shape, state.shape) == shapes
                     and q.dtype is v.dtype is x.dtype is float64
-                    and target.dtype is state.dtype is float64  # type: ignore[union-attr]
+                    and x_d.dtype is state.dtype is float64
                     # what a mask hides is not measured
-                    and type(q) is type(v) is type(x) is type(target) is type(state) is array
+                    and type(q) is type(v) is type(x) is type(x_d) is type(state) is array
+                    and (
+                        v_d is None
+                        or (type(v_d) is array and v_d.shape == m and v_d.dtype is float64)
+                    )
                 ):
-                    q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, target
+                    q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, x_d
+                    rate_in[:] = 0.0 if v_d is None else v_d
                     rate = no_rate
                     if state.size:
                         state_in[:] = state
@@ -192,7 +203,8 @@ class _MachineCode:
                             slack = math.nan if status is limited else float(found[slack_at])
                         return made(Evaluation, (
                             found[torque_at], rate, ok, found[e_at], found[J_at].reshape(J_shape),
-                            found[gravity_at], status, slack, None,
+                            found[gravity_at], status, slack,
+                            None if v_d is None else found[reference_at],
                         ))  # fmt: skip
             except (AttributeError, TypeError, ValueError):
                 pass

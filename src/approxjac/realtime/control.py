@@ -129,6 +129,7 @@ def control(
         as_integer("priority", priority, 1)
     brake, signals = Brake(driver), StopSignals()
     with ExitStack() as held:
+        held.enter_context(signals)  # a signal that comes while this begins is looked at, too
         held.callback(brake.close)  # whatever happens from here on
         first = require_at_rest(driver, task)
         loop = RobotLoop(
@@ -139,7 +140,6 @@ def control(
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
         watched = held.enter_context(Onlooker(loop, observer))
-        held.enter_context(signals)
         held.enter_context(undisturbed(cpu, priority))
         error: BaseException | None = None
         watchdog = Watchdog(brake, _HANGS * late)
