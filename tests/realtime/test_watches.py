@@ -1,0 +1,243 @@
+"""Measurements held against each other: what is sound raises no alarm, what is broken does."""
+
+import math
+
+import faults as study
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import approxjac as aj
+from approxjac.realtime import Accuracy, Fault
+from approxjac.realtime.fault_watch import FaultWatch
+from approxjac.realtime.sensor_watch import SensorWatch
+
+DT = 1e-3
+PANDA = aj.load_robot("panda")
+TRUTH = PANDA.with_object(0.2, 0.5, axis="x")
+START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+
+
+def motion(t, size=0.3, rate=2.0):
+    """A smooth motion of all joints: q and q̇."""
+    phases = np.arange(7)
+    return (
+        START + size * (np.sin(rate * t + phases) - np.sin(phases)),
+        size * rate * np.cos(rate * t + phases),
+    )
+
+
+def watched(change=None, seconds=0.6, noise=0.0, dt=DT, accuracy=None, sent=None):
+    """The first fault that a watch finds in the motion, as `change` alters it, and when."""
+    accuracy = accuracy or Accuracy(q=1e-5, v=1e-3)
+    watch = FaultWatch(PANDA, dt, accuracy, PANDA.velocity_limits, 0.02, False)
+    rng = np.random.default_rng(0)
+    for k in range(round(seconds / dt)):
+        t = k * dt
+        q, v = motion(t)
+        q = q + noise * 1e-5 * rng.standard_normal(7)
+        v = v + noise * 1e-3 * rng.standard_normal(7)
+        m = aj.Measurement(t, q, v, np.zeros(3))
+        m = m if change is None else change(m)
+        fault = watch.look(m, 10.0 + t)
+        if fault is not None:
+            return fault, t
+        watch.sent(np.zeros(7) if sent is None else sent(t), None)
+    return None, seconds
+
+
+def from_then(broken, at=0.2):
+    """Change a measurement from an instant on; `broken` gets the last sound one, too."""
+    kept = []
+
+    def change(m):
+        if m.t < at:
+            kept[:] = [m]
+            return m
+        return broken(m, kept[0])
+
+    return change
+
+
+def entry(array, k, value):
+    changed = array.copy()
+    changed[k] = value
+    return changed
+
+
+BROKEN = {
+    "dead encoder": (
+        lambda m, old: m._replace(q=entry(m.q, 3, old.q[3]), v=entry(m.v, 3, 0.0)),
+        {Fault.VELOCITY_JUMPED, Fault.ENCODER_FROZEN},
+    ),
+    "dead encoder, live tachometer": (
+        lambda m, old: m._replace(q=entry(m.q, 3, old.q[3])), {Fault.VELOCITY_DISAGREES},
+    ),
+    "dead tachometer": (
+        lambda m, old: m._replace(v=entry(m.v, 0, 0.0)),
+        {Fault.VELOCITY_JUMPED, Fault.VELOCITY_DISAGREES},
+    ),
+    "jump": (lambda m, old: m._replace(q=entry(m.q, 2, m.q[2] + 0.02)), {Fault.POSITION_JUMPED}),
+    "sign": (
+        lambda m, old: m._replace(v=-m.v), {Fault.VELOCITY_JUMPED, Fault.VELOCITY_DISAGREES},
+    ),
+    "degrees": (
+        lambda m, old: m._replace(v=np.degrees(m.v)),
+        {Fault.VELOCITY_JUMPED, Fault.VELOCITY_DISAGREES},
+    ),
+    "NaN": (lambda m, old: m._replace(q=entry(m.q, 5, math.nan)), {Fault.JOINTS_UNKNOWN}),
+    "old state": (lambda m, old: old, {Fault.CLOCK_STOOD_STILL}),
+    "clock jumps": (lambda m, old: m._replace(t=m.t + 0.5), {Fault.CLOCK_JUMPED}),
+    "clock goes back": (lambda m, old: m._replace(t=m.t - 0.1), {Fault.CLOCK_JUMPED}),
+    "too fast": (
+        lambda m, old: m._replace(
+            q=old.q + 3.0 * (m.t - old.t) ** 2 * np.ones(7) * 3.0,
+            v=18.0 * (m.t - old.t) * np.ones(7),
+        ),
+        {Fault.TOO_FAST, Fault.VELOCITY_DISAGREES, Fault.VELOCITY_JUMPED},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_what_is_broken_is_found_within_20_ms(what):
+    broken, faults = BROKEN[what]
+    fault, t = watched(from_then(broken))
+    assert fault in faults
+    assert 0.2 <= t <= (0.4 if what == "too fast" else 0.22)
+
+
+def test_an_arm_that_runs_faster_than_its_clock_is_found():
+    fault, t = watched(lambda m: m._replace(t=m.t / 1.33))
+    assert fault is Fault.VELOCITY_DISAGREES
+    assert t < 0.1
+
+
+def test_a_joint_that_does_not_answer_its_torque_is_found():
+    def stands(m):
+        return m._replace(q=entry(m.q, 1, START[1]), v=entry(m.v, 1, 0.0))
+
+    assert watched(stands)[0] is None  # it may stand still
+    pushed = PANDA.effort_limits * (np.arange(7) == 1)
+    fault, t = watched(stands, sent=lambda t: min(t, 0.2) * pushed)
+    assert fault is Fault.COMMAND_UNANSWERED
+    assert 0.09 < t < 0.12  # a tenth of its largest torque
+
+
+def test_speed_that_grows_and_grows_is_found():
+    fault, t = watched(
+        lambda m: m._replace(
+            q=START + 1e-3 * (math.exp(m.t / 0.06) - 1.0) * np.ones(7),
+            v=1e-3 / 0.06 * math.exp(m.t / 0.06) * np.ones(7),
+        )
+    )
+    assert fault in (Fault.SPEED_GREW, Fault.VELOCITY_JUMPED)
+    assert 1e-3 / 0.06 * math.exp(t / 0.06) < 0.6 * PANDA.velocity_limits.max()
+
+
+@given(
+    size=st.floats(0.0, 0.5), rate=st.floats(0.1, 3.0), noise=st.floats(0.0, 1.0),
+    missed=st.integers(0, 3), quantum=st.sampled_from([0.0, 1e-5]),
+)  # fmt: skip
+def test_sound_measurements_raise_no_alarm(size, rate, noise, missed, quantum):
+    def sound(m):
+        if 0.1 < m.t < 0.1 + missed * DT:
+            return m._replace(q=np.full(7, math.nan))
+        q, v = motion(m.t, size, rate)
+        q = q + (m.q - motion(m.t)[0])
+        v = v + (m.v - motion(m.t)[1])
+        return m._replace(q=quantum * np.rint(q / quantum) if quantum else q, v=v)
+
+    assert watched(sound, 0.3, noise) == (None, 0.3)
+
+
+MOVING = np.array([1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # joints that carry the tip along
+
+
+def looked(change, seconds=0.6, rate=60.0, age=0.03, noise=3e-4, **options):
+    """The first fault that the watch over x finds while the joints move, and when."""
+    task, sensor = aj.PositionTask(PANDA.with_object(0.0)), aj.PositionTask(TRUTH)
+    accuracy = Accuracy(q=1e-5, v=1e-3, x=noise, x_period=1.0 / rate)
+    watch = SensorWatch(task, DT, accuracy, np.full(3, 0.01), options.get("is_learnt", False))
+    rng, x, t_x, taken = np.random.default_rng(0), np.full(3, math.nan), 0.0, []
+    for k in range(round(seconds / DT)):
+        t = k * DT
+        q, v = (START + MOVING * (motion(t)[0] - START), MOVING * motion(t)[1])
+        if k % round(1.0 / rate / DT) == 0:
+            seen = sensor.value(q) + noise * rng.standard_normal(3)
+            taken.append((t, change(t, seen)))
+        if taken and t - taken[0][0] >= age:
+            t_x, x = taken.pop(0)
+        fault = watch.look(aj.Measurement(t, q, v, x, t_x))
+        if fault is not None:
+            return fault, t
+    return None, seconds
+
+
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+WRONG = {
+    "metres for millimetres": (lambda t, x: 1e3 * x, {Fault.SENSOR_JUMPED}, 0.1),
+    "turned": (lambda t, x: TURN @ x, {Fault.SENSOR_JUMPED, Fault.SENSOR_DISAGREES}, 0.1),
+    "mirrored": (
+        lambda t, x: x * [1.0, -1.0, 1.0], {Fault.SENSOR_JUMPED, Fault.SENSOR_DISAGREES}, 0.2,
+    ),
+    "jump": (
+        lambda t, x: x + 0.1 * (t > 0.2), {Fault.SENSOR_JUMPED}, 0.26,
+    ),
+    "lost": (lambda t, x: x if t < 0.2 else np.full(3, math.nan), {Fault.BLIND}, 0.27),
+    "frozen": (
+        lambda t, x: x if t < 0.2 else np.array([0.5, 0.0, 0.5]),
+        {Fault.SENSOR_JUMPED, Fault.SENSOR_FROZEN}, 0.3,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_an_x_that_is_wrong_is_found(what):
+    change, faults, latest = WRONG[what]
+    fault, t = looked(change)
+    assert fault in faults
+    assert t <= latest
+
+
+@pytest.mark.parametrize(("rate", "age", "noise"), [(1000.0, 0.0, 3e-4), (60.0, 0.03, 2e-3)])
+def test_a_tool_that_nobody_told_of_raises_no_alarm(rate, age, noise):
+    assert looked(lambda t, x: x, 2.0, rate, age, noise) == (None, 2.0)
+
+
+def test_a_sensor_that_is_learnt_may_be_turned():
+    assert looked(lambda t, x: TURN @ x, is_learnt=True)[0] is None
+    assert looked(lambda t, x: 1e3 * x, is_learnt=True)[0] is Fault.SENSOR_JUMPED
+
+
+@pytest.mark.parametrize(
+    "change", [{"q": -1.0}, {"x_period": 0.0}, {"jacobian": math.nan}, {"tool": -0.1}]
+)
+def test_accuracy_is_checked(change):
+    with pytest.raises(aj.InvalidInputError, match=next(iter(change))):
+        Accuracy(**change)
+
+
+@pytest.mark.parametrize("kind", ["encoder frozen, q̇ fades", "x frozen, with noise", "q̇ held"])
+def test_faults_in_mid_motion_brake_the_arm(kind):
+    outcome = study.break_one(study.Case("panda", kind, 7))
+    assert study.short([outcome]) == []
+    assert study.table([outcome]).count("\n") == 3
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", [k for k in study.KINDS if k not in study.TIMED])
+def test_every_fault_brakes_every_arm(kind):
+    outcomes = [study.break_one(study.Case(arm, kind, 8)) for arm in study.STARTS]
+    assert not any("FALSE" in outcome.fault for outcome in outcomes)
+    if kind not in study.MOTORS:
+        assert study.short(outcomes) == []
+
+
+@pytest.mark.study
+def test_a_clean_run_has_no_fault(monkeypatch):
+    monkeypatch.setattr(study, "HOURS", 60 * 15.0 / 3600.0)
+    outcome = study.clean(study.Case("ur5", "clean", 100))
+    assert outcome.fault == ""
+    assert outcome.after > 14.0
