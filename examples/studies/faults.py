@@ -296,7 +296,7 @@ def clean(case):
     start = np.array(STARTS[case.arm])
     driver = SimulatedDriver(plant, start, pace=math.inf, seed=case.seed)
     goals = plant.sensor.value(start) + rng.uniform(-0.15, 0.15, (20, 3))
-    path = aj.Waypoints(np.vstack([plant.sensor.value(start), goals]), speed=0.15)
+    path = aj.Waypoints(np.vstack([plant.sensor.value(start), goals]), 0.15, 0.5)
     accuracy = Accuracy(
         q=1e-5, v=0.01, x=5e-4, x_period=1.0 / 20.0, velocity_filter=2e-3,
         stiction=0.03 * plant.robot.effort_limits,

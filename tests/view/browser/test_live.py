@@ -181,6 +181,32 @@ def test_the_arm_follows_a_target_moved_in_the_page(panda, open_page, start):
     page.wait_for_selector("text=The run has ended")
 
 
+def test_the_run_of_a_robot_is_shown_and_its_target_moved(panda, open_page):
+    plant, controller, target = parts(panda)
+    limited = aj.TorqueLimited(controller, aj.Limits(effort=panda.effort_limits))
+    driver = aj.realtime.SimulatedDriver(plant, START)
+    live, stop = view.LiveView(patience=30.0), threading.Event()
+    with ThreadPoolExecutor() as pool:
+        running = pool.submit(
+            aj.control, driver, limited, target, 60.0, observer=live, stop=stop, late=5.0
+        )
+        wait_for(lambda: live.url is not None or running.done())
+        page = open_page(live.url)
+        page.wait_for_function("approxjac.state().length > 20")
+        y = last(page, "target")[1] + 0.05
+        field = page.locator("#live-target-y")
+        field.fill(f"{y:.3f}")
+        field.press("Enter")
+        page.wait_for_function(f"Math.abs(approxjac.column('target').at(-1)[1] - {y}) < 2e-3")
+        page.wait_for_timeout(1000)
+        stop.set()
+        run = running.result(20.0)
+    assert run.fault is None
+    assert driver.braked
+    assert abs(run.x_d[-1][1] - y) < 2e-3
+    page.wait_for_selector("text=The run has ended")
+
+
 def test_a_wrong_length_is_changed_while_it_runs(panda, open_page, start):
     live = view.LiveView(believe=believing(panda), patience=30.0)
     running = start(live)
