@@ -6,6 +6,8 @@
 Each tree has processes of its own, so that a first report is one. The last two rows are what one
 call after the other takes for what the conditions are made of, M, J and their gradients, with this
 library's `Dynamics` and tasks, and with Pinocchio alone (n times C, n times dJ/dt).
+
+`--parts` tells what the loop as it runs adds to a report of continuous time.
 """
 
 import argparse
@@ -22,12 +24,18 @@ import turns
 
 import approxjac as aj
 from approxjac.robots import Dynamics
+from approxjac.stability import report as report_module
 from approxjac.stability import stability_map
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.tasks.analysis import jacobian_gradient
 
 POSTURES, ROUNDS = 10_000, 3
 CENTRE = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
+LATENCIES = (
+    aj.Latency(),
+    aj.Latency(image_period=0.034, image_age=0.06),
+    aj.Latency(velocity_filter=2e-4),
+)
 HERE = Path(__file__).parents[2]
 OUT = HERE / "docs" / "tables" / "reports.md"
 
@@ -90,6 +98,33 @@ def measured():
     }
 
 
+def parts():
+    """Print what a report takes, and over one without the form of the loop as it runs."""
+    arm = aj.load_robot("panda").with_gravity((0.0, 0.0, 0.0))
+    errors = aj.Uncertainty(arm, object_length=(0.0, 0.2), object_mass=(0.0, 0.5), object_axis="x")
+    gains, believed = aj.Gains(400.0, 80.0, 5.0), errors.believed_task()
+    controller = aj.SetpointController(believed, gains, gravity=aj.NoGravity(believed.robot))
+    region = aj.JointBox.around(arm, [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], 0.15)
+    form, taken = report_module.sampled_test, []
+
+    def timed(*arguments):
+        start = time.process_time()
+        try:
+            return form(*arguments)
+        finally:
+            taken.append(time.process_time() - start)
+
+    report_module.sampled_test = timed
+    for latency in LATENCIES:
+        for _ in range(2):  # the first imports SciPy
+            whole = seconds(
+                lambda latency=latency: aj.stability_report(
+                    controller, errors, region, latency=latency, configurations=POSTURES
+                )
+            )
+        print(f"{latency!r}: {whole:.2f} s, {whole / (whole - taken[-1]):.2f} times")
+
+
 def of_tree(tree):
     environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
     command = [sys.executable, __file__, "--measure"]
@@ -101,10 +136,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("before", type=Path, nargs="?", help="folder of the older tree")
     parser.add_argument("--measure", action="store_true", help="the tree that is imported, as JSON")
+    parser.add_argument("--parts", action="store_true", help="of a report, instead")
     parser.add_argument("--out", type=Path, default=OUT, help="Markdown file that is written")
     given = parser.parse_args()
     if given.measure:
         print(json.dumps(measured()))
+        return
+    if given.parts:
+        parts()
         return
     trees = [HERE] if given.before is None else [given.before, HERE]
     rounds = [[of_tree(tree) for tree in trees] for _ in range(ROUNDS)]

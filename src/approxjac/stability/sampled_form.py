@@ -19,6 +19,7 @@ from approxjac.stability.samples import Samples
 from approxjac.validation import Array
 
 _HALF = 0.5  # λ where nothing but one damped mass is held, as long as it may be
+_PORTION = 1000  # samples
 _MULTIPLE = 1e-6  # frames of so nearly whole numbers of periods fall on samples
 
 
@@ -194,8 +195,14 @@ class SampledForm(MatrixForm):
         return other
 
     def _turning(self, D_c: Array, dg: Array | None) -> Turning:
-        at, D, kv = self.samples, self._of_samples.D, self.setting.kv
-        filtered, gravity, root = 0.0, 0.0, self._of_samples.root
+        """The largest of all samples, a portion after the other, as caches are small."""
+        rows = [slice(k, k + _PORTION) for k in range(0, len(D_c), _PORTION)]
+        each = [self._turning_of(r, D_c[r], None if dg is None else dg[r]) for r in rows]
+        return Turning(*(max(values) for values in zip(*each, strict=True)))
+
+    def _turning_of(self, rows: slice, D_c: Array, dg: Array | None) -> Turning:
+        at, D, kv = self.samples.take(rows), self._of_samples.D[rows], self.setting.kv
+        filtered, gravity, root = 0.0, 0.0, self._of_samples.root[rows]
         if self.hold.lag and dg is not None:
             gravity = float(np.linalg.norm(root @ dg @ root.mT, 2, axis=(-2, -1)).max())
         if not self.speed:
