@@ -15,14 +15,15 @@ SOURCE = Path(approxjac.__file__).parent
 ALLOWED = {
     "errors": set(),
     "extras": {"errors"},
+    "files": set(),
     "formatting": set(),
     "validation": {"errors"},
     "interface": {"tasks", "validation", "formatting", "errors"},
     "paths": {"interface", "formatting", "validation", "errors"},
-    "robots": {"validation", "errors"},
+    "robots": {"files", "validation", "errors"},
     "law": {"validation", "errors"},
     "codegen": {
-        "simulation", "controllers", "law", "tasks", "robots", "interface", "formatting",
+        "files", "simulation", "controllers", "law", "tasks", "robots", "interface", "formatting",
         "validation", "errors", "extras", "__init__",
     },
     "tasks": {"robots", "formatting", "validation", "errors"},
@@ -30,7 +31,8 @@ ALLOWED = {
         "law", "tasks", "robots", "interface", "formatting", "validation", "errors", "extras",
     },
     "simulation": {
-        "controllers", "law", "tasks", "robots", "interface", "formatting", "validation", "errors",
+        "files", "controllers", "law", "tasks", "robots", "interface", "formatting", "validation",
+        "errors",
         "extras",
     },
     "realtime": {
@@ -38,11 +40,12 @@ ALLOWED = {
         "errors", "extras",
     },
     "stability": {
-        "codegen", "controllers", "simulation", "law", "tasks", "robots", "interface",
+        "files", "codegen", "controllers", "simulation", "law", "tasks", "robots", "interface",
         "formatting", "validation", "errors", "extras",
     },
     "view": {
-        "simulation", "controllers", "law", "tasks", "robots", "interface", "validation", "errors",
+        "files", "simulation", "controllers", "law", "tasks", "robots", "interface", "validation",
+        "errors",
         "extras",
     },
     "paper": {
@@ -50,11 +53,13 @@ ALLOWED = {
         "errors",
     },
     "scenario": {
-        "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "paths",
+        "files", "view", "stability", "controllers", "simulation", "law", "tasks", "robots",
+        "paths",
         "interface", "formatting", "validation", "errors",
     },
     "cli": {
-        "scenario", "paper", "view", "stability", "codegen", "controllers", "simulation", "robots",
+        "files", "scenario", "paper", "view", "stability", "codegen", "controllers", "simulation",
+        "robots",
         "errors", "__init__",
     },
     "__main__": {"cli"},

@@ -11,6 +11,7 @@ import tyro
 
 from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
+from approxjac.files import write_text
 
 
 def paper(
@@ -79,7 +80,7 @@ def paper(
             report.write_result(result, setup, truth, out)
             results.append(result)
     summary = report.summary(results, bound, setup)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_text(out / "summary.json", json.dumps(summary, indent=2) + "\n")
     print(report.table(results, bound))
     print(f"\nPictures, runs and summary.json are in {out}")
     if experiments:

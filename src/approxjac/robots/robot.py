@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.files import write_text
 from approxjac.robots import meshes, urdf_edit
 from approxjac.robots.mimic_joints import MimicJoints
 from approxjac.robots.model import build_model, outward_axis, own_joints
@@ -337,7 +338,7 @@ class Robot(Immutable):
         urdf = self.tree.copy()
         meshes.for_other_tools(urdf, self.urdf_dir, path)
         try:
-            path.write_text(urdf.text, encoding="utf-8")
+            write_text(path, urdf.text)
         except OSError as error:
             raise InvalidInputError(
                 f"path must be a file that can be written, got {path}: {error}", given=path

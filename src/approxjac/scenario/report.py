@@ -17,6 +17,7 @@ from approxjac.controllers import (
     SetpointController,
     TrackingController,
 )
+from approxjac.files import write_text
 from approxjac.formatting import listed
 from approxjac.interface import LimitStatus, Status
 from approxjac.scenario.records import Belief, Object
@@ -53,11 +54,11 @@ def write(result: Result, out: Path) -> None:
     learning = result.built.learning
     if learning is not None:
         learnt = learning.kinematics_learnt(result.run.state[-1])
-        (out / "kinematics.txt").write_text(f"{learnt}\n", encoding="utf-8")
+        write_text(out / "kinematics.txt", f"{learnt}\n")
         save_figure(_draw_kinematics(result.run, learning, learnt), out / "kinematics")
     result.built.scenario.save(out / "scenario.toml")
     summary = json.dumps(result.summary(), indent=2)
-    (out / "summary.json").write_text(summary + "\n", encoding="utf-8")
+    write_text(out / "summary.json", summary + "\n")
 
 
 def text(result: Result) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from approxjac.errors import InvalidInputError
+from approxjac.files import write_text
 from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.records import (
     Belief,
@@ -102,7 +103,7 @@ class Scenario:
 
     def save(self, path: str | Path) -> Path:
         """Write the scenario file that says the same, and return its path."""
-        Path(path).write_text(str(self), encoding="utf-8")
+        write_text(Path(path), str(self))
         return Path(path)
 
     def build(self) -> BuiltScenario:

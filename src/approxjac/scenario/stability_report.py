@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from approxjac.files import write_text
 from approxjac.formatting import joined, percent, plain, short
 from approxjac.scenario.stability import StabilityResult, rollout_options, uncertainty_of
 from approxjac.simulation import Plant
@@ -280,4 +281,4 @@ def write(result: StabilityResult, out: Path) -> None:
     if drawn is not None:
         save_figure(drawn, out / "map")
     result.scenario.save(out / "scenario.toml")
-    (out / "summary.json").write_text(json.dumps(summary(result), indent=2) + "\n", "utf-8")
+    write_text(out / "summary.json", json.dumps(summary(result), indent=2) + "\n")

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from approxjac.errors import InvalidInputError, TrajectoryFileError
+from approxjac.files import replaced
 from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions
@@ -170,7 +171,7 @@ class Trajectory:
         texts["scene"] = None if self.scene is None else self.scene.to_dict()
         try:
             # an open file, because numpy would add a second ending to .NPZ
-            with path.open("wb") as file:
+            with replaced(path) as unfinished, unfinished.open("wb") as file:
                 np.savez_compressed(file, texts=np.array(json.dumps(texts)), **arrays)
         except OSError as error:
             raise TrajectoryFileError(

@@ -8,7 +8,6 @@ import math
 import os
 import pickle
 import threading
-import uuid
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.errors import InvalidInputError
+from approxjac.files import replaced
 from approxjac.stability.rollout_study import COLUMNS, Study
 from approxjac.validation import Array
 
@@ -155,8 +155,6 @@ def _kept_part(
             ) from error
     found = part(study, indices)
     folder.mkdir(parents=True, exist_ok=True)
-    unfinished = file.with_suffix(f".{uuid.uuid4().hex}")
-    with unfinished.open("wb") as kept:
+    with replaced(file) as unfinished, unfinished.open("wb") as kept:
         np.savez(kept, **found)  # type: ignore[arg-type]
-    unfinished.replace(file)  # at once, so that a file that is there is whole
     return found

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import offset_copy
 
 from approxjac.errors import InvalidInputError
+from approxjac.files import replaced
 
 SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Of lines in turn: Okabe and Ito's colours, which people with colour-blindness can tell apart."""
@@ -145,8 +146,10 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
     paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
     try:
         with style():
-            figure.savefig(paths[0], dpi=_DPI)
-            figure.savefig(paths[1], dpi=_DPI, metadata={"Date": None})  # dpi: of what is pixels
+            with replaced(paths[0]) as png:
+                figure.savefig(png, dpi=_DPI)
+            with replaced(paths[1]) as svg:  # dpi: of what is pixels
+                figure.savefig(svg, dpi=_DPI, metadata={"Date": None})
     except OSError as error:
         raise InvalidInputError(
             f"stem must name files that can be written, got {stem}: {error}", given=stem

@@ -16,6 +16,7 @@ from urllib.parse import quote
 import numpy as np
 
 from approxjac.errors import InvalidInputError
+from approxjac.files import write_text
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.validation import Array, require
@@ -52,7 +53,7 @@ def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Pa
     require("path", path, (str, Path), "the name of a file")
     path, text = Path(path), page(run, title)
     try:
-        path.write_text(text, encoding="utf-8")
+        write_text(path, text)
     except (OSError, ValueError) as error:
         raise InvalidInputError(
             f"path must be a file that can be written, got {path}: {error}", given=path
@@ -111,7 +112,7 @@ def write_index(
         parts = {"title": escape(title), "entries": listed}
         parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
         index = folder / "index.html"
-        index.write_text(filled("index.html", parts), encoding="utf-8")
+        write_text(index, filled("index.html", parts))
     except OSError as error:
         raise InvalidInputError(
             f"folder must be one that can be read and written, got {folder}: {error}", given=folder
