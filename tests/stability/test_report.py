@@ -91,7 +91,9 @@ def test_report_says_what_each_test_says(report):
     assert said == "holds"
     assert figures.startswith("margin 0.1")
     # 1 − (0.05/5)^(1/100), as four families and the loop as it runs share the 5 %
-    assert figures.endswith("; violated in none of 100 further ones, at most 4.5 % of all (95 %)")
+    assert figures.endswith(
+        "; 0 of 100 further configurations violate it, so at most 4.5 % of all do (95 % confidence)"
+    )
     assert rows["in continuous time, near targets"][0] == "stable"
     said, figures = rows["as it runs, near targets"]
     assert said == "stable"
@@ -132,9 +134,10 @@ def test_what_was_chosen_is_checked_elsewhere(report):
         # of postures of a random walk no such bound is known, and none is told
         assert math.isnan(replace(test, independent=False).violating_at_most)
     walked = {name: replace(test, independent=False) for name, test in report.matrix.items()}
-    assert "% of all (95 %)" in str(report)
+    assert "(95 % confidence)" in " ".join(str(report).split())
     sampled = replace(report.sampled, independent=False)
-    assert "% of all (95 %)" not in str(replace(report, matrix=walked, sampled=sampled))
+    unbounded = replace(report, matrix=walked, sampled=sampled)
+    assert "(95 % confidence)" not in " ".join(str(unbounded).split())
 
 
 def test_report_repeats_bit_by_bit():
@@ -247,6 +250,10 @@ def test_bad_input_is_named(tools, box, weightless):
         aj.stability_report(controller, tools, box, configurations=3)
     with pytest.raises(aj.InvalidInputError, match="seed must be an integer >= 0, got -1"):
         aj.stability_report(controller, tools, box, seed=-1)
+    with pytest.raises(
+        aj.InvalidInputError, match="no test over a region of a TrackingController, who"
+    ):
+        aj.stability_report(aj.TrackingController(controller.task), tools, box)
     with pytest.raises(aj.InvalidInputError, match="duration must be given with runs"):
         aj.stability_report(controller, weightless, box, configurations=40, duration=5.0)
     with pytest.raises(aj.InvalidInputError, match="runs needs truth to be an Uncertainty"):

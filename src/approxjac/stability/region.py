@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import SetpointController
+from approxjac.controllers import SetpointController, TrackingController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short
 from approxjac.robots import Robot
@@ -310,6 +310,12 @@ class RegularPart(Region):
 
 def require_setpoint(controller: SetpointController) -> None:
     """Refuse anything else, such as a controller that limits it or holds measurements for it."""
+    if isinstance(controller, TrackingController):
+        raise InvalidInputError(
+            "there is no test over a region of a TrackingController, whose Jacobian is learnt; "
+            f"aj.rollouts tells how often it converges, got {controller!r}",
+            given=controller,
+        )
     wanted = "a SetpointController (law_of(controller) is the one inside of its wrappers)"
     require("controller", controller, SetpointController, wanted)
 

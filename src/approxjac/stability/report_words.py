@@ -239,7 +239,7 @@ def _as_it_runs(report: StabilityReport) -> list[Row]:
     said = "holds" if sampled.certified else "does not hold"
     if sampled.certified and report.reason:
         said = "withdrawn"
-    rows = [("as it runs, matrix form", said, f"{_margin(sampled)}; {_FAMILIES[sampled.family]}")]
+    rows = [("as it runs, matrix form", said, f"{_margin(sampled)} ({_FAMILIES[sampled.family]})")]
     if not report.reason:
         rows += [("as it runs, starts", "", _starts(report)), _stays(report)]
     return [*rows, *_longest(report), near]
@@ -251,11 +251,12 @@ def _margin(test: MatrixTest) -> str:
         return "hold and delays are too long for any function of this kind"
     told = f"margin {test.margin:.3g}"
     if test.certified:
-        told += f"; violated in none of {test.checked} further ones"
+        told += f"; 0 of {test.checked} further configurations violate it"
         if test.independent:
-            told += f", at most {100 * test.violating_at_most:.2g} % of all (95 %)"
+            most = 100 * test.violating_at_most
+            told += f", so at most {most:.2g} % of all do (95 % confidence)"
     elif test.margin > 0.0:
-        told += f"; violated in {test.violations} of {test.checked} further ones"
+        told += f"; {test.violations} of {test.checked} further configurations violate it"
     else:
         told += f"; positive in {100 * test.share:.3g} % of the configurations"
     return told
@@ -285,7 +286,7 @@ def _starts(report: StabilityReport) -> str:
     if len(set(units)) == 1:
         each = f"{', '.join(f'{r:.2g}' for r in reach)} {units[0]}"
     return (
-        f"at rest, with errors of at most {each} in one coordinate alone; "
+        f"at rest, with errors of at most {each}, each in its coordinate alone; "
         f"{100.0 * sampled.covered:.3g} % of those drawn"
     )
 
@@ -360,8 +361,8 @@ def _rollouts(found: Rollouts) -> list[Row]:
         (
             "rollouts, converged",
             f"{found.n_converged} of {found.n}",
-            f"to within {study.tolerance:g} {unit} by the last tenth of {study.duration:g} s; of "
-            f"all {percent(low)} to {percent(high)} % do (95 %)",
+            f"to within {study.tolerance:g} {unit} by the last tenth of {study.duration:g} s; "
+            f"{percent(low)} to {percent(high)} % of all do (95 % confidence)",
         ),
         ("rollouts, diverged", f"{found.n_diverged} of {found.n}", ""),
         ("rollouts, left the region", f"{found.n_left} of {found.n}", "without diverging"),
