@@ -10,61 +10,11 @@ import time
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from rehearsal import SLOW, START, Wrapped, driver_of, goal, run
 
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
-
-START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
-SLOW = 2.0  # s: a busy machine is no fault here
-
-
-class Wrapped:
-    """A driver around another one; tests change what they break."""
-
-    def __init__(self, driver):
-        self.driver = driver
-        self.dt, self.command, self.limits = driver.dt, driver.command, driver.limits
-        self.adds_gravity = driver.adds_gravity
-        self.sent, self.brakes = [], 0
-
-    def read(self):
-        return self.driver.read()
-
-    def send(self, command):
-        self.sent.append(command.copy())
-        self.driver.send(command)
-
-    def brake(self):
-        self.brakes += 1
-        self.driver.brake()
-
-
-@pytest.fixture
-def plant(panda):
-    truth = panda.with_object(0.2, 0.5, axis="x")
-    return aj.Plant(truth, aj.PositionTask(truth))
-
-
-@pytest.fixture
-def controller(panda):
-    belief = panda.with_object(0.0)
-    law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
-    return aj.TorqueLimited(law, aj.Limits.of(belief))
-
-
-def driver_of(plant, kind=Wrapped, **options):
-    return kind(SimulatedDriver(plant, START, pace=math.inf, **options))
-
-
-def goal(plant, way=(0.05, -0.05, 0.05)):
-    return plant.sensor.value(START) + way
-
-
-def run(driver, controller, duration=1.0, **options):
-    plant = driver.driver.plant
-    options = {"late": SLOW, **options}
-    return control(driver, controller, goal(plant), duration, **options)
 
 
 def test_it_brings_the_tip_there_and_brakes(plant, controller):
@@ -281,7 +231,7 @@ REFUSED = {
     "blind": "x must be known before the arm moves",
     "clock": "the clock of the driver must go on",
     "period": "must be",
-    "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got (6, 7, 3)",
+    "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got shapes (6,), (7,), (3,)",
     "duration": "duration must be a finite number > 0 [s], got 0.0",
     "driver": "driver must be a Driver",
 }

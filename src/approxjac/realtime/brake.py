@@ -7,12 +7,13 @@ import threading
 import time
 
 from approxjac.realtime.driver import Driver
+from approxjac.validation import Array
 
 _LOOKS = 4  # of the watchdog within the time that it allows
 
 
 class HungError(BaseException):
-    """What interrupts a call that does not come back; no error that a driver could catch."""
+    """What ends a loop that did not come round in time; no error that a driver could catch."""
 
 
 class Brake:
@@ -39,8 +40,14 @@ class Brake:
             self.closed_at = time.perf_counter()
             try:
                 self._driver.brake()
-            except Exception as error:
+            except BaseException as error:  # whatever it is, the watchdog and the loop go on
                 self.error = error
+
+    def send(self, command: Array) -> None:
+        """Send a command; a HungError once the brake is closed, as the watchdog may do."""
+        if self.closed_at is not None:
+            raise HungError
+        self._driver.send(command)
 
 
 class Watchdog:
@@ -80,7 +87,8 @@ class Watchdog:
         self._over.set()
         self._thread.join()  # its alarm would end the process, once nobody waits for it
         if self._is_main:
-            signal.signal(signal.SIGALRM, self._before)
+            # None: no handler of Python's
+            signal.signal(signal.SIGALRM, self._before or signal.SIG_DFL)
 
     def _watch(self) -> None:
         while not self._over.wait(self._longest / _LOOKS):

@@ -86,8 +86,8 @@ def control(
             [unit of the task]; 0.01 m, 0.04 rad and 10 px by default.
         patience: Time for which x may be lost, or limits void the proof, and which a controlled
             stop may take [s].
-        late: Time from command to command that is a fault, by the robot's clock; after twice as
-            long by this machine's the watchdog brakes [s].
+        late: Time from command to command that is a fault, by the robot's clock, longer than a
+            period; after twice as long by this machine's the watchdog brakes [s].
         stop: Brings the arm to rest when another thread sets it.
         observer: Called with a copy of the loop some 30 times a second, in a thread of its own,
             such as `view.LiveView()`.
@@ -120,7 +120,7 @@ def control(
     far = _bounds("astray", astray, task, _ASTRAY)
     hidden = _bounds("unseen", unseen, task, _UNSEEN)
     patience = as_number("patience", patience, unit="s", above=0.0)
-    late = as_number("late", late, unit="s", above=0.0)
+    late = as_number("late", late, unit="s", above=driver.dt)
     stride = max(1, math.ceil(steps / _ROWS))
     if record_every is not None:
         every = as_number("record_every", record_every, unit="s", above=0.0)
@@ -133,10 +133,10 @@ def control(
         held.callback(brake.close)  # whatever happens from here on
         first = require_at_rest(driver, task)
         loop = RobotLoop(
-            driver, plant, controller, wanted, first, steps, stride, accuracy or Accuracy(),
+            driver, brake, plant, controller, wanted, first, steps, stride, accuracy or Accuracy(),
             speeds, far, hidden, _fastest(driver, plant), patience, late, state,
         )  # fmt: skip
-        require_held(driver, loop)
+        require_held(driver, task, loop.measurement.q, loop.answer)
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
         watched = held.enter_context(Onlooker(loop, observer))
@@ -145,12 +145,14 @@ def control(
         watchdog = Watchdog(brake, _HANGS * late)
         try:
             with watchdog:
+                signals.looked_at = True
                 why = _run(loop, steps, watchdog, signals, stop, watched)
         except HungError:
             why = ""
         except Exception as raised:
             error, why = raised, f"{type(raised).__name__}: {raised}"
-        brake.close()
+        finally:  # before threads are waited for
+            brake.close()
         if watchdog.bit:
             loop.fault = Fault.READ_HUNG
         elif error is not None:

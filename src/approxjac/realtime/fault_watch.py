@@ -107,7 +107,7 @@ class FaultWatch:
             self._peak_until = t + _TIME
             return None
         elapsed = t - last.t
-        if not 0.0 <= elapsed <= self._late:
+        if not 0.0 <= elapsed <= self._late + missed * self._dt:
             return Fault.TORQUE_LATE if elapsed > 0.0 and not ahead else Fault.CLOCK_JUMPED
         if elapsed < 0.1 * self._dt:
             self._still += 1
@@ -120,6 +120,8 @@ class FaultWatch:
     def sent(self, command: Array, reference: Array | None) -> None:
         """Take note of what was sent, and of the joint velocity it is to lead to, both (n_v,)."""
         self._command = command
+        if self._count == 0:  # what holds a joint that stood still from the beginning
+            self._held_by = command
         if self._commands_velocity:
             reference = command
         self._asked = np.zeros_like(command) if reference is None else reference
@@ -164,7 +166,8 @@ class FaultWatch:
                     return Fault.VELOCITY_DISAGREES
         # a joint that stops from one period to the next, and then tells the same q again and again
         same = way == 0.0
-        self._halted = (self._halted | (sudden > self._v_stop)) & same
+        moved = np.abs(before) > self._v_noise
+        self._halted = (self._halted | ((sudden > self._v_stop) & moved)) & same
         self._repeats = np.where(self._halted, self._repeats + 1.0, 0.0)
         if (self._repeats >= _REPEATS).any():
             return Fault.ENCODER_FROZEN

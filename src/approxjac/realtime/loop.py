@@ -18,16 +18,19 @@ from approxjac.interface import (
     TargetPath,
 )
 from approxjac.realtime.accuracy import Accuracy
+from approxjac.realtime.brake import Brake
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.easing import Eased, Halt
 from approxjac.realtime.fault_watch import FaultWatch
 from approxjac.realtime.faults import Fault
+from approxjac.realtime.reading import read
 from approxjac.realtime.sensor_watch import SensorWatch
+from approxjac.realtime.start_checks import require_able
 from approxjac.simulation.loop import Loop
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.record import Record, scene_of
 from approxjac.simulation.targets import Wanted, first_state, wanted_of, x_of
-from approxjac.validation import Array
+from approxjac.validation import Array, as_vector
 
 _TAIL = 1000  # periods before the end of which each is recorded
 _HALT = 0.3  # s, within which the target of a controlled stop comes to rest
@@ -42,6 +45,7 @@ class RobotLoop(Loop):
 
     Args:
         driver: The robot.
+        brake: Its brake.
         plant: What is believed of it.
         controller: The controller.
         path: Where the target is.
@@ -65,6 +69,7 @@ class RobotLoop(Loop):
     def __init__(
         self,
         driver: Driver,
+        brake: Brake,
         plant: Plant,
         controller: Controller,
         path: Wanted,
@@ -81,7 +86,7 @@ class RobotLoop(Loop):
         state: Array | None,
     ) -> None:
         super().__init__(plant, controller, path, driver.dt, steps)
-        self._driver, self._speeds, self._astray = driver, speeds, astray
+        self._driver, self._brake, self._speeds, self._astray = driver, brake, speeds, astray
         self._patience, self._unseen = patience, unseen
         task, still = controller.task, np.zeros(controller.task.m)
         self._begun = first.t
@@ -112,25 +117,24 @@ class RobotLoop(Loop):
 
     def advance(self) -> bool:
         """Carry out a period; return whether the run goes on. It never sends after a fault."""
-        measurement = self._timed(self._driver.read())
+        measurement = self._timed(read(self._driver, self.controller.task))
         self._read = time.perf_counter()
         self.measurement = measurement
         fault = self._watch.look(measurement, self._read)
         known = bool(np.isfinite(measurement.q).all() and np.isfinite(measurement.v).all())
         if fault is None and known:
             fault = self._sensor.look(measurement)
-        if fault is not None:
-            self.fault = fault if self.fault is None or not fault.stops else self.fault
-            if not fault.stops:
-                return False
-        if known:
+        self._note(fault)
+        if known and not self._brakes():
             self._look(measurement)
-            if self.fault is not None and not self.fault.stops:
-                return False
-            self._control()
-            self._judge()
+            if not self._brakes():
+                self._control()
+                self.tau = as_vector("the controller's command", self.tau, self.plant.robot.nv)
+                self._judge()
+        if self._brakes():
+            return False
         # without q and q̇ the last command goes out once more, which no limit has to object to
-        self._driver.send(self.tau)
+        self._brake.send(self.tau)
         self._watch.sent(self.tau, self.answer.reference)
         now = time.perf_counter()
         self.gaps[self.step], self.works[self.step] = now - self._sent, now - self._read
@@ -162,13 +166,14 @@ class RobotLoop(Loop):
         path = wanted_of(self.plant.sensor, target, now)
         if self.halting:
             return
-        self.path = path
         still = np.zeros(self.controller.task.m)
         velocity = still if aims.v is None else aims.v
         self._eased = Eased(self.controller.task, path, now, self.target, velocity, self._speeds)
+        self.path = path
 
     def exchange(self, controller: Controller) -> None:
         """Let another controller go on, from the next step on."""
+        require_able(self._driver, controller)
         super().exchange(controller)
         self._sensor = SensorWatch(
             controller.task, self.dt, self._accuracy, self._unseen, self._is_learnt
@@ -176,7 +181,7 @@ class RobotLoop(Loop):
 
     def record(self) -> Record:
         """Return what was recorded, with each of the last periods."""
-        if self.step == 0:  # nothing could be sent: the instant before it
+        if not self._tail:  # nothing was known: the instant before it
             self._keep()
         while self._tail:
             self._evict(last=True)
@@ -209,7 +214,7 @@ class RobotLoop(Loop):
             return
         error = task.error(x, self.target)
         if (np.abs(error) > self._astray).any():
-            self.fault = self.fault or Fault.ASTRAY
+            self._note(Fault.ASTRAY)
         if self.halting:
             way = float(np.linalg.norm(task.error(x, self._stopped_at)))
             self.stop_distance = max(self.stop_distance, way)
@@ -221,22 +226,29 @@ class RobotLoop(Loop):
             fastest = np.abs(asked)
             self._asked = np.maximum(_FADES * self._asked, 2.0 * fastest + fastest.max())
             if (np.abs(self.measurement.v) > self._asked + _FASTER * self._fastest).any():
-                self.fault = self.fault or Fault.TOO_FAST
+                self._note(Fault.TOO_FAST)
         lost = self.answer.status in _LOST
         self._lost = self._lost + 1 if lost else 0
         self._blind = self._blind or lost
         voids = self.answer.limit_status >= LimitStatus.PROOF_GIVEN_UP
         voids &= self.answer.limit_status is not LimitStatus.EXCEEDED
         self._limited = self._limited + 1 if voids else 0
-        if self._lost * self.dt > self._patience or (lost and self.halting):
-            self.fault = self.fault or Fault.BLIND
+        if self._lost * self.dt > self._patience:
+            self._note(Fault.BLIND)
         elif self._limited * self.dt > self._patience:
-            self.fault = self.fault or Fault.LIMITS
+            self._note(Fault.LIMITS)
+
+    def _note(self, fault: Fault | None) -> None:
+        """Keep the first fault, or the first at which the robot brakes at once."""
+        if self.fault is None or (fault is not None and self.fault.stops and not fault.stops):
+            self.fault = fault
+
+    def _brakes(self) -> bool:
+        """Return whether there is a fault at which the robot brakes at once."""
+        return self.fault is not None and not self.fault.stops
 
     def _rests(self) -> bool:
         """Return whether the run is over: at rest after a stop, or with no time left for it."""
-        if self.fault is not None and not self.fault.stops:
-            return True
         if not self.halting:
             return False
         self._halted += 1

@@ -5,11 +5,11 @@ from __future__ import annotations
 import copy
 import queue
 import threading
+import time
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from approxjac.errors import ApproxJacError
 from approxjac.realtime.loop import RobotLoop
 from approxjac.simulation.loop import Loop
 from approxjac.simulation.simulate import Observer
@@ -42,7 +42,9 @@ class Onlooker:
                 target=self._show, name="approxjac observer", daemon=True
             )
             self._thread.start()
-            self._ready.wait(_PATIENCE)
+            end = time.perf_counter() + _PATIENCE
+            while not self._ready.wait(_PERIOD) and time.perf_counter() < end:
+                self.serve()  # its first call may ask for something, too
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -59,7 +61,7 @@ class Onlooker:
             try:
                 wish(*arguments)
                 answer.set_result(None)
-            except ApproxJacError as error:
+            except Exception as error:  # the observer's to deal with
                 answer.set_exception(error)
 
     def ask(self, wish: Any, *arguments: Any) -> None:

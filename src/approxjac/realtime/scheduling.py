@@ -5,12 +5,16 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from approxjac.errors import InvalidInputError
 
 _SWITCH = 2e-4  # s, between the interpreter's threads; 5 ms by default, many periods
+_lock = threading.Lock()
+_loops = 0  # that run now: the interpreter is common to the threads of several arms
+_usual = (0.0, True, 0)
 
 
 @contextmanager
@@ -24,23 +28,44 @@ def undisturbed(cpu: int | None, priority: int | None) -> Iterator[None]:
     Raises:
         InvalidInputError: A processor that is not there, or a priority that the system refuses.
     """
-    switch, collects = sys.getswitchinterval(), gc.isenabled()
     before = _set(cpu, priority)
-    gc.collect()
-    gc.freeze()  # what is there now is looked through no more
-    gc.disable()
-    sys.setswitchinterval(_SWITCH)
+    _hush()
     try:
         yield
     finally:
-        sys.setswitchinterval(switch)
-        gc.unfreeze()
-        if collects:
-            gc.enable()
+        _unhush()
         if before is not None:
             affinity, policy, parameters = before
             os.sched_setscheduler(0, policy, parameters)
             os.sched_setaffinity(0, affinity)
+
+
+def _hush() -> None:
+    """Quieten the interpreter, unless another loop's thread has done it."""
+    global _loops, _usual
+    with _lock:
+        if _loops == 0:
+            _usual = sys.getswitchinterval(), gc.isenabled(), gc.get_freeze_count()
+            gc.collect()
+            gc.freeze()  # what is there now is looked through no more
+            gc.disable()
+            sys.setswitchinterval(_SWITCH)
+        _loops += 1
+
+
+def _unhush() -> None:
+    """Put back what was before, once no loop is left."""
+    global _loops
+    with _lock:
+        _loops -= 1
+        if _loops:
+            return
+        switch, collects, frozen = _usual
+        sys.setswitchinterval(switch)
+        if not frozen:  # by somebody else, too
+            gc.unfreeze()
+        if collects:
+            gc.enable()
 
 
 def _set(cpu: int | None, priority: int | None) -> tuple[set[int], int, os.sched_param] | None:

@@ -80,6 +80,7 @@ class SensorWatch:
         self._frames: deque[_Frame] = deque(maxlen=round(1.2 * _SPANS[-1] / _APART))
         self._last: _Frame | None = None
         self._seen = -math.inf
+        self._q_seen: Array | None = None  # in the last period in which there was an x
 
     def look(self, measurement: Measurement) -> Fault | None:
         """Return what is wrong with x, or None. q and q̇ are taken for right."""
@@ -90,7 +91,8 @@ class SensorWatch:
         self._count += 1
         last = self._last
         if not math.isfinite(math.hypot(*x.tolist())):
-            return None if last is None else self._lost(q, last)
+            return None if self._q_seen is None else self._lost(q, self._q_seen)
+        self._q_seen = q
         if last is not None and (x == last.x).all():  # repeated, whatever t_x says
             return self._repeated(t, q, last)
         self._seen = t
@@ -177,7 +179,7 @@ class SensorWatch:
         moved = any(a > b for a, b in zip(way, self._noise, strict=True))
         return Fault.SENSOR_FROZEN if moved else None
 
-    def _lost(self, q: Array, last: _Frame) -> Fault | None:
+    def _lost(self, q: Array, seen: Array) -> Fault | None:
         """Return a fault where the tip has moved too far without being seen."""
-        way = self._task.error(self._task.value(q), last.x_hat) / self._unseen
+        way = self._task.error(self._task.value(q), self._task.value(seen)) / self._unseen
         return Fault.BLIND if any(size > 1.0 for size in self._sizes(way)) else None

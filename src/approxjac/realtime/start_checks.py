@@ -7,12 +7,13 @@ import numpy as np
 from approxjac.controllers import ControllerWrapper, TorqueLimited
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
-from approxjac.interface import Controller, LimitStatus, Measurement
+from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
 from approxjac.realtime.driver import Driver
-from approxjac.realtime.loop import RobotLoop
+from approxjac.realtime.reading import read
 from approxjac.robots import Dynamics
 from approxjac.robots.joint_limits import beyond_positions
 from approxjac.tasks import Task
+from approxjac.validation import Array
 
 _READS = 5
 _AT_REST = 0.05  # rad/s or m/s
@@ -49,14 +50,7 @@ def require_at_rest(driver: Driver, task: Task) -> Measurement:
     """Return a first measurement of an arm at rest, within its limits and seen."""
     robot, last, measured = task.robot, -np.inf, None
     for _ in range(_READS):
-        measured = driver.read()
-        sizes = len(measured.q), len(measured.v), len(measured.x)
-        if sizes != (robot.nq, robot.nv, task.n_x):
-            raise InvalidInputError(
-                f"driver must read q, q̇ and x with {robot.nq}, {robot.nv} and {task.n_x} numbers, "
-                f"got {sizes}",
-                given=measured,
-            )
+        measured = read(driver, task)
         if not measured.t > last:
             raise InvalidInputError(
                 f"the clock of the driver must go on, got {measured.t!r} s after {last!r} s",
@@ -81,9 +75,9 @@ def require_at_rest(driver: Driver, task: Task) -> Measurement:
     return measured
 
 
-def require_held(driver: Driver, loop: RobotLoop) -> None:
+def require_held(driver: Driver, task: Task, q: Array, answer: Evaluation) -> None:
     """Refuse to begin where the command does not hold the arm, as it is believed to be."""
-    answer, limits = loop.answer, driver.limits.for_joints(loop.plant.robot.nv)
+    limits = driver.limits.for_joints(task.robot.nv)
     if answer.limit_status in (LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED):
         raise InvalidInputError(
             f"the limits do not hold the arm as it stands: {answer.limit_status.message}",
@@ -94,7 +88,7 @@ def require_held(driver: Driver, loop: RobotLoop) -> None:
     most = np.asarray(limits.effort)
     needed = np.zeros(len(most))
     if not driver.adds_gravity:
-        needed = Dynamics(loop.controller.task.robot).g(loop.measurement.q)
+        needed = Dynamics(task.robot).g(q)
     slack = _HELD * np.where(np.isfinite(most), most, np.abs(needed).max())
     if (np.abs(answer.gravity - needed) > slack).any():
         told = (

@@ -18,10 +18,11 @@ class StopSignals:
     Attributes:
         name: The first signal that came, such as "SIGTERM"; "" before.
         count: How many came.
+        looked_at: Whether somebody looks; else a second one interrupts, once.
     """
 
     def __init__(self) -> None:
-        self.name, self.count = "", 0
+        self.name, self.count, self.looked_at = "", 0, False
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopSignals:
@@ -39,3 +40,5 @@ class StopSignals:
     def _note(self, number: int, _: FrameType | None) -> None:
         self.name = self.name or signal.Signals(number).name
         self.count += 1
+        if self.count == 2 and not self.looked_at:
+            raise KeyboardInterrupt

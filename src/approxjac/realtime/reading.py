@@ -1,0 +1,38 @@
+"""`read`: what a driver read, as arrays of the loop's own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError
+from approxjac.interface import Measurement
+from approxjac.realtime.driver import Driver
+from approxjac.tasks import Task
+from approxjac.validation import Array
+
+
+def read(driver: Driver, task: Task) -> Measurement:
+    """Return the next measurement, copied, as drivers may write to the same arrays each time.
+
+    Raises:
+        InvalidInputError: q, q̇ or x with another number of entries.
+    """
+    t, q, v, x, t_x = driver.read()
+    measured = Measurement(float(t), _numbers(q), _numbers(v), _numbers(x), t_x)
+    robot, sizes = task.robot, (measured.q.shape, measured.v.shape, measured.x.shape)
+    if sizes != ((robot.nq,), (robot.nv,), (task.n_x,)):
+        raise InvalidInputError(
+            f"driver must read q, q̇ and x with {robot.nq}, {robot.nv} and {task.n_x} numbers, "
+            f"got shapes {', '.join(map(str, sizes))}",
+            given=measured,
+        )
+    return measured
+
+
+def _numbers(values: Any) -> Array:
+    """Return a copy; what a mask hides is not measured."""
+    if isinstance(values, np.ma.MaskedArray):
+        values = values.astype(float).filled(np.nan)
+    return np.array(values, dtype=np.float64)
