@@ -34,5 +34,5 @@ def read(driver: Driver, task: Task) -> Measurement:
 def _numbers(values: Any) -> Array:
     """Return a copy; what a mask hides is not measured."""
     if isinstance(values, np.ma.MaskedArray):
-        values = values.astype(float).filled(np.nan)
+        values = np.ma.filled(values.astype(float), np.nan)
     return np.array(values, dtype=np.float64)
