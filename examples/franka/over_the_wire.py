@@ -7,6 +7,7 @@ away, and along a circle. Needs `pip install 'approxjac[franka]'` and what `make
 """
 
 import argparse
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from approxjac.controllers import AdaptiveDynamics, AdaptiveKinematics, Latency
 from approxjac.realtime import FrankaDriver
 
 FAR, DURATION = 0.12, 8.0  # m, s
-PATIENT = {"late": 0.5}  # s: the simulated robot waits as long as this machine is busy elsewhere
+ALONE = {"cpu": min(os.sched_getaffinity(0)), "late": 0.5}  # the simulated robot has the last one
 LATE = {"noise": 1e-3, "rate": 60.0, "late": 0.03}  # of a camera: 1 mm, 60 Hz, 30 ms
 ROTORS = 0.1  # inertia of the drives as the joints feel them [kg m²]
 
@@ -29,7 +30,7 @@ def reach(robot, seed=0):
     rest = aj.AdaptiveGravity(belief, theta0=0.0)  # of gravity, which the robot adds
     law = aj.SetpointController(aj.PositionTask(belief), gravity=rest)
     controller = aj.TorqueLimited(law, driver.limits)
-    return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **PATIENT)
+    return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **ALONE)
 
 
 def reach_by_camera(robot, seed=0):
@@ -41,7 +42,7 @@ def reach_by_camera(robot, seed=0):
     law = aj.SetpointController(aj.PositionTask(belief), gravity=rest, latency=lags)
     controller = aj.TorqueLimited(law, driver.limits)
     return aj.control(
-        driver, controller, away(tip(robot, driver.read().q), seed), DURATION, **PATIENT
+        driver, controller, away(tip(robot, driver.read().q), seed), DURATION, **ALONE
     )
 
 
@@ -54,9 +55,8 @@ def circle(robot, seed=0):
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
     dynamics = AdaptiveDynamics(task.robot, rotor_inertia=ROTORS)
     law = aj.TrackingController(task, kinematics=kinematics, dynamics=dynamics)
-    return aj.control(
-        driver, aj.TorqueLimited(law, driver.limits), around(driver.read().x, seed), DURATION
-    )
+    controller = aj.TorqueLimited(law, driver.limits)
+    return aj.control(driver, controller, around(driver.read().x, seed), DURATION, **ALONE)
 
 
 def circle_by_velocities(robot, seed=0):
@@ -67,7 +67,7 @@ def circle_by_velocities(robot, seed=0):
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=LATE["noise"])
     controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
     return aj.control(
-        driver, controller, around(tip(robot, driver.read().q), seed), DURATION, **PATIENT
+        driver, controller, around(tip(robot, driver.read().q), seed), DURATION, **ALONE
     )
 
 
@@ -77,7 +77,7 @@ def reach_by_velocities(robot, seed=0):
     task = aj.PositionTask(robot.arm.with_object(0.0))
     kinematics = AdaptiveKinematics(task, unknown=("tool", "origins"), noise=1e-4)
     controller = aj.TrackingController(task, kinematics=kinematics, command="velocity")
-    return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **PATIENT)
+    return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **ALONE)
 
 
 KINDS = reach, reach_by_camera, circle, reach_by_velocities, circle_by_velocities
