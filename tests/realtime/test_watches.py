@@ -241,3 +241,53 @@ def test_a_clean_run_has_no_fault(monkeypatch):
     outcome = study.clean(study.Case("ur5", "clean", 100))
     assert outcome.fault == ""
     assert outcome.after > 14.0
+
+
+def test_a_joint_that_its_gravity_holds_still_is_not_unanswering():
+    still = Accuracy(q=1e-4)
+    held = lambda m: m._replace(q=START, v=np.zeros(7))  # noqa: E731
+    sent = lambda t: 0.5 * PANDA.effort_limits  # noqa: E731
+    assert watched(held, accuracy=still, sent=sent)[0] is None
+
+
+def test_coarse_encoders_and_noisy_tachometers_at_rest_are_no_fault():
+    rng = np.random.default_rng(0)
+
+    def rests(m):
+        noise = np.clip(0.01 * rng.standard_normal(7), -0.05, 0.05)
+        return m._replace(q=START, v=noise)
+
+    assert watched(rests, seconds=2.0, accuracy=Accuracy(q=1e-4, v=0.01))[0] is None
+
+
+def test_speed_that_grows_as_the_target_leads_is_no_fault():
+    def fast(m):
+        v = 0.03 * math.exp(m.t / 0.08)
+        return m._replace(q=START + 0.08 * (v - 0.03), v=v * np.ones(7))
+
+    accuracy = Accuracy(q=1e-5, v=1e-3)
+    for leads in (False, True):
+        watch = FaultWatch(PANDA, DT, accuracy, PANDA.velocity_limits, 0.02, False)
+        found = []
+        for k in range(300):
+            m = fast(aj.Measurement(k * DT, START, START, np.zeros(3)))
+            found.append(watch.look(m, 10.0 + m.t))
+            watch.sent(np.zeros(7), m.v if leads else None)
+        assert (Fault.SPEED_GREW in found) is not leads
+
+
+def test_a_lost_frame_of_a_late_camera_is_no_blindness():
+    """50 ms late at 0.2 m/s are 1 cm already, without anything being lost."""
+    task = aj.PositionTask(TRUTH)
+    sight = SensorWatch(task, DT, Accuracy(), np.full(3, 0.01), False)
+    J = task.jacobian(START)
+    v = np.linalg.pinv(J) @ [0.0, 0.2, 0.0]
+    lost = []
+    for k in range(400):
+        t, seen = k * DT, k < 200
+        late = START + max(t - 0.05, 0.0) * v
+        x = task.value(late) if seen else np.full(3, np.nan)
+        fault = sight.look(aj.Measurement(t, START + t * v, v, x, max(t - 0.05, 0.0)))
+        assert fault is (None if k < 245 else fault)
+        lost.append(fault)
+    assert Fault.BLIND in lost[245:260]

@@ -81,7 +81,8 @@ class FaultWatch:
         self._stood = np.zeros(n)
         self._held_by = np.zeros(n)
         self._command = np.zeros(n)
-        self._peaks = [0.0] * (_STEPS + 1)  # of speed, relative to the fastest
+        self._led = np.zeros(n)
+        self._peaks = [0.0] * (_STEPS + 1)  # of speed beyond that, relative to the fastest
         self._peak_until = 0.0
         self._ahead = deque([-math.inf], maxlen=_REMEMBERED)
 
@@ -122,6 +123,8 @@ class FaultWatch:
         self._command = command
         if self._count == 0:  # what holds a joint that stood still from the beginning
             self._held_by = command
+        led = np.zeros(1) if reference is None else np.abs(reference)
+        self._led = led + led.max()  # joints need not share the motion as it is led
         if self._commands_velocity:
             reference = command
         self._asked = np.zeros_like(command) if reference is None else reference
@@ -180,11 +183,10 @@ class FaultWatch:
 
     def _speed(self, t: float, v: Array) -> Fault | None:
         """Look at speeds, and whether they grow like those of a loop that is unstable."""
-        ratio = float(np.max(np.abs(v) / self._fastest))
-        if ratio > 1.0:
+        if (np.abs(v) > self._fastest + self._v_noise).any():
             return Fault.TOO_FAST
         peaks = self._peaks
-        peaks[-1] = max(peaks[-1], ratio)
+        peaks[-1] = max(peaks[-1], float(np.max((np.abs(v) - self._led) / self._fastest)))
         if t < self._peak_until:
             return None
         self._peak_until = t + _TIME

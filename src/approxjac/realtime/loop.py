@@ -36,6 +36,7 @@ _TAIL = 1000  # periods before the end of which each is recorded
 _HALT = 0.3  # s, within which the target of a controlled stop comes to rest
 _AT_REST = 0.05  # rad/s or m/s
 _FASTER = 0.15  # of its largest speed, by which a joint may be faster than it is led to be
+_SLOW = {"rad": 0.4, "m": 0.1}  # per s; or by this, where its largest speed is low
 _FADES = 0.995  # of that a period
 _LOST = (Status.MEASUREMENT_LOST, Status.NOT_PREDICTED)
 
@@ -104,7 +105,9 @@ class RobotLoop(Loop):
         self.fault: Fault | None = None
         self.halting = False
         self._lost = self._limited = self._halted = 0
-        self._blind, self._asked, self._fastest = False, np.zeros(plant.robot.nv), fastest
+        self._blind, self._asked = False, np.zeros(plant.robot.nv)
+        slow = [_SLOW[unit] for unit in plant.robot.joint_units]
+        self._faster = np.maximum(_FASTER * fastest, slow)
         self._sent = self._read = time.perf_counter()
         self.stop_distance = self.stop_bound = np.nan
         self._stopped_at = first.x
@@ -225,7 +228,7 @@ class RobotLoop(Loop):
         if asked is not None:
             fastest = np.abs(asked)
             self._asked = np.maximum(_FADES * self._asked, 2.0 * fastest + fastest.max())
-            if (np.abs(self.measurement.v) > self._asked + _FASTER * self._fastest).any():
+            if (np.abs(self.measurement.v) > self._asked + self._faster).any():
                 self._note(Fault.TOO_FAST)
         lost = self.answer.status in _LOST
         self._lost = self._lost + 1 if lost else 0
