@@ -57,14 +57,16 @@ def test_certified_are_fewer_starts_and_the_limiter_keeps_this_V(report, kept):
     figures = str(kept.limits)
     assert kept.limits.verdict == "V falls"
     assert "errors below 0.066 m never ask for more than the motors have" in figures
-    assert "in steps of status PROOF_KEPT as without limits, if sampled infinitely fast" in figures
+    assert (
+        "in steps of status PROOF_KEPT, if sampled infinitely fast; as it runs nothing" in figures
+    )
 
 
 def test_without_it_nothing_is_proven_where_limits_act(law, arm, tools, box, report):
     limiter = aj.TorqueLimited(law, aj.Limits(effort=0.5 * arm.effort_limits))
     cost = limit_cost(report.loop, limiter, report.samples, report.sampled, False)
     assert cost.verdict == "another V"
-    assert "the limiter keeps another V falling, and nothing told here is proven" in str(cost)
+    assert "another Lyapunov function V falling, so nothing here is proven there" in str(cost)
     limiter = aj.TorqueLimited(law, aj.Limits(effort=0.5 * arm.effort_limits), proof=False)
     cost = limit_cost(report.loop, limiter, report.samples, report.sampled, False)
     assert cost.verdict == "no proof"

@@ -78,7 +78,8 @@ def test_report_says_what_each_test_says(report):
     text = str(report)
     assert text.startswith("certified: yes, margin 0.")
     assert text.splitlines()[0].endswith(", as it runs at 2 kHz")
-    assert "  timing   a period of 0.5 ms, nothing late" in text
+    assert "not proven between them." in text.split("about")[0]
+    assert "  timing   a period of 0.5 ms, no delays" in text
     assert max(map(len, text.splitlines())) <= 100
     rows = {test: (said, figures) for test, said, figures in report.lines()}
     said, figures = rows["in continuous time, Theorem 1"]
@@ -97,7 +98,10 @@ def test_report_says_what_each_test_says(report):
     assert rows["in continuous time, near targets"][0] == "stable"
     said, figures = rows["as it runs, near targets"]
     assert said == "stable"
-    assert figures.startswith("at all of ")
+    assert figures.startswith("at all ")
+    starts = rows["as it runs, starts"][1]
+    assert " m in one coordinate, none in the others; " in starts
+    assert starts.endswith(" % of the starts drawn, half of which are near their target")
 
 
 def test_report_says_what_no_test_knows_of():
@@ -117,13 +121,16 @@ def test_report_says_what_no_test_knows_of():
     assert not {"joint limits", "timing"} & inside.keys()
     wide = aj.JointBox.around(arm, q, [0.1, 0.1, 2.0, 0.1, 0.1, 0.1])
     beyond = rows(wide, late)
-    assert "past those of elbow_joint: " in beyond["joint limits"]
-    assert "rollouts and the linearisation near targets have torques 2 ms late" in beyond["timing"]
+    assert "beyond those of elbow_joint: " in beyond["joint limits"]
+    assert beyond["timing"] == (
+        "in whole periods, rollouts and the linearisation near targets take torques as 2 ms late, "
+        "not 2.4 ms"
+    )
     assert " old" not in beyond["timing"]
     part = aj.stability.RegularPart(wide, tools.believed_task(), 0.01)
-    assert "past those of elbow_joint: " in rows(part, Latency())["joint limits"]
+    assert "beyond those of elbow_joint: " in rows(part, Latency())["joint limits"]
     longer = rows(aj.JointBox.around(arm, q, 0.1), Latency(torque_delay=1e-2))
-    assert longer["timing"].startswith("the linearisation near targets have a period of 2.5 ms")
+    assert "the linearisation near targets take samples of 2.5 ms" in longer["timing"]
 
 
 def test_what_was_chosen_is_checked_elsewhere(report):
@@ -251,7 +258,7 @@ def test_bad_input_is_named(tools, box, weightless):
     with pytest.raises(aj.InvalidInputError, match="seed must be an integer >= 0, got -1"):
         aj.stability_report(controller, tools, box, seed=-1)
     with pytest.raises(
-        aj.InvalidInputError, match="no test over a region of a TrackingController, who"
+        aj.InvalidInputError, match="a TrackingController learns its Jacobian, and no test"
     ):
         aj.stability_report(aj.TrackingController(controller.task), tools, box)
     with pytest.raises(aj.InvalidInputError, match="duration must be given with runs"):

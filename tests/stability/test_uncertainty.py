@@ -348,6 +348,12 @@ def test_a_camera_that_may_be_rolled_any_way_is_not_certified():
     assert report.certified_by is None
     assert report.certified_in_continuous_time is None
     assert "errors grow" in report.reason
+    rows = {name: (said, told) for name, said, told in report.lines()}
+    said, told = rows["in continuous time, near targets"]
+    grow = int((report.local.decay_rates <= 0.0).sum())
+    assert said == "unstable"
+    assert told.startswith(f"errors grow at {grow} of {len(report.local.q)} targets, at worst at ")
+    assert "This is a problem found in the loop" in str(report)
 
 
 def test_true_robots_inside_that_are_worse_than_both_ends_are_found():

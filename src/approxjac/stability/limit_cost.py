@@ -71,14 +71,14 @@ class LimitCost:
         told = "limits of speed, position and rate"
         if self.uncounted:
             told += (
-                ", and the arm's weight, as it is given without gravity: upright it takes some "
-                f"{100.0 * self.uncounted:.2g} % of a motor"
+                ", and the arm's weight, as it is given without gravity: with its base upright "
+                f"that takes up to {100.0 * self.uncounted:.2g} % of a motor's torque"
             )
         return [
             ("torque limits, at rest", "", self._at_rest()),
             *self._certified(),
             ("torque limits, where they act", self.verdict, self._beyond()),
-            ("torque limits, not looked at", "", told),
+            ("torque limits, not checked", "", told),
         ]
 
     def _at_rest(self) -> str:
@@ -87,26 +87,26 @@ class LimitCost:
             return "no error asks for more torque than the motors have"
         sizes = " or ".join(f"{value:.2g} {unit}" for unit, value in ends.items())
         return (
-            f"errors below {sizes} never ask for more than the motors have; larger ones do "
-            f"somewhere, as in {100.0 * self.clipped:.3g} % of the samples"
+            f"errors below {sizes} never ask for more than the motors have; larger ones may: "
+            f"{100.0 * self.clipped:.3g} % of the samples do"
         )
 
     def _certified(self) -> list[tuple[str, str, str]]:
         if not self.level:
             return []
-        told = "only starts whose motions never ask for more than the motors have"
+        told = "only for starts whose motions never ask for more than the motors have"
         return [("torque limits, certified", "", told)]
 
     def _beyond(self) -> str:
         if self.protects:
             return (
-                "in steps of status PROOF_KEPT as without limits, if sampled infinitely fast; as "
-                "it runs nothing is proven there"
+                "in steps of status PROOF_KEPT, if sampled infinitely fast; as it runs nothing is "
+                "proven there"
             )
         if self.proof:
             return (
-                "the limiter keeps another V falling, and nothing told here is proven there; "
-                "TorqueLimited(..., cross_weight=report.cross_weight) keeps this one"
+                "the limiter keeps another Lyapunov function V falling, so nothing here is proven "
+                "there; TorqueLimited(..., cross_weight=report.cross_weight) keeps a certified one"
             )
         return "the limiter clips, and nothing is proven there"
 

@@ -312,8 +312,9 @@ def require_setpoint(controller: SetpointController) -> None:
     """Refuse anything else, such as a controller that limits it or holds measurements for it."""
     if isinstance(controller, TrackingController):
         raise InvalidInputError(
-            "there is no test over a region of a TrackingController, whose Jacobian is learnt; "
-            f"aj.rollouts tells how often it converges, got {controller!r}",
+            "controller must be a SetpointController: a TrackingController learns its Jacobian, "
+            "and no test covers that over a region; use aj.rollouts to see how often it converges; "
+            f"got {controller!r}",
             given=controller,
         )
     wanted = "a SetpointController (law_of(controller) is the one inside of its wrappers)"

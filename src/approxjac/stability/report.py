@@ -138,9 +138,9 @@ class StabilityReport:
             return self.contradiction
         if self.sampled is not None:
             neither = self.sampled.margin <= 0.0 and self.certified_in_continuous_time is None
-            nowhere = "no Lyapunov function was found, nor one for continuous time"
+            nowhere = "no Lyapunov function was found, not even in continuous time"
             return nowhere if neither else self.sampled.reason
-        why = "gravity is learnt, of which there are certificates in continuous time only"
+        why = "with learnt gravity there are certificates in continuous time only"
         return why if self.certified_in_continuous_time else f"{why}, and none was found"
 
     @property
@@ -159,7 +159,7 @@ class StabilityReport:
             share = 100.0 * unstable.mean()
             return f"errors grow at {share:.3g} % of the targets (exact linearisation)"
         if not self.local.stable:
-            return "errors grow at some targets, in continuous time too"
+            return "errors grow at some targets in continuous time"
         if self.rollouts is not None and self.rollouts.n_diverged:
             return f"{self.rollouts.n_diverged} of {self.rollouts.n} rollouts diverged"
         return ""

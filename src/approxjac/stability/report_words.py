@@ -54,8 +54,8 @@ def verdict(report: StabilityReport) -> str:
     if report.passed:
         margin = max(test.margin for test in report.matrix.values())
         return (
-            f"certified: in continuous time only, margin {margin:.2g}; gravity is learnt, and for "
-            f"that there is no certificate of the loop as it runs at {runs}"
+            f"certified: in continuous time only, margin {margin:.2g}; with learnt gravity there "
+            f"is no certificate as it runs at {runs}"
         )
     return f"certified: no, as it runs at {runs}: {report.reason}"
 
@@ -106,20 +106,23 @@ def _block(title: str, rows: list[Row]) -> list[str]:
 
 def _meaning(report: StabilityReport) -> str:
     """What follows from the verdict, in a sentence or two."""
+    runs = report.rollouts
+    left = f" It left the region in {runs.n_left} of {runs.n} rollouts." if runs else ""
     if report.certified_by is not None:
         return (
-            "From the starts told below the error goes to zero, as long as the arm stays in the "
-            "region."
+            "From the starts below, the error goes to zero as long as the arm stays in the region."
+            f"{left} Checked on samples of the region, not proven between them."
         )
     if report.passed:
         return (
-            "If it were sampled infinitely fast, the error would go to zero as long as the arm "
-            "stays in the region. As it runs nothing is proven; nothing seen here speaks against "
-            "it."
+            "Sampled infinitely fast, the error would go to zero as long as the arm stays in the "
+            f"region.{left} As it runs nothing is proven, though no instability was found."
         )
     if report.contradiction:
-        return "The reason is something found about this loop, not only a proof that was not found."
-    return "No proof was found. The loop may still be stable: see near targets, and rollouts."
+        rounded = " Some tests round the delays: see beware." if _counted(report.latency) else ""
+        return f"This is a problem found in the loop, not just a missing proof.{rounded}"
+    where = "near targets and rollouts" if runs else "near targets"
+    return f"No proof was found. The loop may still be stable: see {where}."
 
 
 def _about(report: StabilityReport) -> list[tuple[str, str]]:
@@ -131,20 +134,20 @@ def _about(report: StabilityReport) -> list[tuple[str, str]]:
         late.append(f"joint velocities filtered over {_ms(latency.velocity_filter)}")
     if latency.image_period or latency.image_age:
         every = f"every {_ms(latency.image_period)}, " if latency.image_period else ""
-        late.append(f"x {every}{_ms(latency.image_age)} old")
+        late.append(f"x {every}{_ms(latency.image_age)} old on arrival")
     learns = report.loop.controller.adaptation is not None
     gravity = "gravity is learnt" if learns else "gravity is known exactly"
     paper = report.matrix["paper"]
     return [
         ("law", repr(report.loop.controller)),
-        ("timing", ", ".join([f"a period of {_ms(latency.period)}", *(late or ["nothing late"])])),
+        ("timing", ", ".join([f"a period of {_ms(latency.period)}", *(late or ["no delays"])])),
         ("errors", errors),
         ("region", repr(report.loop.region)),
-        ("assumed", f"{gravity}, friction is viscous, no torque limit and no joint stop in reach"),
+        ("assumed", f"{gravity}, friction is viscous, no torque limit or joint stop is reached"),
         (
             "drawn",
             f"{len(paper.margins)} configurations to choose Lyapunov functions, {paper.checked} "
-            f"others to check them, seed {report.seed}; nothing is proven of those in between",
+            f"others to check them, seed {report.seed}; nothing is proven between them",
         ),
         ("margin", "share of the designed damping left in the worst configuration: above 0 passes"),
     ]
@@ -177,8 +180,8 @@ def _beware(report: StabilityReport) -> list[Row]:
     beyond = _beyond_limits(report)
     if beyond:
         figures = (
-            f"the region reaches past those of {', '.join(beyond)}: the arm stops there, and "
-            "nothing below knows of that"
+            f"the region goes beyond those of {', '.join(beyond)}: the arm would stop there, "
+            "which nothing below accounts for"
         )
         rows.append(("joint limits", "beyond", figures))
     counted = _counted(report.latency)
@@ -214,19 +217,20 @@ def _counted(latency: Latency) -> str:
     }
     if told["rollouts"] == told["the linearisation near targets"]:
         told = {" and ".join(told): told["rollouts"]}
-    found = [f"{who} have {what}" for who, what in told.items() if what]
-    return f"{'; '.join(found)} (whole periods), all else as given" if found else ""
+    found = [f"{who} take {what}" for who, what in told.items() if what]
+    return f"in whole periods, {'; '.join(found)}" if found else ""
 
 
 def _rounded(latency: Latency, dt: float, late: int, age: int) -> str:
     """What time in whole samples of dt [s] makes of a latency; empty where it is the same."""
     times = {"late": (latency.torque_delay, late * dt), "old": (latency.image_age, age * dt)}
-    off = {
-        how: now for how, (given, now) in times.items() if abs(given - now) > _TINY * latency.period
-    }
-    told = [f"{'torques' if how == 'late' else 'x'} {_ms(now)} {how}" for how, now in off.items()]
+    told = [
+        f"{'torques' if how == 'late' else 'x'} as {_ms(now)} {how}, not {_ms(given)}"
+        for how, (given, now) in times.items()
+        if abs(given - now) > _TINY * latency.period
+    ]
     if dt > latency.period * (1.0 + _TINY):
-        told = [f"a period of {_ms(dt)}", *told]
+        told = [f"samples of {_ms(dt)}", *told]
     return ", ".join(told)
 
 
@@ -248,7 +252,7 @@ def _as_it_runs(report: StabilityReport) -> list[Row]:
 def _margin(test: MatrixTest) -> str:
     """The margin of a test, and how far it is to be trusted."""
     if not math.isfinite(test.margin):
-        return "hold and delays are too long for any function of this kind"
+        return "the period and delays are too long for any function of this kind"
     told = f"margin {test.margin:.3g}"
     if test.certified:
         told += f"; 0 of {test.checked} further configurations violate it"
@@ -268,13 +272,19 @@ def _near_targets(report: StabilityReport) -> Row:
     dt, frames, _, _ = report.latency.in_samples()
     if unstable.any():
         told = (
-            f"errors grow at {unstable.sum()} of {len(unstable)} targets, at worst to "
-            f"{worst:.3g} times in {_ms(frames * dt)}"
+            f"errors grow at {unstable.sum()} of {len(unstable)} targets, at worst "
+            f"{worst:.3g}-fold in {_ms(frames * dt)}"
         )
         return "as it runs, near targets", "unstable", told
     decay = -math.log(worst) / (frames * dt) if worst > 0.0 else math.inf
-    told = f"at all of {len(unstable)} targets, the slowest error decays at {decay:.3g}/s"
+    told = f"at all {len(unstable)} targets; slowest decay {decay:.3g}/s{_learnt(report)}"
     return "as it runs, near targets", "stable", told
+
+
+def _learnt(report: StabilityReport) -> str:
+    """What is said of decays where parameters are learnt."""
+    learns = report.loop.controller.adaptation is not None
+    return " (learnt parameters, often slow, included)" if learns else ""
 
 
 def _starts(report: StabilityReport) -> str:
@@ -286,8 +296,8 @@ def _starts(report: StabilityReport) -> str:
     if len(set(units)) == 1:
         each = f"{', '.join(f'{r:.2g}' for r in reach)} {units[0]}"
     return (
-        f"at rest, with errors of at most {each}, each in its coordinate alone; "
-        f"{100.0 * sampled.covered:.3g} % of those drawn"
+        f"at rest, with an error of up to {each} in one coordinate, none in the others; "
+        f"{100.0 * sampled.covered:.3g} % of the starts drawn, half of which are near their target"
     )
 
 
@@ -298,9 +308,9 @@ def _stays(report: StabilityReport) -> Row:
         return name, "assumed", "from no start is it proven that the arm stays in the region"
     unit = "rad" if set(report.loop.plants[0].robot.joint_units) == {"rad"} else "rad or m"
     told = (
-        f"proven from rest within {found.radius:.2g} {unit} of the region's middle in every joint, "
-        f"to targets as near (errors of up to {found.error:.2g} "
-        f"{report.loop.controller.task.units[0]}); assumed from elsewhere"
+        f"holds from rest if start and target are within {found.radius:.2g} {unit} of the "
+        f"region's middle in every joint (errors of up to {found.error:.2g} "
+        f"{report.loop.controller.task.units[0]}); assumed elsewhere"
     )
     return name, "in part", told
 
@@ -308,13 +318,14 @@ def _stays(report: StabilityReport) -> Row:
 def _longest(report: StabilityReport) -> list[Row]:
     """Rows about how much slower and later the loop may be."""
     certified, exact = report.largest_period
-    told = f"near targets stable up to {_ms(exact)}" if exact else "near targets never stable"
+    told = f"stable near targets {f'up to {_ms(exact)}' if exact else 'at no period tried'}"
     if not certified:
-        return [("as it runs, longest period", "", f"{told}; this function passes at none")]
-    passes = f"this function passes up to {_ms(certified)}, with no margin left there"
+        return [("as it runs, longest period", "", f"{told}; the function found passes at none")]
+    passes = f"the function found passes up to {_ms(certified)}, all else the same (margin 0 there)"
     rows = [("as it runs, longest period", "", f"{passes}; {told}")]
-    delay = report.largest_delay
-    late = f"this function passes up to {_ms(delay)}" if delay else "this function bears none"
+    delay, given = report.largest_delay, report.latency.torque_delay
+    late = f"the function found passes {f'up to {_ms(delay)}' if delay else 'at none'}"
+    late += ", all else the same" + (f"; here it is {_ms(given)}" if given else "")
     return [*rows, ("as it runs, longest delay of torques", "", late)]
 
 
@@ -332,13 +343,15 @@ def _in_continuous_time(report: StabilityReport) -> list[Row]:
         said = passed if test.certified else "does not hold"
         rows.append((f"in continuous time, {_FAMILIES[family]}", said, _margin(test)))
     local = report.local
-    learns = report.loop.controller.adaptation is not None
-    learnt = " (learnt parameters, often slow, included)" if learns else ""
+    decays, slowest = local.decay_rates, local.decay_rates.min()
+    said = "stable" if local.stable else "unstable"
     figures = (
-        f"at {100 * local.share:.4g} % of {len(local.q)} configurations; slowest decay "
-        f"{local.decay_rates.min():.3g}/s{learnt}, damping ratio {local.damping_ratios.min():.2g}"
+        f"at all {len(decays)} targets; slowest decay {slowest:.3g}/s{_learnt(report)}, "
+        f"damping ratio {local.damping_ratios.min():.2g}"
     )
-    said = "stable" if local.stable else "not stable"
+    if not local.stable:
+        grow = (decays <= 0.0).sum()
+        figures = f"errors grow at {grow} of {len(decays)} targets, at worst at {-slowest:.3g}/s"
     rows.append(("in continuous time, near targets", said, figures))
     form = report.sampled or list(report.matrix.values())[-1]
     worst: list[tuple[str, Samples | LocalTest, int]] = [
@@ -361,8 +374,8 @@ def _rollouts(found: Rollouts) -> list[Row]:
         (
             "rollouts, converged",
             f"{found.n_converged} of {found.n}",
-            f"to within {study.tolerance:g} {unit} by the last tenth of {study.duration:g} s; "
-            f"{percent(low)} to {percent(high)} % of all do (95 % confidence)",
+            f"within {study.tolerance:g} {unit} throughout the last tenth of {study.duration:g} "
+            f"s; {percent(low)} to {percent(high)} % of all do (95 % confidence)",
         ),
         ("rollouts, diverged", f"{found.n_diverged} of {found.n}", ""),
         ("rollouts, left the region", f"{found.n_left} of {found.n}", "without diverging"),

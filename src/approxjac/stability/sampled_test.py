@@ -60,10 +60,10 @@ class SampledTest(MatrixTest):
             return ""
         if self.margin > 0.0:
             return (
-                f"the Lyapunov function found for it is violated in {self.violations} of "
-                f"{self.checked} further configurations"
+                f"the Lyapunov function found fails in {self.violations} of {self.checked} "
+                "further configurations"
             )
-        return "no Lyapunov function was found that allows for the hold and the delays"
+        return "no Lyapunov function was found for this period and these delays"
 
     def largest_period(self) -> float:
         """Return the largest period that this function certifies, all else the same [s]."""
