@@ -15,6 +15,7 @@ from rehearsal import START, Wrapped, driver_of, goal, run
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, SimulatedDriver, control
+from approxjac.realtime.loop import RobotLoop
 from approxjac.realtime.scheduling import undisturbed
 
 
@@ -209,3 +210,19 @@ def test_a_bridge_of_long_periods_is_not_late(panda):
 def test_late_is_more_than_a_period(plant, controller):
     with pytest.raises(InvalidInputError, match=r"late must be a finite number > 0\.001 \[s\]"):
         control(SimulatedDriver(plant, START), controller, goal(plant), late=1e-3)
+
+
+def test_targets_may_turn_round_in_mid_motion(plant, controller, monkeypatch):
+    """Joints that share a motion go on swinging for a while: that is not too fast."""
+    first = goal(plant)
+    wishes = {300: lambda loop: aj.Circle(loop.target - [0.05, 0, 0], 0.05, 4.0)}
+    wishes[700] = lambda loop: first
+
+    class Turning(RobotLoop):
+        def advance(self):
+            if self.step in wishes:
+                self.aim_at(wishes[self.step](self))
+            return super().advance()
+
+    monkeypatch.setattr("approxjac.realtime.control.RobotLoop", Turning)
+    assert run(driver_of(plant), controller, 1.5).fault is None

@@ -37,7 +37,7 @@ _HALT = 0.3  # s, within which the target of a controlled stop comes to rest
 _AT_REST = 0.05  # rad/s or m/s
 _FASTER = 0.15  # of its largest speed, by which a joint may be faster than it is led to be
 _SLOW = {"rad": 0.4, "m": 0.1}  # per s; or by this, where its largest speed is low
-_FADES = 0.995  # of that a period
+_FADES = 0.5  # s, in which that fades: joints that share a motion swing on
 _LOST = (Status.MEASUREMENT_LOST, Status.NOT_PREDICTED)
 
 
@@ -107,6 +107,7 @@ class RobotLoop(Loop):
         self._lost = self._limited = self._halted = 0
         self._blind, self._asked = False, np.zeros(plant.robot.nv)
         slow = [_SLOW[unit] for unit in plant.robot.joint_units]
+        self._fades = math.exp(-self.dt / _FADES)
         self._faster = np.maximum(_FASTER * fastest, slow)
         self._sent = self._read = time.perf_counter()
         self.stop_distance = self.stop_bound = np.nan
@@ -227,7 +228,7 @@ class RobotLoop(Loop):
         asked = self.answer.reference
         if asked is not None:
             fastest = np.abs(asked)
-            self._asked = np.maximum(_FADES * self._asked, 2.0 * fastest + fastest.max())
+            self._asked = np.maximum(self._fades * self._asked, 2.0 * fastest + fastest.max())
             if (np.abs(self.measurement.v) > self._asked + self._faster).any():
                 self._note(Fault.TOO_FAST)
         lost = self.answer.status in _LOST
