@@ -85,7 +85,7 @@ def advice(result: StabilityResult) -> list[str]:
     if not report.local.stable:
         unstable = 100 * (1 - report.local.share)
         lines = [
-            f"with all of these errors not stable near {unstable:.3g} % of the targets, in "
+            f"with all of these errors unstable near {unstable:.3g} % of the targets, in "
             "continuous time already, so no test can certify the region: smaller errors, another "
             "region or a smaller a = k_p/k_v may"
         ]
