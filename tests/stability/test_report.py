@@ -101,7 +101,7 @@ def test_report_says_what_each_test_says(report):
     assert figures.startswith("at all ")
     starts = rows["as it runs, starts"][1]
     assert " m in one coordinate, none in the others; " in starts
-    assert starts.endswith(" % of the starts drawn, about half of them near")
+    assert starts.endswith(" % of the starts drawn, about half near their targets")
 
 
 def test_report_says_what_no_test_knows_of():

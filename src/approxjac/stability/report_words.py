@@ -297,7 +297,7 @@ def _starts(report: StabilityReport) -> str:
         each = f"{', '.join(f'{r:.2g}' for r in reach)} {units[0]}"
     return (
         f"at rest, with an error of up to {each} in one coordinate, none in the others; "
-        f"{100.0 * sampled.covered:.3g} % of the starts drawn, about half of them near"
+        f"{100.0 * sampled.covered:.3g} % of the starts drawn, about half near their targets"
     )
 
 
