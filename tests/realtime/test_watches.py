@@ -291,3 +291,13 @@ def test_a_lost_frame_of_a_late_camera_is_no_blindness():
         assert fault is (None if k < 245 else fault)
         lost.append(fault)
     assert Fault.BLIND in lost[245:260]
+
+
+def test_at_125_hz_a_joint_that_stands_is_found_in_as_many_milliseconds():
+    pushed = PANDA.effort_limits * (np.arange(7) == 1)
+    fault, t = watched(
+        lambda m: m._replace(q=entry(m.q, 1, START[1]), v=entry(m.v, 1, 0.0)),
+        dt=8e-3, accuracy=Accuracy(q=1e-5, v=0.02), sent=lambda t: min(t, 0.2) * pushed,
+    )  # fmt: skip
+    assert fault is Fault.COMMAND_UNANSWERED
+    assert t < 0.13

@@ -24,7 +24,7 @@ _SUDDEN = 0.05  # of the largest speed: by which q̇ may change in a millisecond
 _WAY = 0.02  # rad or m, which a joint is led to go and goes no bit of it
 _STOPPED = 30.0  # rad/s², by which no joint stops by itself
 _REPEATS = 8  # readings of q to the bit, after which a joint that moved is taken for frozen
-_STANDS = 30  # periods for which a joint has to tell the same q to the bit to be at rest
+_STANDS = 0.03  # s, for which a joint has to tell the same q to the bit to be at rest
 _REMEMBERED = 200  # readings of both clocks
 _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many seconds
 
@@ -78,7 +78,7 @@ class FaultWatch:
         if commands_velocity:
             self._answered = np.full(n, np.inf)
         self._way, self._asked = np.zeros(n), np.zeros(n)
-        self._stood = np.zeros(n)
+        self._stood, self._stands = np.zeros(n), max(_REPEATS, round(_STANDS / dt))
         self._held_by = np.zeros(n)
         self._command = np.zeros(n)
         self._led = np.zeros(n)
@@ -136,7 +136,7 @@ class FaultWatch:
         self._held_by = np.where(same, self._held_by, self._command)
         unanswered = np.abs(self._way) > _WAY
         unanswered |= np.abs(self._command - self._held_by) > self._answered
-        return bool((unanswered & (self._stood >= _STANDS)).any())
+        return bool((unanswered & (self._stood >= self._stands)).any())
 
     def _compare(
         self, way: Array, v: Array, before: Array, elapsed: float, missed: int
