@@ -47,5 +47,4 @@ class Fault(enum.Enum):
     ASTRAY = "the error to the moving target is too large"
     BLIND = "x was lost for too long"
     LIMITS = "limits held the torque back from what keeps the proof for too long", True
-    SIGNAL = "a signal asked for the end", True
     FAILED = "the driver or the controller raised an error"
