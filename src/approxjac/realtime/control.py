@@ -66,9 +66,9 @@ def control(
     send. The target starts at the tip, as it is seen, and joins the path that is asked for. Every
     period is looked at for faults (`Fault`): of sensing, at which the robot brakes at once, and
     others, at which the controller brings it to rest first, as it does at the end. SIGINT, SIGTERM,
-    SIGHUP and SIGQUIT bring it to rest, too, and a second one brakes at once; `control` then returns,
-    and `ended` of the run names the signal. A watchdog brakes if the
-    driver hangs. What is sent is within the controller's limits.
+    SIGHUP and SIGQUIT bring it to rest, too, and a second one brakes at once; `control` then
+    returns, and `ended` of the run names the signal. A watchdog brakes if the driver hangs. What is
+    sent is within the controller's limits.
 
     Args:
         driver: The robot.
