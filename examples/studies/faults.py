@@ -243,7 +243,14 @@ def prepared(arm, sensing=None):
     plant = aj.MujocoPlant(
         truth, sensor=aj.PositionTask(truth), coulomb=friction, friction=0.5, sensing=sensing
     )
-    law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
+    latency = None
+    if sensing is not None:
+        latency = aj.Latency(
+            image_period=1.0 / sensing.x_rate, image_age=sensing.x_delay,
+            velocity_filter=sensing.velocity_filter,
+        )  # fmt: skip
+    gravity = aj.AdaptiveGravity(belief)
+    law = aj.SetpointController(aj.PositionTask(belief), gravity=gravity, latency=latency)
     return plant, aj.TorqueLimited(law, aj.Limits.of(belief))
 
 
@@ -296,6 +303,10 @@ def clean(case):
     start = np.array(STARTS[case.arm])
     driver = SimulatedDriver(plant, start, pace=math.inf, seed=case.seed)
     goals = plant.sensor.value(start) + rng.uniform(-0.15, 0.15, (20, 3))
+    # machine code: hours of it in minutes
+    controller = aj.codegen.compiled(
+        aj.TorqueLimited(controller.controller, aj.Limits(effort=plant.robot.effort_limits))
+    )
     path = aj.Waypoints(np.vstack([plant.sensor.value(start), goals]), 0.15, 0.5)
     accuracy = Accuracy(
         q=1e-5, v=0.01, x=5e-4, x_period=1.0 / 20.0, velocity_filter=2e-3,

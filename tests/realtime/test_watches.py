@@ -169,7 +169,7 @@ def looked(change, seconds=0.6, rate=60.0, age=0.03, noise=3e-4, **options):
             taken.append((t, change(t, seen)))
         if taken and t - taken[0][0] >= age:
             t_x, x = taken.pop(0)
-        fault = watch.look(aj.Measurement(t, q, v, x, t_x))
+        fault = watch.look(aj.Measurement(t, q, v, x, t_x), sensor.value(q))
         if fault is not None:
             return fault, t
     return None, seconds
@@ -209,6 +209,23 @@ def test_a_tool_that_nobody_told_of_raises_no_alarm(rate, age, noise):
 def test_a_sensor_that_is_learnt_may_be_turned():
     assert looked(lambda t, x: TURN @ x, is_learnt=True)[0] is None
     assert looked(lambda t, x: 1e3 * x, is_learnt=True)[0] is Fault.SENSOR_JUMPED
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+def test_joints_that_turn_about_a_tip_that_is_held_raise_no_alarm(noise):
+    belief, sensor = aj.PositionTask(PANDA.with_object(0.0)), aj.PositionTask(TRUTH)
+    watch = SensorWatch(belief, DT, Accuracy(x=3e-4, x_period=DT), np.full(3, 0.01), False)
+    rng, q = np.random.default_rng(0), START.copy()
+    held = sensor.value(q)
+    for k in range(600):
+        J = sensor.jacobian(q)
+        v = (np.eye(7) - np.linalg.pinv(J) @ J) @ np.array([0.5, 0.0, -0.5, 0.0, 0.5, 0.3, 0.0])
+        v = v + np.linalg.pinv(J) @ (10.0 * (held - sensor.value(q)))
+        q = q + DT * v
+        x = held + noise * rng.standard_normal(3)
+        assert watch.look(aj.Measurement(k * DT, q, v, x, k * DT), held) is None
+    moved = belief.value(q) - belief.value(START)
+    assert np.linalg.norm(moved) > 0.01  # which the believed tip is not
 
 
 @pytest.mark.parametrize(
@@ -287,7 +304,7 @@ def test_a_lost_frame_of_a_late_camera_is_no_blindness():
         t, seen = k * DT, k < 200
         late = START + max(t - 0.05, 0.0) * v
         x = task.value(late) if seen else np.full(3, np.nan)
-        fault = sight.look(aj.Measurement(t, START + t * v, v, x, max(t - 0.05, 0.0)))
+        fault = sight.look(aj.Measurement(t, START + t * v, v, x, max(t - 0.05, 0.0)), x)
         assert fault is (None if k < 245 else fault)
         lost.append(fault)
     assert Fault.BLIND in lost[245:260]

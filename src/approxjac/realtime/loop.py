@@ -127,7 +127,7 @@ class RobotLoop(Loop):
         fault = self._watch.look(measurement, self._read)
         known = bool(np.isfinite(measurement.q).all() and np.isfinite(measurement.v).all())
         if fault is None and known:
-            fault = self._sensor.look(measurement)
+            fault = self._sensor.look(measurement, self.target)
         self._note(fault)
         if known and not self._brakes():
             self._look(measurement)

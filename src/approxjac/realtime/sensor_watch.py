@@ -32,6 +32,7 @@ class _Frame(NamedTuple):
     x_hat: Array
     path: float  # ∫‖q̇‖ dt until then
     rotation: Array  # of the tip link, shape (3, 3)
+    x_d: Array  # the target when it came
 
 
 class SensorWatch:
@@ -82,8 +83,13 @@ class SensorWatch:
         self._seen = -math.inf
         self._q_seen: Array | None = None  # in the last period in which there was an x
 
-    def look(self, measurement: Measurement) -> Fault | None:
-        """Return what is wrong with x, or None. q and q̇ are taken for right."""
+    def look(self, measurement: Measurement, x_d: Array) -> Fault | None:
+        """Return what is wrong with x, or None. q and q̇ are taken for right.
+
+        Args:
+            measurement: Of this period.
+            x_d: Where the controller leads x to, shape (n_x,).
+        """
         t, q, v, x, t_x = measurement
         k = self._count % _KEPT
         self._path += self._dt * math.hypot(*v.tolist())
@@ -94,14 +100,13 @@ class SensorWatch:
             return None if self._q_seen is None else self._lost(q, self._q_seen)
         self._q_seen = q
         if last is not None and (x == last.x).all():  # repeated, whatever t_x says
-            return self._repeated(t, q, last)
+            return self._repeated(t, q, x_d, last)
         self._seen = t
         at = self._index(t if t_x is None else t_x)
         if at is None:
             return None
         taken, place = float(self._times[at]), self._places[at].copy()
-        rotation = np.eye(3) if self._link is None else self._link.placement(place)[0]
-        frame = _Frame(taken, x, self._task.value(place), float(self._paths[at]), rotation)
+        frame = self._frame(taken, x, place, float(self._paths[at]), x_d)
         self._last = frame
         if last is not None and self._is_off(frame, last):
             return Fault.SENSOR_JUMPED
@@ -147,12 +152,18 @@ class SensorWatch:
         return any(size > noise + unknown for size, noise, unknown in slack)
 
     def _is_still(self, new: _Frame, old: _Frame) -> bool:
-        """Return whether x does not move, and half of what is unknown cannot be the reason."""
+        """Return whether x does not move though it is led to, and though the joints move it.
+
+        Half of what is unknown is not the reason then: that would be joints which turn about a tip
+        that is held, and whose target rests.
+        """
         seen, believed = self._motions(new, old)
+        led = self._sizes(self._task.error(new.x_d, old.x_d))
         if any(size > noise for size, noise in zip(self._sizes(seen), self._noise, strict=True)):
             return False
-        slack = zip(self._sizes(believed), self._noise, self._unknown(new, old), strict=True)
-        return any(size > noise + 0.5 * unknown for size, noise, unknown in slack)
+        off = self._sizes(seen - believed)
+        slack = zip(off, led, self._noise, self._unknown(new, old), strict=True)
+        return any(min(size, way) > noise + 0.5 * unknown for size, way, noise, unknown in slack)
 
     def _motions(self, new: _Frame, old: _Frame) -> tuple[Array, Array]:
         return self._task.error(new.x, old.x), self._task.error(new.x_hat, old.x_hat)
@@ -171,13 +182,16 @@ class SensorWatch:
         """Return the lengths of the parts of an error that have one unit each."""
         return [math.hypot(*error[group].tolist()) for group in self._groups]
 
-    def _repeated(self, t: float, q: Array, last: _Frame) -> Fault | None:
+    def _repeated(self, t: float, q: Array, x_d: Array, last: _Frame) -> Fault | None:
         """Return a fault where the same x is told although the tip must have moved."""
         if t - self._seen <= self._longest:
             return None
-        way = self._sizes(self._task.error(self._task.value(q), last.x_hat))
-        moved = any(a > b for a, b in zip(way, self._noise, strict=True))
-        return Fault.SENSOR_FROZEN if moved else None
+        now = self._frame(t, last.x, q, self._path, x_d)
+        return Fault.SENSOR_FROZEN if self._is_off(now, last) or self._is_still(now, last) else None
+
+    def _frame(self, t: float, x: Array, q: Array, path: float, x_d: Array) -> _Frame:
+        rotation = np.eye(3) if self._link is None else self._link.placement(q)[0]
+        return _Frame(t, x, self._task.value(q), path, rotation, x_d)
 
     def _lost(self, q: Array, seen: Array) -> Fault | None:
         """Return a fault where the tip has moved too far without being seen."""
