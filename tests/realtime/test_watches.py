@@ -248,7 +248,9 @@ def test_faults_in_mid_motion_brake_the_arm(kind):
 def test_every_fault_brakes_every_arm(kind):
     outcomes = [study.break_one(study.Case(arm, kind, 8)) for arm in study.STARTS]
     assert not any("FALSE" in outcome.fault for outcome in outcomes)
-    if kind not in study.MOTORS:
+    if kind == "x turned from the start":  # an unknown tool explains half of it for a while
+        assert all(o.fault.startswith("SENSOR") and o.moved < 0.1 for o in outcomes)
+    elif kind not in study.MOTORS:
         assert study.short(outcomes) == []
 
 
