@@ -289,7 +289,9 @@ def test_it_arrives_by_velocities(robot):
 @pytest.mark.wire
 @needs_robot
 def test_it_follows_a_circle_by_velocities_and_a_camera(robot):
-    assert judged(robot, over_the_wire.circle_by_velocities(robot))[0] < 1.5e-3
+    learning, learnt = judged(robot, over_the_wire.circle_by_velocities(robot))
+    assert learning < 4e-3
+    assert learnt < 2e-3  # as by torques; the camera alone has 1 mm of noise
 
 
 @pytest.mark.wire
