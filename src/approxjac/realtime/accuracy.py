@@ -14,7 +14,7 @@ from approxjac.validation import Array, as_diagonal, as_number, shape_of
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Accuracy:
-    """How well sensors tell what they measure, and what is believed of the arm.
+    """Accuracy of the sensors, and of what is believed of the arm.
 
     What is no more than this is no fault.
 

@@ -13,7 +13,7 @@ _LOOKS = 4  # of the watchdog within the time that it allows
 
 
 class HungError(BaseException):
-    """What ends a loop that did not come round in time; no error that a driver could catch."""
+    """End of a loop that did not come round in time; no error that a driver could catch."""
 
 
 class Brake:

@@ -30,7 +30,7 @@ _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many
 
 
 class FaultWatch:
-    """What q, q̇ and the clock say of each other.
+    """Hold q, q̇ and the clock against each other.
 
     It sees each period's measurement once. Thresholds come from noise, speed limits and period; no
     dynamics are believed.

@@ -6,7 +6,7 @@ import enum
 
 
 class Fault(enum.Enum):
-    """What ended a run before its time.
+    """Reason to end a run before its time.
 
     Attributes:
         message: In words.

@@ -91,7 +91,7 @@ class Onlooker:
 
 
 class Seen(Loop):
-    """What an observer sees of a robot's loop: a copy, whose wishes go to the loop itself."""
+    """Copy of a robot's loop that an observer sees, whose wishes go to the loop itself."""
 
     def __init__(self, loop: RobotLoop, onlooker: Onlooker) -> None:
         # controllers and plants have scratch memory: one instance a thread

@@ -43,7 +43,7 @@ class RobotRun(Trajectory):
 
     @property
     def fault(self) -> Fault | None:
-        """What was wrong, or None."""
+        """Return the fault that ended it, or None."""
         return Fault[self.fault_name] if self.fault_name else None
 
     def late(self, longest: float) -> int:

@@ -36,7 +36,7 @@ class _Frame(NamedTuple):
 
 
 class SensorWatch:
-    """What x and q say of each other.
+    """Hold x and q against each other.
 
     x̂ = h(q) of the believed robot is only roughly right. A tip that lies elsewhere on its link by d
     moves from one configuration to another by (R' − R) d more; so motions between two frames are

@@ -1,4 +1,4 @@
-"""What has to hold before a loop begins on a robot."""
+"""Conditions under which a loop may begin on a robot."""
 
 from __future__ import annotations
 

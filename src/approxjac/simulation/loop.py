@@ -19,7 +19,7 @@ from approxjac.validation import Array, as_array
 
 
 class Loop:
-    """What loops of a plant and of a robot have in common.
+    """Base of the loops of a plant and of a robot.
 
     An observer may look at all of it, and may move the target, exchange the controller or stop it.
 

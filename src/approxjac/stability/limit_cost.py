@@ -25,7 +25,7 @@ _FAR = 1e9  # an error at which a saturation that is bounded has its bound
 
 @dataclass(frozen=True, eq=False)
 class LimitCost:
-    """Where limits of effort act in a region, and what is proven there.
+    """Cost of limits of effort: where they act in a region, and what is proven there.
 
     Attributes:
         clipped: Share of the samples, taken as at rest, whose torque is beyond the efforts.

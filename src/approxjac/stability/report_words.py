@@ -1,4 +1,4 @@
-"""What a `StabilityReport` says: the verdict, what it covers, and the tests it rests on."""
+"""Words of a `StabilityReport`: the verdict, what it covers, and the tests it rests on."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _block(title: str, rows: list[Row]) -> list[str]:
 
 
 def _meaning(report: StabilityReport) -> str:
-    """What follows from the verdict, in a sentence or two."""
+    """Return what follows from the verdict, in a sentence or two."""
     runs = report.rollouts
     left = f" It left the region in {runs.n_left} of {runs.n} rollouts." if runs else ""
     if report.certified_by is not None:
@@ -126,7 +126,7 @@ def _meaning(report: StabilityReport) -> str:
 
 
 def _about(report: StabilityReport) -> list[tuple[str, str]]:
-    """What the verdict is about."""
+    """Return what the verdict is about."""
     truth, latency = report.loop.truth, report.latency
     errors = truth.describe_box() if isinstance(truth, Uncertainty) else "one true robot"
     late = [f"torques {_ms(latency.torque_delay)} late"] if latency.torque_delay else []
@@ -206,7 +206,7 @@ def _beyond_limits(report: StabilityReport) -> list[str]:
 
 
 def _counted(latency: Latency) -> str:
-    """How rollouts and the linearisation round times; empty where they do not."""
+    """Return how rollouts and the linearisation round times; empty where they do not."""
     period = latency.period
     dt, _, age, late = latency.in_samples()
     told = {
@@ -222,7 +222,7 @@ def _counted(latency: Latency) -> str:
 
 
 def _rounded(latency: Latency, dt: float, late: int, age: int) -> str:
-    """What time in whole samples of dt [s] makes of a latency; empty where it is the same."""
+    """Return what whole samples of dt [s] make of a latency; empty where it is the same."""
     times = {"late": (latency.torque_delay, late * dt), "old": (latency.image_age, age * dt)}
     told = [
         f"{'torques' if how == 'late' else 'x'} as {_ms(now)} {how}, not {_ms(given)}"
@@ -282,7 +282,7 @@ def _near_targets(report: StabilityReport) -> Row:
 
 
 def _learnt(report: StabilityReport) -> str:
-    """What is said of decays where parameters are learnt."""
+    """Return what is said of decays where parameters are learnt."""
     learns = report.loop.controller.adaptation is not None
     return " (learnt parameters, often slow, included)" if learns else ""
 
