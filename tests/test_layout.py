@@ -1,12 +1,13 @@
-"""docs/layout.md names what there is, and all packages of the library."""
+"""docs/development/layout.md names what there is, and all packages of the library."""
 
 import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "development" / "layout.md"
 TABLE = [
     line.split("|")[1]
-    for line in (ROOT / "docs" / "layout.md").read_text(encoding="utf-8").splitlines()
+    for line in PAGE.read_text(encoding="utf-8").splitlines()
     if line.startswith("| `")
 ]
 NAMED = [name for cell in TABLE for name in re.findall(r"`([^`]+)`", cell)]
@@ -34,6 +35,6 @@ def test_every_package_and_top_module_is_named():
 
 def test_pages_name_only_tests_that_exist():
     """A page that says which file checks something is no use if there is none."""
-    for page in (ROOT / "docs").glob("*.md"):
+    for page in (ROOT / "docs").rglob("*.md"):
         for name in re.findall(r"tests/[\w/]+\.py", page.read_text(encoding="utf-8")):
             assert (ROOT / name).is_file(), f"{page.name} names {name}"

@@ -2,7 +2,8 @@
 
 A case is a random closed loop as eq. (9) has it, without gravity. It is tested first and run then.
 A test that certifies must not be contradicted: its own Lyapunov function may not rise within the
-region, and a motion that stays there has to converge. docs/conservatism.md says what comes out.
+region, and a motion that stays there has to converge. docs/studies/conservatism.md says what comes
+out.
 
     python examples/studies/certify.py --out results/certify
 

@@ -1,7 +1,7 @@
 """Follow a circle with the set-point law: with and without feed-forward, tools right and wrong.
 
 A Panda follows a horizontal circle of 10 cm radius in 4 s with the defaults, while gravity is
-learnt. docs/reaching.md has what came out.
+learnt. docs/studies/reaching.md has what came out.
 
     python examples/studies/circle.py --out results/circle
 

@@ -2,7 +2,7 @@
 
 The same starts, targets, wrong model and sensors for each. The operational-space loop is tuned for
 each arm and each kind of sensing, on starts and targets that are not those of the comparison.
-docs/reaching.md has what came out.
+docs/studies/reaching.md has what came out.
 
     python examples/studies/compare_laws.py --out results/compare_laws
     python examples/studies/compare_laws.py --tune   # finds TUNED anew

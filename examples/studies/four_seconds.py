@@ -3,7 +3,7 @@
     python examples/studies/four_seconds.py --out results/four_seconds
 
 Exit code 1 means that a final error was above 2 mm, or that a law asked for more than the motors'
-torque. docs/reaching.md has what came out.
+torque. docs/studies/reaching.md has what came out.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Compare torque limiters on the same reaches, while the motors get weaker.
 
 Each case is a random start and target of an arm whose effort limits are scaled, run with every
-limiter. docs/limiters.md says what comes out.
+limiter. docs/studies/limiters.md says what comes out.
 
     python examples/studies/limiters.py --out results/limiters
 

@@ -1,6 +1,7 @@
 """Reach random targets with an unknown tool, without and with joint stops and limits.
 
-All defaults: gravity is learnt, nothing is tuned for an arm. docs/reaching.md has what came out.
+All defaults: gravity is learnt, nothing is tuned for an arm. docs/studies/reaching.md has what came
+out.
 
     python examples/studies/reach.py --out results/reach
 

@@ -2,7 +2,7 @@
 
 A Panda, one point, an eye to hand; the believed focal length, depth and tool are wrong, gravity is
 exact. Two loops are tested: the continuous one with an ideal camera, and one with a camera of 30 Hz
-that is late and noisy, which the local test knows as a mere delay. docs/servo_study.md says what
+that is late and noisy, which the local test knows as a mere delay. docs/studies/servo.md says what
 comes out.
 
     python examples/studies/roll_map.py --out results/roll_map

@@ -1,7 +1,7 @@
 """Servo a Panda with a badly wrong camera from many starts, and compare laws on the same starts.
 
 The arm holds an object that its controller believes absent, and every number of the camera is
-believed wrong, with signs that are drawn for each start. docs/servo_study.md says what comes out.
+believed wrong, with signs that are drawn for each start. docs/studies/servo.md says what comes out.
 
     python examples/studies/visual_servoing.py --out results/servo
 

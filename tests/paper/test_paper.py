@@ -59,7 +59,7 @@ def test_figure_8(results):
 
 
 def test_the_page_of_the_study_has_the_numbers_of_the_code():
-    page = (Path(__file__).parents[2] / "docs" / "paper_study.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "studies" / "paper.md").read_text(encoding="utf-8")
 
     def row(name, kp, kv, camera, lengths, gravity):
         roll = f"{math.degrees(camera.roll):g}°"
