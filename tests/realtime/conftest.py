@@ -16,3 +16,15 @@ def controller(panda):
     belief = panda.with_object(0.0)
     law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
     return aj.TorqueLimited(law, aj.Limits.of(belief))
+
+
+@pytest.fixture
+def by_velocities(panda):
+    """Plant and controller of an arm that takes joint velocities, each 8 ms."""
+    truth = panda.with_object(0.2, 0.5, axis="x")
+    servo = aj.simulation.VelocityServo()
+    plant = aj.Plant(truth, aj.PositionTask(truth), servo=servo)
+    task = aj.PositionTask(panda.with_object(0.0))
+    kinematics = aj.AdaptiveKinematics(task, unknown=("tool",), noise=1e-3, dt=8e-3)
+    law = aj.TrackingController(task, kinematics=kinematics, dt=8e-3, command="velocity")
+    return plant, law

@@ -266,6 +266,25 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
     assert driver.sent == []
 
 
+@pytest.mark.parametrize("frames", [300, 1100])
+def test_a_first_frame_is_waited_for(plant, controller, frames):
+    class Starting(Wrapped):
+        count = 0
+
+        def read(self):
+            self.count += 1
+            m = super().read()
+            return m._replace(x=np.full(3, np.nan)) if self.count < frames else m
+
+    driver = driver_of(plant, Starting)
+    if frames < 1000:  # of `patience`
+        assert run(driver, controller, 0.2).fault is None
+        return
+    with pytest.raises(InvalidInputError, match="x must be known before the arm moves"):
+        run(driver, controller)
+    assert driver.sent == []
+
+
 def test_a_robot_that_adds_gravity_is_led_by_what_is_left(plant, panda):
     belief = panda.with_object(0.0)
     gravity = aj.AdaptiveGravity(belief, theta0=0.0)
@@ -275,13 +294,8 @@ def test_a_robot_that_adds_gravity_is_led_by_what_is_left(plant, panda):
     assert run(driver, limited, 4.0).error_norm[-1] < 1e-3
 
 
-def test_velocities_are_commanded(panda):
-    truth = panda.with_object(0.2, 0.5, axis="x")
-    servo = aj.simulation.VelocityServo()
-    plant = aj.Plant(truth, aj.PositionTask(truth), servo=servo)
-    task = aj.PositionTask(panda.with_object(0.0))
-    kinematics = aj.AdaptiveKinematics(task, unknown=("tool",), noise=1e-3, dt=8e-3)
-    law = aj.TrackingController(task, kinematics=kinematics, dt=8e-3, command="velocity")
+def test_velocities_are_commanded(by_velocities):
+    plant, law = by_velocities
     found = run(driver_of(plant, dt=8e-3), law, 4.0)
     assert found.fault is None
     assert found.error_norm[-1] < 1e-3

@@ -191,13 +191,8 @@ def test_a_second_signal_interrupts_a_start_that_hangs(plant, controller):
     assert signal.getsignal(signal.SIGINT) == before
 
 
-def test_a_bridge_of_long_periods_is_not_late(panda):
-    truth = panda.with_object(0.2, 0.5, axis="x")
-    servo = aj.simulation.VelocityServo()
-    plant = aj.Plant(truth, aj.PositionTask(truth), servo=servo)
-    task = aj.PositionTask(panda.with_object(0.0))
-    kinematics = aj.AdaptiveKinematics(task, unknown=("tool",), noise=1e-3, dt=8e-3)
-    law = aj.TrackingController(task, kinematics=kinematics, dt=8e-3, command="velocity")
+def test_a_bridge_of_long_periods_is_not_late(by_velocities):
+    plant, law = by_velocities
 
     class Blinking(Wrapped):
         def read(self):

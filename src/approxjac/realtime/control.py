@@ -85,8 +85,8 @@ def control(
             task]; 0.15 m, 0.5 rad and 150 px by default.
         unseen: How far the tip may move while x is lost, as it is believed, a number or shape (m,)
             [unit of the task]; 0.01 m, 0.04 rad and 10 px by default.
-        patience: Time for which x may be lost, or limits void the proof, and which a controlled
-            stop may take [s].
+        patience: Time for which x may be lost, at the start too, or limits void the proof, and
+            which a controlled stop may take [s].
         late: Time from command to command that is a fault, by the robot's clock, longer than a
             period; after twice as long by this machine's the watchdog brakes [s].
         stop: Brings the arm to rest when another thread sets it.
@@ -132,7 +132,7 @@ def control(
     with ExitStack() as held:
         held.enter_context(signals)  # a signal that comes while this begins is looked at, too
         held.callback(brake.close)  # whatever happens from here on
-        first = require_at_rest(driver, task)
+        first = require_at_rest(driver, task, patience)
         loop = RobotLoop(
             driver, brake, plant, controller, wanted, first, steps, stride, accuracy or Accuracy(),
             speeds, far, hidden, _fastest(driver, plant), patience, late, state,

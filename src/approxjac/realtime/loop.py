@@ -67,6 +67,8 @@ class RobotLoop(Loop):
         halting: Whether it is being brought to rest.
     """
 
+    _wanted: Target
+
     def __init__(
         self,
         driver: Driver,
@@ -154,8 +156,7 @@ class RobotLoop(Loop):
         if self.halting:
             return
         self.halting = True
-        task = self.controller.task
-        velocity = np.zeros(task.m) if self._aims.v is None else self._aims.v
+        task, velocity = self.controller.task, self._velocity
         stop = Halt(task, self.step * self.dt, self.target, velocity, _HALT)
         error = task.error(self.truth.x, self.target)
         faster = task.jacobian(self.truth.q) @ self.truth.v - velocity
@@ -166,13 +167,12 @@ class RobotLoop(Loop):
 
     def aim_at(self, target: Target | TargetPath | Array) -> None:
         """Move the target, which is eased in from where it is now."""
-        aims, now = self._aims, self.step * self.dt
+        now = self.step * self.dt
         path = wanted_of(self.plant.sensor, target, now)
         if self.halting:
             return
-        still = np.zeros(self.controller.task.m)
-        velocity = still if aims.v is None else aims.v
-        self._eased = Eased(self.controller.task, path, now, self.target, velocity, self._speeds)
+        task, velocity = self.controller.task, self._velocity
+        self._eased = Eased(task, path, now, self.target, velocity, self._speeds)
         self.path = path
 
     def exchange(self, controller: Controller) -> None:
@@ -198,9 +198,14 @@ class RobotLoop(Loop):
             t=measurement.t - self._begun, t_x=None if t_x is None else t_x - self._begun
         )
 
+    @property
+    def _velocity(self) -> Array:
+        """Velocity of the moving target, shape (m,)."""
+        v = self._wanted.v
+        return np.zeros(self.controller.task.m) if v is None else v
+
     def _aim(self) -> None:
-        self._aims = self._eased.at(self.step * self.dt)
-        self._wanted = self._aims
+        self._wanted = self._eased.at(self.step * self.dt)
         self.target = x_of(self._wanted)
 
     def _look(self, measurement: Measurement) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from approxjac.controllers import ControllerWrapper, TorqueLimited
@@ -46,10 +48,13 @@ def require_able(driver: Driver, controller: Controller) -> None:
         )
 
 
-def require_at_rest(driver: Driver, task: Task) -> Measurement:
-    """Return a first measurement of an arm at rest, within its limits and seen."""
+def require_at_rest(driver: Driver, task: Task, patience: float) -> Measurement:
+    """Return a first measurement of an arm at rest, within its limits and seen.
+
+    A first frame of x may be lost, or still be under way: for that long it is waited for [s].
+    """
     robot, last, measured = task.robot, -np.inf, None
-    for _ in range(_READS):
+    for count in range(max(_READS, math.ceil(patience / driver.dt))):
         measured = read(driver, task)
         if not measured.t > last:
             raise InvalidInputError(
@@ -57,6 +62,8 @@ def require_at_rest(driver: Driver, task: Task) -> Measurement:
                 given=measured,
             )
         last = measured.t
+        if count + 1 >= _READS and np.isfinite(measured.x).all():
+            break
     assert measured is not None
     for name, values in (("q", measured.q), ("v", measured.v), ("x", measured.x)):
         if not np.isfinite(values).all():
