@@ -13,7 +13,7 @@ import pytest
 
 import approxjac as aj
 
-REFERENCE = Path(__file__).parents[1] / "docs" / "api.md"
+REFERENCE = Path(__file__).parents[1] / "docs" / "api"
 MODULES = ("robots", "tasks", "controllers", "simulation", "realtime", "stability", "law", "view")
 DIRECTIVE = re.compile(r"^\.\. auto(\w+):: (\S+)\n((?:   :.*\n)*)", re.MULTILINE)
 
@@ -26,7 +26,9 @@ def found(name):
 
 def described():
     """Every object that the reference describes."""
-    for kind, name, options in DIRECTIVE.findall(REFERENCE.read_text(encoding="utf-8")):
+    pages = sorted(REFERENCE.glob("*.md"))
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    for kind, name, options in DIRECTIVE.findall(text):
         if kind != "module":
             yield name, found(name)
             continue

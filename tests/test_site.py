@@ -103,7 +103,7 @@ def test_a_reader_finds_the_way_by_the_navigation(pages, open_page):
     ("words", "wanted"),
     [
         ("Lyapunov", "theory.html"),
-        ("TorqueLimited", "api.html"),
+        ("TorqueLimited", "api/controllers.html"),
         ("camera roll", "visual_servoing.html"),
     ],
 )
