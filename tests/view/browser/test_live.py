@@ -9,6 +9,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from urllib.error import HTTPError
+from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 import numpy as np
@@ -255,7 +256,7 @@ def test_pause_speed_reload_and_what_cannot_be(panda, open_page, start):
     field = page.locator("#live-speed")
     field.fill("-1")
     field.press("Enter")
-    page.wait_for_selector("text=speed must be a finite number > 0")
+    page.wait_for_selector("text=speed must be a finite number >= 0.001")
     page.get_by_role("button", name="Stop the run").click()
     running.ended()
 
@@ -351,7 +352,7 @@ def is_served(url):
 
 
 def port_of(url):
-    return int(url.rstrip("/").rsplit(":", 1)[1])
+    return urlsplit(url).port
 
 
 def test_it_ends_cleanly(panda):
@@ -406,8 +407,8 @@ def test_the_usual_port_may_be_taken(panda, monkeypatch, capsys):
     [
         ({"port": 0}, "port must be a number from 1 to 65535, got 0"),
         ({"port": "web"}, "port must be a number from 1 to 65535, got 'web'"),
-        ({"speed": 0.0}, "speed must be a finite number > 0, got 0.0"),
-        ({"speed": -np.inf}, "speed must be a finite number > 0"),
+        ({"speed": 0.0}, "speed must be a finite number >= 0.001, got 0.0"),
+        ({"speed": -np.inf}, "speed must be a finite number >= 0.001"),
         ({"patience": -1.0}, r"patience must be a finite number >= 0 \[s\]"),
         ({"believed_length": np.nan}, r"believed_length must be a finite number >= 0 \[m\]"),
     ],
@@ -492,22 +493,27 @@ def test_what_a_page_sends_cannot_hurt(panda):
         '{"target": [NaN, 0, 0]}': "target must be finite",
         '{"target": [true, 0, 0]}': "target must be numbers",
         '{"target": ["", 0, 0]}': "target must be numbers",
-        '{"point": [1e308, 1e308, 1e308]}': "target must be one that the controller can",
+        '{"point": [1e308, 1e308, 1e308]}': "target must be at most .* m from the arm's base",
+        '{"point": [1e300, 0, 0]}': "target must be at most .* m from the arm's base",
+        '{"target": [0.3, 0.3, 1e30]}': "target must be at most .* m from the arm's base",
         '{"point": [1, 2]}': r"point must have shape \(3,\)",
         '{"pixel": [0, 1, 2]}': "there is no point 0 in an image",
         '{"length": true}': "length must be numbers",
-        '{"length": -1}': r"length must be a finite number >= 0 \[m\], got -1.0",
-        '{"length": 7}': "length: ZeroDivisionError",
+        '{"length": -1}': r"length must be a finite number >= 0 and <= .* \[m\], got -1.0",
+        '{"length": 1e300}': r"length must be a finite number >= 0 and <= .* \[m\], got 1e\+300",
+        '{"length": 0.7}': "length: ZeroDivisionError",
+        '{"pixel": []}': r"pixel must have shape \(3,\)",
+        '{"speed": 1e-308}': "speed must be a finite number >= 0.001, got 1e-308",
         '{"speed": 1' + 400 * "0" + "}": "speed must be numbers",
         '{"<b>": 1}': "commands are: .* got '<b>'",
     }
 
     def believe(length):
-        return believing(panda)(length) if length < 5.0 else 1 / 0
+        return believing(panda)(length) if length < 0.5 else 1 / 0
 
     def act(pages, running):
         for message, answer in answers.items():
-            note = pages.tell("[" * 100_000, "no json", "[1]", message, until="note")["note"]
+            note = pages.tell("[" * 15_000, "no json", "[1]", message, until="note")["note"]
             assert re.search(answer, note), message[:24]
             assert len(note) < 400
         assert running.error is None
@@ -523,6 +529,57 @@ def test_only_this_machine_by_its_own_name_is_served(panda):
             with pytest.raises(HTTPClientError, match="404"):
                 pages.tell('{"stop": true}', headers={"Host": host, "Origin": f"http://{host}"})
         assert "</html>" in pages.get(f"localhost:{port_of(pages.url)}")
+
+    with_pages(panda, act)
+
+
+def test_without_the_key_of_its_address_nobody_is_served(panda):
+    def act(pages, _):
+        bare = Pages(f"http://127.0.0.1:{port_of(pages.url)}/")
+        with pytest.raises(HTTPError, match="403") as refused:
+            bare.get()
+        assert "Open the address that the program printed" in refused.value.read().decode()
+        for address in (bare.url, f"{bare.url}wrong/"):
+            for headers in ({}, {"Origin": bare.url.rstrip("/")}):
+                with pytest.raises(HTTPClientError, match="404"):
+                    Pages(address).tell('{"stop": true}', headers=headers)
+        # nor are pages of others that know it
+        with pytest.raises(HTTPClientError, match="403"):
+            pages.tell('{"stop": true}', headers={"Origin": "http://evil.example"})
+        pages.tell(headers={"Origin": bare.url.rstrip("/")})
+        pages.tell()
+
+    with_pages(panda, act)
+
+
+def test_a_flood_of_messages_does_not_hold_up_a_run(panda):
+    """Of each kind of wish the latest is obeyed; a page that sends too many waits, not the run."""
+    sent, done = 143_000, threading.Event()
+
+    async def flood(url):
+        connection = await websocket_connect(url.replace("http", "ws") + "socket")
+        for i in range(sent):
+            connection.write_message(json.dumps({f"wish {i % 100}": i, "pixel": [i % 100, 0, 0]}))
+            if i % 200 == 0:
+                await asyncio.sleep(0.0)
+            if done.is_set():
+                break
+        connection.close()
+        return i
+
+    def act(pages, running):
+        with ThreadPoolExecutor() as pool:
+            flooding = pool.submit(asyncio.run, flood(pages.url))
+            time.sleep(1.0)
+            assert len(running.live._server._wishes) <= 32
+            steps = running._loop.step
+            time.sleep(0.5)
+            assert running._loop.step > steps + 50  # of 500
+            began = time.perf_counter()
+            pages.tell('{"speed": 2.0}', until="controls")
+            assert time.perf_counter() - began < 3.0
+            done.set()
+            flooding.result(30.0)
 
     with_pages(panda, act)
 

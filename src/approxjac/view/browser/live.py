@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import signal
@@ -18,19 +17,19 @@ from approxjac.errors import ApproxJacError, InvalidInputError
 from approxjac.robots import Robot
 from approxjac.simulation.loop import Loop
 from approxjac.simulation.record import Record, scene_of
-from approxjac.tasks.analysis import features, image_feature
-from approxjac.validation import Array, as_array, as_number
+from approxjac.validation import as_number
 from approxjac.view.browser.document import asset, document, page_data
 from approxjac.view.browser.frames import Frames
 from approxjac.view.browser.page import open_browser
 from approxjac.view.browser.server import PageServer
 from approxjac.view.browser.stage import Stage
+from approxjac.view.browser.wishes import LONG, numbers, target_of, with_pixel, with_point
 
 _FRAME = 1.0 / 30.0  # between pictures [s]
 _STALL = 0.5  # behind its time, after which a run does not catch up [s]
 _NAP = 0.02  # between looks at what the user wants, while waiting [s]
 _KEPT = 1500  # instants that a page gets when it is opened late
-_LONG = 80  # characters of what a page sent, in errors
+_SLOWEST = 1e-3  # of real time; slower is a pause
 _WISHES = "target, point, pixel, length, speed, pause, go, stop"
 
 
@@ -43,7 +42,7 @@ class LiveView:
     Ctrl-C in the terminal stops the run and keeps what there is of it.
 
     Args:
-        speed: Of the run, as a multiple of real time, > 0; infinite for as fast as it goes.
+        speed: Of the run, as a multiple of real time, ≥ 0.001; infinite for as fast as it goes.
         port: Of the page, on this machine only; 7007 by default, or any free one.
         believe: Makes the robot that the controller is to believe from the length of its object
             [m]; without it that stays as it is.
@@ -222,7 +221,7 @@ class LiveView:
         assert self._server is not None  # there is no run without it
         if self._interrupted:
             loop.stop()
-        wishes = [wish for told in self._server.received() for wish in told.items()]
+        wishes = self._server.received()
         for wish, value in wishes:
             note = {}
             try:
@@ -235,20 +234,23 @@ class LiveView:
         return bool(wishes)
 
     def _do(self, loop: Loop, wish: str, value: Any) -> None:
+        assert self._stage is not None  # it is there before the server
+        size = self._stage.size
         if wish == "target":
-            loop.aim_at(_numbers("target", value))
+            loop.aim_at(target_of(loop, numbers("target", value), size))
         elif wish == "point":
-            loop.aim_at(_with_point(loop, _numbers("point", value)))
+            loop.aim_at(target_of(loop, with_point(loop, numbers("point", value)), size))
         elif wish == "pixel":
-            loop.aim_at(_with_pixel(loop, _numbers("pixel", value)))
+            loop.aim_at(target_of(loop, with_pixel(loop, numbers("pixel", value)), size))
         elif wish == "length" and self._believe is not None:
-            length = as_number("length", _numbers("length", value).item(), unit="m", minimum=0.0)
+            given = numbers("length", value).item()
+            length = as_number("length", given, unit="m", minimum=0.0, most=round(size, 2))
             task = loop.controller.task.on(self._believe(length))
             loop.exchange(with_task(loop.controller, task))
             self._length, self._changed = length, True
             self._tell(redraw=self._look(loop).data("believed"))
         elif wish == "speed":
-            self._speed = _speed(_numbers("speed", value).item())
+            self._speed = _speed(numbers("speed", value).item())
             self._begin(loop)
         elif wish in ("pause", "go"):
             self._paused = wish == "pause"
@@ -256,7 +258,8 @@ class LiveView:
         elif wish == "stop":
             loop.stop()
         else:
-            raise InvalidInputError(f"commands are: {_WISHES}; got {wish!r}", given=wish)
+            told = repr(wish)[:LONG]
+            raise InvalidInputError(f"commands are: {_WISHES}; got {told}", given=wish)
 
 
 def _plain(value: Any) -> Any:
@@ -267,35 +270,4 @@ def _plain(value: Any) -> Any:
 
 
 def _speed(value: float) -> float:
-    return math.inf if value == math.inf else as_number("speed", value, above=0.0)
-
-
-def _with_point(loop: Loop, point: Array) -> Array:
-    """Return the target with the position of what is followed moved to a point (3,) [m]."""
-    place, target = as_array("point", point, (3,), "m"), np.array(loop.target)
-    for feature in features(loop.plant.sensor):
-        if feature.axes:
-            rows = ["xyz".index(axis) for axis in feature.axes]
-            target[feature.entries][: len(rows)] = place[rows]
-            return target
-    raise InvalidInputError("the target is no position, which a point could be", given=point)
-
-
-def _with_pixel(loop: Loop, pixel: Array) -> Array:
-    """Return the target with the image of point i moved to (u, v), for `pixel` (i, u, v)."""
-    i, u, v = as_array("pixel", pixel, (3,))
-    feature = image_feature(loop.plant.sensor)
-    if feature is None or i not in range(len(feature.points)):
-        raise InvalidInputError(f"there is no point {i:g} in an image", given=pixel)
-    target = np.array(loop.target)
-    target[feature.entries].reshape(len(feature.points), -1)[int(i), :2] = u, v
-    return target
-
-
-def _numbers(name: str, value: Any) -> Array:
-    """Return the numbers that a page sent, or raise an InvalidInputError."""
-    entries = value if isinstance(value, list) else [value]
-    if all(type(entry) in (int, float) for entry in entries):
-        with contextlib.suppress(OverflowError):
-            return np.array(entries, dtype=float)
-    raise InvalidInputError(f"{name} must be numbers, got {repr(value)[:_LONG]}", given=value)
+    return math.inf if value == math.inf else as_number("speed", value, minimum=_SLOWEST)

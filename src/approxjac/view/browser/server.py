@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import queue
+import re
+import secrets
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from approxjac.errors import InvalidInputError
@@ -18,11 +19,19 @@ _HOST = "127.0.0.1"  # nobody else on the network gets to move an arm
 _HOSTS = r"(127\.0\.0\.1|localhost)"
 _PORT = 7007
 _BEHIND = 900  # messages that a page has not taken yet
+_LONGEST = 20_000  # of a message from a page [byte]
+_SPARE = 0.005  # between messages of one page [s]; a mouse sends one in 50 ms
+_KINDS = 32  # of wishes that wait; of each kind the latest
+_PAGES = 16  # that are open at once
+_NO_KEY = "Open the address that the program printed: it ends with a key, which this one lacks."
 _CLOSING = 2.0  # for what was sent to arrive [s]
 
 
 class PageServer:
-    """Serves a page from a thread of its own.
+    """Serves a page from a thread of its own, to those who know its address.
+
+    The address holds a key, so that no other program or page on this machine finds it. Messages
+    of pages are wishes, {"what": value}: of each kind the latest is kept until it is asked for.
 
     Args:
         page: Makes the page, whenever a browser asks for it.
@@ -40,9 +49,11 @@ class PageServer:
         self._socket = _bound(port)
         found = self._socket.getsockname()[1]
         self.taken = _PORT if port is None and found != _PORT else None  # by another program
-        self.url = f"http://{_HOST}:{found}/"
+        self._key = secrets.token_urlsafe(12)
+        self.url = f"http://{_HOST}:{found}/{self._key}/"
         self.opened = threading.Event()  # by the first page
-        self._received: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._wishes: dict[str, tuple[str, Any]] = {}
+        self._lock = threading.Lock()
         self._pages: set[Any] = set()
         self._loop = asyncio.new_event_loop()
         self._closing = asyncio.Event()
@@ -54,9 +65,20 @@ class PageServer:
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._broadcast, message)
 
-    def received(self) -> list[Mapping[str, Any]]:
-        """Return what pages sent since this was asked for last, each a JSON object."""
-        return [self._received.get() for _ in range(self._received.qsize())]
+    def received(self) -> list[tuple[str, Any]]:
+        """Return the latest wish of each kind, its name and value, since this was asked last."""
+        with self._lock:
+            wishes, self._wishes = list(self._wishes.values()), {}
+        return wishes
+
+    def _keep(self, wish: str, value: Any) -> None:
+        # points of an image are moved one by one
+        kind = f"{wish} {value[:1]}" if wish == "pixel" and isinstance(value, list) else wish
+        with self._lock:
+            self._wishes.pop(kind, None)  # the latest are the last
+            self._wishes[kind] = wish, value
+            while len(self._wishes) > _KINDS:
+                del self._wishes[next(iter(self._wishes))]
 
     def close(self) -> None:
         """Stop serving, after what was sent has left."""
@@ -71,6 +93,11 @@ class PageServer:
     async def _until_closed(self) -> None:
         outer = self
 
+        class NoKey(self._web.RequestHandler):  # type: ignore[misc, name-defined]
+            def get(self) -> None:
+                self.set_status(403)
+                self.finish(_NO_KEY)
+
         class Page(self._web.RequestHandler):  # type: ignore[misc, name-defined]
             def get(self) -> None:
                 self.set_header("Cache-Control", "no-store")
@@ -79,24 +106,28 @@ class PageServer:
         class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
             def open(self, *_: str) -> None:
                 self.waiting = 0
+                if len(outer._pages) >= _PAGES:
+                    self.close(reason="too many pages are open")
+                    return
                 outer._send(self, outer._greeting())
                 outer._pages.add(self)
                 outer.opened.set()
 
-            def on_message(self, message: str | bytes) -> None:
-                try:
+            async def on_message(self, message: str | bytes) -> None:
+                with contextlib.suppress(ValueError, RecursionError):
                     told = json.loads(message)
-                except (ValueError, RecursionError):
-                    return
-                if isinstance(told, dict):
-                    outer._received.put(told)
+                    for wish, value in told.items() if isinstance(told, dict) else ():
+                        outer._keep(wish, value)
+                await asyncio.sleep(_SPARE)  # the next one is read then: none can flood a run
 
             def on_close(self) -> None:
                 outer._pages.discard(self)
 
-        application = self._web.Application()
+        application = self._web.Application(websocket_max_message_size=_LONGEST)
+        key = re.escape(self._key)
         # not to pages of other sites that had their name point to this machine
-        application.add_handlers(_HOSTS, [("/", Page), ("/socket", Socket)])
+        served = [("/", NoKey), (f"/{key}/", Page), (f"/{key}/socket", Socket)]
+        application.add_handlers(_HOSTS, served)
         server = package_of("view", "tornado.httpserver").HTTPServer(application)
         server.add_socket(self._socket)
         await self._closing.wait()

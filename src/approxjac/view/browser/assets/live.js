@@ -4,7 +4,7 @@
 (() => {
   const shown = window.approxjac;
   const box = document.getElementById("live");
-  const socket = new WebSocket(`ws://${location.host}/socket`);
+  const socket = new WebSocket(`ws://${location.host}${location.pathname}socket`);
   const send = (wish) => {
     if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(wish));
   };
