@@ -299,7 +299,7 @@ def conservatism(outcomes):
         lines += [shares(name, mine)] if mine else []
     singular = [o for o in outcomes if o.singular]
     lines += [shares("Ĵ loses rank in the region", singular)] if singular else []
-    missed = [o for o in outcomes if o.converged and o.damping is None]
+    missed = missed_cases(outcomes)
     singular = [o for o in missed if o.singular]
     wrong = [o for o in missed if o.wrong_way and not o.singular]
     return [
@@ -309,9 +309,12 @@ def conservatism(outcomes):
         f"Ĵ loses rank in the region; in {len(wrong)} the region holds configurations that would "
         f"be unstable targets in the limit of large gains; "
         f"{len(missed) - len(singular) - len(wrong)} are left.",
-        "",
-        *map(missing, missed),
     ]
+
+
+def missed_cases(outcomes):
+    """Return the cases that converge and that nothing certifies."""
+    return [o for o in outcomes if o.converged and o.damping is None]
 
 
 def missing(o):
@@ -350,7 +353,8 @@ def main(arguments=None):
     outcomes = run_all(run_case, cases(count, given.seed), given.jobs)
     found = [text for o in outcomes for text in o.counterexamples()]
     summary = {"cases": count, "counterexamples": found, "runs": outcomes}
-    write(given.out, {"certify.md": table(outcomes)}, summary)
+    missed = "\n".join(map(missing, missed_cases(outcomes))) + "\n"
+    write(given.out, {"certify.md": table(outcomes), "certify_missed.md": missed}, summary)
     return 1 if found else 0
 
 

@@ -129,15 +129,24 @@ def cells(mine):
     return *reaches.cells(mine), f"{near:.2f} s", f"{np.median(rms):.2g} mm ({max(rms):.2g} mm)"
 
 
-def table(outcomes):
-    """Return a row for each kind of loop and law, then one for each arm."""
-    lines = head("loop, law", *COLUMNS)
-    by_kind = {}
+def by_kind(outcomes):
+    """Return the outcomes of each kind of loop and law."""
+    found = {}
     for outcome in outcomes:
-        by_kind.setdefault(outcome.case.kind, []).append(outcome)
-    lines += [row(kind, *cells(mine)) for kind, mine in by_kind.items()]
-    lines += ["", "Arm by arm:", "", *head("loop, law", "arm", *COLUMNS)]
-    for kind, mine in by_kind.items():
+        found.setdefault(outcome.case.kind, []).append(outcome)
+    return found
+
+
+def table(outcomes):
+    """Return a row for each kind of loop and law."""
+    rows = [row(kind, *cells(mine)) for kind, mine in by_kind(outcomes).items()]
+    return [*head("loop, law", *COLUMNS), *rows]
+
+
+def arms(outcomes):
+    """Return a row for each kind of loop and law on each arm."""
+    lines = head("loop, law", "arm", *COLUMNS)
+    for kind, mine in by_kind(outcomes).items():
         for robot in dict.fromkeys(o.case.robot for o in mine):
             lines.append(row(kind, robot, *cells([o for o in mine if o.case.robot == robot])))
     return lines
@@ -170,8 +179,13 @@ def main(arguments=None):
     found = run_all(run_case, cases, given.jobs)
     outcomes = [each for law in zip(*found, strict=True) for each in law]
     outcomes.sort(key=lambda o: given.kinds.index(o.case.kind.split(",")[0]))
-    lines = [*table(outcomes), "", "Not within 1 mm at the end:", "", *reaches.failures(outcomes)]
-    write(given.out, {"compare_laws.md": "\n".join(lines) + "\n"}, {"runs": outcomes})
+    each = [*arms(outcomes), "", "Not within 1 mm at the end:", "", *reaches.failures(outcomes)]
+    tables = {"compare_laws.md": table(outcomes), "compare_laws_arms.md": each}
+    write(
+        given.out,
+        {name: "\n".join(lines) + "\n" for name, lines in tables.items()},
+        {"runs": outcomes},
+    )
     return 0
 
 

@@ -194,7 +194,7 @@ def groups(outcomes):
 
 
 def table(outcomes):
-    """Return convergence, then all numbers arm by arm, then failures, as Markdown."""
+    """Return how often each limiter did the task, as Markdown."""
     grouped = groups(outcomes)
     robots = dict.fromkeys(robot for robot, _, _ in grouped)
     places = dict.fromkeys((robot, scale) for robot, scale, _ in grouped)
@@ -208,8 +208,13 @@ def table(outcomes):
             for name in LIMITERS
         ]
         lines.append(row("**all**", f"× {scale:g}", len(mine[0]), *map(done, mine)))
-    lines += ["", proof_line(grouped), "", "All numbers, arm by arm:", ""]
-    for robot in robots:
+    return "\n".join([*lines, "", proof_line(grouped)]) + "\n"
+
+
+def arms(outcomes):
+    """Return all numbers arm by arm, then failures, as Markdown."""
+    grouped, lines = groups(outcomes), []
+    for robot in dict.fromkeys(robot for robot, _, _ in grouped):
         lines += head(
             robot, "limiter", "settled", "V̇ > −W", "by at most", "peak torque",
             "beyond torque limits", "speed, median (largest)", "beyond position limits",
@@ -401,7 +406,8 @@ def main(arguments=None):
     outcomes = list(chain.from_iterable(run_all(run_case, cases, given.jobs)))
     short = shortcomings(outcomes)
     summary = {"shortcomings": short, "runs": outcomes}
-    write(given.out, {"limiters.md": table(outcomes)}, summary)
+    tables = {"limiters.md": table(outcomes), "limiters_arms.md": arms(outcomes)}
+    write(given.out, tables, summary)
     view.save_figure(draw(outcomes), given.out / "limiters")
     print("\n".join(f"fell short: {text}" for text in short) or "all kept")
     return 1 if short else 0

@@ -253,7 +253,16 @@ def compared_table(outcomes):
             "left the view",
         )  # fmt: skip
         lines += [numbers(group) for group in groups(mine).values()]
-        lines += ["", f"What did not converge, {scene}:", "", *kinds(mine), ""]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def failed_table(outcomes):
+    """Return what did not converge in the comparison, scene by scene, as Markdown."""
+    lines = []
+    for scene in dict.fromkeys(o.case.scene for o in outcomes):
+        mine = [o for o in outcomes if o.case.scene == scene]
+        lines += [f"What did not converge, {scene}:", "", *kinds(mine), ""]
     return "\n".join(lines)
 
 
@@ -372,10 +381,13 @@ def main(arguments=None):
     scene = WITHIN_LIMITS if given.limits else ONE_POINT
     shown = from_many_starts(starts, scene, given.jobs)
     compared = run_all(run_case, comparison(comparisons), given.jobs)
-    text = shown_table(shown) + compared_table(compared)
+    tables = {
+        "servo.md": shown_table(shown) + compared_table(compared),
+        "servo_failures.md": failed_table(compared),
+    }
     kept = seen(shown)
     done = sum(o.converged for o in kept)
-    write(given.out, {"servo.md": text}, {"shown": shown, "compared": compared})
+    write(given.out, tables, {"shown": shown, "compared": compared})
     if compared:
         view.save_figure(draw(compared), given.out / "servo_noise")
     return 0 if len(kept) >= starts and done >= WANTED * len(kept) else 1

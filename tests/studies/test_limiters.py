@@ -70,6 +70,7 @@ def test_every_limiter_runs_the_same_reach_and_keeps_the_limits(outcomes):
     assert outcomes["qp"].statuses["PROOF_GIVEN_UP"] > 0
     assert limiters.shortcomings(list(outcomes.values())) == []
     assert "| two_link | × 0.35 | 1 |" in limiters.table(list(outcomes.values()))
+    assert "| × 0.35 | qp | " in limiters.arms(list(outcomes.values()))
 
 
 def test_finite_differences_of_V_agree_with_the_identity(built):

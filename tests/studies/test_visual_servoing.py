@@ -79,6 +79,7 @@ def test_the_tables_count_and_name_what_failed():
     assert "- seed 0, gravity exact: 200 -> 90 px; a point left the camera's view, out of" in table
     table = study.compared_table([DONE, DONE, LOST])
     assert "| 0.5 px | law 6 | 2 of 3 | 2.0 s | 0.1 px | 0.02 N m | 0.50 | 0 | 1 |" in table
+    table = study.failed_table([DONE, DONE, LOST])
     assert "- law 6, 1 × a point left the camera's view (0.5 px: seeds 0)" in table
 
 
