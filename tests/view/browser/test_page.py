@@ -423,3 +423,114 @@ def test_a_target_in_the_image_is_dragged(watched, open_page, tmp_path):
     assert i == 0
     assert u > target[0] + 5.0
     assert (u - target[0]) / (v - target[1]) == pytest.approx(2.0, rel=0.05)
+
+
+# -- what is there to see, and how ---------------------------------------------------------------
+
+
+def legend(page):
+    return page.locator("#legend li:visible").all_inner_texts()
+
+
+def test_the_legend_names_what_occurs(reach, show):
+    free = dataclasses.replace(reach.scene, torque_limits=np.full(7, 500.0))
+    named = legend(show(dataclasses.replace(reach, scene=free)))
+    assert named[:4] == [
+        "the arm as it is", "object that it holds", "the arm as the controller believes it",
+        "believed tip",
+    ]  # fmt: skip
+    for words in ("measured tip", "torque is at its limit", "at a position limit"):
+        assert not any(words in text for text in named)
+    limits = np.full(7, np.inf)
+    limits[1] = 0.5 * np.abs(reach.tau[:, 1]).min()
+    limited = dataclasses.replace(reach.scene, torque_limits=limits)
+    x_measured = reach.x_measured + 0.02
+    other = show(dataclasses.replace(reach, scene=limited, x_measured=x_measured))
+    assert "link whose torque is at its limit" in legend(other)
+    assert "measured tip, where it differs" in legend(other)
+
+
+def test_a_belief_that_is_right_is_not_drawn(reach, show):
+    scene = reach.scene
+    right = dataclasses.replace(scene, belief=scene.truth, task=scene.sensor)
+    page = show(dataclasses.replace(reach, scene=right))
+    drawn_anew(page)
+    assert not any("believe" in text for text in legend(page))
+    assert "believed" not in page.locator("#state").inner_text()
+    box = page.locator("#canvas").bounding_box()
+    assert near(pixels(page), (0.5 * box["width"], 350.0), COLORS["believed"], 300.0) == 0
+
+
+def test_the_rim_of_the_ghost_lies_around_the_arm_only(reach, show):
+    """Nothing of it, such as at bolts and edges, is seen on the arm."""
+    page = show(reach, (1400, 900))
+    page.evaluate("""() => {  // markers and arrow aside
+        for (const name of ["target", "believed_tip", "measured", "tip", "force"]) {
+            approxjac.viewer.scene_tree.find([name]).object.traverse((o) => o.layers.set(5));
+        }
+        approxjac.viewer.set_dirty();
+    }""")
+    drawn_anew(page)
+    image = pixels(page)[:, :850]
+    pink = (image[..., 0] - image[..., 1] > 40.0) & (image[..., 2] - image[..., 1] > 15.0)
+    pink[:110] = False  # of the legend
+    assert pink.sum() > 1000
+    background = image.min(axis=2) > 215.0  # and the grid
+    reached = background.copy()
+    for _ in range(7):  # how far the rim reaches from the background
+        grown = reached.copy()
+        grown[1:] |= reached[:-1]
+        grown[:-1] |= reached[1:]
+        grown[:, 1:] |= reached[:, :-1]
+        grown[:, :-1] |= reached[:, 1:]
+        reached = grown
+    assert (pink & ~reached).sum() < 0.01 * pink.sum()  # in narrow gaps between links
+
+
+def test_the_view_is_reset(reach, show):
+    page = show(reach)
+    before = project(page, reach.target)
+    page.mouse.move(250, 500)
+    page.mouse.down()
+    page.mouse.move(330, 500, steps=4)
+    page.mouse.up()
+    assert np.linalg.norm(project(page, reach.target) - before) > 20.0
+    page.get_by_role("button", name="Reset view").click()
+    assert_allclose(project(page, reach.target), before, atol=1e-3)
+
+
+def test_the_path_goes_to_the_tip(drawn, show):
+    """Between two instants, too; and all of it is in view."""
+    page = show(drawn, (1400, 900))
+    box = page.locator("#canvas").bounding_box()
+    for t in (10.03, 30.0, drawn.t[-1]):
+        seek(page, t)
+        end, tip = page.evaluate("""() => {
+            const { viewer } = approxjac, THREE = MeshCat.THREE, s = approxjac.state();
+            const mesh = viewer.scene_tree.find(["trail tip", "<object>"]).object;
+            const matrix = new THREE.Matrix4();
+            mesh.getMatrixAt(mesh.count - 1, matrix);
+            const tip = viewer.scene_tree.find(["tip"]).object.position;
+            return [new THREE.Vector3(0, 0.5, 0).applyMatrix4(matrix).toArray(), tip.toArray()];
+        }""")
+        assert_allclose(end, tip, atol=1e-5)
+    tips = page.evaluate("approxjac.column('tip').map((p) => approxjac.project(p))")
+    for place in tips:
+        assert box["x"] < place["x"] < box["x"] + box["width"]
+        assert box["y"] < place["y"] < box["y"] + box["height"]
+
+
+@pytest.mark.parametrize("size", [(1400, 900), (400, 800)])
+def test_a_dark_page(watched, open_page, page_of, size):
+    page = open_page(page_of(watched), size)
+    page.emulate_media(color_scheme="dark", reduced_motion="reduce")
+    drawn_anew(page)
+    page.wait_for_timeout(200)
+    image = pixels(page)
+    assert (image.max(axis=2) > 200.0).mean() < 0.08  # of texts and what is drawn
+    assert np.median(image) < 60.0
+    assert page.evaluate("document.documentElement.scrollWidth") == size[0]
+    page.emulate_media(color_scheme="light")
+    drawn_anew(page)
+    page.wait_for_timeout(200)
+    assert np.median(pixels(page)) > 230.0

@@ -24,11 +24,11 @@ from approxjac.view.browser.viewpoint import link_points, viewpoint
 from approxjac.view.style import COLORS, SERIES, display_unit
 from approxjac.view.tree import held_objects
 
-_BACKGROUND = (np.array([[253, 253, 254], [241, 243, 245]]) / 255.0).tolist()  # top, bottom
 _SCRIPTS = ("uPlot.iife.min.js", "scene.js", "plots.js", "image.js", "page.js")
 _TIPS = ("believed tip", "learnt tip")  # the second where it moves as it is learnt
 _BUNDLED = "dist/main.min.js."
 _LICENCES = ("LICENSE", f"{_BUNDLED}LICENSE.txt", f"{_BUNDLED}THIRD_PARTY_LICENSES.json")
+_MARKER = 0.03  # radius of the largest marker, of the arm's size
 _ROOM = 0.35  # to all sides, for targets of a live page that are yet to come, of the arm's size
 
 
@@ -68,9 +68,9 @@ def page_data(
         around = _ROOM * stage.size * np.concatenate([np.eye(3), -np.eye(3)])
         seen.append(columns["tip"][-1:] + around)
     points = np.concatenate(seen)
-    view = viewpoint(scene.truth, moving, points, stage.cameras)
+    view = viewpoint(scene.truth, moving, points, stage.cameras, _MARKER * stage.size)
     data = stage.data()
-    data["commands"] += grid(view["normal"], points)
+    data["commands"] += grid(view["normal"], points, stage.ground)
     image, axes = image_feature(scene.sensor), None
     if image is not None and image.camera is not None:
         axes = _image_axes(image.camera) | {"points": len(image.points)}
@@ -81,7 +81,6 @@ def page_data(
         "legend": _legend(scene, axes is not None),
         "live": live,
         "colours": COLORS,
-        "background": _BACKGROUND,
         "size": stage.size,
         "view": {name: np.round(view[name], 4).tolist() for name in ("direction", "points")},
         "image": axes,
@@ -125,8 +124,11 @@ def filled(template: str, parts: Mapping[str, str]) -> str:
     return re.sub(r"{{(\w+)}}", lambda found: parts[found[1]], asset(template))
 
 
-def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
-    """Return the meaning of colours: colour, kind of mark ("" is a dot) and words."""
+def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str, str]]:
+    """Return the meaning of colours: what, colour, kind of mark ("" is a dot) and words.
+
+    The page shows those of what occurs in it.
+    """
     held, told = bool(held_objects(scene.truth)), scene.belief is not None
     ghost = "arm and camera as the controller believes them"
     ghost = ghost if image else "the arm as the controller believes it"
@@ -134,7 +136,7 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
         (True, "arm", "bar", "the arm as it is"),
         (held, "object", "bar", "object that it holds"),
         (told, "believed", "bar", ghost),
-        (told, "believed", "", _TIPS[learnt_regressor(scene) is not None]),
+        (told, "believed_tip", "", _TIPS[learnt_regressor(scene) is not None]),
         (True, "true", "", "true tip and its path"),
         (any(feature.axes for feature in features(scene.sensor)),
          "measured", "", "measured tip, where it differs"),
@@ -145,7 +147,11 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str]]:
         (np.isfinite(np.array(scene.truth.position_limits)).any(),
          "at_limit", "bar", "link whose joint is at a position limit"),
     )  # fmt: skip
-    return [(COLORS[role], mark, words) for shown, role, mark, words in entries if shown]
+    return [
+        (what, COLORS["believed" if what == "believed_tip" else what], mark, words)
+        for shown, what, mark, words in entries
+        if shown
+    ]
 
 
 def _plots(scene: Scene, labels: list[str], units: Sequence[str]) -> list[dict[str, Any]]:

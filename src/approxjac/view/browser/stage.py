@@ -15,7 +15,7 @@ from approxjac.simulation.scene import Scene
 from approxjac.tasks import PinholeCamera, PlanarCamera, Task
 from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array, plane_rows
-from approxjac.view.browser.viewpoint import reach_points
+from approxjac.view.browser.viewpoint import link_points, reach_points
 from approxjac.view.style import COLORS
 from approxjac.view.tree import Tree, held_objects
 
@@ -108,6 +108,35 @@ class Stage:
                 node = self._node(role, camera["mount"])
                 self.cameras.append(camera | {"role": role, "node": node})
 
+    @property
+    def differs(self) -> bool:
+        """Return whether the arm or the camera is believed anywhere or anyhow else than it is."""
+        if "believed" not in self.robots:
+            return False
+        true, believed = (_placed(self._trees[role]) for role in ("true", "believed"))
+        if true.keys() != believed.keys() or any(
+            not np.allclose(true[name], believed[name], atol=1e-9) for name in true
+        ):
+            return True
+        views = [camera for camera in self.cameras if camera["role"] == "believed"]
+        seen = [camera for camera in self.cameras if camera["role"] == "true"]
+        names = ("apex", "corner", "right", "down", "low", "high")
+        return any(
+            not np.allclose(a[name], b[name], atol=1e-9)
+            for a, b in zip(seen, views, strict=False)
+            for name in names
+        )
+
+    @property
+    def ground(self) -> Array:
+        """Return the base's origin and corners of what of the true robot is fixed, (n, 3) [m]."""
+        drivers, robot = self._trees["true"].drivers, self.robots["true"]
+        boxes = {link: box for link, box in self.boxes["true"].items() if drivers[link] < 0}
+        fixed = (
+            link_points(robot, robot.neutral()[np.newaxis], boxes) if boxes else np.zeros((0, 3))
+        )
+        return np.concatenate([np.zeros((1, 3)), fixed])
+
     def data(self, *roles: str) -> dict[str, Any]:
         """Return what page.js builds the scene from, by default both roles.
 
@@ -118,7 +147,7 @@ class Stage:
         drawing = _Drawing()
         built: dict[str, Any] = {
             "roles": roles, "missing": list(missing), "links": [], "clones": [], "cameras": [],
-            "commands": drawing.commands,
+            "commands": drawing.commands, "differs": self.differs,
             "joints": {role: _joints(self._trees[role]) for role in roles},
         }  # fmt: skip
         for role in roles:
@@ -242,8 +271,11 @@ class _Drawing:
         self.commands.append(base64.b64encode(self._pack(command)).decode())
 
 
-def grid(normal: Array, points: Array) -> list[str]:
-    """Return commands of a thin grid through the base, across normal (3,), under points (n, 3)."""
+def grid(normal: Array, points: Array, ground: Array) -> list[str]:
+    """Return commands of a thin grid across normal (3,), as wide as points (n, 3) [m].
+
+    It goes through the base, or under what of the robot is fixed, at the lowest of ground (k, 3).
+    """
     u = np.cross(normal, [0.0, 0.0, 1.0])
     u = u / np.linalg.norm(u) if np.linalg.norm(u) > 1e-6 else np.array([1.0, 0.0, 0.0])
     v = np.cross(normal, u)
@@ -255,7 +287,8 @@ def grid(normal: Array, points: Array) -> list[str]:
     ends = [(a, s * ticks[-1]) for a in ticks for s in (-1.0, 1.0)]
     across = [a * u + b * v for a, b in ends] + [a * v + b * u for a, b in ends]
     drawing = _Drawing()
-    drawing.lines(("grid",), np.array(across), _GRID)
+    level = min(0.0, float((ground @ normal).min())) if abs(normal[2]) > 0.9 else 0.0
+    drawing.lines(("grid",), np.array(across) + level * normal, _GRID)
     return drawing.commands
 
 
@@ -271,6 +304,11 @@ def _draw_camera(camera: dict[str, Any], drawing: _Drawing) -> None:
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     image = drawing.geometry.TriangularMeshGeometry(corners, faces)
     drawing.put((*path, "image"), image, colour, **glass)
+
+
+def _placed(tree: Tree) -> dict[str, Array]:
+    """Return where each child sits and how it moves, by joint, shape (19,)."""
+    return {joint.name: np.append(joint.origin, joint.axis) for joint in tree.joints}
 
 
 def _joints(tree: Tree) -> list[dict[str, Any]]:

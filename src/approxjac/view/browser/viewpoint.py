@@ -39,10 +39,15 @@ def reach_points(robot: Robot) -> Array:
 
 
 def viewpoint(
-    robot: Robot, moving: Array, points: Array, cameras: Sequence[Mapping[str, Any]]
+    robot: Robot,
+    moving: Array,
+    points: Array,
+    cameras: Sequence[Mapping[str, Any]],
+    marker: float,
 ) -> dict[str, Any]:
     """Return from where to look at moving points (n, 3), with others (N, 3) in view [m].
 
+    What moves is drawn with a marker of that radius [m].
     Cameras in the world, as the `Stage` has them, are to be in view, too. "direction" is a unit
     vector towards the eye, "normal" that of the plane that the arm moves in, or else up.
     """
@@ -60,6 +65,9 @@ def viewpoint(
         direction = turn @ (np.cos(_ABOVE) * normal + np.array([0.0, 0.0, np.sin(_ABOVE)]))
     else:  # a floor plan is looked at from its near side
         direction = normal + np.array([0.0, -0.8 if abs(normal[2]) > 0.9 else 0.0, 0.0])
+    there = moving[np.isfinite(moving).all(axis=1)]
+    steps = marker * np.concatenate([np.eye(3), -np.eye(3)])
+    points = np.concatenate([points, (there[:, np.newaxis] + steps).reshape(-1, 3)])
     # those that are the farthest in some of many directions
     ways = np.random.default_rng(0).normal(size=(300, 3))
     return {

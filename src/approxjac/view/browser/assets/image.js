@@ -63,7 +63,7 @@ approxjac.ImagePlane = class {
     const halfWidth = scale * (0.5 * (u1 - u0) + room), halfHeight = scale * (0.5 * (v1 - v0) + room);
     Object.assign(edge, { left: x0 - halfWidth, right: width - x0 - halfWidth,
       top: y0 - halfHeight, bottom: height - y0 - halfHeight });
-    const ctx = canvas.getContext("2d");
+    const ctx = canvas.getContext("2d"), theme = this.theme = approxjac.theme();
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     ctx.clearRect(0, 0, width, height);
     this._axes(ctx, width, height, edge);
@@ -73,7 +73,7 @@ approxjac.ImagePlane = class {
     ctx.clip();
     if (image.border) {
       const [a, b] = this.toPage(u0, v0), [c, d] = this.toPage(u1, v1);
-      ctx.strokeStyle = "#1f2933";
+      ctx.strokeStyle = theme.ink;
       ctx.lineWidth = 1;
       ctx.strokeRect(a, b, c - a, d - b);
     }
@@ -97,6 +97,8 @@ approxjac.ImagePlane = class {
         ctx[gap ? "moveTo" : "lineTo"](...this.toPage(u, v));
         gap = false;
       }
+      const end = to === now && !gap ? at("pixels") : null; // between two rows
+      if (end) ctx.lineTo(...end);
       ctx.stroke();
       ctx.globalAlpha = 1;
     };
@@ -108,7 +110,7 @@ approxjac.ImagePlane = class {
       if (!p) return;
       ctx.beginPath();
       ctx.arc(p[0], p[1], r, 0, 2 * Math.PI);
-      ctx.fillStyle = filled ? colour : "#ffffff";
+      ctx.fillStyle = filled ? colour : this.theme.paper;
       ctx.strokeStyle = colour;
       ctx.lineWidth = 1.5;
       ctx.fill();
@@ -153,19 +155,19 @@ approxjac.ImagePlane = class {
         draw(n * by / image.scale, String(+(n * by).toPrecision(6)).replace("-", "−"));
       }
     };
-    ticks(left, far, (right - edge.left) / 60, (u, text) => {
+    ticks(left, far, (right - edge.left) / 45, (u, text) => {
       const x = Math.round(this.toPage(u, 0)[0]) + 0.5;
-      ctx.strokeStyle = "#e8ebee";
+      ctx.strokeStyle = this.theme.faint;
       ctx.strokeRect(x, edge.top, 0, bottom - edge.top);
-      ctx.fillStyle = "#616e7c";
+      ctx.fillStyle = this.theme.soft;
       ctx.textAlign = "center";
       ctx.fillText(text, x, bottom + 13);
     });
     ticks(top, low, (bottom - edge.top) / 34, (v, text) => {
       const y = Math.round(this.toPage(0, v)[1]) + 0.5;
-      ctx.strokeStyle = "#e8ebee";
+      ctx.strokeStyle = this.theme.faint;
       ctx.strokeRect(edge.left, y, right - edge.left, 0);
-      ctx.fillStyle = "#616e7c";
+      ctx.fillStyle = this.theme.soft;
       ctx.textAlign = "right";
       ctx.fillText(text, edge.left - 5, y + 4);
     });

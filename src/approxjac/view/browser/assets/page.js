@@ -90,13 +90,14 @@ approxjac.Rows = class {
     line.append(term, value);
     part("facts").append(line);
   }
-  for (const [colour, kind, text] of data.legend) {
+  const legend = data.legend.map(([what, colour, kind, text]) => {
     const item = document.createElement("li"), mark = document.createElement("i");
-    mark.style.background = colour;
+    mark.style.background = colour === "#000000" ? "var(--black)" : colour;
     mark.className = kind;
     item.append(mark, text);
     part("legend").append(item);
-  }
+    return { what, item };
+  });
   const tell = (missing) => {
     part("notes").hidden = missing.length === 0;
     part("notes").textContent = missing.length ? `Drawn without: ${missing.join("; ")}` : "";
@@ -108,7 +109,7 @@ approxjac.Rows = class {
     scene = new approxjac.Scene(data, part("canvas"));
   } catch (error) { // without WebGL there are the plots
     part("canvas").textContent = `This browser cannot draw the arm: ${error.message}`;
-    scene = { show() {}, build() {}, project: () => ({ x: NaN, y: NaN }), viewer: null };
+    scene = { show() {}, build() {}, paint() {}, reset() {}, differs: data.differs, project: () => ({ x: NaN, y: NaN }), viewer: null };
   }
   const image = data.image && new approxjac.ImagePlane(data, part("plots"));
   const end = () => (rows.length ? rows.row("t", rows.length - 1)[0] : 0);
@@ -116,6 +117,32 @@ approxjac.Rows = class {
   const plots = data.plots
     .filter(({ column }) => data.live || rows.columns[column].data.some(Number.isFinite))
     .map((spec) => new approxjac.Plot(spec, part("plots"), (to) => { pause(); seek(to); }));
+
+  // -- what occurs is in the legend ---------------------------------------------------------
+
+  const occurred = new Set(["arm", "object", "true", "target"]);
+  let looked = 0;
+
+  function explain() {
+    const far = (a, b, least) => Math.hypot(...a.map((x, i) => x - b[i])) > least * data.size;
+    for (; looked < rows.length; looked++) {
+      const [tip, measured] = [rows.row("tip", looked), rows.row("measured", looked)];
+      if (far(tip, rows.row("believed_tip", looked), 1e-6)) occurred.add("believed_tip");
+      if (far(tip, measured, 2e-3)) occurred.add("measured");
+      if (Math.hypot(...rows.row("force", looked)) > 0) occurred.add("force");
+      if (rows.row("load", looked).some((share) => share > 0.8)) occurred.add("saturated");
+      if (rows.row("at_limit", looked).some((there) => there >= 1)) occurred.add("at_limit");
+    }
+    if (scene.differs) occurred.add("believed");
+    for (const { what, item } of legend) item.hidden = !occurred.has(what);
+  }
+
+  approxjac.darkness.addEventListener("change", () => {
+    scene.paint();
+    if (image) image.draw();
+    for (const plot of plots) plot.paint();
+  });
+  part("reset").addEventListener("click", () => scene.reset());
 
   // -- the cursor ------------------------------------------------------------------------
 
@@ -136,7 +163,7 @@ approxjac.Rows = class {
     const said = [], force = Math.hypot(...rows.at("force", s));
     const [tip, believed] = [rows.at("tip", s), rows.at("believed_tip", s)];
     const apart = 1000 * Math.hypot(...tip.map((x, i) => x - believed[i]));
-    if (Number.isFinite(apart)) said.push(`${data.tip} ${approxjac.number(apart)} mm away`);
+    if (apart >= 1e-3) said.push(`${data.tip} ${approxjac.number(apart)} mm away`);
     if (Number.isFinite(force)) said.push(`force of the control ${approxjac.number(force)} N`);
     const named = (values, least) => {
       const names = data.jointNames.filter((_, k) => values[k] >= least);
@@ -185,6 +212,7 @@ approxjac.Rows = class {
     const to = data.live && t < end() - WINDOW ? t + 0.5 * WINDOW : end();
     const from = data.live ? Math.max(start(), to - WINDOW) : start();
     for (const plot of plots) plot.read(rows, from, to);
+    explain();
   }
 
   button.addEventListener("click", () => (playing ? pause() : play()));
@@ -232,6 +260,7 @@ approxjac.Rows = class {
     // What Stage.data gives, of a robot that has changed.
     redraw(changed) {
       scene.build(changed);
+      explain();
       if (changed.missing) tell(changed.missing);
       show();
     },

@@ -5,11 +5,12 @@ approxjac.Plot = class {
   constructor(spec, parent, seek) {
     this.spec = spec;
     const box = approxjac.panel(parent, spec.title, spec.labels.map((label, i) => [spec.colours[i % spec.colours.length], label]));
+    const colour = (name) => () => approxjac.theme()[name]; // as it is when it is drawn
     this.values = box.values;
     this.area = box.area;
     this.arrays = [[], ...spec.labels.map(() => [])];
-    const axis = { stroke: "#616e7c", grid: { stroke: "#e8ebee", width: 1 }, font: "11px sans-serif",
-      labelFont: "11px sans-serif", ticks: { stroke: "#dde1e6", width: 1, size: 4 }, gap: 3,
+    const axis = { stroke: colour("soft"), grid: { stroke: colour("faint"), width: 1 }, font: "11px sans-serif",
+      labelFont: "11px sans-serif", ticks: { stroke: colour("line"), width: 1, size: 4 }, gap: 3,
       values: (u, splits) => splits.map((value) => String(+value.toPrecision(6)).replace("-", "−")) };
     this.plot = new uPlot({
       width: 300, height: 120, padding: [8, 10, 0, 0],
@@ -20,7 +21,7 @@ approxjac.Plot = class {
         { ...axis, size: 46, label: spec.unit, labelSize: 16, space: 26 },
       ],
       series: [{}, ...spec.labels.map((label, i) => ({
-        label, stroke: spec.colours[i % spec.colours.length], width: 1.5, points: { show: false }, pxAlign: 0,
+        label, stroke: () => approxjac.shown(spec.colours[i % spec.colours.length]), width: 1.5, points: { show: false }, pxAlign: 0,
       }))],
       hooks: { drawAxes: [(u) => this._lines(u)], setSize: [() => this.mark()], setScale: [() => this.mark()] },
     }, this.arrays, this.area);
@@ -31,6 +32,8 @@ approxjac.Plot = class {
     new ResizeObserver(() => this.resize()).observe(this.area);
     this.resize();
   }
+
+  paint() { this.plot.redraw(false); }
 
   resize() {
     const { clientWidth: width, clientHeight: height } = this.area;
@@ -51,7 +54,7 @@ approxjac.Plot = class {
   // Zero, and limits.
   _lines(u) {
     u.ctx.save();
-    u.ctx.strokeStyle = "#555555";
+    u.ctx.strokeStyle = approxjac.theme().soft;
     u.ctx.lineWidth = devicePixelRatio;
     for (const line of this.spec.lines) {
       u.ctx.setLineDash(line === 0 ? [] : [5 * devicePixelRatio, 4 * devicePixelRatio]);
@@ -118,7 +121,7 @@ approxjac.panel = function (parent, title, keys) {
   const values = keys.map(([colour, label]) => {
     const key = document.createElement("span"), mark = document.createElement("i");
     const value = document.createElement("span");
-    mark.style.background = colour;
+    mark.style.background = colour === "#000000" ? "var(--black)" : colour;
     key.append(mark, label + " ", value);
     list.append(key);
     return value;

@@ -3,6 +3,16 @@
 // Positions are in the robot's world (z up); three.js has y up: (x, y, z) there is (x, z, −y) here.
 const approxjac = window.approxjac = {};
 
+// Colours of the page as they are now, light or dark.
+approxjac.theme = () => {
+  const style = getComputedStyle(document.documentElement), dark = approxjac.darkness.matches;
+  const names = ["ink", "soft", "line", "faint", "paper", "black"];
+  return { dark, ...Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()])) };
+};
+approxjac.darkness = matchMedia("(prefers-color-scheme: dark)");
+// Black stands out from all other colours; on a dark page that is white.
+approxjac.shown = (colour, theme = approxjac.theme()) => (colour === "#000000" ? theme.black : colour);
+
 approxjac.Scene = class {
   constructor(data, element) {
     this.data = data;
@@ -15,6 +25,7 @@ approxjac.Scene = class {
     this.touched = false; // whether the user has turned the view
     this._quiet();
     this.build(data);
+    this.paint();
     // MeshCat takes the whole window's height; here the viewer has a part of it
     this.viewer.set_3d_pane_size = () => this.resize();
     new ResizeObserver(() => this.resize()).observe(element);
@@ -23,11 +34,22 @@ approxjac.Scene = class {
     if (data.live) this._dragTarget();
   }
 
-  // Light background, soft lights, no axes.
+  // What has other colours on a dark page.
+  paint() {
+    const { viewer } = this, theme = approxjac.theme();
+    const [top, bottom] = theme.dark ? [[24, 28, 33], [31, 36, 42]] : [[253, 253, 254], [241, 243, 245]];
+    viewer.set_property(["Background"], "top_color", top.map((part) => part / 255));
+    viewer.set_property(["Background"], "bottom_color", bottom.map((part) => part / 255));
+    this.object(["grid"]).traverse((object) => object.material?.color.set(theme.dark ? "#343c45" : "#dde1e6"));
+    this.force.node.traverse((object) => {
+      object.material?.color.set(approxjac.shown(this.data.colours.force, theme));
+    });
+    viewer.set_dirty();
+  }
+
+  // Soft lights, no axes.
   _quiet() {
     const { viewer } = this;
-    viewer.set_property(["Background"], "top_color", this.data.background[0]);
-    viewer.set_property(["Background"], "bottom_color", this.data.background[1]);
     viewer.delete_path(["Grid"]);
     viewer.delete_path(["Axes"]);
     const light = (name) => viewer.scene_tree.find(["Lights", name, "<object>"]).object;
@@ -63,6 +85,12 @@ approxjac.Scene = class {
       this.images[role] = data.cameras.filter((camera) => camera.role === role)
         .map((camera) => this._camera(camera));
     }
+    if (data.roles.includes("believed")) { // nothing differs: there is nothing to see
+      this.differs = data.differs;
+      for (const root of ["believed", "camera_believed", "points_believed"]) {
+        if (viewer.scene_tree.children[root]) this.object([root]).visible = data.differs;
+      }
+    }
     viewer.set_dirty();
   }
 
@@ -96,13 +124,42 @@ approxjac.Scene = class {
       shapes.push(object);
     });
     // Where both arms are the same, a rim around the true one shows that it is believed there: the
-    // inside of the believed one, a little larger.
-    const rim = new THREE.MeshBasicMaterial({ color: this.data.colours.believed, side: THREE.BackSide });
+    // believed one a little larger, outside of its own outline, which is stencilled out.
+    const stencil = { transparent: true, depthWrite: false, side: THREE.DoubleSide, stencilWrite: true, stencilRef: 1 };
+    const mask = new THREE.MeshBasicMaterial({ ...stencil, colorWrite: false, depthTest: false,
+      stencilZPass: THREE.ReplaceStencilOp });
+    const rim = new THREE.MeshBasicMaterial({ ...stencil, color: this.data.colours.believed,
+      stencilFunc: THREE.NotEqualStencilFunc });
     rim.onBeforeCompile = (shader) => {
       shader.vertexShader = shader.vertexShader.replace("#include <begin_vertex>",
         `vec3 transformed = position + normal * ${(0.0032 * this.data.size).toFixed(6)};`);
     };
-    for (const shape of shapes) shape.add(new THREE.Mesh(shape.geometry, rim));
+    for (const shape of shapes) {
+      const covered = new THREE.Mesh(shape.geometry, mask);
+      const around = new THREE.Mesh(this._closed(shape.geometry), rim);
+      covered.renderOrder = 1;
+      around.renderOrder = 2;
+      shape.add(covered, around);
+    }
+  }
+
+  // The same shape with one normal at each place: along those it grows without tearing its edges.
+  _closed(geometry) {
+    this.grown = this.grown || new WeakMap();
+    if (this.grown.has(geometry)) return this.grown.get(geometry);
+    const THREE = MeshCat.THREE, found = new THREE.BufferGeometry();
+    const { position, normal } = geometry.attributes, near = 1e5 / this.data.size, sums = new Map();
+    const at = Array.from({ length: position.count }, (_, i) => {
+      const place = [position.getX(i), position.getY(i), position.getZ(i)].map((x) => Math.round(near * x)).join();
+      if (!sums.has(place)) sums.set(place, new THREE.Vector3());
+      return sums.get(place).add(new THREE.Vector3().fromBufferAttribute(normal, i));
+    });
+    for (const sum of sums.values()) sum.normalize();
+    found.setAttribute("position", position);
+    found.setAttribute("normal", new THREE.Float32BufferAttribute(at.flatMap((n) => [n.x, n.y, n.z]), 3));
+    found.setIndex(geometry.index);
+    this.grown.set(geometry, found);
+    return found;
   }
 
   // What moves besides the arms, and the links, whose colours change.
@@ -171,6 +228,8 @@ approxjac.Scene = class {
       node.visible = p.every(Number.isFinite);
       if (node.visible) node.position.set(...p);
     }
+    const { tip, believed_tip: believed } = this.markers;
+    if (tip.position.distanceTo(believed.position) < 1e-6 * this.data.size) believed.visible = false;
     this._arrow(rows.at("believed_tip", s), rows.at("force", s), rows.largest("force"));
     this._states(rows.row("load", Math.ceil(s)), rows.row("at_limit", Math.round(s)));
     for (const image of Object.values(this.images).flat()) this._image(image, rows, s);
@@ -249,19 +308,24 @@ approxjac.Scene = class {
       trail = this.trails[name] = { mesh, capacity, done: 0 };
     }
     const up = new THREE.Vector3(0, 1, 0);
-    for (; trail.done < rows.length - 1; trail.done++) {
-      const a = new THREE.Vector3(...rows.row(name, trail.done));
-      const way = new THREE.Vector3(...rows.row(name, trail.done + 1)).sub(a), length = way.length();
+    const draw = (i, to) => { // from row i to a row, or between two
+      const a = new THREE.Vector3(...rows.row(name, i));
+      const way = new THREE.Vector3(...rows.at(name, to)).sub(a), length = way.length();
       const matrix = new THREE.Matrix4().makeScale(0, 0, 0); // of a gap
       if (Number.isFinite(length)) {
         const middle = a.addScaledVector(way, 0.5);
         const turn = new THREE.Quaternion().setFromUnitVectors(up, length > 0 ? way.normalize() : up);
         matrix.compose(middle, turn, new THREE.Vector3(1, length, 1));
       }
-      trail.mesh.setMatrixAt(trail.done, matrix);
+      trail.mesh.setMatrixAt(i, matrix);
       trail.mesh.instanceMatrix.needsUpdate = true;
-    }
-    trail.mesh.count = Math.min(trail.done, Math.floor(s));
+    };
+    if (trail.cut !== undefined) draw(trail.cut, trail.cut + 1); // whole again
+    for (; trail.done < rows.length - 1; trail.done++) draw(trail.done, trail.done + 1);
+    const full = Math.min(trail.done, Math.floor(s));
+    trail.cut = full < trail.done ? full : undefined;
+    if (trail.cut !== undefined) draw(trail.cut, s); // up to where the tip is
+    trail.mesh.count = trail.cut === undefined ? full : full + 1;
     trail.mesh.visible = trail.mesh.count > 0;
   }
 
@@ -277,6 +341,21 @@ approxjac.Scene = class {
     viewer.set_dirty();
   }
 
+  // As at the start, with the arm where it is now.
+  reset() {
+    this.touched = false;
+    this.moved = this.data.live; // who knows where to
+    this.resize();
+  }
+
+  // Corners around the arm where it is now.
+  _now() {
+    const THREE = MeshCat.THREE, box = new THREE.Box3().setFromObject(this.object(["true"]));
+    if (box.isEmpty() || !this.moved) return [];
+    return [0, 1, 2, 3, 4, 5, 6, 7].map((i) => new THREE.Vector3(
+      (i & 1 ? box.max : box.min).x, (i & 2 ? box.max : box.min).y, (i & 4 ? box.max : box.min).z));
+  }
+
   // Put the eye as near as it may come in its direction with all points in view.
   _frame() {
     const THREE = MeshCat.THREE, { camera, controls } = this.viewer;
@@ -287,7 +366,7 @@ approxjac.Scene = class {
     right.normalize();
     const up = new THREE.Vector3().crossVectors(towards, right);
     const slope = 0.92 * Math.tan(0.5 * camera.fov * Math.PI / 180);
-    const points = this.data.view.points.map(inThree);
+    const points = [...this.data.view.points.map(inThree), ...this._now()];
     const depth = points.map((p) => p.dot(towards));
     const fit = (axis, tan) => { // the nearest eye, and where it is across
       const across = points.map((p) => p.dot(axis));
