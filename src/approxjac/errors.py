@@ -54,6 +54,10 @@ class UrdfError(ApproxJacError, ValueError):
     """A URDF that is missing, malformed or not usable for torque control."""
 
 
+class ImplausibleRobotWarning(UserWarning):
+    """A URDF whose masses or effort limits cannot be those of the arm."""
+
+
 class MeasurementError(ApproxJacError, ValueError):
     """A measurement without which no safe torque exists (q or v not finite)."""
 

@@ -14,6 +14,9 @@ from approxjac.robots import Dynamics, robot_names
 from approxjac.robots.catalog import NAMED, share_dir, urdf_path
 from approxjac.tasks.frame_kinematics import FrameKinematics
 
+# whose links are all alike
+pytestmark = pytest.mark.filterwarnings("ignore::approxjac.errors.ImplausibleRobotWarning")
+
 
 def link(name):
     return f"""<link name="{name}"><inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0"

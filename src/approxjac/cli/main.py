@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+import warnings
 
 import tyro
 
@@ -38,6 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = arguments or ["--help"]
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
+    warnings.showwarning = _warned
     try:
         if arguments and not arguments[0].startswith("-") and arguments[0] not in _COMMANDS:
             raise UnknownNameError("command", arguments[0], "approxjac", _COMMANDS)
@@ -64,6 +66,11 @@ def _run(arguments: list[str]) -> int:
         taking = options.with_options(command, scenario) if name in options.SHORT else command
         app.command(name=name, help=None if name == chosen else line)(taking)
     return int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
+
+
+def _warned(message: Warning | str, *_: object, **__: object) -> None:
+    """Print a warning without the place in the code that Python puts before it."""
+    print(f"approxjac: {message}", file=sys.stderr)
 
 
 def _flushed(code: int) -> int:

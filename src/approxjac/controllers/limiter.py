@@ -148,7 +148,7 @@ class Limiter(ControllerWrapper):
                 "not known without it",
                 given=measurement,
             )
-        self.task.robot.configuration(q)
+        q = self.task.robot.configuration(q)
         hold = self._law.gravity_torque(state, q)
         return np.concatenate([state, self._kept, np.clip(hold, self._lower, self._upper)])
 

@@ -52,7 +52,7 @@ class RestConfiguration:
             middle = 0.5 * np.sum(robot.usual_range(), axis=0)
             self.q = np.array(pin.integrate(robot.model, robot.neutral(), middle))
             return
-        self.q = robot.configuration(as_array("posture", q, (robot.nq,), "rad or m"), "posture")
+        self.q = as_array("posture", robot.configuration(q, "posture"), (robot.nq,))
         require_radians("posture", robot, self.q)
 
     def velocity(self, q: Array, v: Array) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
@@ -21,6 +22,8 @@ def read(driver: Driver, task: Task) -> Measurement:
     """
     t, q, v, x, t_x = driver.read()
     measured = Measurement(float(t), _numbers(q), _numbers(v), _numbers(x), t_x)
+    if measured.q.shape == (task.robot.nv,):  # encoders tell angles of continuous joints, too
+        measured = measured._replace(q=_configuration(task, measured.q))
     robot, sizes = task.robot, (measured.q.shape, measured.v.shape, measured.x.shape)
     if sizes != ((robot.nq,), (robot.nv,), (task.n_x,)):
         raise InvalidInputError(
@@ -29,6 +32,14 @@ def read(driver: Driver, task: Task) -> Measurement:
             given=measured,
         )
     return measured
+
+
+def _configuration(task: Task, q: Array) -> Array:
+    """Return a configuration of one number a joint, NaN where that is."""
+    robot = task.robot
+    if robot.nq == robot.nv:
+        return q
+    return np.array(pin.integrate(robot.model, robot.neutral(), q))
 
 
 def _numbers(values: Any) -> Array:

@@ -16,7 +16,7 @@ from approxjac.simulation.held_commands import HeldCommands
 from approxjac.simulation.integrators import INTEGRATORS
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.sensing import SensorReadings
-from approxjac.validation import Array, as_array, as_integer, as_number, require
+from approxjac.validation import Array, as_integer, as_number, require
 
 _LONGEST = 1e5  # s, of one run
 _CATCH_UP = 50  # periods that an arm goes on without a command
@@ -56,8 +56,8 @@ class SimulatedDriver:
         robot = plant.robot
         self.plant, self.dt = plant, as_number("dt", dt, unit="s", above=0.0)
         self.command: Literal["torque", "velocity"] = plant.command
-        q = plant.ready_configuration() if q0 is None else as_array("q0", q0, (robot.nq,))
-        self.q, self.v = robot.configuration(q, "q0"), np.zeros(robot.nv)
+        q = robot.configuration(plant.ready_configuration() if q0 is None else q0, "q0")
+        self.q, self.v = np.array(q), np.zeros(robot.nv)
         self.limits = Limits(effort=plant.motor_limits)
         self.adds_gravity = adds_gravity is not None
         self._gravity = None if adds_gravity is None else Dynamics(adds_gravity)

@@ -8,7 +8,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots.gravity_regressor import GravityRegressor
-from approxjac.validation import Array, as_array, as_number, require
+from approxjac.validation import Array, as_array, as_number, require, shape_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,7 +66,9 @@ def excitation(regressor: GravityRegressor, q: Array, threshold: float = 0.05) -
             range.
     """
     require("regressor", regressor, GravityRegressor, "a GravityRegressor")
-    q = as_array("q", q, ("N", regressor.robot.nq), "rad or m")
+    robot = regressor.robot
+    size = robot.nv if shape_of(q)[1:] == (robot.nv,) else robot.nq  # or angles of the joints
+    q = as_array("q", q, ("N", size), "rad or m")
     threshold = as_number("threshold", threshold, above=0.0)
     if threshold > 1.0:
         raise InvalidInputError(f"threshold must be at most 1, got {threshold:g}", given=threshold)

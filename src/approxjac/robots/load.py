@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from approxjac.errors import InvalidInputError, MissingPackageError, UnknownNameError, UrdfError
+from approxjac.errors import (
+    ImplausibleRobotWarning,
+    InvalidInputError,
+    MissingPackageError,
+    UnknownNameError,
+    UrdfError,
+)
 from approxjac.robots.catalog import NAMED, NamedRobot, urdf_path
+from approxjac.robots.plausibility import implausible
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
-from approxjac.robots.urdf import Urdf, leader_of
+from approxjac.robots.urdf import MOST_TEXT, Urdf, leader_of
 from approxjac.robots.urdf_edit import with_locked_joints
 from approxjac.validation import Array
 
@@ -47,6 +55,9 @@ def load_robot(
             carry.
         MissingPackageError: A named robot, and example-robot-data was taken away.
 
+    Warns:
+        ImplausibleRobotWarning: Masses or effort limits of a file that look like placeholders.
+
     Example:
         >>> load_robot("two_link").joint_names
         ('joint1', 'joint2')
@@ -57,7 +68,15 @@ def load_robot(
     label, folder = ("URDF text", None) if path is None else (str(path), path.resolve().parent)
     urdf = _lock_off_chain(Urdf.parse(text, label), base, tip, free)
     name = None if entry is None else str(source)
-    return Robot(urdf, gravity=gravity, tip=tip, urdf_dir=folder, name=name)
+    robot = Robot(urdf, gravity=gravity, tip=tip, urdf_dir=folder, name=name)
+    if entry is None and (doubts := implausible(robot)):
+        warnings.warn(
+            f"{label}: {'; '.join(doubts)}. That looks like placeholders, with which gravity "
+            "and torque limits are wrong; put in the maker's numbers",
+            ImplausibleRobotWarning,
+            stacklevel=2,
+        )
+    return robot
 
 
 def robot_names() -> tuple[str, ...]:
@@ -100,6 +119,10 @@ def _find(source: str | Path) -> tuple[str, Path | None, NamedRobot | None]:
 def _read(path: Path) -> str:
     """Return the text of a file, in the encoding that it declares."""
     try:
+        if (size := path.stat().st_size) > MOST_TEXT:
+            raise UrdfError(
+                f"URDF file {path} must have at most {MOST_TEXT} bytes, got {size}", given=path
+            )
         data = path.read_bytes()
         declared = re.match(rb"<\?xml[^>]*encoding=[\"']([\w.-]+)", data)
         return data.decode(declared.group(1).decode() if declared else "utf-8-sig")

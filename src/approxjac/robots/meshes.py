@@ -52,15 +52,10 @@ def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
                 converted[found] = _to_stl(found, (folder / name).resolve())
             found = converted[found]
         mesh.set("filename", str(found))
-    carriers = {joint.child: joint for joint in urdf.joints.values()}
-
-    def moves(link: str) -> bool:
-        carrier = carriers.get(link)
-        return carrier is not None and (carrier.type != "fixed" or moves(carrier.parent))
-
+    moves = urdf.moved_links
     # MuJoCo refuses inertias that no body can have also where they act on nothing
     for inertia in root.iterfind("link/inertial/inertia"):
-        if not _possible(inertia) and not moves(inertia.getparent().getparent().get("name")):
+        if not _possible(inertia) and inertia.getparent().getparent().get("name") not in moves:
             inertia.attrib.update(dict.fromkeys(_MOMENTS, "0"))
     if root.find("mujoco") is None:
         compiler = E.compiler(fusestatic="false", strippath="false", inertiafromgeom="false")

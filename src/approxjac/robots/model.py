@@ -13,12 +13,20 @@ from approxjac.robots.mimic_joints import MimicJoints, build_coupled
 from approxjac.robots.urdf import Urdf
 from approxjac.validation import Array
 
+_MOST_MOVING = 150  # Pinocchio's scratch memory grows with the cube of it
 WORLD = pin.Convention.WORLD  # members of Pinocchio's enums are slow to look up
 
 
 def build_model(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
     """Return the Pinocchio model of a URDF, and how mimic joints follow from its joints."""
     source = urdf.source
+    moving = sum(joint.type != "fixed" for joint in urdf.joints.values())
+    if moving > _MOST_MOVING:
+        raise UrdfError(
+            f"{source} must have at most {_MOST_MOVING} joints that move, got {moving}; with "
+            "tip=... those that do not move the tip are locked",
+            given=source,
+        )
     try:
         model, mimic_joints = build_coupled(urdf)
     except UrdfError:  # ours, which says more
@@ -32,7 +40,9 @@ def build_model(urdf: Urdf) -> tuple[pin.Model, MimicJoints]:
         if joint.nv != 1:
             raise UrdfError(
                 f"{source}: joint {name!r} has {joint.nv} degrees of freedom; every joint of an "
-                "arm must be revolute, continuous, prismatic or fixed",
+                "arm must be revolute, continuous, prismatic or fixed; the arm on a base that "
+                f"moves is loaded with tip=... and base={urdf.joints[name].child!r}, or a link "
+                "beyond",
                 given=source,
             )
     require_inertia(model, mimic_joints, source)

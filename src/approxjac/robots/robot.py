@@ -14,6 +14,7 @@ from approxjac.files import write_text
 from approxjac.robots import meshes, urdf_edit
 from approxjac.robots.mimic_joints import MimicJoints
 from approxjac.robots.model import build_model, outward_axis, own_joints
+from approxjac.robots.tips import likely_tips
 from approxjac.robots.urdf import Urdf
 from approxjac.validation import Array, Immutable, as_array, as_number, as_vector, require, shape_of
 
@@ -160,17 +161,15 @@ class Robot(Immutable):
     def configuration(self, q: Sequence[float] | Array, name: str = "q") -> Array:
         """Return `q` as a float array of shape (nq,), itself if it is one already.
 
+        One number a joint, shape (n_v,), is taken as well: the angles of continuous joints.
+
         Raises:
             InvalidInputError: Wrong shape, not finite, or (cos, sin) pairs of continuous joints
                 that are off the unit circle.
         """
         if self.nq != self.nv and shape_of(q) == (self.nv,):
-            raise InvalidInputError(
-                f"{name} must have shape ({self.nq},) for {self.name}, whose continuous joints "
-                f"take (cos, sin), got {self.nv} numbers; pinocchio.integrate(robot.model, "
-                "robot.neutral(), angles) makes it of angles",
-                given=q,
-            )
+            motion = as_array(name, q, (self.nv,), "rad or m")
+            return np.array(pin.integrate(self.model, self.neutral(), motion))
         vector = as_vector(name, q, self.nq)
         if self.nq != self.nv and not pin.isNormalized(self.model, vector, 1e-3):
             raise InvalidInputError(
@@ -202,8 +201,8 @@ class Robot(Immutable):
             if self.tip is None:
                 raise InvalidInputError(
                     f"a frame must be named: {self.name} has more than one end; name its tip "
-                    "once, load_robot(path, tip=...), or --tip on the command line; links are "
-                    f"{', '.join(self.tree.links)}",
+                    "once, load_robot(path, tip=...), or --tip on the command line; "
+                    f"{likely_tips(self.tree)}",
                     given=None,
                 )
             return self.tip

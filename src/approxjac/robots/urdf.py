@@ -7,7 +7,7 @@ import functools
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +18,10 @@ from approxjac.errors import UrdfError
 from approxjac.validation import Array
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+MOST_TEXT = 16_000_000  # characters
+_MOST_LINKS = 2000  # in a chain of 5000 Pinocchio's parser runs out of stack
+_MOST_ATTRIBUTES = 100
+_LONGEST_NUMBERS = 1000  # characters, of three numbers
 Follows = tuple[str, float, float]
 """The joint that a mimic joint follows, the multiplier and the offset [rad or m]."""
 
@@ -56,11 +60,13 @@ class Urdf:
     @classmethod
     def parse(cls, text: str, source: str) -> Urdf:
         """Return the tree of a URDF text; refuse what is no XML or no valid URDF."""
-        # The text is decoded already; an encoding it declares would be applied a second time.
-        bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
+        if len(text) > MOST_TEXT:
+            raise UrdfError(
+                f"{source} must have at most {MOST_TEXT} characters, got {len(text)}", given=source
+            )
         try:
-            root = etree.fromstring(bare.encode(), etree.XMLParser(remove_blank_text=True))
-        except etree.XMLSyntaxError as error:
+            root = _tree(text)
+        except (ValueError, etree.XMLSyntaxError) as error:  # a ValueError of lone surrogates
             raise UrdfError(f"{source} is not well-formed XML: {error}", given=text) from error
         if root.tag != "robot":
             raise UrdfError(
@@ -72,6 +78,12 @@ class Urdf:
                     f"{source} holds <{etree.QName(element).localname}> of xacro: expand it first "
                     "with the command xacro",
                     given=text,
+                )
+            if len(element.attrib) > _MOST_ATTRIBUTES:  # for which parsers take quadratic time
+                raise UrdfError(
+                    f"{source}: an element <{element.tag}> must have at most {_MOST_ATTRIBUTES} "
+                    f"attributes, got {len(element.attrib)}",
+                    given=source,
                 )
         for fault in _faults(root):
             raise UrdfError(f"{source} is not a valid URDF: {fault}", given=source)
@@ -94,6 +106,19 @@ class Urdf:
     def joints(self) -> Mapping[str, UrdfJoint]:
         """Joint name → joint, fixed ones included."""
         return {joint.get("name"): _joint(joint) for joint in self.root.iterfind("joint")}
+
+    @functools.cached_property
+    def moved_links(self) -> Set[str]:
+        """Names of the links that a joint moves."""
+        carriers = {joint.child: joint for joint in self.joints.values()}
+        moved: dict[str, bool] = {}
+        for link in self.links:
+            way = []  # towards the root, to what is known or moves
+            while link not in moved and link in carriers and carriers[link].type == "fixed":
+                way.append(link)
+                link = carriers[link].parent
+            moved.update(dict.fromkeys([*way, link], moved.get(link, link in carriers)))
+        return {link for link, moves in moved.items() if moves}
 
     @functools.cached_property
     def followers(self) -> Mapping[str, Follows]:
@@ -129,6 +154,30 @@ def leader_of(joint: str, following: Mapping[str, Follows]) -> Follows:
     return joint, multiplier, offset
 
 
+def _tree(text: str) -> Any:
+    """Return the root of an XML text; a namespace that nobody declared, as Drake's, is declared."""
+    # The text is decoded already; an encoding it declares would be applied a second time.
+    bare = re.sub(r"^\s*<\?xml[^>]*\?>", "", text)
+    parser = etree.XMLParser(remove_blank_text=True)
+    try:
+        return etree.fromstring(bare.encode(), parser)
+    except etree.XMLSyntaxError:
+        start = _START.match(bare)
+        used = {prefix for either in _PREFIX.findall(bare) for prefix in either if prefix}
+        if start is None or not (missing := sorted(used - set(_DECLARED.findall(start[0])))):
+            raise
+    declared = "".join(f' xmlns:{prefix}="urn:{prefix}"' for prefix in missing[:_MOST_ATTRIBUTES])
+    return etree.fromstring(
+        (bare[: start.end(1)] + declared + bare[start.end(1) :]).encode(), parser
+    )
+
+
+# where <robot ends, the prefixes that elements and attributes have, and those that it declares
+_START = re.compile(r"((?:\s++|<!--.*?-->|<\?.*?\?>)*+<robot)\b[^>]*", re.DOTALL)
+_PREFIX = re.compile(r"<(?!xml)([A-Za-z_][\w.-]*+):|\s(?!xml)([A-Za-z_][\w.-]*+):[\w.-]++\s*+=")
+_DECLARED = re.compile(r"\sxmlns:([\w.-]+)")
+
+
 def _joint(element: Any) -> UrdfJoint:
     axis, limit = element.find("axis"), element.find("limit")
     lower, upper = (0.0 if limit is None else float(limit.get(k, 0.0)) for k in ("lower", "upper"))
@@ -154,11 +203,14 @@ _NUMBERS = (  # of what element, which attributes, how many numbers in each, mus
     ("limit", ("lower", "upper", "effort", "velocity"), 1, False),
     ("mimic", ("multiplier", "offset"), 1, False),
 )
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+# "++" goes back to no digit, and so takes no quadratic time
+_NUMBER = re.compile(r"[+-]?(\d++\.?\d*+|\.\d++)([eE][+-]?\d++)?", re.ASCII)
 
 
 def _floats(text: str | None) -> list[float]:
     """Return the numbers in a text; none where urdfdom would drop the element without an error."""
+    if len(text or "") > _LONGEST_NUMBERS:
+        return []
     words = (text or "").split()
     if len(words) == 1:
         words = [text or ""]  # blanks around a single number are among what it cannot read
@@ -166,10 +218,19 @@ def _floats(text: str | None) -> list[float]:
     return numbers if all(map(math.isfinite, numbers)) else []
 
 
+def _quoted(given: str | None) -> str:
+    """Return what was given, cut where nobody would read on."""
+    return repr(given) if given is None or len(given) <= 60 else f"{given[:60]!r}..."
+
+
 def _faults(root: Any) -> Iterator[str]:
     """Say what is wrong with a URDF; Pinocchio's parser would only say that it is."""
     if not root.get("name"):
         yield "<robot> has no name"
+    for tag in ("link", "joint"):
+        count = len(root.findall(tag))
+        if count > _MOST_LINKS:
+            yield f"it has {count} {tag}s; there may be at most {_MOST_LINKS}"
     for owner in root.iterchildren("link", "joint"):
         yield from _attribute_faults(owner)  # without which the rest cannot be looked at
     joints = [_joint(element) for element in root.iterfind("joint")]
@@ -178,9 +239,10 @@ def _faults(root: Any) -> Iterator[str]:
         for name, count in Counter(names).items():
             if count > 1:
                 yield f"two {kind}s are called {name!r}"
+    known = set(links)
     for joint in joints:
-        yield from _joint_faults(joint, links)
-    yield from _tree_faults(joints, set(links))
+        yield from _joint_faults(joint, known)
+    yield from _tree_faults(joints, known)
 
 
 def _attribute_faults(owner: Any) -> Iterator[str]:
@@ -205,11 +267,11 @@ def _attribute_faults(owner: Any) -> Iterator[str]:
                     wanted = "a finite number" if count == 1 else f"{count} finite numbers"
                     yield (
                         f"<{element.tag} {attribute}=...> of {owner.tag} {name!r} "
-                        f"must be {wanted}, got {given!r}"
+                        f"must be {wanted}, got {_quoted(given)}"
                     )
 
 
-def _joint_faults(joint: UrdfJoint, links: list[str]) -> Iterator[str]:
+def _joint_faults(joint: UrdfJoint, links: set[str]) -> Iterator[str]:
     """Say what is wrong with one joint and its <limit>."""
     name, kind = joint.name, joint.type
     for link in (joint.parent, joint.child):
@@ -245,9 +307,13 @@ def _tree_faults(joints: list[UrdfJoint], links: set[str]) -> Iterator[str]:
     roots = sorted(links - set(parents))
     if len(roots) != 1:
         yield f"there must be one link without a parent, got {', '.join(roots) or 'none'}"
-    reached = set(roots)
-    for _ in joints:
-        reached |= {joint.child for joint in joints if joint.parent in reached}
+    carried: dict[str, list[str]] = {}
+    for joint in joints:
+        carried.setdefault(joint.parent, []).append(joint.child)
+    reached, found = set(roots), roots
+    while found:  # every link has one parent at most here, and is found once
+        found = [child for link in found for child in carried.get(link, [])]
+        reached.update(found)
     if reached != links:
         loose = ", ".join(sorted(links - reached))
         yield f"these links are not connected to {roots[0]!r}: {loose}"

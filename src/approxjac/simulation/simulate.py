@@ -99,8 +99,8 @@ def simulate(
     require_fit(plant, controller, dt)
     robot = plant.robot
     wanted = wanted_of(plant.sensor, target, 0.0)
-    q0 = plant.ready_configuration() if q0 is None else as_array("q0", q0, (robot.nq,), "rad or m")
-    q = robot.configuration(q0, "q0")
+    q0 = plant.ready_configuration() if q0 is None else q0
+    q = as_array("q0", robot.configuration(q0, "q0"), (robot.nq,))
     require_radians("q0", robot, q)
     v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
     duration = as_number("duration", duration, unit="s", above=0.0)

@@ -128,7 +128,7 @@ class JointBox(Region):
         return np.array([pin.integrate(model, center, motion) for motion in motions])
 
     def contains(self, q: Array) -> bool:
-        motion = pin.difference(self.robot.model, self.center, q)
+        motion = pin.difference(self.robot.model, self.center, _of_angles(self.robot, q))
         return bool((self.lower - 1e-12 <= motion).all() and (motion <= self.upper + 1e-12).all())
 
     def __repr__(self) -> str:
@@ -136,6 +136,11 @@ class JointBox(Region):
         away = np.abs(pin.difference(self.robot.model, self.robot.neutral(), self.center)).max()
         center = f", center={short(self.center)}" if away > 0.0 else ""
         return f"JointBox({bounds}{center})"
+
+
+def _of_angles(robot: Robot, q: Array) -> Array:
+    """Return a configuration (nq,) that may be given as angles of the joints."""
+    return q if np.shape(q) == (robot.nq,) else robot.configuration(q)
 
 
 class Tube(Region):
@@ -178,6 +183,7 @@ class Tube(Region):
         return np.array([pin.integrate(model, q, by) for q, by in zip(known, motions, strict=True)])
 
     def contains(self, q: Array) -> bool:
+        q = _of_angles(self.robot, q)
         return any(
             bool((np.abs(pin.difference(self.robot.model, known, q)) <= self.spread).all())
             for known in self.configurations
