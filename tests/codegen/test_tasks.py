@@ -25,6 +25,13 @@ CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (
 LENS = aj.PinholeCamera.looking_at(
     (0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480), distortion=(-0.2, 0.05, 0.01)
 )
+BENT = aj.PinholeCamera.looking_at(
+    (0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480),
+    distortion=(-0.2, 0.05, 1e-3, -2e-3, 0.01, 0.02, 0.0, 0.0, 2e-3, -1e-3, -3e-3, 0.0, 0.05, 0.1),
+)  # fmt: skip
+FISHEYE = aj.PinholeCamera(
+    150.0, (640, 480), distortion=(0.05, -0.01, 0.003, -0.001), fisheye=True
+).standing_at((0.9, -0.3, 0.6), looking_at=(0.4, 0.0, 0.4))
 HAND = aj.PinholeCamera(500.0, (640, 480), (0.02, 0.0, 0.05), mount="panda_hand_tcp")
 SQUARE = ((0.0, 0.0, 0.05), (0.1, 0.0, 0.05), (0.0, 0.1, 0.05))
 FLOOR = ((0.4, 0.0, -0.5), (0.6, 0.1, -0.5), (0.5, -0.2, -0.4))
@@ -54,6 +61,10 @@ def kinds():
         "in the hand, of a link": aj.ImageTask(panda, HAND, "panda_link3", points=SQUARE[:2]),
         "a depth": aj.ImageTask(panda, CAMERA, points=SQUARE, depth=(1.5, 2.0, 2.5)),
         "a depth, a lens": aj.ImageTask(panda, LENS, depth=1.5),
+        "all that a lens may have": aj.ImageTask(panda, BENT),
+        "a depth, all that a lens may have": aj.ImageTask(panda, BENT, depth=1.5),
+        "a fisheye lens": aj.ImageTask(panda, FISHEYE),
+        "a depth, a fisheye lens": aj.ImageTask(panda, FISHEYE, depth=0.5),
         "measured depths": aj.ImageTask(panda, CAMERA, points=SQUARE, depth="measured"),
         "stacked": two,
         "stacked, image and position": aj.StackedTask(
@@ -75,7 +86,9 @@ KINDS = (
     "position", "axes in another order", "tracker", "pose of a tracker", "pose",
     "pose, continuous joints", "planar camera", "pinhole camera", "three points",
     "three points, a lens", "in the hand",
-    "in the hand, of a link", "a depth", "a depth, a lens", "measured depths", "stacked",
+    "in the hand, of a link", "a depth", "a depth, a lens",
+    "all that a lens may have", "a depth, all that a lens may have", "a fisheye lens",
+    "a depth, a fisheye lens", "measured depths", "stacked",
     "stacked, image and position", "combined", "stacked, combined", "nonsingular",
     "nonsingular, stacked", "nonsingular, image",
 )  # fmt: skip

@@ -17,6 +17,31 @@ LENSES = {
     "barrel": (-0.25, 0.06, -0.004),
     "pincushion": (0.12, 0.02),
     "one coefficient": (-0.1,),
+    "tangential": (-0.2, 0.05, 1e-3, -2e-3),
+    "five": (-0.28, 0.1, 2e-3, -1e-3, -0.02),
+    "rational": (0.3, -0.1, 1e-3, 5e-4, 0.02, 0.6, 0.05, 0.01),
+    "thin prism": (-0.2, 0.05, 1e-3, -2e-3, 0.01, 0.02, 0.01, 1e-3, 2e-3, -1e-3, -3e-3, 1e-3),
+    "tilted": (
+        -0.2,
+        0.05,
+        1e-3,
+        -2e-3,
+        0.01,
+        0.02,
+        0.01,
+        1e-3,
+        2e-3,
+        -1e-3,
+        -3e-3,
+        1e-3,
+        0.05,
+        -0.1,
+    ),
+}
+FISHEYES = {
+    "equidistant": (),
+    "fisheye": (0.05, -0.01, 0.003, -0.001),
+    "fisheye that folds": (-0.1, -0.02, 0.0, 0.0),
 }
 
 
@@ -27,18 +52,28 @@ def camera(distortion=(), **options):
     )  # fmt: skip
 
 
+def fisheye(distortion=()):
+    return aj.PinholeCamera(
+        (200.0, 205.0), (640, 480), center=(325.0, 236.0), distortion=distortion, fisheye=True
+    ).standing_at((1.6, -0.9, 1.1), looking_at=(0.5, 0.1, 0.3))
+
+
 def opencv(cam):
-    """The camera in OpenCV's words: rvec, tvec, K and the five coefficients."""
+    """The camera in OpenCV's words: rvec, tvec, K and the coefficients."""
     R, p = cam.placement()
     (fx, fy), (cx, cy) = cam.focal_length, cam.center
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    k1, k2, k3 = (*cam.distortion, 0.0, 0.0, 0.0)[:3]
-    return cv2.Rodrigues(R.T)[0], -R.T @ p, K, np.array([k1, k2, 0.0, 0.0, k3])
+    k = cam.distortion
+    if len(k) < 4 and not cam.fisheye:
+        k1, k2, k3 = (*k, 0.0, 0.0, 0.0)[:3]
+        k = (k1, k2, 0.0, 0.0, k3)
+    return cv2.Rodrigues(R.T)[0], -R.T @ p, K, np.array(k or (0.0,) * 4)
 
 
 def points_in_view(cam, rng, count=50):
     """Points at the rays of random pixels and at random depths."""
-    pixels = rng.uniform((0, 0), cam.size, (count, 2))
+    pixels = rng.uniform((0, 0), np.array(cam.size) - 1.0, (count, 2))
+    pixels = pixels[[bool(np.isfinite(cam.seen(x)).all()) for x in pixels]]
     return np.array([cam.locate(x, rng.uniform(0.3, 4.0)) for x in pixels]), pixels
 
 
@@ -51,10 +86,26 @@ def test_projections_are_those_of_opencv(lens, rng):
     assert_allclose(images, expected[:, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize("lens", FISHEYES)
+def test_fisheye_projections_are_those_of_opencv(lens, rng):
+    cam = fisheye(FISHEYES[lens])
+    points = rng.uniform((-2.0, -2.0, 0.1), (2.0, 2.0, 2.0), (300, 3)) @ cam.placement()[0].T
+    points += cam.placement()[1]
+    expected = cv2.fisheye.projectPoints(points[:, None], *opencv(cam))[0][:, 0]
+    images = np.array([cam.project(r) for r in points])
+    shown = np.isfinite(images).all(axis=1)
+    own = np.array([cam.in_camera(r) for r in points])
+    angle = np.arctan2(np.hypot(*own[:, :2].T), own[:, 2])
+    fold = np.degrees(cam._lens.widest)
+    assert fold == pytest.approx(81.03, abs=0.01) if lens == "fisheye that folds" else fold == 85.0
+    assert_array_equal(shown, angle < cam._lens.widest)
+    assert_allclose(images[shown], expected[shown], atol=1e-9)
+
+
 @pytest.mark.parametrize("lens", LENSES)
 def test_rays_are_those_of_opencv(lens, rng):
     cam = camera(LENSES[lens])
-    pixels = rng.uniform((0, 0), cam.size, (100, 2))
+    pixels = rng.uniform((0, 0), (639, 479), (100, 2))
     _, _, K, k = opencv(cam)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
     expected = cv2.undistortPoints(pixels[:, None], K, k, criteria=criteria)[:, 0]
@@ -72,6 +123,57 @@ def test_the_interaction_matrix_by_opencv_and_by_finite_differences(lens, rng):
         assert_allclose(J, by_tvec @ cam.placement()[0].T, rtol=1e-9, atol=1e-7)
         columns = [(cam.project(r + h * e) - cam.project(r - h * e)) / (2 * h) for e in np.eye(3)]
         assert_allclose(J, np.array(columns).T, rtol=1e-6, atol=1e-6 * np.abs(J).max())
+
+
+@pytest.mark.parametrize("lens", FISHEYES)
+def test_fisheye_rays_and_interaction_matrices(lens, rng):
+    cam, h = fisheye(FISHEYES[lens]), 1e-6
+    places, _ = points_in_view(cam, rng, 60)
+    assert len(places) > 30
+    for r in places:
+        J = cam.interaction(r)
+        columns = [(cam.project(r + h * e) - cam.project(r - h * e)) / (2 * h) for e in np.eye(3)]
+        assert_allclose(J, np.array(columns).T, rtol=1e-5, atol=1e-5 * np.abs(J).max())
+    for x in rng.uniform((0, 0), (639, 479), (300, 2)):
+        ray = cam.ray(x)
+        assert np.isfinite(ray).all() == np.isfinite(cam.seen(x)).all()
+        if np.isfinite(ray).all():
+            assert_allclose(cam.shown(ray), x, atol=1e-9)
+        assert np.isfinite(cam.interaction(cam.locate(cam.nearest(x), 0.5))).all()
+
+
+def test_what_a_fisheye_lens_shows_at_no_angle_is_not_seen():
+    cam = aj.PinholeCamera(150.0, (640, 480), fisheye=True)
+    rim = 150.0 * np.radians(85.0)
+    for share, inside in ((0.99, True), (1.01, False)):
+        for way in ((1.0, 0.0), (0.6, -0.8)):
+            x = cam.center + share * rim * np.array(way)
+            assert np.isfinite(cam.seen(x)).all() == inside
+            assert np.isfinite(cam.ray(x)).all() == inside
+    middle = np.array([*cam.center])
+    assert_allclose(cam.ray(middle), 0.0)
+    assert_allclose(cam.interaction(np.array([0.0, 0.0, 2.0])), 75.0 * np.eye(3)[:2])
+    assert np.isnan(cam.project(np.array([1.0, 0.0, 0.08]))).all()  # beyond 85°
+
+
+@given(st.lists(st.floats(-0.5, 0.5), min_size=14, max_size=14), st.integers(0, 2**31))
+def test_no_distortion_tells_a_wrong_ray(k, seed):
+    """Two rays are never shown at one place: what is shown somewhere is what is found there."""
+    rng = np.random.default_rng(seed)
+    k = np.array(k) * [1, 1, 0.1, 0.1, 1, 1, 1, 1, 0.1, 0.1, 0.1, 0.1, 0.5, 0.5]
+    try:
+        cam = aj.PinholeCamera(500.0, (640, 480), distortion=k)
+    except aj.InvalidInputError as error:
+        assert "fold" in str(error)  # noqa: PT017  # most of these lenses are absurd
+        return
+    for x in rng.uniform(-0.5, (639.5, 479.5), (10, 2)):
+        ray = cam.ray(x)
+        assert_allclose(cam.shown(ray), x, atol=1e-6)
+        assert_allclose(cam.project(np.append(ray, 1.0)), x, atol=1e-6)
+    for ray in rng.uniform(-1.0, 1.0, (10, 2)):
+        x = cam.project(np.append(ray, 1.0))
+        if np.isfinite(x).all():
+            assert_allclose(cam._lens.undistorted((x - cam.center) / 500.0), ray, atol=1e-5)
 
 
 def test_it_is_the_interaction_matrix_of_the_textbook(rng):
@@ -197,9 +299,18 @@ def test_the_planar_camera_is_a_pinhole_camera_at_one_depth(plane, rng):
         ({"position": (0.0, np.nan, 0.0)}, r"position must be finite \[m\]"),
         ({"rotation": 2 * np.eye(3)}, "rotation must have the camera's axes .* as orthonormal"),
         ({"rotation": np.diag([1.0, 1.0, -1.0])}, "of a right-handed frame"),
-        ({"distortion": (0.1,) * 5}, r"distortion must be \(k1, k2, k3\) or fewer of them"),
-        ({"distortion": 0.1}, r"distortion must be \(k1, k2, k3\) or fewer of them"),
+        (
+            {"distortion": (0.1,) * 6},
+            r"distortion must be \(k1, k2, k3\) or fewer of them, or Open",
+        ),
+        ({"distortion": 0.1}, r"distortion must have shape \(k,\), got shape \(\)"),
+        ({"distortion": (np.nan,)}, "distortion must be finite"),
+        ({"distortion": (1e300,)}, r"distortion must have coefficients of at most 1e\+09, got"),
         ({"distortion": (-2.0,)}, "distortion must not fold the image back within its size"),
+        ({"distortion": (0, 0, 1.0, 0)}, "distortion must not fold the image back within its size"),
+        ({"distortion": (0.0,) * 12 + (2.0, 0.0)}, "distortion must have tau_x and tau_y between"),
+        ({"distortion": (0.1,) * 3, "fisheye": True}, r"of a fisheye lens must be .*, got 3"),
+        ({"fisheye": 1}, "fisheye must be True or False, got 1"),
         ({"near": 0.0}, r"near must be a finite number > 0 \[m\], got 0.0"),
         ({"mount": 3}, "mount must be the name of a frame, or None for the world, got 3"),
     ],
@@ -248,9 +359,11 @@ def test_the_interaction_matrix_is_exact_up_to_the_edges(distortion):
 
 @pytest.mark.parametrize("distortion", [(-1e-16,), (-1e-13,), (0.0, -1e-20), (1e-300,), (0.2,)])
 @pytest.mark.parametrize("far", [1e5, 1e12, 1e29, 1e300])
-def test_rays_of_absurd_pixels_are_finite(distortion, far):
-    cam = aj.PinholeCamera(600.0, (640, 480), distortion=distortion)
-    assert np.isfinite(cam.ray(np.array([far, -3.0]))).all()
+def test_absurd_pixels_have_no_ray_or_the_right_one(distortion, far):
+    cam, x = aj.PinholeCamera(600.0, (640, 480), distortion=distortion), np.array([far, -3.0])
+    ray = cam.ray(x)
+    assert np.isnan(ray).all() or cam.shown(ray) == pytest.approx(x, rel=1e-8)
+    assert np.isfinite(cam.ray(cam.nearest(x))).all()
 
 
 @pytest.mark.parametrize("cam", [PlanarCamera(0.05, 3.0), camera()])
@@ -263,7 +376,7 @@ def test_names_that_are_not_in_the_calibration_are_refused(cam):
 def test_a_camera_that_opencv_calibrated(lens, rng):
     known = camera(LENSES[lens])
     rvec, tvec, K, five = opencv(known)
-    cam = aj.PinholeCamera.from_opencv(K, five, rvec, tvec.reshape(3, 1), known.size)
+    cam = aj.PinholeCamera.from_opencv(K, five[None], known.size, rvec=rvec, tvec=tvec[:, None])
     assert_allclose(cam.placement()[0], known.placement()[0], atol=1e-12)
     for r in points_in_view(known, rng, 10)[0]:
         assert_allclose(cam.project(r), known.project(r), atol=1e-8)
@@ -273,8 +386,14 @@ def test_a_camera_that_opencv_calibrated(lens, rng):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"distortion": (0.1, 0.0, 1e-3, 0.0, 0.0)}, "with the tangential p1 = p2 = 0, which this"),
-        ({"distortion": (0.1, 0.0, 0.0)}, r"must be \(k1, k2, p1, p2, k3\), or the first four or"),
+        (
+            {"distortion": (0.1, 0.0, 0.0)},
+            "must be OpenCV's 4, 5, 8, 12 or 14 coefficients, or none",
+        ),
+        ({"distortion": (0.1,) * 7}, "or OpenCV's 4, 5, 8, 12 or 14 coefficients, got 7"),
+        ({"rvec": None}, "must be told by rvec and tvec, or by camera_pose, got tvec"),
+        ({"camera_pose": np.eye(4)}, "by camera_pose, got rvec and tvec and camera_pose"),
+        ({"rvec": None, "tvec": None, "camera_pose": np.ones((4, 4))}, "must have the last row"),
         (
             {"K": np.diag([1.0, 2.0, 3.0])},
             r"K must be \[\[fx, 0, cx\], \[0, fy",
@@ -287,4 +406,4 @@ def test_bad_calibrations_are_refused(changes, text):
     K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
     given = {"K": K, "distortion": (), "rvec": (0.0, 0.0, 0.0), "tvec": (0.0, 0.0, 0.0)}
     with pytest.raises(aj.InvalidInputError, match=text):
-        aj.PinholeCamera.from_opencv(**{**given, **changes}, size=(640, 480))
+        aj.PinholeCamera.from_opencv(**{**given, **changes, "size": (640, 480)})

@@ -22,7 +22,8 @@ class ImageRays:
 
     def __init__(self, camera: PinholeCamera) -> None:
         self._f, self._c = np.asarray(camera.focal_length), np.asarray(camera.center)
-        self._lens = camera._lens if any(camera.distortion) else None
+        self._camera = camera
+        self._lens = None if camera._lens.is_straight else camera._lens
 
     def of_measurement(self, measurement: Measurement) -> Measurement:
         """Return a measurement with x from the camera's center, in focal lengths."""
@@ -30,16 +31,22 @@ class ImageRays:
         return measurement._replace(x=x.ravel())
 
     def at(self, w: Array) -> Array:
-        """Return the rays (k, 2) that are seen at w (2k,), in focal lengths; NaN stays."""
+        """Return the rays (k, 2) that are seen at w (2k,), in focal lengths; NaN where none is."""
         w, lens = w.reshape(-1, 2), self._lens
         if lens is None:
             return w
-        return np.array([lens.undistorted(each) if np.isfinite(each).all() else each for each in w])
+        return np.array([lens.ray(each) if np.isfinite(each).all() else each for each in w])
 
     def of_target(self, target: Target) -> tuple[Array, Array, Array]:
-        """Return the rays of a target, and their first and second derivatives, (k, 2) each."""
+        """Return the rays of a target, and their first and second derivatives, (k, 2) each.
+
+        Of one that moves out of the image they are those at its edge.
+        """
         x_d, v_d, a_d = target
-        y = self.at(((x_d.reshape(-1, 2) - self._c) / self._f).ravel())
+        x_d = x_d.reshape(-1, 2)
+        if self._lens is not None:
+            x_d = np.array([self._camera.nearest(each) for each in x_d])
+        y = self.at(((x_d - self._c) / self._f).ravel())
         nothing = np.zeros(y.shape)
         y_dot = nothing if v_d is None else v_d.reshape(-1, 2) / self._f
         y_ddot = nothing if a_d is None else a_d.reshape(-1, 2) / self._f
@@ -56,5 +63,4 @@ class ImageRays:
 
     def _slopes(self, ray: Array) -> Array:
         assert self._lens is not None
-        a, b, d = self._lens.slopes(*ray.tolist())
-        return np.array([[a, b], [b, d]])
+        return np.array(self._lens.slopes(*ray.tolist())).reshape(2, 2)

@@ -1,35 +1,44 @@
-"""The pinhole camera, fixed in the world or on the arm, in OpenCV's conventions."""
+"""The camera with perspective, fixed in the world or on the arm, in OpenCV's conventions."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import NoneType
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from approxjac.errors import InvalidInputError
+from approxjac.tasks.calibration import opencv_parameters, read_calibration
 from approxjac.tasks.camera import Calibrated, Camera
-from approxjac.tasks.distortion import RadialDistortion
-from approxjac.validation import Array, as_array, as_number, is_scalar, require
+from approxjac.tasks.distortion import Distortion, Lens
+from approxjac.tasks.fisheye import Fisheye
+from approxjac.tasks.viewpoint import as_rotation, view_axes
+from approxjac.validation import Array, as_array, as_number, is_scalar, require, shape_of
 
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _ON_AN_EDGE = 17  # points of each edge of the image
-_ORTHONORMAL = 1e-6  # how far from it a rotation may be, to be made so
+_TINY = 1e-300
+WITHIN = 0.999
+"""Of a round image, in which a ray is surely shown."""
 
 
 @dataclass(frozen=True, repr=False)
 class PinholeCamera(Camera):
     """A camera with perspective: u = f_x x″ + c_x, v = f_y y″ + c_y, in pixels.
 
-    (x″, y″) is the ray (X/Z, Y/Z) through a point (X, Y, Z) in the camera's own axes, bent by
-    radial distortion (1 + k₁ρ + k₂ρ² + k₃ρ³). All as in OpenCV: the camera's x axis points right
-    in the image, y down, z along the view; (0, 0) is the middle of the upper left pixel. Where
-    OpenCV gives (rvec, tvec) from the world to the camera, R = Rodrigues(rvec), this camera has
-    `rotation` Rᵀ and `position` −Rᵀ tvec.
+    (x″, y″) is the ray (X/Z, Y/Z) through a point (X, Y, Z) in the camera's own axes, bent by its
+    lens: OpenCV's pinhole model with all its coefficients, or its fisheye model. All as in OpenCV:
+    the camera's x axis points right in the image, y down, z along the view; (0, 0) is the middle of
+    the upper left pixel. `from_opencv` and `from_file` take a calibration as it is.
+
+    A polynomial of a lens folds back somewhere: rays beyond have no image (NaN), and pixels that no
+    ray is shown at are not seen. So it is beyond 85° from the optical axis of a fisheye lens, too.
 
     For a Jacobian a point is taken at the nearest ray within the image and at a depth of at least
     `near`, where it is outside: a believed camera may have the point there, or even behind it,
@@ -41,7 +50,10 @@ class PinholeCamera(Camera):
         position: Of the camera's centre, shape (3,) [m].
         rotation: Its axes (right, down, forward) as columns, shape (3, 3).
         center: (c_x, c_y), where the optical axis meets the image; its middle by default [px].
-        distortion: (k₁, k₂, k₃), or fewer of them.
+        distortion: (k₁, k₂, k₃), or fewer of them; or OpenCV's 4, 5, 8, 12 or 14 coefficients (k₁,
+            k₂, p₁, p₂, k₃, k₄, k₅, k₆, s₁, s₂, s₃, s₄, τ_x, τ_y); of a fisheye lens (k₁, k₂, k₃,
+            k₄), or none.
+        fisheye: The lens is OpenCV's fisheye lens ("equidistant" in ROS).
         mount: Frame of the robot that position and rotation are given in and that the camera
             moves with; None is the world.
         near: Smallest depth Z at which anything is seen, > 0 [m].
@@ -59,6 +71,7 @@ class PinholeCamera(Camera):
     distortion: Sequence[float] = ()
     mount: str | None = None
     near: float = 0.05
+    fisheye: bool = False
     labels = ("u", "v")
     unit = "px"
     _kind = "PinholeCamera"
@@ -68,7 +81,8 @@ class PinholeCamera(Camera):
     _p: Array = field(init=False, repr=False, compare=False)
     _R_t: Array = field(init=False, repr=False, compare=False)  # in the order that a step needs
     _edges: list[tuple[float, float]] = field(init=False, repr=False, compare=False)  # of rays
-    _lens: RadialDistortion = field(init=False, repr=False, compare=False)
+    _sees_all: bool = field(init=False, repr=False, compare=False)  # each pixel has a ray
+    _lens: Lens = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         focal = (self.focal_length,) * 2 if is_scalar(self.focal_length) else self.focal_length
@@ -87,23 +101,24 @@ class PinholeCamera(Camera):
         middle = 0.5 * (size - 1.0)
         c = middle if self.center is None else as_array("center", self.center, (2,), "px")
         p = as_array("position", self.position, (3,), "m")
-        R = _rotation(self.rotation)
-        if not (np.ndim(self.distortion) == 1 and len(self.distortion) <= 3):
-            raise InvalidInputError(
-                f"distortion must be (k1, k2, k3) or fewer of them, OpenCV's without its "
-                f"tangential p1 and p2, got {self.distortion!r}",
-                given=self.distortion,
-            )
-        k = tuple(as_number("distortion", value) for value in self.distortion)
+        R = as_rotation(self.rotation)
+        k: tuple[float, ...] = ()
+        if shape_of(self.distortion) != (0,):
+            k = tuple(as_array("distortion", self.distortion, ("k",)).tolist())
+        require("fisheye", self.fisheye, bool, "True or False")
+        lens = Fisheye(k) if self.fisheye else Distortion(k)
         as_number("near", self.near, unit="m", above=0.0)
         require("mount", self.mount, (str, NoneType), "the name of a frame, or None for the world")
         own = vars(self)  # frozen once it is built
         own.update(focal_length=tuple(f.tolist()), size=(int(size[0]), int(size[1])))
         own.update(position=tuple(p.tolist()), rotation=tuple(map(tuple, R.tolist())))
         own.update(center=tuple(c.tolist()), distortion=k)
-        own.update(_f=f, _c=c, _p=p, _R=R, _R_t=R.T.copy(), _lens=RadialDistortion(k))
-        self._require_unfolded()
-        rays = np.array([self.ray(x) for x in self._border()])
+        own.update(_f=f, _c=c, _p=p, _R=R, _R_t=R.T.copy(), _lens=lens)
+        rays = np.array([lens.ray(x) for x in (self._border() - c) / f])
+        own["_sees_all"] = bool(np.isfinite(rays).all())
+        if not self._sees_all:
+            self._require_fisheye(np.isnan(rays).any(axis=1))
+            rays = np.array([self.ray(self.nearest(x)) for x in self._border()])
         own["_edges"] = list(zip(rays.min(axis=0).tolist(), rays.max(axis=0).tolist(), strict=True))
 
     @classmethod
@@ -125,63 +140,98 @@ class PinholeCamera(Camera):
             focal_length: f_x = f_y, or (f_x, f_y) [px].
             size: Width and height of the image [px].
             up: Direction that is up in the image, shape (3,).
-            **options: Center, distortion, mount and near, as for `PinholeCamera`.
+            **options: Center, distortion, fisheye, mount and near, as for `PinholeCamera`.
 
         Raises:
             InvalidInputError: A target at the camera's own position, or straight up or down.
         """
-        p = as_array("position", position, (3,), "m")
-        view = as_array("target", target, (3,), "m") - p
-        right = np.cross(view, as_array("up", up, (3,)))
-        if not np.linalg.norm(right) > 1e-9 * max(1.0, float(np.linalg.norm(view))):
-            raise InvalidInputError(
-                f"target must be away from position, and not along up, which has no place in the "
-                f"image then, got target {target!r} from {position!r} with up {up!r}",
-                given=target,
-            )
-        z: Array = view / np.linalg.norm(view)
-        x: Array = right / np.linalg.norm(right)
-        return cls(focal_length, size, p, np.column_stack([x, np.cross(z, x), z]), **options)
+        return cls(focal_length, size, **options).standing_at(position, looking_at=target, up=up)
 
     @classmethod
     def from_opencv(
         cls,
         K: Any,
-        distortion: Sequence[float] | Array,
-        rvec: Any,
-        tvec: Any,
+        distortion: Any,
         size: Sequence[int],
+        *,
+        rvec: Any = None,
+        tvec: Any = None,
+        camera_pose: Any = None,
+        fisheye: bool = False,
+        **options: Any,
     ) -> PinholeCamera:
         """Return the camera that OpenCV's calibration tells.
 
+        Where it stands is told by rvec and tvec, or by camera_pose, in the axes of what it is fixed
+        to: the world, or the `mount` that carries it. Told by neither, it is at that frame's origin
+        with its axes; see `standing_at`.
+
         Args:
             K: Camera matrix, shape (3, 3), without skew [px].
-            distortion: OpenCV's (k₁, k₂, p₁, p₂, k₃), or the first four or two; p₁ = p₂ = 0.
-            rvec: Rotation vector from the world to the camera, 3 numbers [rad].
-            tvec: Translation, 3 numbers [m].
+            distortion: OpenCV's coefficients, in its order and in any shape: 4, 5, 8, 12 or 14 of
+                them, or none; of a fisheye lens 4, or none.
             size: Width and height of the image [px].
+            rvec: With tvec, to the camera: r_camera = Rodrigues(rvec) r + tvec, as `cv2.solvePnP`
+                tells of a board with points r in that frame; 3 numbers [rad].
+            tvec: 3 numbers [m].
+            camera_pose: From the camera, r = R r_camera + p, shape (4, 4) [m], as
+                `cv2.calibrateHandEye` tells by R_cam2gripper and t_cam2gripper.
+            fisheye: The coefficients are those of `cv2.fisheye`.
+            **options: Mount and near, as for `PinholeCamera`.
 
         Raises:
-            InvalidInputError: Wrong shapes, skew, tangential or other distortion.
+            InvalidInputError: Wrong shapes, skew, coefficients of another number, or a place told
+                twice or by half.
         """
-        k = as_array("K", K, (3, 3), "px")
-        if np.abs(k - [[k[0, 0], 0.0, k[0, 2]], [0.0, k[1, 1], k[1, 2]], [0.0, 0.0, 1.0]]).any():
-            raise InvalidInputError(
-                f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}", given=K
-            )
-        five = np.zeros(5)
-        given = np.ravel(np.asarray(distortion, dtype=float))
-        five[: min(5, len(given))] = given[:5]
-        if len(given) not in (0, 2, 4, 5) or five[2:4].any():
-            raise InvalidInputError(
-                f"distortion must be (k1, k2, p1, p2, k3), or the first four or two, with the "
-                f"tangential p1 = p2 = 0, which this camera does not have, got {given.tolist()}",
-                given=distortion,
-            )
-        R = pin.exp3(np.array(as_array("rvec", np.ravel(rvec), (3,), "rad")))
-        t = as_array("tvec", np.ravel(tvec), (3,), "m")
-        radial = tuple(five[[0, 1, 4]].tolist())
-        return cls((k[0, 0], k[1, 1]), size, -R.T @ t, R.T, (k[0, 2], k[1, 2]), radial)
+        given = opencv_parameters(K, distortion, rvec, tvec, camera_pose)
+        return cls(size=size, fisheye=fisheye, **given, **options)
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | Path,
+        *,
+        size: Sequence[int] | None = None,
+        fisheye: bool | None = None,
+        **where: Any,
+    ) -> PinholeCamera:
+        """Return the camera of a YAML file of OpenCV's FileStorage, or of ROS's camera_info.
+
+        What is read of it: camera_matrix (or K), distortion_coefficients (or D), the width and
+        height of the image, and which model it is, where it says so: ROS's distortion_model
+        (plumb_bob, rational_polynomial, equidistant), or fisheye_model of OpenCV's sample program.
+
+        Args:
+            path: Of the file, at most 0.5 MB.
+            size: Width and height of the image [px]; by default those of the file.
+            fisheye: The lens is a fisheye one; by default as the file says, and else it is not.
+            **where: Rvec, tvec, camera_pose, mount and near, as for `from_opencv`.
+
+        Raises:
+            InvalidInputError: A file that is missing, too long, no YAML, or without a calibration;
+                and as for `from_opencv`.
+        """
+        found = read_calibration(path, size, fisheye)
+        return cls.from_opencv(*found[:3], fisheye=found.fisheye, **where)
+
+    def standing_at(
+        self,
+        position: Sequence[float] | Array,
+        looking_at: Sequence[float] | Array,
+        *,
+        up: Sequence[float] | Array = (0.0, 0.0, 1.0),
+    ) -> PinholeCamera:
+        """Return this camera elsewhere, with its optical axis through a point.
+
+        Args:
+            position: Of the camera, shape (3,) [m].
+            looking_at: The point, shape (3,) [m].
+            up: Direction that is up in the image, shape (3,).
+
+        Raises:
+            InvalidInputError: A point at the camera's own position, or straight up or down.
+        """
+        return replace(self, position=position, rotation=view_axes(position, looking_at, up))
 
     def placement(self) -> tuple[Array, Array]:
         """Return rotation (3, 3) and position (3,) [m] in the frame that it is fixed to."""
@@ -210,16 +260,24 @@ class PinholeCamera(Camera):
     def seen(self, x: Array) -> Array:
         (u, v), (width, height) = x.tolist(), self.size
         inside = -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5
+        if inside and not self._sees_all:
+            inside = bool(np.isfinite(self.ray(x)).all())
         return x if inside else np.full(2, np.nan)
 
     def nearest(self, x: Array) -> Array:
-        """Return the image coordinates within the image that are nearest to x (2,); (2,)."""
+        """Return the image coordinates that can be seen and are nearest to x (2,); (2,)."""
         (u, v), (width, height) = x.tolist(), self.size
-        return np.array([min(max(u, -0.5), width - 0.5), min(max(v, -0.5), height - 0.5)])
+        inside = np.array([min(max(u, -0.5), width - 0.5), min(max(v, -0.5), height - 0.5)])
+        if self._sees_all:
+            return inside
+        assert isinstance(self._lens, Fisheye)  # which alone may show a round image
+        w = (inside - self._c) / self._f
+        rim = WITHIN * self._lens.shown_radius
+        return np.asarray(self._c + self._f * w * min(1.0, rim / max(math.hypot(*w), _TINY)))
 
     def ray(self, x: Array) -> Array:
-        """Return the ray (X/Z, Y/Z) whose image is x (2,) [px]; shape (2,)."""
-        return self._lens.undistorted((x - self._c) / self._f)
+        """Return the ray (X/Z, Y/Z) whose image is x (2,) [px], shape (2,); NaN where none is."""
+        return self._lens.ray((x - self._c) / self._f)
 
     def locate(self, x: Array, depth: float) -> Array:
         """Return the position (3,) of the point at a depth Z [m] whose image is x (2,) [px]."""
@@ -233,11 +291,11 @@ class PinholeCamera(Camera):
         interaction matrix (2, 6) of the camera's own velocity in the literature.
         """
         x, y, Z = self._within(self.in_camera(r))
-        a, b, d = self._lens.slopes(x, y)
+        a, b, c, d = self._lens.slopes(x, y)
         f_u, f_v = (self._f / Z).tolist()
         J = np.array([
             [f_u * a, f_u * b, -f_u * (a * x + b * y)],
-            [f_v * b, f_v * d, -f_v * (b * x + d * y)],
+            [f_v * c, f_v * d, -f_v * (c * x + d * y)],
         ])  # fmt: skip  # in the camera's own axes
         return np.asarray(J @ self._R_t)
 
@@ -246,7 +304,11 @@ class PinholeCamera(Camera):
         X, Y, Z = own.tolist()
         Z = max(Z, self.near)
         (left, right), (top, bottom) = self._edges
-        return min(max(X / Z, left), right), min(max(Y / Z, top), bottom), Z
+        x, y = min(max(X / Z, left), right), min(max(Y / Z, top), bottom)
+        if not self._lens.is_straight:
+            back = min(1.0, self._lens.largest_radius / max(math.hypot(x, y), _TINY))
+            x, y = back * x, back * y
+        return x, y, Z
 
     def with_error(
         self,
@@ -293,48 +355,38 @@ class PinholeCamera(Camera):
         shown += [f"position={_short(self.position)}", f"view={_short(self._R[:, 2].tolist())}"]
         if any(self.distortion):
             shown.append(f"distortion={_short(self.distortion)}")
+        if self.fisheye:
+            shown.append("fisheye")
         if self.mount is not None:
             shown.append(f"mount={self.mount!r}")
         return f"PinholeCamera({', '.join(shown)})"
 
-    def _border(self) -> list[Array]:
-        """Return points of the edges [px], among them those whose rays reach farthest."""
-        count = _ON_AN_EDGE if any(self.distortion) else 2
+    def _border(self) -> Array:
+        """Return points of the edges [px], among them those whose rays reach farthest; (n, 2)."""
+        count = 2 if self._lens.is_straight else _ON_AN_EDGE
         (left, right), (top, bottom) = ends = [(-0.5, n - 0.5) for n in self.size]
         along = [
             np.append(np.linspace(*end, count), np.clip(c, *end))
             for end, c in zip(ends, self._c, strict=True)
         ]
-        return [np.array([u, v]) for u in along[0] for v in (top, bottom)] + [
-            np.array([u, v]) for u in (left, right) for v in along[1]
-        ]
-
-    def _require_unfolded(self) -> None:
-        """Refuse a lens whose image folds back before it reaches the corners."""
-        radius = self._lens.largest_radius
-        if math.isinf(radius):
-            return
-        reached = float(np.hypot(*self._lens.distorted(np.array([radius, 0.0]))))
-        farthest = max(float(np.hypot(*((x - self._c) / self._f))) for x in self._border())
-        if reached < farthest:
-            raise InvalidInputError(
-                f"distortion must not fold the image back within its size: rays of a radius of "
-                f"{reached:.3g} are the farthest that it shows, and the corners need "
-                f"{farthest:.3g}; got {self.distortion}",
-                given=self.distortion,
-            )
-
-
-def _rotation(value: object) -> Array:
-    R = as_array("rotation", value, (3, 3))
-    if np.abs(R @ R.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(R) < 0.0:
-        raise InvalidInputError(
-            f"rotation must have the camera's axes (right, down, forward) as orthonormal columns "
-            f"of a right-handed frame, got {R.tolist()}",
-            given=value,
+        return np.array(
+            [(u, v) for u in along[0] for v in (top, bottom)]
+            + [(u, v) for u in (left, right) for v in along[1]]
         )
-    U, _, V = np.linalg.svd(R)  # the nearest one, so that products of many stay rotations
-    return np.asarray(U @ V)
+
+    def _require_fisheye(self, is_lost: NDArray[np.bool_]) -> None:
+        """Refuse a lens without a ray for each pixel, unless it may show a round image."""
+        if self.fisheye:
+            return
+        lost = self._border()[is_lost]
+        nearest = np.argmin(np.linalg.norm((lost - self._c) / self._f, axis=1))
+        raise InvalidInputError(
+            f"distortion must not fold the image back within its size: no ray is shown at "
+            f"{lost[nearest].tolist()} px, as no ray longer than "
+            f"{self._lens.largest_radius:.3g} is. Calibrate with views that reach into the "
+            f"corners, or with fewer coefficients; got {self.distortion}",
+            given=self.distortion,
+        )
 
 
 def _short(values: Any) -> str:

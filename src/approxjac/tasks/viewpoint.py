@@ -1,0 +1,39 @@
+"""Where a camera stands and looks to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from approxjac.errors import InvalidInputError
+from approxjac.validation import Array, as_array
+
+_ORTHONORMAL = 1e-6  # how far from it a rotation may be, to be made so
+
+
+def as_rotation(value: object) -> Array:
+    """Return a camera's axes (right, down, forward) as columns, (3, 3), if they are orthonormal."""
+    R = as_array("rotation", value, (3, 3))
+    if np.abs(R @ R.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(R) < 0.0:
+        raise InvalidInputError(
+            f"rotation must have the camera's axes (right, down, forward) as orthonormal columns "
+            f"of a right-handed frame, got {R.tolist()}",
+            given=value,
+        )
+    U, _, V = np.linalg.svd(R)  # the nearest one, so that products of many stay rotations
+    return np.asarray(U @ V)
+
+
+def view_axes(position: object, looking_at: object, up: object) -> Array:
+    """Return the axes of a camera whose optical axis goes through a point; see `standing_at`."""
+    p = as_array("position", position, (3,), "m")
+    view = as_array("target", looking_at, (3,), "m") - p
+    right = np.cross(view, as_array("up", up, (3,)))
+    if not np.linalg.norm(right) > 1e-9 * max(1.0, float(np.linalg.norm(view))):
+        raise InvalidInputError(
+            f"target must be away from position, and not along up, which has no place in the "
+            f"image then, got target {looking_at!r} from {position!r} with up {up!r}",
+            given=looking_at,
+        )
+    z: Array = view / np.linalg.norm(view)
+    x: Array = right / np.linalg.norm(right)
+    return np.column_stack([x, np.cross(z, x), z])
