@@ -177,16 +177,16 @@ def attack(case):
     name = f"{ARMS[number % len(ARMS)]}, {type(controller.task).__name__}, setup {number}"
     loop = ClosedLoop(controller, errors, region)
     try:
-        samples, fresh = (loop.draw(SAMPLES, rng) for _ in range(2))
+        first, fresh = (MatrixForm(loop.draw(SAMPLES, rng), loop.setting) for _ in range(2))
     except aj.errors.InvalidInputError:  # Ĵ loses rank in the box
         return nothing(name)
-    known = best_weights(MatrixForm(samples, loop.setting), "free")
+    known = best_weights(first, "free")
     if known.margins.min() <= 0.0:
         return nothing(name)
-    longest = longest_stable(loop, samples.take(slice(24)), counted)
+    longest = longest_stable(loop, first.samples.take(slice(24)), counted)
     for share in SHARES:
         latency = in_seconds(counted, share * longest)
-        test = sampled_test(loop, known, samples, fresh, latency)
+        test = sampled_test(loop, known, first, fresh, latency)
         if test.certified and test.level > 0.0:
             break
     else:
@@ -198,7 +198,7 @@ def attack(case):
                 for plant in inner[:RECORDED]]  # fmt: skip
     own, free = test, on_its_own_clock(latency)
     if free != latency:
-        own = sampled_test(loop, known, samples, fresh, free)
+        own = sampled_test(loop, known, first, fresh, free)
     moving = []
     if own.certified and own.level > 0.0:
         moving = [moved(controller, inner[k % INNER], region, own, free, rng, k % 2 == 0)
@@ -206,7 +206,7 @@ def attack(case):
     found, timed = attraction(loop, test, rng), latency
     if found is None or not found.radius:
         timed = in_seconds(counted, CALMER * share * longest)
-        test = sampled_test(loop, known, samples, fresh, timed)
+        test = sampled_test(loop, known, first, fresh, timed)
         found = attraction(loop, test, rng)
     radius = 0.0 if found is None else found.radius
     rates, drifts = np.zeros(0), []

@@ -11,6 +11,7 @@ from certify import lyapunov
 import approxjac as aj
 from approxjac.stability.attraction import slower, travels
 from approxjac.stability.closed_loop import SHARED, ClosedLoop
+from approxjac.stability.matrix_form import MatrixForm
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_study import Study
 from approxjac.stability.rollouts import as_study
@@ -98,7 +99,7 @@ def rated(loop, test, found, latency, rng):
     """Return what bounds the drift in fresh samples over what does in those that were used."""
     seen, old = loop.draw(RATED, rng, inside=SHARED), test.form
     form = SampledForm(
-        seen, loop.setting, loop.plants[0].friction, latency, old.speed, old.reach,
+        MatrixForm(seen, loop.setting), loop.plants[0].friction, latency, old.speed, old.reach,
         loop.gravity_gradients(seen),
     )  # fmt: skip
     bounds = travels(slower(form), loop.controller.saturation, found.weights, found.rate)

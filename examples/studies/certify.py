@@ -23,7 +23,7 @@ from random_loops import Case, build, cases, damped
 import approxjac as aj
 from approxjac import law
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.families import Weights
+from approxjac.stability.families import FAMILIES, Weights
 from approxjac.stability.matrix_form import MatrixForm
 
 NAMES = {
@@ -132,7 +132,11 @@ def functions(report):
         m = len(kp)
         alpha = first.alpha
         found["theorem1"] = Weights(alpha * np.eye(m), np.zeros((m, m)), kp + alpha * kv)
-    return found | {str(f): t.weights for f, t in report.matrix.items() if t.certified}
+    last = list(report.matrix.values())[-1]
+    if last.certified:  # and so do the families that hold its own
+        families = FAMILIES[FAMILIES.index(last.family) :]
+        found |= dict.fromkeys(map(str, families), last.weights)
+    return found
 
 
 def move(loop, rate):

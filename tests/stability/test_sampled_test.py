@@ -35,9 +35,8 @@ def panda(arm, damping, kp=400.0, kv=80.0, half=0.15):
 def certificate(parts, latency, n=200, seed=0):
     """The sampled test of a loop, chosen on n samples and checked on as many."""
     loop, rng = ClosedLoop(*parts), np.random.default_rng(seed)
-    samples, fresh = (loop.draw(n, rng) for _ in range(2))
-    known = best_weights(MatrixForm(samples, loop.setting), "free")
-    return sampled_test(loop, known, samples, fresh, latency)
+    first, fresh = (MatrixForm(loop.draw(n, rng), loop.setting) for _ in range(2))
+    return sampled_test(loop, best_weights(first, "free"), first, fresh, latency)
 
 
 def test_the_loop_that_diverges_is_not_certified_and_its_report_says_so(arm):
@@ -71,13 +70,14 @@ def test_the_period_certified_at_a_posture_is_a_quarter_of_pi_of_the_exact_one(
     plant = errors.plant((length, 0.5 if length else 0.0))
     loop = ClosedLoop(controller, plant, region)
     samples = loop.draw(4, np.random.default_rng(0))
-    known = best_weights(MatrixForm(samples, loop.setting), "free")
+    form = MatrixForm(samples, loop.setting)
+    known = best_weights(form, "free")
 
     def stable(latency):
         return bool((growth(loop, samples, latency) < 1.0).all())
 
     def certified(latency):
-        return sampled_test(loop, known, samples, samples, latency).certified
+        return sampled_test(loop, known, form, form, latency).certified
 
     exact = largest(stable, Latency, 8e-3 / damping)
     assert 0.75 < largest(certified, Latency, 0.5 * exact) / exact < 0.25 * math.pi + 0.01

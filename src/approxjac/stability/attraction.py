@@ -131,8 +131,8 @@ def _farthest(
         k = int((found / most).max(axis=1).argmax())
         samples = loop.near(samples, k, _NEAR, _CLOSE, rng)
         near = SampledForm(
-            samples, form.setting, loop.plants[0].friction, test.latency, form.speed, form.reach,
-            loop.gravity_gradients(samples), form.turning,
+            MatrixForm(samples, form.setting), loop.plants[0].friction, test.latency, form.speed,
+            form.reach, loop.gravity_gradients(samples), form.turning,
         )  # fmt: skip
         found = travels(slower(near), saturation, weights, rate)
         if (found <= most).all():

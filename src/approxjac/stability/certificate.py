@@ -9,7 +9,7 @@ import numpy as np
 
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.families import FAMILIES, Family, Setting, Weights
-from approxjac.stability.matrix_form import Best, MatrixForm, best_weights
+from approxjac.stability.matrix_form import Best, MatrixForm, best_weights, on_more
 from approxjac.stability.rollouts import clopper_pearson
 from approxjac.stability.samples import Samples
 from approxjac.stability.theorem1 import CONSTANTS, badness, constants, theorem1
@@ -117,24 +117,31 @@ def _first_largest(values: Array) -> int:
 
 
 def refine_weights(
-    loop: ClosedLoop, form: MatrixForm, family: Family, rng: np.random.Generator
+    loop: ClosedLoop,
+    form: MatrixForm,
+    family: Family,
+    rng: np.random.Generator,
+    known: Best | None = None,
 ) -> tuple[MatrixForm, Best]:
-    """Choose a Lyapunov function, with a closer look around its worst sample."""
-    best = best_weights(form, family)
+    """Choose a Lyapunov function, with a closer look around its worst sample.
+
+    `known` is what was found in a smaller family, to begin with.
+    """
+    best = best_weights(form, family, known)
     worst, k, least = form.samples, int(best.margins.argmin()), float(best.margins.min())
-    found: list[Samples] = []
+    found: list[MatrixForm] = []
     for _ in range(_REFINED):
         worst = loop.near(worst, k, _NEAR, _CLOSER, rng)
-        margins = MatrixForm(worst, form.setting).margins(best.weights)
+        its = MatrixForm(worst, form.setting)
+        margins = its.margins(best.weights)
         k = int(margins.argmin())
         if margins[k] > least - _NOTABLE:
             break
         least = float(margins[k])
-        found.append(worst.take(np.array([k])))
-    if not found:
-        return form, best
-    form = form.join(*found)
-    return form, best_weights(form, family, best)
+        found.append(its.take(np.array([k])))
+    for more in found:
+        form = form.join(more)
+    return form, on_more(form, family, best)
 
 
 def margin(test: str, samples: Samples, setting: Setting) -> float:
@@ -144,9 +151,10 @@ def margin(test: str, samples: Samples, setting: Setting) -> float:
     """
     if test == "theorem1":
         return theorem1(samples, setting).margin
-    form, most = MatrixForm(samples, setting), -math.inf
+    form, most, best = MatrixForm(samples, setting), -math.inf, None
     for family in setting.families:
-        most = max(most, float(best_weights(form, family).margins.min()))
+        best = best_weights(form, family, best)
+        most = max(most, float(best.margins.min()))
         if most > 0.0:
             break
     return most

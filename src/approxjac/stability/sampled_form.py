@@ -13,7 +13,7 @@ from approxjac import law
 from approxjac.controllers.latency import Latency
 from approxjac.law import sampled_form
 from approxjac.law.sampled_form import TorqueRate
-from approxjac.stability.families import Family, Setting, Unknowns, Weights
+from approxjac.stability.families import Family, Unknowns, Weights
 from approxjac.stability.matrix_form import Best, MatrixForm, best_of
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
@@ -97,8 +97,7 @@ class SampledForm(MatrixForm):
     Its weights have a multiplier and, where x comes in frames or q̇ through a filter, X.
 
     Args:
-        samples: Where it is evaluated.
-        setting: The closed loop's part.
+        form: That of continuous time, where it is evaluated.
         friction: Diagonal of the arm's own part of B, shape (n_v,).
         latency: Of the loop.
         speed: v̄ [√J].
@@ -111,8 +110,7 @@ class SampledForm(MatrixForm):
 
     def __init__(
         self,
-        samples: Samples,
-        setting: Setting,
+        form: MatrixForm,
         friction: Array,
         latency: Latency,
         speed: float,
@@ -120,16 +118,16 @@ class SampledForm(MatrixForm):
         dg: Array | None = None,
         turning: Turning | None = None,
     ) -> None:
-        super().__init__(samples, setting)
+        self.samples, self.setting, self._of_samples = form.samples, form.setting, form._of_samples
         self.hold, self.speed, self.reach = Hold.of(latency), speed, reach
         self._decay = 0.0, 0.5
-        at, D = samples, self._of_samples.D
+        at, D, kp = self.samples, self._of_samples.D, self.setting.kp
         D_c = D - np.diag(friction)
         self._rates = _Rates(
             sampled_form.torque_rate(
-                at.M, D, D_c, at.J_hat, at.dJ_hat, at.J_e, at.s, at.slope, setting.kp, dg
+                at.M, D, D_c, at.J_hat, at.dJ_hat, at.J_e, at.s, at.slope, kp, dg
             ),
-            sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, setting.kp, dg),
+            sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, kp, dg),
         )
         self.turning = self._turning(D_c, dg) if turning is None else turning
         # of L⁻¹UL, D = LLᵀ: the rate at which the torque's error answers itself [1/s]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,12 +15,12 @@ from approxjac.law import LinearLaw, Saturation
 from approxjac.stability.certificate import MatrixTest
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.families import Family
-from approxjac.stability.matrix_form import Best, best_weights
+from approxjac.stability.matrix_form import Best, MatrixForm, best_weights
 from approxjac.stability.sampled_form import SampledForm
 from approxjac.stability.samples import Samples
 from approxjac.validation import Array
 
-_SPEEDS = (1.0, 0.5, 0.25, 0.06)  # of what all starts need, that are tried
+_SLOWER, _SLOWEST = (0.5, 0.25), 0.06  # times the speed that all starts need, that are tried
 _SPARE = 1.4  # c is at most so many times what starts need: σ² is known afterwards only
 _WORST = 120  # samples that largest periods and delays are sought with
 _HALVINGS = 7
@@ -110,7 +111,7 @@ def largest(
 
 
 def sampled_test(
-    loop: ClosedLoop, known: Best, samples: Samples, fresh: Samples, latency: Latency
+    loop: ClosedLoop, known: Best, chosen: MatrixForm, fresh: MatrixForm, latency: Latency
 ) -> SampledTest:
     """Choose a function that certifies the loop with a latency, for starts at rest.
 
@@ -119,39 +120,65 @@ def sampled_test(
     Args:
         loop: The closed loop, with gravity that is known.
         known: What was found for continuous time, to begin with.
-        samples: To choose it on.
-        fresh: To check it on.
+        chosen: The form of continuous time at the samples to choose it on.
+        fresh: The same to check it on.
         latency: Of the loop.
     """
     setting, saturation = loop.setting, loop.controller.saturation
     friction = loop.plants[0].friction
-    everywhere = samples.join(fresh)
+    form, first = chosen.join(fresh), len(chosen.samples)
+    everywhere = form.samples
     potential = setting.kp + setting.alpha * setting.kv
     needed = _SPARE * float((saturation.S(everywhere.e) @ potential).max(initial=0.0))
     dg = loop.gravity_gradients(everywhere)
-    for share in _SPEEDS:
-        speed = share * math.sqrt(2.0 * needed)
-        reach = speed / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
-        whole = SampledForm(everywhere, setting, friction, latency, speed, reach, dg)
-        form, check = whole.take(slice(len(samples))), whole.take(slice(len(samples), None))
-        best, family = _best(form, known)
-        margins = check.margins(best.weights)
-        # s̄ is of the weights that were begun with: of smaller ones errors may be larger
-        reach = whole.largest_s(best.weights)
-        if reach > whole.reach:
-            whole = whole.with_reach(reach)
-            form, check = whole.take(slice(len(samples))), whole.take(slice(len(samples), None))
-            best = best._replace(margins=form.margins(best.weights))
-            margins = check.margins(best.weights)
-        if best.margins.min() > 0.0 and (margins > 0.0).all():
-            break
-    violations = int((margins <= 0.0).sum())
+    fastest = math.sqrt(2.0 * needed)
+    reach = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
+    whole = SampledForm(form, friction, latency, fastest, reach, dg)
+    found = _at_speed(whole, first, known)
+    if not found.passes:  # and it may be that no speed is slow enough
+        found = _at_speed(whole.with_speed(_SLOWEST * fastest), first, known)
+        if found.passes:
+            tries = (_at_speed(whole.with_speed(k * fastest), first, known) for k in _SLOWER)
+            found = next((each for each in tries if each.passes), found)
+    whole, best, family, violations = found
+    if violations is None and not whole.is_possible():
+        violations = len(fresh.samples)
+    elif violations is None:
+        violations = int((whole.take(slice(first, None)).margins(best.weights) <= 0.0).sum())
     level = max(0.0, whole.level(best.weights))
     test = SampledTest(
-        family, best.weights, best.margins, len(fresh), violations, loop.region.independent,
-        latency, speed, level, 1.0, np.zeros(len(potential)), whole,
+        family, best.weights, best.margins, len(fresh.samples), violations, loop.region.independent,
+        latency, whole.speed, level, 1.0, np.zeros(len(potential)), whole,
     )  # fmt: skip
     return below(test, level, saturation, everywhere)
+
+
+class _AtSpeed(NamedTuple):
+    """What was found for a v̄."""
+
+    whole: SampledForm
+    best: Best  # in the samples that it was chosen on
+    family: Family
+    violations: int | None  # in the others; None where it fails in those already
+
+    @property
+    def passes(self) -> bool:
+        """Return whether it holds in all samples."""
+        return self.violations == 0
+
+
+def _at_speed(whole: SampledForm, first: int, known: Best) -> _AtSpeed:
+    """Choose a function on the first samples, and check it on the others."""
+    best, family = _best(whole.take(slice(first)), known)
+    # s̄ is of the weights that were begun with: of smaller ones errors may be larger
+    reach = whole.largest_s(best.weights)
+    if reach > whole.reach:
+        whole = whole.with_reach(reach)
+        best = best._replace(margins=whole.take(slice(first)).margins(best.weights))
+    if best.margins.min() <= 0.0:
+        return _AtSpeed(whole, best, family, None)
+    margins = whole.take(slice(first, None)).margins(best.weights)
+    return _AtSpeed(whole, best, family, int((margins <= 0.0).sum()))
 
 
 def below(test: SampledTest, level: float, saturation: Saturation, samples: Samples) -> SampledTest:
@@ -172,8 +199,10 @@ def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:
             weights=known.weights._replace(multiplier=0.5), margins=nowhere
         ), "free"
     found: list[tuple[Best, Family]] = []
+    best = None
     for family in form.setting.families[1:]:
-        found.append((best_weights(form, family), family))
+        best = best_weights(form, family, best)
+        found.append((best, family))
         if found[-1][0].margins.min() > 0.0:
             break
     return max(found, key=lambda each: float(each[0].margins.min()))
