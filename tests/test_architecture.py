@@ -59,8 +59,7 @@ ALLOWED = {
     },
     "cli": {
         "files", "scenario", "paper", "view", "stability", "codegen", "controllers", "simulation",
-        "robots",
-        "errors", "__init__",
+        "robots", "formatting", "errors", "__init__",
     },
     "__main__": {"cli"},
 }  # fmt: skip

@@ -25,6 +25,11 @@ def replaced(path: Path) -> Iterator[Path]:
         unfinished.unlink(missing_ok=True)
 
 
+def reason(error: Exception) -> str:
+    """Return why a file cannot be read or written, without numbers and names of temporary files."""
+    return (isinstance(error, OSError) and error.strerror) or str(error)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file as UTF-8."""
     with replaced(path) as unfinished:

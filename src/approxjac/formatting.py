@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+import shutil
+import sys
+import textwrap
 from collections.abc import Iterable
 from typing import Any
 
@@ -22,6 +26,12 @@ def listed(values: Any) -> str:
         return f"[{', '.join(f'{entry:.4g}' for entry in np.ravel(values))}]"
     except (TypeError, ValueError):  # a record that is refused still has to be printed
         return repr(values)
+
+
+def numbers(values: Any) -> str:
+    """Return numbers to four digits as they may be typed; one where all entries are equal."""
+    entries = [f"{entry + 0.0:.4g}" for entry in np.ravel(values)]
+    return entries[0] if len(set(entries)) == 1 else " ".join(entries)
 
 
 def short_fields(record: Any) -> str:
@@ -60,3 +70,40 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+_WIDTH = 100  # of text that no terminal shows
+_UNITS = re.compile(r"(\d) (%|[a-z]+)\b")
+
+
+def width() -> int:
+    """Return the width of text: that of the terminal it is shown on, at least 40, or 100."""
+    if not sys.stdout.isatty():
+        return _WIDTH
+    return max(40, shutil.get_terminal_size((_WIDTH, 24)).columns)
+
+
+def wrapped(text: str, start: str = "", indent: int | None = None) -> list[str]:
+    """Return text as lines of the `width`, the first after `start`, and others as far in.
+
+    No number goes without its unit.
+    """
+    lines = textwrap.wrap(
+        _UNITS.sub("\\1\u00a0\\2", text),
+        max(width(), len(start) + 30),
+        initial_indent=start,
+        subsequent_indent=" " * (len(start) if indent is None else indent),
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+    return [line.replace("\u00a0", " ") for line in lines] or [start.rstrip()]
+
+
+def rows(told: dict[str, str], indent: int = 0) -> list[str]:
+    """Return names and what is told of each beside them, wrapped."""
+    first = max(map(len, told), default=0)
+    return [
+        line
+        for name, text in told.items()
+        for line in wrapped(text, f"{' ' * indent}{name:<{first}}  ")
+    ]

@@ -67,8 +67,11 @@ def test_robots_takes_any_urdf(capsys):
     [
         (["pnada"], "approxjac: robot 'pnada' not in the robots known by name; did you mean 'pan"),
         (["nowhere.urdf"], "approxjac: URDF file nowhere.urdf does not exist"),
-        (["panda", "--free", "thumb"], "approxjac: moving joint 'thumb' not in panda; valid are "),
-        (["panda", "--tip", "hand"], "approxjac: frame 'hand' not in panda; did you mean"),
+        (
+            ["panda", "--free", "thumb"],
+            "approxjac: --free: moving joint 'thumb' not in panda; valid are ",
+        ),
+        (["panda", "--tip", "hand"], "approxjac: --tip: frame 'hand' not in panda; did you mean"),
         (["--tip", "hand"], "approxjac: --tip, --base and --free need a robot, got none"),
     ],
 )

@@ -246,23 +246,23 @@ def test_regions(tmp_path):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (["--kp", "0"], "controller.kp must be a finite number > 0"),
-        (["--object-length", "0.3", "0.1"], "object_length"),
-        (["--object-mass", "-1", "1"], "object_mass"),
+        (["--kp", "0"], "--kp must be a finite number > 0"),
+        (["--object-length", "0.3", "0.1"], "--object-length must be (smallest, largest)"),
+        (["--object-mass", "-1", "1"], "--object-mass must be >= 0"),
         (["--sigma-min", "50"], "the region is empty"),
         (["--target", "9", "9", "9"], "target must be within reach of every true robot"),
-        (["--around", "0", "0"], "stability.around must have shape"),
+        (["--around", "0", "0"], "--around must be 7 numbers"),
         (["--around", *AROUND, "--run", "x.npz"], "one region must be given, got around and run"),
-        (["--reach-from", *AROUND], "stability.reach_from needs stability.target, got none"),
+        (["--reach-from", *AROUND], "--reach-from needs --target, got none"),
         (["--map", "error", "b"], "parameter 'b' not in the map"),
-        (["--map-points", "1"], "map_points must be 0 or >= 2, got 1"),
+        (["--map-points", "1"], "--map-points must be 0 or >= 2, got 1"),
         (
             ["--configurations", "3"],
             "configurations must be a finite number >= 20, got 3",
         ),
         (["--jobs", "0"], "jobs must be >= 1, got 0"),
-        (["--radius", "0"], "stability.radius must be a finite number > 0"),
-        (["--stability.roll", "-0.1", "0.1"], "camera"),
+        (["--radius", "0"], "--radius must be a finite number > 0"),
+        (["--stability.roll", "-0.1", "0.1"], "--stability.roll needs --task.kind image"),
     ],
 )
 def test_bad_input_is_one_clear_line(tmp_path, capsys, options, text):
@@ -305,3 +305,24 @@ def test_no_map_of_another_run_stays(tmp_path):
         "0.1", "--configurations", "20", "--runs", "0", "--map-points", "0",
     )  # fmt: skip
     assert not (tmp_path / "map.png").exists()
+
+
+def test_gains_that_are_certified_are_found(tmp_path, capsys):
+    errors = ["--object-length", "0", "0.05", "--around", *AROUND, "--radius", "0.05"]
+    quick = ["--configurations", "40"]
+    assert stability(tmp_path, "panda", *errors, "--suggest-gains", *quick) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith("gains: found, certified with margin 0.")
+    kp, kv, damping = (line.split() for line in shown[2:5])
+    assert (kp[0], kv[0], damping[0]) == ("--kp", "--kv", "--damping")
+    assert len(damping) == 8
+    found = Scenario.load(tmp_path / "scenario.toml").controller
+    assert found.kp == pytest.approx([float(kp[1])] * 3, rel=1e-3)
+    assert found.damping == pytest.approx([float(word) for word in damping[1:]], rel=1e-3)
+    loop = study.prepare(Scenario.load(tmp_path / "scenario.toml"))
+    certified = aj.stability_report(loop.controller, loop.truth, loop.region, configurations=200)
+    assert certified.passed
+    assert stability(tmp_path, "panda", "--suggest-gains") == 2
+    assert "needs ranges of errors, such as --object-length 0 0.3" in capsys.readouterr().err
+    assert stability(tmp_path, "panda", *errors, "--suggest-gains", "--kp", "9") == 2
+    assert "--kp must be left out where gains are to be found, got 9" in capsys.readouterr().err

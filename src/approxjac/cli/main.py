@@ -9,11 +9,13 @@ import io
 import os
 import sys
 import warnings
+from collections.abc import Callable
 
 import tyro
 
 import approxjac
-from approxjac.cli import options
+from approxjac.cli import help, options
+from approxjac.cli.arguments import Typed, in_words_of_user, read
 from approxjac.cli.export import export
 from approxjac.cli.paper import paper
 from approxjac.cli.robots import robots
@@ -21,13 +23,22 @@ from approxjac.cli.simulate import simulate
 from approxjac.cli.stability import stability
 from approxjac.cli.view import view
 from approxjac.errors import ApproxJacError, UnknownNameError
+from approxjac.scenario import Scenario
 
 _COMMANDS = {each.__name__: each for each in (paper, robots, simulate, stability, export, view)}
-_DESCRIPTION = (
-    "Torque control of any URDF arm whose kinematics are not exactly known. "
-    "COMMAND --help says more of each command, with examples; --version prints the version; "
-    "exit codes are 0, 1 where a verdict fell short, and 2 for bad input."
+_SCENARIO = (
+    "NAME|FILE",
+    "Name of an arm (approxjac robots lists them), a .urdf file, or a .toml file with a scenario; "
+    "options come before what it says.",
 )
+_POSITIONAL = {
+    "paper": ("", ""),
+    "robots": ("[NAME|FILE]", "Name or .urdf file of the one to describe."),
+    "simulate": _SCENARIO,
+    "stability": _SCENARIO,
+    "export": _SCENARIO,
+    "view": ("RUN", "File run.npz that simulate, paper or Trajectory.save wrote, or its folder."),
+}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -41,31 +52,64 @@ def main(arguments: list[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show λ shows "?"
     warnings.showwarning = _warned
     try:
-        if arguments and not arguments[0].startswith("-") and arguments[0] not in _COMMANDS:
-            raise UnknownNameError("command", arguments[0], "approxjac", _COMMANDS)
         return _flushed(_run(arguments))
     except KeyboardInterrupt:
         print("\napproxjac: stopped", file=sys.stderr)
         return 130
     except BrokenPipeError:  # nobody reads on, and what was not done yet is not done
         return _flushed(128 + 13)  # as what SIGPIPE ends
-    except (ApproxJacError, OSError) as error:  # a full disk, a file that is a folder, …
+    except ApproxJacError as error:
         print(f"approxjac: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:  # a full disk, a file that is a folder, …
+        where = f": {error.filename}" if error.filename else ""
+        print(f"approxjac: {error.strerror or error}{where}", file=sys.stderr)
         return 2
 
 
 def _run(arguments: list[str]) -> int:
-    """Read the arguments, with all text of the chosen command and a line of each other one."""
-    chosen = arguments[0] if arguments else ""
-    app = tyro.extras.SubcommandApp()
-    scenario = None
+    """Run a command, or show its help."""
+    chosen = arguments[0]
+    if chosen in ("-h", "--help"):
+        print(help.of_commands(_COMMANDS))
+        return 0
+    if chosen.startswith("--tyro"):  # the shell's completion
+        return _called(arguments, None)
+    if chosen not in _COMMANDS:
+        kind = "option" if chosen.startswith("-") else "command"
+        raise UnknownNameError(kind, chosen, "approxjac", [*_COMMANDS, "--help", "--version"])
+    command, words = _COMMANDS[chosen], arguments[1:]
+    if asked := {"-h", "--help", "--help-all"} & set(words):
+        common = () if "--help-all" in asked else options.COMMON.get(chosen, ())
+        print(help.of_command(command, options.of(command), _POSITIONAL[chosen], common))
+        return 0
+    scenario, spelled = None, dict[str, str]()
     if chosen in options.SHORT:
-        scenario, arguments = options.from_file(arguments)
+        scenario, words, spelled = options.from_file(words)
+    known, typed = options.of(command, scenario), dict[str, Typed]()
+    try:
+        words, typed = read(chosen, words, known, options.MEANT.get(chosen, ""), spelled)
+        return _called([chosen, *words], scenario)
+    except ApproxJacError as error:
+        told = in_words_of_user(error, known, typed, scenario is not None)
+        print(f"approxjac: {told}", file=sys.stderr)
+        return 2
+
+
+def _called(arguments: list[str], scenario: Scenario | None) -> int:
+    """Call a command with words that it takes; without one, tell the shell of all of them."""
+
+    def taking(command: Callable[..., int]) -> Callable[..., int]:
+        takes_scenario = command.__name__ in options.SHORT
+        return options.with_options(command, scenario) if takes_scenario else command
+
+    if arguments[0] in _COMMANDS:
+        command = taking(_COMMANDS[arguments[0]])
+        return int(tyro.cli(command, args=arguments[1:], prog=f"approxjac {arguments[0]}"))
+    app = tyro.extras.SubcommandApp()
     for name, command in _COMMANDS.items():
-        line = str(command.__doc__).split("\n")[0]
-        taking = options.with_options(command, scenario) if name in options.SHORT else command
-        app.command(name=name, help=None if name == chosen else line)(taking)
-    return int(app.cli(args=arguments, prog="approxjac", description=_DESCRIPTION))
+        app.command(name=name)(taking(command))
+    return int(app.cli(args=arguments, prog="approxjac"))
 
 
 def _warned(message: Warning | str, *_: object, **__: object) -> None:

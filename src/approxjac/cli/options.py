@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, field, fields, is_dataclass, make_dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,9 @@ from typing import Annotated, Any, get_type_hints
 
 import tyro
 
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.cli.arguments import Option, own_options, scenario_options
+from approxjac.errors import InvalidInputError
+from approxjac.files import reason
 from approxjac.scenario import Scenario
 from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.records import Goal
@@ -92,31 +94,98 @@ SHORT: Mapping[str, Mapping[str, str]] = {
 """Command → short option → the key that it stands for; a report's errors are ranges."""
 
 
-def from_file(words: list[str]) -> tuple[Scenario | None, list[str]]:
+COMMON: Mapping[str, Sequence[str]] = {
+    "simulate": (
+        "--object-length", "--object-mass", "--object-axis", "--believed-length", "--gravity",
+        "--settling-time", "--limits", "--start", "--target", "--target-offset",
+        "--path circle|line|waypoints", "--learn-kinematics", "--duration", "--seed", "--task.kind",
+        "--view", "--out",
+    ),
+    "stability": (
+        "--object-length", "--object-mass", "--joint-shifts", "--joint-rotations",
+        "--believed-length", "--around", "--radius", "--target", "--gravity", "--settling-time",
+        "--kp", "--kv", "--damping", "--loop.dt", "--runs", "--map-points", "--suggest-gains",
+        "--jobs", "--out",
+    ),
+    "export": (
+        "--object-length", "--believed-length", "--gravity", "--settling-time", "--kp", "--kv",
+        "--damping", "--limits", "--effort-only", "--folder",
+    ),
+}  # fmt: skip
+"""Command → the options that its help shows."""
+
+
+_ROBOT_NEEDED = (
+    "one robot (a name that approxjac robots lists, a .urdf file, or a .toml file with a scenario)"
+)
+MEANT = {
+    **dict.fromkeys(SHORT, _ROBOT_NEEDED),
+    "robots": "[one robot by its name or its .urdf file]",
+    "view": "one run (a run.npz that simulate, paper or Trajectory.save wrote, or its folder)",
+}
+"""Command → for what the word is that has no option."""
+
+
+_SHORTHANDS = [
+    Option(("--no-limits",), "no_limits", bool, "Keep no limits, as --limits none.", False),
+    Option(
+        ("--learn-kinematics",), "learn_kinematics", bool,
+        "Learn tool, joint origins and camera by law T, as --controller.law tracking "
+        "--controller.unknown tool origins camera.", False,
+    ),
+    Option(
+        ("--path circle|line|waypoints",), "path", tuple[float, ...],
+        "Path to follow: the radius of a circle, the offset of a line, or points, in m.", None,
+    ),
+]  # fmt: skip
+
+
+def of(command: Callable[..., int], scenario: Scenario | None = None) -> list[Option]:
+    """Return all options of a command, with those of its scenario."""
+    options = own_options(command)
+    name = command.__name__
+    if name in SHORT:
+        default = _USUAL[name] if scenario is None else scenario
+        options = [*scenario_options(default, SHORT[name]), *options, *_SHORTHANDS]
+    return options
+
+
+def from_file(words: list[str]) -> tuple[Scenario | None, list[str], dict[str, str]]:
     """Return the scenario of the file among a command's words, and the words with its robot.
 
-    In these --no-limits, --learn-kinematics and --path are what they stand for.
+    In these --no-limits, --learn-kinematics and --path are what they stand for; the last that is
+    returned says for what.
     """
+    spelled: dict[str, str] = {}
+    for short, meant in _FLAGS.items():
+        if short in words:
+            spelled |= {word: short for word in meant if word.startswith("--")}
     words = [part for word in words for part in _FLAGS.get(word, [word])]
-    words = _with_path(words)
+    words = _with_path(words, spelled)
     for i, word in enumerate(words):
         if word.endswith(".toml") and word[0] != "-" and words[i - 1] != "--save":
             scenario = Scenario.load(word)
             if any(other.startswith(("--target", "--run.target")) for other in words):  # not both
                 scenario = scenario.with_values({"run": {"target": Goal()}})
-            return scenario, [*words[:i], scenario.robot, *words[i + 1 :]]
-    return None, words
+            return scenario, [*words[:i], scenario.robot, *words[i + 1 :]], spelled
+    return None, words, spelled
 
 
-def _with_path(words: list[str]) -> list[str]:
+def _with_path(words: list[str], spelled: dict[str, str]) -> list[str]:
     """Return words with the key of a path's shape in place of `--path SHAPE`."""
     if "--path" not in words:
         return words
     i = words.index("--path")
     shape = "".join(words[i + 1 : i + 2])
     if shape not in _PATHS:
-        raise UnknownNameError("--path", shape, "the shapes of a path", _PATHS)
-    return [*words[:i], f"--{_PATHS[shape]}", *words[i + 2 :]]
+        raise InvalidInputError(
+            "--path takes circle, line or waypoints, and then the circle's radius, the line's "
+            f"offset or the points, in m; got {shape or 'nothing'}",
+            given=shape,
+        )
+    option = f"--{_PATHS[shape]}"
+    spelled[option] = f"--path {shape}"
+    return [*words[:i], option, *words[i + 2 :]]
 
 
 def with_options(
@@ -176,5 +245,5 @@ def make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InvalidInputError(
-            f"--out must be a folder that can be made, got {out}: {error}", given=out
+            f"--out must be a folder that can be made, got {out}: {reason(error)}", given=out
         ) from error

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from approxjac.cli.bars import time_bar
 from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
 from approxjac.files import write_text
@@ -41,8 +42,6 @@ def paper(
         inertia: Uniform rods, or point masses at their middles.
         duration: Length of each run, in s.
     """
-    from tqdm import tqdm
-
     from approxjac import paper as study
     from approxjac.paper import report
 
@@ -64,8 +63,7 @@ def paper(
     bound = None
     results = []
     experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]
-    # tqdm shows nothing where the output is not a terminal (disable=None)
-    with tqdm(total=max(1, len(experiments)) * duration, unit="s", disable=None) as bar:
+    with time_bar(max(1, len(experiments)) * duration, "figure 1") as bar:
         if 1 in figures:
             bar.set_description("figure 1")
             bound = study.jacobian_bound(setup)

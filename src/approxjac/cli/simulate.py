@@ -7,6 +7,7 @@ from pathlib import Path
 
 import tyro
 
+from approxjac.cli.bars import time_bar
 from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
@@ -36,8 +37,6 @@ def simulate(
         save: Write the scenario to this .toml file, too.
         out: Folder for the pictures, run.npz, summary.json and scenario.toml.
     """
-    from tqdm import tqdm
-
     for name, value in (("speed", speed), ("port", port)):
         if value is not None and not view:
             raise InvalidInputError(
@@ -46,6 +45,10 @@ def simulate(
             )
     if view and scenario.loop.dt == "continuous":  # what is shown are steps
         scenario = scenario.with_values({"loop": {"dt": 1e-3}})
+    if save is not None and not save.parent.is_dir():
+        raise InvalidInputError(
+            f"--save must be a file in a folder that there is, got {save}", given=save
+        )
     built = scenario.build()
     make_folder(out)
     if built.warning:
@@ -62,8 +65,7 @@ def simulate(
             believe=built.believe,
             believed_length=scenario.believed.object.length,
         )
-    # tqdm shows nothing where the output is not a terminal (disable=None)
-    with tqdm(total=scenario.run.duration, unit="s", disable=True if view else None) as bar:
+    with time_bar(scenario.run.duration, "simulation", disable=True if view else None) as bar:
         result = built.run(lambda t: bar.update(t - bar.n) and None, live)
     from approxjac.scenario import report
 

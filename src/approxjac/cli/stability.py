@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
+import tyro
+
+from approxjac.cli.bars import ShareBar
 from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
-_SHARE = "{desc}: {percentage:3.0f} %|{bar}| {elapsed}"
-
 
 def stability(
     scenario: Scenario,
+    suggest_gains: tyro.conf.FlagCreatePairsOff[bool] = False,
     jobs: int = 1,
     out: Path = Path("results/stability"),
 ) -> int:
@@ -25,30 +28,28 @@ def stability(
 
     Args:
         scenario: The scenario.
-        jobs: Processes that share the rollouts.
+        suggest_gains: Find gains with which the errors are certified, in place of a report. They
+            settle within --settling-time, 1 s by default, and within --limits; scenario.toml has
+            them then.
+        jobs: How many processes share the rollouts.
         out: Folder for figure1, workspace and map as .png and .svg, summary.json, scenario.toml.
     """
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
-
-    from tqdm import tqdm
 
     from approxjac.scenario import stability as study
     from approxjac.scenario import stability_report as report
 
     if jobs < 1:
         raise InvalidInputError(f"jobs must be >= 1, got {jobs}", given=jobs)
+    if suggest_gains:
+        return _suggest(scenario, out)
     loop = study.prepare(scenario)
     make_folder(out)
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
-    with pool as executor, tqdm(total=1.0, disable=None, bar_format=_SHARE) as bar:
-
-        def tell(what: str, share: float) -> None:
-            bar.set_description(what, refresh=False)
-            bar.update(share - bar.n)
-
+    with pool as executor, ShareBar() as bar:
         result = study.analyse(
-            scenario, loop, executor, tell, lambda tests: bar.write(f"{loop.truth!r}\n{tests}\n")
+            scenario, loop, executor, bar.tell, lambda tests: bar.write(f"{tests}\n")
         )
     report.write(result, out)
     print(report.consequences(result))
@@ -57,3 +58,18 @@ def stability(
         print("", *told, sep="\n")
     print(f"\nPictures and summary.json are in {out}")
     return 0 if result.report.passed else 1
+
+
+def _suggest(scenario: Scenario, out: Path) -> int:
+    """Find gains, and tell of them."""
+    from approxjac.scenario import gains
+
+    make_folder(out)
+    with ShareBar() as bar:
+        result = gains.suggested(scenario, partial(bar.tell, "gains"))
+    gains.write(result, out)
+    print(gains.text(result))
+    print(f"\nsummary.json and scenario.toml are in {out}")
+    if result.found.found is not None:
+        print(f"Its report: approxjac stability {out / 'scenario.toml'}")
+    return 0 if result.found.found is not None else 1

@@ -30,7 +30,7 @@ def require_radians(name: str, robot: Robot, q: Array) -> None:
     if beyond.max() > 2.0 * np.pi:
         raise InvalidInputError(
             f"{name} must be in radians: it is {beyond.max():.4g} rad beyond the limits of "
-            f"{robot.joint_names[int(beyond.argmax())]}; numpy.radians turns degrees into them",
+            f"{robot.joint_names[int(beyond.argmax())]}, as degrees would be",
             given=q,
         )
 

@@ -16,22 +16,22 @@ class Analysis:
         object_length: Smallest and largest true length of the object, m.
         object_mass: Smallest and largest true mass of the object, kg.
         joint_shifts: Largest errors of joint origins either way, m, such as panda_joint4 0 0.01 0.
-        joint_rotations: The same of joint axes, as rotation vectors, rad.
+        joint_rotations: Largest errors of joint axes either way, as rotation vectors, rad.
         focal_length: Smallest and largest true focal length of the camera, px or m.
         distance: Smallest and largest true distance of a planar camera, or error of it, m.
         roll: Smallest and largest true roll of the camera, of a pinhole one its error, rad.
-        around: Joint positions, one a joint, rad or m: look within `radius` of them.
-        radius: Distance of each joint from `around`, or from a run's configurations, rad or m.
-        run: File run.npz of `approxjac simulate`: look near its configurations.
+        around: Joint positions, one a joint, rad or m: the region is within the radius of them.
+        radius: Of the region: of each joint, around such positions or a run's, rad or m.
+        run: File run.npz of approxjac simulate: the region is near its configurations.
         reach_from: Joint positions of a start: look where V lets the arm get to the target.
         sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
         target: The one target; by default all targets within the region.
-        configurations: Count of those that are drawn.
-        runs: Rollouts, with the sensors, delays, duration and tolerance of a run.
+        configurations: How many configurations are drawn.
+        runs: How many rollouts are made, with the sensors, delays, duration and tolerance of a run.
         map: Two parameters of the stability map, of error, a, kv and damping; by rollouts also two
             of the errors, or of x, y and z of the believed tip at the start.
         map_by: The four tests, or rollouts.
-        map_points: Values of each parameter; 0 draws no map.
+        map_points: Values of each parameter of the map; 0 draws no map.
         map_runs: Rollouts at each point of the map's coarse grid, 2 by default; by rollouts at each
             point, 100 by default.
     """

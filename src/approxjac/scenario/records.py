@@ -26,10 +26,10 @@ class Object:
     """An object that the arm holds.
 
     Attributes:
-        length: From the arm's tip to that of the object, m.
-        mass: Its mass, kg.
-        axis: Direction along it in the tip's axes, such as z, -x (as --object-axis=-x), or a
-            vector (as 0,1,1); outward by default.
+        length: Length of the object, from the arm's tip to its own, m.
+        mass: Mass of the object, kg.
+        axis: Direction of the object in the tip's axes, such as z, -x, or a vector (as 0,1,1);
+            outward by default.
         radius: Of the cylinder, m; 0.01 by default, or that of the true object.
     """
 
@@ -171,7 +171,7 @@ class TaskChoice:
     """The task, measured and controlled.
 
     Attributes:
-        kind: Position or pose of the object's tip, image of points, positions of several frames.
+        kind: Task: position or pose of the object's tip, image of points, positions of frames.
         axes: World axes of a position; those that the arm commands best by default.
         frames: Frames of a stacked task, such as object_tip panda_link4.
         points: Count of the points that a pinhole camera sees: m is twice as many.
@@ -229,17 +229,20 @@ class ControllerChoice:
             image "camera" is its pose and focal length, and "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
-        gravity: "learnt" (law (28)), "exact" (fitted to the true one), "believed", or "none".
+        gravity: Compensated as it is learnt (law (28)), as it truly is ("exact"), as the believed
+            arm has it, or not at all.
         integral: Constant task force and joint torques, "learnt" or "none"; as gravity by default.
-        settling_time: Wanted; by default as fast as inertia, motors and latency allow, s.
-        kp: K_p, one number or one a task coordinate; by the rule for all defaults if not given.
-        kv: K_v, one number or one a task coordinate; by the rule if not given.
+        settling_time: Time to settle that is wanted, s; by default as fast as inertia, motors and
+            latency allow.
+        kp: Gain K_p of position, one number or one a task coordinate; by the rule for all defaults
+            if not given.
+        kv: Gain K_v of velocity, one number or one a task coordinate; by the rule if not given.
         damping: Added joint damping, one number or one a joint; by the rule if not given.
         gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; by default the tanh
             of the rule, or none with gains that are given.
         posture_stiffness: Draws the self-motion back to the start, N m/rad; 0 does not.
-        limits: To be kept: "urdf", as far as it has any; a number of times the effort limits, then
-            the motors' too; or "none" (--no-limits). Continuous control has none.
+        limits: Limits to be kept: "urdf", as far as it has any; a number of times the effort
+            limits, then the motors' too; or "none" (--no-limits). Continuous control has none.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
         unseen: Motion for which the x that was last seen will do, m, rad or px; none by default.
     """
@@ -322,8 +325,9 @@ class Goal:
     """The target, said in one of these ways; a list of numbers in a file is `at`.
 
     Attributes:
-        at: Position (m), pose (x y z qx qy qz qw), images (u v of each point); random by default.
-        offset: Relative to where the task starts, m (and rad of a pose).
+        at: Target: position (m), pose (x y z qx qy qz qw), images (u v of each point); random by
+            default.
+        offset: Target relative to where the task starts, m (and rad of a pose).
         configuration: Joint positions at which the true sensor measures the target, rad or m.
         circle: To follow; --path circle RADIUS.
         line: To follow; --path line OFFSET.
@@ -343,13 +347,14 @@ class Run:
     """From where, where to, and for how long.
 
     Attributes:
-        start: Joint positions, rad or m, or "random" by the seed; far from singular by default.
+        start: Joint positions at the start, rad or m, or "random" by the seed; far from singular
+            by default.
         target: Value or path of the task; by default random by the seed, where no joint stop bars
             the straight way from the start unless that is random, too.
-        duration: Of the run, s.
+        duration: Length of the run, s.
         tolerance: Error below which it is done, m, rad or px; 1e-3, or the noise of an image; of a
             path a twentieth of how far it leads from its start, if that is more.
-        seed: Of target, noise and dropouts, and of a random start.
+        seed: Seed of target, noise and dropouts, and of a random start.
     """
 
     start: Numbers | Literal["random"] | None = None

@@ -105,10 +105,11 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
             yield half, f"run.target.{path} must have its {leads}, got none"
     given = {name for name, value in vars(goal).items() if value != getattr(type(goal)(), name)}
     if len(given) > 1:
-        yield given, f"run.target must not both be given as {' and as '.join(sorted(given))}"
+        ways = " and ".join(f"run.target.{name}" for name in sorted(given))
+        yield given, f"{ways} must not both be given, as there is one target"
     control = scenario.controller
     if control.law == "tracking" and control.gravity not in ("learnt", "believed"):
-        wanted = 'learnt or believed with controller.law "tracking"'
+        wanted = "learnt or believed with law T (controller.law)"
         yield control.gravity, f"controller.gravity must be {wanted}, got {control.gravity}"
     tracker = scenario.true.tracker
     if tracker != type(tracker)() and task.axes not in (None, "xyz"):

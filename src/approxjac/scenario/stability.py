@@ -75,11 +75,18 @@ def prepare(scenario: Scenario) -> ClosedLoop:
     choice = scenario.controller
     if choice.law == "tracking" or choice.unknown:
         name, given = ("unknown", choice.unknown) if choice.unknown else ("law", choice.law)
+        told = given if isinstance(given, str) else " ".join(given)
         raise InvalidInputError(
             f"controller.{name} must be left out of a report, which is about a fixed Jacobian, got "
-            f"{given}",
+            f"{told}",
             given=given,
         )
+    for name in ("focal_length", "distance", "roll"):
+        given = getattr(analysis, name)
+        if given is not None and scenario.task.kind != "image":
+            raise InvalidInputError(
+                f"stability.{name} needs task.kind image, got {scenario.task.kind}", given=given
+            )
     arm, gravity = loaded_arm(scenario), choice.gravity
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"

@@ -51,8 +51,17 @@ def checked(kind: type, base: Any, values: Table, where: str = "", key: str = ""
         found[name] = made = _value(hints(kind)[name], value, dotted, where, table)
         for number in made if isinstance(made, tuple) else (made,):
             if isinstance(number, int | float):
-                as_number(dotted, number, **known[name].metadata)
+                _in_range(dotted, number, where, known[name])
     return found
+
+
+def _in_range(key: str, number: float, where: str, field: Field[Any]) -> None:
+    """Refuse a number that is out of its range, and say in which file."""
+    try:
+        as_number(key, number, **field.metadata)
+    except InvalidInputError as error:
+        told = f" in {where}" if where else ""
+        raise InvalidInputError(f"{error}{told}", given=number) from None
 
 
 def differences(record: Any, default: Any) -> dict[str, Any]:

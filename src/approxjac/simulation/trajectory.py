@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
@@ -13,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from approxjac.errors import InvalidInputError, TrajectoryFileError
-from approxjac.files import replaced
+from approxjac.files import reason, replaced
 from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions
@@ -175,7 +176,7 @@ class Trajectory:
                 np.savez_compressed(file, texts=np.array(json.dumps(texts)), **arrays)
         except OSError as error:
             raise TrajectoryFileError(
-                f"path must be a file that can be written, got {path}: {error}", given=path
+                f"path must be a file that can be written, got {path}: {reason(error)}", given=path
             ) from error
         return path
 
@@ -210,8 +211,9 @@ class Trajectory:
                 f"trajectory file {path} does not exist{there}", given=path
             ) from error
         except Exception as error:  # NumPy, zipfile, zlib and json each raise their own
+            why = str(error) if zipfile.is_zipfile(path) else "it is no .npz file"
             raise TrajectoryFileError(
-                f"{path} is not a trajectory written by Trajectory.save: {error}", given=path
+                f"{path} is not a trajectory written by Trajectory.save: {why}", given=path
             ) from error
 
     def _require_shapes(self) -> None:

@@ -337,7 +337,7 @@ class ClosedLoop:
         within = [q for q in attained if self.region.contains(q)]
         if not within:
             wanted = "within reach of"
-            why = f"no configuration of {sensor.robot!r} was found to attain"
+            why = f"no configuration of {sensor.robot.name} was found to attain"
             if attained:
                 wanted = "attained by a configuration of the region for"
                 why = f"{sensor.robot.name} attains outside {self.region!r} only"

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from approxjac.controllers import SetpointController, TrackingController
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import short
+from approxjac.formatting import numbers, short
 from approxjac.robots import Robot
 from approxjac.robots.joint_limits import require_radians
 from approxjac.simulation import Plant
@@ -93,6 +93,7 @@ class JointBox(Region):
                 given=(lower, upper, center),
             )
         self.center = robot.neutral() if center is None else robot.configuration(center, "center")
+        self._whole = lower is None
         if lower is None or upper is None:
             self.lower, self.upper = robot.usual_range()
         else:
@@ -130,6 +131,13 @@ class JointBox(Region):
     def contains(self, q: Array) -> bool:
         motion = pin.difference(self.robot.model, self.center, _of_angles(self.robot, q))
         return bool((self.lower - 1e-12 <= motion).all() and (motion <= self.upper + 1e-12).all())
+
+    def __str__(self) -> str:
+        if self._whole:
+            return "all configurations within the joint limits"
+        radius, unit = 0.5 * self.spread, "rad" if set(self.robot.joint_units) == {"rad"} else ""
+        away = f"{numbers(radius)} {unit or 'rad or m'}" + (" each" if np.ptp(radius) else "")
+        return f"configurations whose joints are within {away} of {numbers(self.center)}"
 
     def __repr__(self) -> str:
         bounds = f"{self.robot.name!r}, {short(self.lower)}, {short(self.upper)}"
@@ -188,6 +196,10 @@ class Tube(Region):
             bool((np.abs(pin.difference(self.robot.model, known, q)) <= self.spread).all())
             for known in self.configurations
         )
+
+    def __str__(self) -> str:
+        within = f"within {numbers(self.spread)} of one of {len(self.configurations)} known ones"
+        return f"configurations whose joints are {within}"
 
     def __repr__(self) -> str:
         return f"Tube({self.robot.name!r}, {len(self.configurations)} configurations)"
@@ -263,6 +275,9 @@ class SublevelSet(Region):
         e = sensor.error(sensor.value(q), self._target)
         return float(self._controller.diagonals.kp @ self._controller.saturation.S(e))
 
+    def __str__(self) -> str:
+        return f"what V lets the arm get to from {numbers(self.start)} (V <= {self.level:.4g} J)"
+
     def __repr__(self) -> str:
         return f"SublevelSet({self.robot.name!r}, V <= {self.level:.4g} J)"
 
@@ -297,9 +312,8 @@ class RegularPart(Region):
             drawn.extend(itertools.islice(regular, n - len(drawn)))
             if tried > _TRIES * (len(drawn) + 1):
                 raise InvalidInputError(
-                    f"the region is empty: of {tried} configurations of {self.region!r} "
-                    f"{len(drawn)} have sigma_min >= {self.sigma_min:g}; give a smaller bound or "
-                    "another region",
+                    f"sigma_min must be smaller, or the region is empty: {len(drawn)} of {tried} "
+                    f"drawn of {self.region} have it, got {self.sigma_min:g}",
                     given=self.sigma_min,
                 )
         return np.array(drawn)
@@ -309,6 +323,9 @@ class RegularPart(Region):
 
     def _is_regular(self, q: Array) -> bool:
         return bool(np.linalg.svd(self.task.jacobian(q), compute_uv=False)[-1] >= self.sigma_min)
+
+    def __str__(self) -> str:
+        return f"{self.region}, where sigma_min >= {self.sigma_min:.3g}"
 
     def __repr__(self) -> str:
         return f"RegularPart({self.region!r}, sigma_min >= {self.sigma_min:g})"

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import offset_copy
 
 from approxjac.errors import InvalidInputError
-from approxjac.files import replaced
+from approxjac.files import reason, replaced
 
 SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Of lines in turn: Okabe and Ito's colours, which people with colour-blindness can tell apart."""
@@ -152,6 +152,6 @@ def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
                 figure.savefig(svg, dpi=_DPI, metadata={"Date": None})
     except OSError as error:
         raise InvalidInputError(
-            f"stem must name files that can be written, got {stem}: {error}", given=stem
+            f"stem must name files that can be written, got {stem}: {reason(error)}", given=stem
         ) from error
     return paths

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 
 from approxjac.errors import InvalidInputError
-from approxjac.files import write_text
+from approxjac.files import reason, write_text
 from approxjac.interface import LimitStatus, Status
 from approxjac.simulation import Trajectory
 from approxjac.validation import Array, require
@@ -56,7 +56,7 @@ def save_page(run: Trajectory, path: str | Path, title: str | None = None) -> Pa
         write_text(path, text)
     except (OSError, ValueError) as error:
         raise InvalidInputError(
-            f"path must be a file that can be written, got {path}: {error}", given=path
+            f"path must be a file that can be written, got {path}: {reason(error)}", given=path
         ) from error
     return path
 
@@ -115,7 +115,8 @@ def write_index(
         write_text(index, filled("index.html", parts))
     except OSError as error:
         raise InvalidInputError(
-            f"folder must be one that can be read and written, got {folder}: {error}", given=folder
+            f"folder must be one that can be read and written, got {folder}: {reason(error)}",
+            given=folder,
         ) from error
     return index
 

@@ -1,0 +1,52 @@
+"""Progress bars on a terminal: what is done, how long it has taken, and how long it may take yet.
+
+Nothing is shown where the output is no terminal (`disable=None`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+_TIMES = "{percentage:3.0f} %|{bar}| {elapsed} so far, {remaining} to go"
+
+
+class ShareBar:
+    """A bar of several parts of work one after the other, each from 0 to 1."""
+
+    def __init__(self) -> None:
+        self._bar = _bar(1.0, "{desc}: " + _TIMES)
+        self._what = ""
+
+    def __enter__(self) -> ShareBar:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.close()
+
+    def tell(self, what: str, share: float) -> None:
+        """Show which part is done, and the share of it that is."""
+        if what != self._what:  # its time counts from here
+            self._what = what
+            self._bar.reset()
+            self._bar.set_description(what, refresh=False)
+        self._bar.update(share - self._bar.n)
+
+    def write(self, text: str) -> None:
+        """Print a text above the bar."""
+        self._bar.write(text)
+
+
+def time_bar(total: float, what: str, disable: bool | None = None) -> tqdm[Any]:
+    """Return a bar of a simulated time [s]."""
+    bar = _bar(total, "{desc}, {n:.1f} of {total:g} s: " + _TIMES, disable)
+    bar.set_description(what, refresh=False)
+    return bar
+
+
+def _bar(total: float, shown: str, disable: bool | None = None) -> tqdm[Any]:
+    from tqdm import tqdm
+
+    return tqdm(total=total, disable=disable, bar_format=shown)

@@ -1,0 +1,101 @@
+"""The help of commands: what is common first, all options by group where they are asked for."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+
+from approxjac.cli.arguments import Option, metavar
+from approxjac.formatting import wrapped
+
+_INDENT = 26
+
+
+def of_commands(commands: Mapping[str, Callable[..., int]]) -> str:
+    """Return the list of commands, a line each."""
+    lines = ["usage: approxjac COMMAND [options]", ""]
+    lines += wrapped("Torque control of any URDF arm whose kinematics are not exactly known.")
+    lines.append("")
+    for name, command in commands.items():
+        lines += _entry(name, _paragraphs(command)[0], 14)
+    told = (
+        "COMMAND --help says more of each command, with examples; --version prints the version. "
+        "Exit codes are 0, 1 where a verdict fell short, and 2 for bad input."
+    )
+    return "\n".join([*lines, "", *wrapped(told)])
+
+
+def of_command(
+    command: Callable[..., int],
+    options: Sequence[Option],
+    positional: tuple[str, str],
+    common: Sequence[str] = (),
+) -> str:
+    """Return the help of a command.
+
+    Args:
+        command: The command.
+        options: Those to show.
+        positional: What has no option, and for what it is; empty of a command without.
+        common: Options to show alone, with a hint at the others; all by default.
+    """
+    word, meaning = positional
+    lines = [" ".join(["usage: approxjac", command.__name__, word, "[options]"]).replace("  ", " ")]
+    for paragraph in _paragraphs(command):
+        lines += ["", *_wrapped(paragraph)]
+    if word:
+        lines += ["", *_entry(word, meaning, _INDENT)]
+    groups: dict[str, list[Option]] = {}
+    for option in options:
+        if not common or set(option.names) & set(common):
+            group = "" if common else option.key.rpartition(".")[0]
+            groups.setdefault(group, []).append(option)
+    for group, members in groups.items():
+        title = "Common options" if common else f"[{group}]" if group else "Options"
+        lines += ["", title]
+        for option in members:
+            # all names only where all is told
+            name = option.names[0] if common else ", ".join(option.names)
+            lines += _entry(f"{name} {metavar(option)}".rstrip(), _told(option), _INDENT)
+    if common:
+        told = (
+            f"All {len(options)} options: approxjac {command.__name__} --help-all. Each is a key "
+            "of a scenario file: --sensor.noise 0.001 is noise = 0.001 below [sensor]."
+        )
+        lines += ["", *wrapped(told)]
+    return "\n".join(lines)
+
+
+def _paragraphs(command: Callable[..., int]) -> list[str]:
+    """Return the paragraphs of a command's docstring before its arguments."""
+    text = inspect.cleandoc(command.__doc__ or "").partition("\nArgs:")[0]
+    return [part.strip() for part in text.split("\n\n")]
+
+
+def _wrapped(paragraph: str) -> list[str]:
+    """Return a paragraph, wrapped; an example stays what can be copied."""
+    if paragraph.startswith("Example: "):
+        return [paragraph]
+    return wrapped(paragraph)
+
+
+def _told(option: Option) -> str:
+    """Return for what an option is, and its default where the text says none."""
+    default = option.default
+    if default in (None, "", (), False) or default == {} or "default" in option.help:
+        return option.help
+    if isinstance(default, tuple):
+        default = " ".join(
+            f"{each:g}" if isinstance(each, float) else f"{each}" for each in default
+        )
+    elif isinstance(default, float):
+        default = f"{default:g}"
+    return f"{option.help} (default: {default})"
+
+
+def _entry(name: str, told: str, indent: int) -> list[str]:
+    """Return a name and what is told of it beside it, or below where the name is long."""
+    lines = wrapped(told, " " * indent)
+    if len(name) + 4 > indent:
+        return [f"  {name}", *lines]
+    return [f"  {name}".ljust(indent) + lines[0][indent:], *lines[1:]]

@@ -1,0 +1,107 @@
+"""Gains that are certified for the errors of a scenario, found before anything moves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from approxjac.errors import InvalidInputError
+from approxjac.files import write_text
+from approxjac.formatting import numbers, plain, rows, wrapped
+from approxjac.scenario.build import loaded_arm
+from approxjac.scenario.control import latency_of, limits_of
+from approxjac.scenario.scenario import Scenario
+from approxjac.scenario.stability import prepare, uncertainty_of
+from approxjac.stability import Suggestion, suggest_gains
+
+_SETTLING_TIME = 1.0  # [s]
+
+
+@dataclass(frozen=True, eq=False)
+class SuggestedGains:
+    """What was found for a scenario: gains, or what to relax."""
+
+    scenario: Scenario  # with the gains that were found
+    errors: str
+    settling_time: float  # wanted [s]
+    found: Suggestion
+
+
+def suggested(scenario: Scenario, progress: Callable[[float], None]) -> SuggestedGains:
+    """Return gains of law (6) that a whole report certifies for a scenario's errors.
+
+    Raises:
+        InvalidInputError: No ranges of errors, or gains that are given already.
+    """
+    choice, analysis = scenario.controller, scenario.stability
+    for name in ("kp", "kv", "damping"):
+        if (given := getattr(choice, name)) is not None:
+            raise InvalidInputError(
+                f"controller.{name} must be left out where gains are to be found, got "
+                f"{numbers(given)}",
+                given=given,
+            )
+    loop = prepare(scenario)
+    uncertainty = uncertainty_of(loop)
+    if uncertainty is None:
+        raise InvalidInputError(
+            "suggest_gains needs ranges of errors, such as --object-length 0 0.3, got none",
+            given=None,
+        )
+    arm = loaded_arm(scenario)
+    # a report of known gravity leaves it out, but motors have to hold the arm
+    heavy = replace(uncertainty, arm=uncertainty.arm.with_gravity(arm.gravity))
+    limits = limits_of(scenario, loop.controller.task.robot)
+    settling_time = choice.settling_time or _SETTLING_TIME
+    found = suggest_gains(
+        heavy, loop.region, settling_time=settling_time, target=loop.target,
+        torque_limits=None if limits is None else limits.effort, latency=latency_of(scenario),
+        configurations=min(analysis.configurations, 200), seed=scenario.run.seed, progress=progress,
+    )  # fmt: skip
+    if found.found is not None:
+        kp, kv, damping = loop.controller.with_gains(found.found.gains).diagonals
+        gains: dict[str, Any] = {"kp": tuple(kp), "kv": tuple(kv), "damping": tuple(damping)}
+        scenario = scenario.with_values({"controller": gains})
+    return SuggestedGains(scenario, uncertainty.describe_box(), settling_time, found)
+
+
+def text(result: SuggestedGains) -> str:
+    """Return the gains, or what to relax; the verdict first."""
+    found, told = result.found.found, {"errors": result.errors}
+    if found is None:
+        lines = wrapped("gains: none found that meet all demands; one of these would do")
+        for line in result.found.relax:
+            lines += wrapped(line, "- ")
+        wanted = {"settling time": f"{result.settling_time:g} s"}
+        return "\n".join([*lines, "", *rows(told | wanted, 2)])
+    lines = wrapped(f"gains: found, certified with margin {found.margin:.2g}")
+    control = result.scenario.controller
+    told |= {
+        "settling time": f"{found.settling_time:.3g} s in the worst case, where "
+        f"{result.settling_time:g} s is wanted",
+        "torque": f"a start takes {100.0 * found.torque_ratio:.2g} % of the limits at most",
+        "tried": f"{len(result.found.tried)} gains, gentle ones first",
+    }
+    options = [f"--{name} {numbers(getattr(control, name))}" for name in ("kp", "kv", "damping")]
+    return "\n".join([*lines, "", *(f"  {option}" for option in options), "", *rows(told, 2)])
+
+
+def write(result: SuggestedGains, out: Path) -> None:
+    """Write summary.json, and scenario.toml with the gains that were found, into a folder."""
+    result.scenario.save(out / "scenario.toml")
+    found = result.found.found
+    summary = {
+        "found": found is not None,
+        "errors": result.errors,
+        "relax": result.found.relax,
+        "tried": len(result.found.tried),
+    }
+    if found is not None:
+        control = result.scenario.controller
+        summary |= {name: getattr(control, name) for name in ("kp", "kv", "damping")}
+        summary |= {name: getattr(found, name) for name in ("margin", "torque_ratio")}
+        summary["settling_time_s"] = found.settling_time
+    write_text(out / "summary.json", json.dumps(plain(summary), indent=2) + "\n")
