@@ -1,4 +1,5 @@
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import view
+from approxjac.view.style import formulas
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def test_the_error_is_drawn_in_millimetres(run):
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert_allclose(lines["x"].get_ydata(), 1e3 * run.error[:, 0])
     assert_allclose(lines["z"].get_xdata(), run.t)
-    assert ax.get_ylabel() == "x − x_d [mm]"
+    assert ax.get_ylabel() == "$x - x_d$ [mm]"
     assert ax.get_xlabel() == "time [s]"
 
 
@@ -30,7 +32,7 @@ def test_the_torque_of_each_joint_is_drawn(run):
     ax = view.plot_torque(run)
     assert [line.get_label() for line in ax.get_lines()] == ["joint1", "joint2"]
     assert_allclose(ax.get_lines()[1].get_ydata(), run.tau[:, 1])
-    assert ax.get_ylabel() == "τ [N m]"
+    assert ax.get_ylabel() == r"$\tau$ [N m]"
 
 
 def test_the_path_is_that_of_the_true_tip(run):
@@ -52,7 +54,7 @@ def test_the_slack_is_drawn_with_what_limits_did(run):
     slack = np.where(np.arange(n) < 50, 3.0, 0.0)
     ax = view.plot_slack(dataclasses.replace(run, limit_status=status, slack=slack))
     assert_allclose(ax.get_lines()[0].get_ydata(), slack)
-    assert ax.get_ylabel() == "σ [W]"
+    assert ax.get_ylabel() == r"$\sigma$ [W]"
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels == ["FREE", "PROOF_GIVEN_UP"]
     given_up = ax.collections[1].get_paths()[0].get_extents()
@@ -68,7 +70,7 @@ def test_a_slack_that_is_not_known_has_no_line(run):
 def test_a_run_is_drawn_in_two_plots(run):
     figure, axes = view.plot_run(run)
     assert figure.axes == axes
-    assert [ax.get_ylabel() for ax in axes] == ["x − x_d [mm]", "τ [N m]"]
+    assert [ax.get_ylabel() for ax in axes] == ["$x - x_d$ [mm]", r"$\tau$ [N m]"]
 
 
 def test_pictures_are_written_and_repeat_to_the_byte(run, tmp_path):
@@ -80,6 +82,39 @@ def test_pictures_are_written_and_repeat_to_the_byte(run, tmp_path):
         assert a.read_bytes() == b.read_bytes()
     with pytest.raises(aj.InvalidInputError, match="stem must name files that can be written, got"):
         view.save_figure(Figure(), tmp_path / "nowhere" / "run")
+
+
+def test_a_plot_over_time_begins_with_the_run(run):
+    late = dataclasses.replace(run, t=run.t + 5.0)
+    for plot in (view.plot_error, view.plot_torque, view.plot_slack):
+        assert plot(late).get_xlim() == (late.t[0], late.t[-1])
+
+
+def test_symbols_with_an_index_are_formulas():
+    assert formulas("K_v too small, x_s [mm]") == "$K_{v}$ too small, $x_{s}$ [mm]"
+    for text in ("panda_joint1", "object_tip", "$x_d$", "x"):
+        assert formulas(text) == text
+
+
+@pytest.mark.parametrize(("columns", "inches"), [(1, 3.5), (2, 7.16)])
+def test_a_figure_for_print_is_as_wide_as_columns_and_has_its_fonts(run, tmp_path, columns, inches):
+    figure, axes = view.plot_run(run)
+    before = figure.get_size_inches(), axes[0].xaxis.label.get_fontsize()
+    *_, path = view.save_figure(figure, tmp_path / "run.pdf", columns=columns)
+    assert path.name == "run.pdf"
+    text = path.read_bytes()
+    width = re.search(rb"/MediaBox \[ 0 0 ([0-9.]+) ", text)
+    assert float(width[1]) / 72.0 == pytest.approx(inches, abs=1e-3)
+    assert b"/FontFile2" in text  # TrueType, embedded
+    assert b"/Type3" not in text
+    assert b"CreationDate" not in text
+    assert_allclose(figure.get_size_inches(), before[0])
+    assert axes[0].xaxis.label.get_fontsize() == before[1]
+    again = view.save_figure(view.plot_run(run)[0], tmp_path / "again", columns=columns)[-1]
+    assert again.read_bytes() == text
+    for wrong in (0, 3, True, "1"):
+        with pytest.raises(aj.InvalidInputError, match="columns must be 1 or 2, got"):
+            view.save_figure(figure, tmp_path / "run", columns=wrong)
 
 
 def test_bad_paths_are_refused(run):
@@ -133,8 +168,8 @@ def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
     ax = view.plot_parameters(learnt, ("a", "b"), theta=(0.9, 1.9))
     lines = {line.get_label(): line for line in ax.get_lines()}
     assert_allclose(lines["b"].get_ydata(), 2.0 * run.t)
-    assert view.plot_parameters(learnt, ("j.m",)).get_ylabel() == "θ̂ [kg]"
-    assert view.plot_parameters(learnt, ("j.mx", "k.my")).get_ylabel() == "θ̂ [kg m]"
+    assert view.plot_parameters(learnt, ("j.m",)).get_ylabel() == r"$\hat{\theta}$ [kg]"
+    assert view.plot_parameters(learnt, ("j.mx", "k.my")).get_ylabel() == r"$\hat{\theta}$ [kg m]"
     assert view.plot_parameters(learnt, ("j.mx", "k.m")).get_ylabel() == "θ̂ [kg m or kg]"
     dashed = [line for line in ax.get_lines() if line.get_linestyle() == "--"]
     assert [line.get_ydata()[0] for line in dashed if len(line.get_ydata())] == [0.9, 1.9]

@@ -13,12 +13,13 @@ from approxjac.paper.experiments import ALPHA, CAMERA, LEARNING_GAIN, LENGTHS, O
 from approxjac.paper.result import JacobianBound, Result
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.tasks import PlanarCamera
+from approxjac.view.style import formulas
 
 
 def write_bound(bound: JacobianBound, out: Path) -> None:
     """Write fig1.png and fig1.svg: the allowed p against a, its two curves and their crossing."""
     figure, (ax,) = view.new_figure(size=(6.5, 4.8))
-    p, label = bound.p_of_figure_4, "‖Jᵀ − Ĵᵀ‖ of Figure 4 at its target"
+    p, label = bound.p_of_figure_4, r"$\|J^T - \hat{J}^T\|$ of Figure 4 at its target"
     view.plot_allowed_error(bound.lambda_2, p, unit="m/rad on the sensor", p_label=label, ax=ax)
     view.save_figure(figure, out / "fig1")
 
@@ -119,7 +120,7 @@ def write_result(result: Result, setup: Setup, truth: Robot, out: Path) -> None:
     """Write figN.png and .svg (task error, path in the plane, torques) and the run, figN.npz."""
     e, learns = result.experiment, result.theta_hat is not None
     gains = f"(K_p = {e.kp:g} I, K_v = {e.kv:g} I)"
-    title = f"Figure {e.figure}: {e.title} {gains} — {result.verdict}"
+    title = formulas(f"Figure {e.figure}: {e.title} {gains} — {result.verdict}")
     figure, axes = view.new_figure(4 if learns else 3, title=title)
     view.plot_error(result.run, axes[0], title="Error of the image, coordinate by coordinate")
     view.plot_path(result.run, truth, q_target=setup.target, ax=axes[1])

@@ -132,10 +132,20 @@ def draw(result: Result) -> Figure:
         plot_image(run, sensor.camera, axes[2])
     else:
         target = None if result.on_path else place_of(sensor, run.target)
-        plot_path(run, built.plant.robot, ax=axes[2], believed=built.law.task.robot, target=target)
+        truth, belief = built.plant.robot, built.law.task.robot
+        plot_path(run, truth, plane=_plane(result), ax=axes[2], believed=belief, target=target)
     if limited:
         plot_slack(run, axes[3])
     return figure
+
+
+def _plane(result: Result) -> str:
+    """Return the world axes that a path spreads along most, or else "xz"."""
+    run = result.run
+    if not result.on_path or run.task_labels[:3] != ("x", "y", "z"):
+        return "xz"
+    chosen = np.argsort(-np.ptp(run.x_d[:, :3], axis=0), kind="stable")[:2]
+    return "".join("xyz"[i] for i in sorted(chosen))
 
 
 def _kinematics(learnt: KinematicReport, is_image: bool) -> str:

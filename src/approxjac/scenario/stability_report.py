@@ -128,7 +128,7 @@ def draw_allowed_error(result: StabilityResult) -> Figure:
         first.lambda_2,
         first.p,
         unit=f"{joined(controller.task.units)}/rad",
-        p_label="p of the errors, the largest ‖Jᵀ − Ĵᵀ‖",
+        p_label=r"$p$ of the errors, the largest $\|J^T - \hat{J}^T\|$",
         own_a=float(kp.max() / kv.max()),
         ax=ax,
     )

@@ -14,7 +14,7 @@ from approxjac.simulation import Trajectory
 from approxjac.tasks import Camera, ImageTask, PinholeCamera
 from approxjac.validation import Array, require
 from approxjac.view.plots import skeleton
-from approxjac.view.style import COLORS, SERIES, styled
+from approxjac.view.style import COLORS, SERIES, formulas, styled
 
 _PIECES = 20  # of each link: a lens bends what is straight
 _AROUND = 0.06  # of the image, shown around its border
@@ -152,4 +152,4 @@ def _frame(ax: Axes, camera: Camera, title: str) -> None:
         around = _AROUND * max(width, height)
         ax.set_xlim(-around, width + around)
         ax.set_ylim(height + around, -around)  # v points down
-    ax.set(xlabel=f"{u} [{unit}]", ylabel=f"{v} [{unit}]", title=title)
+    ax.set(xlabel=formulas(f"{u} [{unit}]"), ylabel=formulas(f"{v} [{unit}]"), title=title)

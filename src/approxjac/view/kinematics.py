@@ -11,6 +11,7 @@ from approxjac.controllers import ControllerWrapper, TrackingController
 from approxjac.errors import UnknownNameError
 from approxjac.simulation import Trajectory
 from approxjac.validation import require
+from approxjac.view.plots import over_time
 from approxjac.view.style import SERIES, styled
 
 _INSTANTS = 200
@@ -63,5 +64,5 @@ def plot_kinematics(
             if truth is not None and name in truth:
                 ax.axhline(truth[name], color=color, linestyle="--", linewidth=0.9)
         units = dict.fromkeys(reports[0].rows[known.index(name)].unit or "–" for name in chosen)
-        ax.set(xlabel="time [s]", ylabel=f"learnt, ± 2 sd [{' or '.join(units)}]", title=title)
+        over_time(ax, run, ylabel=f"learnt, ± 2 sd [{' or '.join(units)}]", title=title)
     return ax

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +16,8 @@ from approxjac.robots import Robot
 from approxjac.simulation import Trajectory
 from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array, as_vector, plane_rows, require
-from approxjac.view.style import COLORS, SERIES, display_unit, new_figure, styled
+from approxjac.view.learnt import learnt_tips
+from approxjac.view.style import COLORS, SERIES, display_unit, formulas, new_figure, styled
 
 _STATUS_COLORS = dict(
     zip(LimitStatus, ("#BBBBBB", *(SERIES[i] for i in (2, 3, 5, 1, 6, 4, 0))), strict=True)
@@ -35,9 +37,10 @@ def plot_error(
         units = [display_unit(unit) for unit in run.task_units]
         ax.axhline(0.0, color=COLORS["neutral"], linewidth=0.8)
         for i, (label, (_, factor)) in enumerate(zip(run.task_labels, units, strict=True)):
-            ax.plot(run.t, factor * run.error[:, i], color=SERIES[i % len(SERIES)], label=label)
+            color = SERIES[i % len(SERIES)]
+            ax.plot(run.t, factor * run.error[:, i], color=color, label=formulas(label))
         shown = " or ".join(dict.fromkeys(unit for unit, _ in units))
-        ax.set(xlabel="time [s]", ylabel=f"x − x_d [{shown}]", title=title)
+        over_time(ax, run, ylabel=f"$x - x_d$ [{shown}]", title=title)
     return ax
 
 
@@ -64,8 +67,8 @@ def plot_torque(
         if known:
             for side, name in ((1.0, "limit"), (-1.0, None)):
                 ax.axhline(side, color=COLORS["neutral"], linewidth=1.0, linestyle="--", label=name)
-        label = "τ / limit [–]" if known else f"τ [{run.units['tau']}]"
-        ax.set(xlabel="time [s]", ylabel=label, title=title)
+        label = r"$\tau$ / limit [–]" if known else rf"$\tau$ [{run.units['tau']}]"
+        over_time(ax, run, ylabel=label, title=title)
     return ax
 
 
@@ -89,8 +92,8 @@ def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
                 spans, (0.88, 0.1), transform=ax.get_xaxis_transform(),
                 facecolors=_STATUS_COLORS[status], label=status.name,
             )  # fmt: skip
-        ax.set(xlabel="time [s]", ylabel=f"σ [{run.units['slack']}]")
-        ax.set_title("Slack σ that limits add to V̇, and status")
+        over_time(ax, run, ylabel=rf"$\sigma$ [{run.units['slack']}]")
+        ax.set_title(r"Slack $\sigma$ that limits add to $\dot{V}$, and status")
     return ax
 
 
@@ -115,7 +118,8 @@ def plot_path(
         plane: Two world axes, such as "xz".
         q_target: Configuration that attains the target, shape (nq,), drawn dashed if given.
         ax: Axes to draw into; new ones by default.
-        believed: Robot that the controller believes; the path of its frame is drawn if given.
+        believed: Robot that the controller believes; the path of its frame is drawn if given, and
+            where the controller learnt its kinematics, the path as it was learnt by then.
         target: Where in the world the frame shall go, shape (3,) [m], a cross if given.
         title: Of the axes; says frame and plane by default.
 
@@ -140,7 +144,13 @@ def plot_path(
             corners = skeleton(robot, frame, q)[:, rows]
             ax.plot(*corners.T, "o-", color=COLORS["true"], alpha=alpha, ms=4, label=label)
         if seen is not None:
-            ax.plot(*seen.T, color=COLORS["believed"], label="believed path", zorder=5)
+            learnt = None if run.scene is None else learnt_tips(run.scene, run.q, run.state)
+            first = "believed path" if learnt is None else "believed at first"
+            style = "-" if learnt is None else ":"
+            ax.plot(*seen.T, style, color=COLORS["believed"], label=first, zorder=5)
+            if learnt is not None:
+                seen = learnt[:, rows]
+                ax.plot(*seen.T, "--", color=COLORS["believed"], label="as it is learnt", zorder=5)
             ax.plot(*seen[-1], "o", color=COLORS["believed"], ms=4, zorder=5)
         if q_target is not None:
             points = skeleton(robot, frame, robot.configuration(q_target, "q_target"))[:, rows]
@@ -186,7 +196,7 @@ def plot_parameters(
             ax.plot([], [], "--", color=COLORS["neutral"], linewidth=0.8, label="true values")
         # a mass is named "joint1.m", a first moment "joint1.mx"
         units = dict.fromkeys("kg" if name.endswith(".m") else "kg m" for name in names)
-        ax.set(xlabel="time [s]", ylabel=f"θ̂ [{' or '.join(units)}]")
+        over_time(ax, run, ylabel=rf"$\hat{{\theta}}$ [{' or '.join(units)}]")
         ax.set_title("Learnt gravity parameters")
     return ax
 
@@ -198,6 +208,13 @@ def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
     plot_error(run, axes[0])
     plot_torque(run, axes[1])
     return figure, axes
+
+
+def over_time(ax: Axes, run: Trajectory, **settings: Any) -> None:
+    """Name the axes of a plot over time, from the first instant to the last."""
+    ax.set(xlabel="time [s]", **settings)
+    if run.t[-1] > run.t[0]:
+        ax.set_xlim(run.t[0], run.t[-1])
 
 
 def _tips(run: Trajectory, robot: Robot, frame: str) -> Array:

@@ -42,21 +42,23 @@ def plot_allowed_error(
     position = law.allowed_p_position(a, alpha)
     with styled(ax, (6.5, 4.8)) as ax:
         allowed = np.minimum(velocity, position)
-        ax.fill_between(a, allowed, color=SERIES[2], alpha=0.15, label="p allowed by (23)")
-        ax.plot(a, velocity, color=SERIES[0], label="2λ₂/(a + α)")
-        ax.plot(a, position, color=SERIES[1], label="2aα/(a + α)")
+        ax.fill_between(a, allowed, color=SERIES[2], alpha=0.15, label="$p$ allowed by (23)")
+        ax.plot(a, velocity, color=SERIES[0], label=r"$2\lambda_2 / (a + \alpha)$")
+        ax.plot(a, position, color=SERIES[1], label=r"$2 a \alpha / (a + \alpha)$")
         if alpha > 0.0:
-            label = f"crossing: a = λ₂/α = {alpha:.4f}, p = √λ₂ = {alpha:.4f}"
+            at = rf"$a = \lambda_2 / \alpha$ = {alpha:.4f}, $p = \sqrt{{\lambda_2}}$ = {alpha:.4f}"
+            label = f"crossing: {at}"
             ax.plot([alpha], [alpha], "o", color=SERIES[6], ms=5, label=label)
         ax.axhline(p, color=COLORS["neutral"], linestyle="--", label=f"{p_label}: {p:.4f}")
         if own_a is not None:
-            at = np.array(own_a)
-            bounds = law.allowed_p_velocity(at, alpha, lambda2), law.allowed_p_position(at, alpha)
-            label = f"the controller's own a = {own_a:.3g} allows p = {min(bounds):.3g}"
+            a = np.array(own_a)
+            bounds = law.allowed_p_velocity(a, alpha, lambda2), law.allowed_p_position(a, alpha)
+            label = f"the controller's own $a$ = {own_a:.3g} allows $p$ = {min(bounds):.3g}"
             ax.axvline(own_a, color=SERIES[3], label=label)
-        ax.set(xlabel="a = k_p / k_v [1/s]", ylabel=f"allowed p [{unit}]", xlim=(left, right))
+        ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(left, right))
         ax.set(ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
-        ax.set_title(f"Figure 1: allowed Jacobian error (α = √λ₂ = {alpha:.4f} 1/s)")
+        told = rf"$\alpha = \sqrt{{\lambda_2}}$ = {alpha:.4f} 1/s"
+        ax.set_title(f"Figure 1: allowed Jacobian error ({told})")
         if wide:
             ax.set_xscale("log")
     return ax

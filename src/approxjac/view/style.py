@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.transforms import offset_copy
 
 from approxjac.errors import InvalidInputError
@@ -35,6 +37,8 @@ COLORS: Mapping[str, str] = {
 """Colours by their meaning, in figures and pages. Lines that mean none of this take `SERIES`."""
 
 _DPI = 130
+_COLUMNS: Mapping[int, float] = {1: 3.5, 2: 7.16}  # widths of one and two columns of IEEE's [inch]
+_SMALLEST = 7.0  # letters in print [pt], where plots have so much room
 _LEGEND = 36.0  # below the axes, under their ticks and their label [pt]
 _LEGEND_WIDTH = 270.0  # of a plot of usual size [pt]; a letter takes 4.4 of them, a line 34
 _RC: Mapping[str, Any] = {
@@ -51,7 +55,9 @@ _RC: Mapping[str, Any] = {
     "grid.alpha": 0.3,
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
+    "mathtext.fontset": "dejavusans",  # as the text around it
     "path.simplify_threshold": 0.3,  # pixels, hardly seen; half the file where torques are rough
+    "pdf.fonttype": 42,  # TrueType, embedded: publishers refuse bitmaps of letters
     "svg.hashsalt": "approxjac",  # the same SVG from the same run
 }
 
@@ -123,10 +129,8 @@ def legend_below(ax: Axes, columns: int | None = None) -> None:
 
     Entries are in `columns`, by default as many as fit under a plot of usual width.
     """
-    labels = ax.get_legend_handles_labels()[1]
-    longest = max((len(label) for label in labels), default=1)
     if columns is None:
-        columns = max(1, min(len(labels), int(_LEGEND_WIDTH / (4.4 * longest + 34.0))))
+        columns = _fitting(ax.get_legend_handles_labels()[1], _LEGEND_WIDTH)
     # by a distance that does not change as the layout makes room for the legend
     below = offset_copy(ax.transAxes, ax.get_figure(root=True), y=-_LEGEND, units="points")
     ax.legend(
@@ -135,23 +139,72 @@ def legend_below(ax: Axes, columns: int | None = None) -> None:
     )  # fmt: skip
 
 
-def save_figure(figure: Figure, stem: str | Path) -> list[Path]:
-    """Write a figure as `stem`.png and `stem`.svg, without dates inside; return the two paths.
+def formulas(text: str) -> str:
+    """Return a text with symbols such as K_v and x_d, one letter and an index, as mathtext."""
+    return re.sub(r"(?<![\w$\\])([^\W\d_])_(\w{1,2})\b", r"$\1_{\2}$", text)
+
+
+def save_figure(figure: Figure, stem: str | Path, *, columns: int | None = None) -> list[Path]:
+    """Write a figure as `stem`.png and `stem`.svg, without dates inside; return the paths.
+
+    Args:
+        figure: The figure.
+        stem: Name of the files without ending.
+        columns: 1 or 2 writes `stem`.pdf as well, for print: as wide as one or two columns of a
+            paper (3.5 or 7.16 inch, IEEE's), with smaller letters and its fonts embedded.
 
     Raises:
-        InvalidInputError: The files cannot be written.
+        InvalidInputError: The files cannot be written, or another number of columns.
     """
+    if columns is not None and (isinstance(columns, bool) or columns not in _COLUMNS):
+        raise InvalidInputError(f"columns must be 1 or 2, got {columns!r}", given=columns)
     stem = Path(stem)
-    stem = stem.with_suffix("") if stem.suffix in (".png", ".svg") else stem
-    paths = [stem.with_name(stem.name + ending) for ending in (".png", ".svg")]
+    stem = stem.with_suffix("") if stem.suffix in (".png", ".svg", ".pdf") else stem
+    endings = (".png", ".svg") if columns is None else (".png", ".svg", ".pdf")
+    paths = [stem.with_name(stem.name + ending) for ending in endings]
     try:
         with style():
             with replaced(paths[0]) as png:
                 figure.savefig(png, dpi=_DPI)
             with replaced(paths[1]) as svg:  # dpi: of what is pixels
                 figure.savefig(svg, dpi=_DPI, metadata={"Date": None})
+            if columns is not None:
+                with replaced(paths[2]) as pdf, _in_print(figure, _COLUMNS[columns]):
+                    figure.savefig(pdf, dpi=300, metadata={"CreationDate": None})
     except OSError as error:
         raise InvalidInputError(
             f"stem must name files that can be written, got {stem}: {reason(error)}", given=stem
         ) from error
     return paths
+
+
+@contextmanager
+def _in_print(figure: Figure, width: float) -> Iterator[None]:
+    """Make a figure so wide [inch] inside a `with` block, and its letters smaller."""
+    before = tuple(figure.get_size_inches())
+    letters = max(min(width / before[0], 1.0), _SMALLEST / _RC["font.size"])
+    legends = {ax: ax.get_legend() for ax in figure.axes if ax.get_legend() is not None}
+    figure.draw_without_rendering()  # ticks are made when drawing
+    try:
+        for ax in legends:
+            spec = ax.get_subplotspec()
+            plots = 1 if spec is None else spec.get_gridspec().ncols
+            labels = ax.get_legend_handles_labels()[1]
+            legend_below(ax, _fitting(labels, (72.0 * width / plots - 12.0) / letters))
+        texts = [(text, text.get_fontsize()) for text in figure.findobj(Text)]
+        for text, size in texts:
+            text.set_fontsize(letters * size)
+        figure.set_size_inches(width, letters * before[1])
+        yield
+    finally:
+        figure.set_size_inches(before)
+        for text, size in texts:
+            text.set_fontsize(size)
+        for ax, legend in legends.items():
+            ax.legend_ = legend
+
+
+def _fitting(labels: Sequence[str], width: float) -> int:
+    """Return how many columns of a legend fit into a width [pt]."""
+    longest = max((len(label) for label in labels), default=1)
+    return max(1, min(len(labels), int(width / (4.4 * longest + 34.0))))

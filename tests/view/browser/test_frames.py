@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
+from approxjac import view
 from approxjac.controllers import PredictedMeasurement
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import TrackerTask
@@ -245,6 +246,12 @@ def test_the_believed_tip_moves_onto_the_true_one_while_it_is_learnt(panda, law)
     assert np.isnan(run.V).all()  # which would be of what is predicted
     assert '"learnt tip"' in page(run)
     assert '"believed tip"' not in page(run)
+    # and so it is in the plot
+    ax = view.plot_path(run, scene.truth, believed=scene.belief)
+    lines = {line.get_label(): np.array(line.get_data()).T for line in ax.get_lines()}
+    assert_allclose(lines["as it is learnt"], shown["believed_tip"][:, [0, 2]], atol=1e-12)
+    assert_allclose(lines["path of object_tip"], shown["tip"][:, [0, 2]], atol=1e-12)
+    assert np.linalg.norm(lines["believed at first"] - lines["as it is learnt"], axis=1)[-1] > 0.05
 
 
 def test_the_tip_of_an_image_task_is_the_learnt_one_too(panda):

@@ -239,7 +239,7 @@ def test_plots_have_lines_titles_and_units(reach, show):
         for colour in colours:
             assert near(part, (150, 60), colour, 400.0) > 15, (titles[i], colour)
     labels = page.evaluate("approxjac.data.plots.map((plot) => plot.unit)")
-    assert labels == ["x − x_d [mm]", "τ / limit", "V [J]"]
+    assert labels == ["error [mm]", "τ / limit", "V [J]"]
     keys = page.locator(".plot .keys").first.inner_text()
     assert re.sub(r"\s+", " ", keys).startswith("x −100 y 150 z −160")
 

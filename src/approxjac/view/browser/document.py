@@ -18,9 +18,9 @@ from approxjac.simulation.scene import Scene
 from approxjac.tasks import Camera, PinholeCamera
 from approxjac.tasks.analysis import features, image_feature
 from approxjac.validation import Array
-from approxjac.view.browser.frames import learnt_regressor
 from approxjac.view.browser.stage import Stage, grid
 from approxjac.view.browser.viewpoint import link_points, viewpoint
+from approxjac.view.learnt import learnt_regressor
 from approxjac.view.style import COLORS, SERIES, display_unit
 from approxjac.view.tree import held_objects
 
@@ -166,7 +166,7 @@ def _plots(scene: Scene, labels: list[str], units: Sequence[str]) -> list[dict[s
         # panda_joint1 is joint1 here, where there is little room
         joints = [name.removeprefix(first) for name in joints]
     plots = [
-        ("error", "Task error of each coordinate", f"x − x_d [{shown}]", labels, [0.0]),
+        ("error", "Task error of each coordinate", f"error [{shown}]", labels, [0.0]),
         ("torque", "Torque of each joint", "τ / limit" if known else f"τ [{torque}]", joints,
          [-1.0, 1.0] if known else []),
         ("V", "Lyapunov function", "V [J]", ["V"], []),

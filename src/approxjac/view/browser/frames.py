@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.robots import KinematicRegressor, Robot
+from approxjac.robots import Robot
 from approxjac.robots.model import own_joints
 from approxjac.simulation import Trajectory
 from approxjac.simulation.scene import Scene
 from approxjac.tasks import FrameKinematics, Task
-from approxjac.tasks.analysis import features, image_feature
+from approxjac.tasks.analysis import image_feature
 from approxjac.tasks.frame_kinematics import PointKinematics
 from approxjac.tasks.task import Feature
 from approxjac.validation import Array
+from approxjac.view.learnt import followed, learnt_tips
 from approxjac.view.style import display_unit
 from approxjac.view.tree import joint_positions
 
@@ -29,16 +30,14 @@ class Frames:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._feature = _first(features(scene.sensor))
+        self._feature = followed(scene.sensor)
         self._true = _followed(scene.truth, self._feature)
         self._believed: PointKinematics | None = None
-        self._learnt: KinematicRegressor | None = None  # by which it moves as it is learnt
         if scene.belief is not None:
-            feature = _first(features(scene.task)) or self._feature
+            feature = followed(scene.task) or self._feature
             if feature is not None and feature.frame not in (None, *scene.belief.frame_names):
                 feature = None  # of the true robot only
             self._believed = _followed(scene.belief, feature)
-            self._learnt = learnt_regressor(scene)
         # continuous joints have no limits; their (cos, sin) may go where it likes
         limited = [joint for joint in own_joints(scene.truth.model).values() if joint.nq == 1]
         self._limited = [joint.idx_q for joint in limited], [joint.idx_v for joint in limited]
@@ -66,8 +65,9 @@ class Frames:
         share = tau / np.where(np.isfinite(limits), limits, np.nan)
         tip = np.array([self._true.positions(row)[0] for row in q]).reshape(-1, 3)
         believed_tip, force = self._believed_tip(q, run.task_torque[kept])
-        if self._learnt is not None:
-            believed_tip = self._learnt_tip(self._learnt, q, run.state[kept])
+        learnt = learnt_tips(self.scene, q, run.state[kept]) if self.scene.learnt else None
+        if learnt is not None:
+            believed_tip = learnt
         return {
             "t": run.t[kept],
             "V": run.V[kept],
@@ -99,14 +99,6 @@ class Frames:
                 if left > _LITTLE * np.linalg.norm(torque):  # there is a moment too, as of a pose
                     force[i] = _wrench(whole.jacobian(row), torque)[:3]
         return tip, force
-
-    def _learnt_tip(self, regressor: KinematicRegressor, q: Array, state: Array) -> Array:
-        """Return where the tip is by the translations that were learnt by then, shape (N, 3)."""
-        theta = np.tile(regressor.theta, (len(q), 1))
-        for i, name in enumerate(regressor.names):
-            if name in self.scene.learnt:
-                theta[:, i] = state[:, self.scene.learnt[name]]
-        return np.array([regressor.position(*row) for row in zip(q, theta, strict=True)])
 
     def _position(self, x: Array, tip: Array) -> Array:
         """Return positions that x (N, n_x) tells, shape (N, 3); on other axes those of the tip."""
@@ -144,15 +136,6 @@ class Frames:
         return found
 
 
-def learnt_regressor(scene: Scene) -> KinematicRegressor | None:
-    """Return p(q) of the tip that is followed, where a run learns its translations, or None."""
-    feature = _first(features(scene.task)) if scene.learnt else None
-    if scene.belief is None or feature is None or feature.frame is None:
-        return None  # or a camera in hand, which watches points of the world
-    regressor = KinematicRegressor(scene.belief, feature.frame, feature.points[:1])
-    return regressor if set(regressor.names) & set(scene.learnt) else None
-
-
 def _peaks(tau: Array, kept: Any) -> Array:
     """Return each joint's largest |τ| since the instant kept before, with its sign, (n, n_v)."""
     found = tau[kept]
@@ -160,11 +143,6 @@ def _peaks(tau: Array, kept: Any) -> Array:
         part = tau[first + 1 : last + 1]
         found[i] = part[np.abs(part).argmax(axis=0), np.arange(tau.shape[1])]
     return np.asarray(found)
-
-
-def _first(parts: tuple[Feature, ...]) -> Feature | None:
-    """Return the part of a task that is looked at: its first position, or else its first image."""
-    return next((part for part in parts if part.axes), parts[0] if parts else None)
 
 
 def _followed(robot: Robot, feature: Feature | None) -> PointKinematics:
