@@ -170,7 +170,9 @@ def test_learnt_parameters_are_drawn_beside_the_true_ones(run):
     assert_allclose(lines["b"].get_ydata(), 2.0 * run.t)
     assert view.plot_parameters(learnt, ("j.m",)).get_ylabel() == r"$\hat{\theta}$ [kg]"
     assert view.plot_parameters(learnt, ("j.mx", "k.my")).get_ylabel() == r"$\hat{\theta}$ [kg m]"
-    assert view.plot_parameters(learnt, ("j.mx", "k.m")).get_ylabel() == "θ̂ [kg m or kg]"
+    assert (
+        view.plot_parameters(learnt, ("j.mx", "k.m")).get_ylabel() == r"$\hat{\theta}$ [kg m or kg]"
+    )
     dashed = [line for line in ax.get_lines() if line.get_linestyle() == "--"]
     assert [line.get_ydata()[0] for line in dashed if len(line.get_ydata())] == [0.9, 1.9]
 

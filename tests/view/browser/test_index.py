@@ -65,3 +65,18 @@ def test_a_folder_without_pages_is_refused(tmp_path):
         view.write_index(tmp_path)
     with pytest.raises(aj.InvalidInputError, match="folder must"):
         view.write_index(tmp_path / "nowhere")
+
+
+def test_a_table_opens_the_index(tmp_path, open_page):
+    (tmp_path / "fig3.html").write_text(PAGE.format("Figure 3: K_v < 1"), encoding="utf-8")
+    rows = {"": ["figure", "verdict"], "fig3.html": ["Figure 3", "K_v too <small>"]}
+    index = view.write_index(tmp_path, table=rows)
+    assert "<td" in index.read_text(encoding="utf-8").partition("<li>")[0]
+    page = open_page(index, (400, 800))
+    assert page.locator("td").all_inner_texts() == ["Figure 3", "Kv too <small>"]
+    assert page.evaluate("document.documentElement.scrollWidth") == 400
+    page.locator("td a").click()
+    assert page.url.endswith("fig3.html")
+    for wrong in ({"fig3.html": ["3"]}, {"": ["a"], "fig3.html": ["3", "4"]}, {"": [1]}):
+        with pytest.raises(aj.InvalidInputError, match="table must have its heads by"):
+            view.write_index(tmp_path, table=wrong)

@@ -7,7 +7,7 @@ import re
 import sys
 import tempfile
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,10 @@ def show(run: Trajectory, title: str | None = None) -> Path:
 
 
 def write_index(
-    folder: str | Path, title: str = "Runs to look at", pictures: Mapping[str, str] | None = None
+    folder: str | Path,
+    title: str = "Runs to look at",
+    pictures: Mapping[str, str] | None = None,
+    table: Mapping[str, Sequence[str]] | None = None,
 ) -> Path:
     """Write index.html, a link to every run page in a folder by their names; return its path.
 
@@ -86,10 +89,12 @@ def write_index(
         title: Of the index.
         pictures: Titles of pictures in the folder that have no page, by the names of their files;
             none by default. They are shown among the pages.
+        table: A table that opens the index, none by default: its heads by "", and its rows by the
+            names of the files that their first cells link to.
 
     Raises:
         InvalidInputError: A folder without such pages, or that cannot be written to, or a picture
-            that is not in it.
+            that is not in it, or rows of a table that are not as long as its heads.
     """
     require("folder", folder, (str, Path), "a folder")
     folder = Path(folder)
@@ -109,7 +114,7 @@ def write_index(
             )
         entries |= {name: _shown(folder, name, said) for name, said in pictures.items()}
         listed = "\n".join(entries[name] for name in sorted(entries, key=_natural))
-        parts = {"title": escape(title), "entries": listed}
+        parts = {"title": escape(title), "entries": listed, "table": _table(table or {})}
         parts |= {"link": COLORS["true"], "text": COLORS["neutral"]}
         index = folder / "index.html"
         write_text(index, filled("index.html", parts))
@@ -200,7 +205,33 @@ def _entry(path: Path, head: str) -> str:
     picture = f'<img src="{quote(image.name)}" alt="">' if image.is_file() else ""
     named = title[1] if title else escape(path.stem)
     told = f"<p>{text[1]}</p>" if text else ""
-    return f'<li><a href="{quote(path.name)}">{picture}<b>{named}</b>{told}</a></li>'
+    return f'<li><a href="{quote(path.name)}">{picture}<b>{_indexed(named)}</b>{told}</a></li>'
+
+
+def _table(rows: Mapping[str, Sequence[str]]) -> str:
+    """Return a table of cells by the files that its rows are about; its heads are by ""."""
+    if not rows:
+        return ""
+    heads, lines = rows.get("", ()), []
+    for name, row in rows.items():
+        if len(row) != len(heads) or not all(isinstance(cell, str) for cell in row):
+            raise InvalidInputError(
+                f'table must have its heads by "", and rows of so many texts, got {name!r}: {row}',
+                given=row,
+            )
+        cells = [_indexed(escape(cell)) for cell in row]
+        if name:
+            cells[0] = f'<a href="{quote(name)}">{cells[0]}</a>'
+            named = zip(map(escape, heads), cells, strict=True)
+            told = (f'<td data-head="{head}"><span>{cell}</span></td>' for head, cell in named)
+            lines.append(f"<tr>{''.join(told)}</tr>")
+    top = "".join(f"<th>{escape(head)}</th>" for head in heads)
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+def _indexed(text: str) -> str:
+    """Return a text with symbols such as K_v, a letter and an index, as they are written."""
+    return re.sub(r"\b(\w)_(\w)\b", r"\1<sub>\2</sub>", text)
 
 
 def _shown(folder: Path, name: str, title: str) -> str:
