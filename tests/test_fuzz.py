@@ -381,6 +381,8 @@ def junk(size):
                 np.zeros((size, 1)), np.zeros((1, size)), np.zeros(size + 1), np.zeros(()),
                 np.zeros((size, size)), np.float64(0.0), np.array([[1.0] * (size + 1)]),
                 np.zeros(size, dtype=[("a", "f8")]), 10**400, [10**400] * size,
+                np.ma.masked_array(np.zeros(size), True), np.ma.masked_array(np.zeros(size)),
+                np.ma.masked, [np.ma.masked] * size,
             ]
         ),
         st.binary(max_size=4),
@@ -508,6 +510,9 @@ ODD = (
     np.array([1.0]), np.full((1, 1), 1.0), np.zeros(7, dtype=object), np.array(["a"]), 10**400,
     [10**400], -(10**400), np.nan, np.inf, -np.inf, 5e-324, 1e-300, 1e-155, 1e155, 1e300,
     np.array(1 + 1j), [1 + 1j], np.datetime64("2026-01-01"), np.zeros(3, dtype=bool),
+    np.ma.masked_array(np.ones(7), [True] + [False] * 6), np.ma.masked, [np.ma.masked] * 3,
+    np.ma.masked_array(np.ones(3), [True] * 3), np.ma.masked_array(1.0, True),
+    np.full(7, np.longdouble("1e4000")),
     "\0", "a" * 300, "a/" * 3000, Path("x" * 300), Path("."), "<robot", "<robot/>", object(),
 )  # fmt: skip
 

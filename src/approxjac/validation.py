@@ -30,10 +30,12 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
     """
     suffix = f" [{unit}]" if unit else ""
     wanted = str(shape).replace("'", "")
+    require_unmasked(name, value)
     try:
         if np.asarray(value).dtype.kind not in "iuf":  # text and booleans are no numbers
             raise TypeError
-        array = np.array(value, dtype=np.float64)
+        with np.errstate(over="ignore"):  # a long double may become infinite, which is refused
+            array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(
             f"{name} must be numbers of shape {wanted}{suffix}, got {value!r}", given=value
@@ -51,6 +53,22 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
         raise InvalidInputError(f"{name} must be finite{suffix}, got {told}", given=value)
     array.flags.writeable = False
     return array
+
+
+def require_unmasked(name: str, value: Any) -> None:
+    """Refuse a masked array of which a mask hides something: as an array it would show it."""
+    if _is_masked(value):
+        raise InvalidInputError(
+            f"{name} must have no masked entries, got {value!r}; filled(numpy.nan) makes them NaN "
+            "where a number may be lost",
+            given=value,
+        )
+
+
+def _is_masked(value: Any) -> bool:
+    if isinstance(value, np.ma.MaskedArray):
+        return bool(np.ma.is_masked(value))
+    return isinstance(value, list | tuple) and any(map(_is_masked, value))
 
 
 def as_vector(name: str, value: Any, size: int, unit: str = "") -> Array:
@@ -85,6 +103,7 @@ def as_number(
     """Return `value` as a finite float that is >= `minimum`, > `above` and <= `most`."""
     if type(value) is float and minimum <= value <= most and value > above and math.isfinite(value):
         return value  # the quick way
+    require_unmasked(name, value)
     suffix = f" [{unit}]" if unit else ""
     bound = ""
     if minimum > -math.inf:
@@ -141,10 +160,12 @@ def as_diagonal(
 
 def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
     """Return limits given as a scalar or a vector as a read-only vector; inf is no limit."""
+    require_unmasked(name, value)
     try:
         if np.asarray(value).dtype.kind not in "iuf":
             raise TypeError
-        array = np.broadcast_to(np.array(value, dtype=np.float64), (size,)).copy()
+        with np.errstate(over="ignore"):
+            array = np.broadcast_to(np.array(value, dtype=np.float64), (size,)).copy()
     except (TypeError, ValueError):
         array = np.full(size, np.nan)
     if not (array > 0.0).all():
@@ -166,6 +187,8 @@ def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -
 
 def is_scalar(value: Any) -> bool:
     """Return whether a value is a single item; a ragged list is not."""
+    if _is_masked(value):  # which NumPy warns of, or fails at
+        return isinstance(value, np.ma.MaskedArray) and value.ndim == 0
     try:
         return np.ndim(value) == 0
     except ValueError:
@@ -175,7 +198,7 @@ def is_scalar(value: Any) -> bool:
 def shape_of(value: Any) -> tuple[int, ...]:
     """Return the shape of a value that may be anything; that of a ragged list is ()."""
     try:
-        return np.shape(value)
+        return () if _is_masked(value) else np.shape(value)
     except ValueError:
         return ()
 

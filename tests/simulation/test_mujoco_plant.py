@@ -1,6 +1,7 @@
 """The same arms and the same controllers in MuJoCo, an engine that no one here wrote."""
 
 import copy
+import pickle
 import sys
 
 import mujoco
@@ -361,3 +362,77 @@ def test_the_ready_configuration_is_above_the_floor():
     rest = np.zeros(6)
     free = anywhere.acceleration(q, rest, rest)
     np.testing.assert_allclose(above.acceleration(q, rest, rest), free, rtol=1e-9)
+
+
+# -- inertias that no body has --------------------------------------------------------------
+
+
+def with_inertia(iz):
+    """A pendulum whose moments about x and y are 0.1 kg m²."""
+    return aj.load_robot(
+        f"""<robot name="pendulum"><link name="base"/><link name="bob"><inertial>
+        <origin xyz="0.5 0 0"/><mass value="2"/><inertia ixx="0.1" iyy="0.1" izz="{iz}" ixy="0"
+        ixz="0" iyz="0"/></inertial></link><joint name="turn" type="continuous">
+        <parent link="base"/><child link="bob"/><axis xyz="0 1 0"/></joint></robot>"""
+    )
+
+
+def test_inertias_that_no_body_has_are_told_with_the_remedy():
+    arm = with_inertia(0.5)
+    told = r"bob \[0\.1, 0\.1, 0\.5\]; correct .* MujocoPlant\(\.\.\., balance_inertia=True\)"
+    with pytest.raises(UrdfError, match=told):
+        aj.MujocoPlant(arm)
+    balanced = aj.MujocoPlant(arm, balance_inertia=True)
+    mean = (0.1 + 0.1 + 0.5) / 3
+    assert balanced.mujoco_model.body("bob").inertia == pytest.approx(mean)
+    assert "balance_inertia=True" in repr(balanced)
+    q, still = arm.configuration([0.0]), np.zeros(1)
+    moment = 2.0 * 9.81 * 0.5  # about an inertia that is another one now
+    expected = moment / (2.0 * 0.5**2 + mean)
+    assert balanced.acceleration(q, still, still) == pytest.approx(expected)
+
+
+def test_inertias_that_a_body_has_stay_as_they_are():
+    arm = with_inertia(0.15)
+    inertias = [
+        aj.MujocoPlant(arm, balance_inertia=balance).mujoco_model.body("bob").inertia
+        for balance in (False, True)
+    ]
+    assert_array_equal(*inertias)
+    with pytest.raises(aj.InvalidInputError, match="balance_inertia must be True or False"):
+        aj.MujocoPlant(arm, balance_inertia="yes")
+
+
+def test_a_scenario_asks_for_it(tmp_path):
+    path = tmp_path / "pendulum.urdf"
+    path.write_text(with_inertia(0.5).urdf)
+    toml = tmp_path / "scenario.toml"
+
+    def built(true):
+        toml.write_text(f'robot = "{path}"\n[true]\n{true}\n')
+        return aj.Scenario.load(toml).build()
+
+    with pytest.raises(UrdfError, match='inertias = "balanced" under'):
+        built('engine = "mujoco"')
+    with pytest.raises(aj.InvalidInputError, match="needs true.engine mujoco"):
+        built('inertias = "balanced"')
+    assert built('engine = "mujoco"\ninertias = "balanced"').plant.balance_inertia
+
+
+
+# -- copies -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.copy, copy.deepcopy, lambda plant: pickle.loads(pickle.dumps(plant))]
+)
+def test_copies_move_alike_and_share_no_scratch_memory(copied):
+    plant = aj.MujocoPlant(TRUTH, SENSOR, 0.3, floor=0.1, balance_inertia=True)
+    v, tau = np.ones(7), np.arange(7.0)
+    expected = plant.acceleration(Q0, v, tau)
+    other = copied(plant)
+    assert repr(other) == repr(plant)
+    other.acceleration(Q0 + 0.1, 5.0 * v, tau)
+    assert_array_equal(plant.acceleration(Q0, v, tau), expected)
+    assert_array_equal(other.acceleration(Q0, v, tau), expected)
+    assert other._mujoco_data is not plant._mujoco_data

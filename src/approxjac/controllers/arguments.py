@@ -47,6 +47,12 @@ def require_array(name: str, value: Array, size: int, task: Task) -> None:
             f"{how if isinstance(value, _NUMBERS) else ''}",
             given=value,
         )
+    if isinstance(value, np.ma.MaskedArray):  # by chance it would do as if nothing was hidden
+        raise InvalidInputError(
+            f"{name} must be a plain array, got a masked one; {name}.filled(numpy.nan) makes one, "
+            "with NaN where an entry of x is lost",
+            given=value,
+        )
     if value.dtype != FLOAT64:  # differences of unsigned pixels would wrap around
         raise InvalidInputError(
             f"{name} must be an array of float64, got {value.dtype}; "

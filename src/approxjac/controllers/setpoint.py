@@ -308,6 +308,7 @@ class SetpointController(ProvenLaw):
             usual = (
                 (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
                 and q.dtype is v.dtype is x.dtype is target.dtype is state.dtype is FLOAT64
+                and type(q) is type(v) is type(x) is type(target) is type(state) is np.ndarray
             )
         except (TypeError, ValueError, AttributeError):
             usual = False

@@ -296,6 +296,7 @@ class TrackingController(ProvenLaw):
             usual = (
                 (q.shape, v.shape, x.shape, x_d.shape, state.shape) == self._shapes
                 and q.dtype is v.dtype is x.dtype is x_d.dtype is state.dtype is FLOAT64
+                and type(q) is type(v) is type(x) is type(x_d) is type(state) is np.ndarray
             )
         except (TypeError, ValueError, AttributeError):
             usual = False

@@ -251,7 +251,8 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
         options["servo"] = VelocityServo(**vars(true.servo))
         options["torque_limits"], options["actuator_delay"] = None, 0.0
     if true.engine == "mujoco":
-        return MujocoPlant(truth, sensor, true.friction, floor=true.floor, **options)
+        options |= {"floor": true.floor, "balance_inertia": true.inertias == "balanced"}
+        return MujocoPlant(truth, sensor, true.friction, **options)
     return Plant(truth, sensor, true.friction, **options)
 
 

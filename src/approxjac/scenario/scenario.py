@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from approxjac.errors import InvalidInputError
-from approxjac.files import write_text
+from approxjac.files import read_text, write_text
 from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.records import (
     Belief,
@@ -79,10 +79,10 @@ class Scenario:
             UnknownNameError: A key or a choice that there is not.
         """
         try:
-            table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            table = tomllib.loads(read_text(Path(path), _MOST_TEXT))
         except FileNotFoundError as error:
             raise InvalidInputError(f"{path} does not exist", given=path) from error
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except (OSError, ValueError, RecursionError) as error:  # lists in lists, long numbers
             raise InvalidInputError(
                 f"{path} cannot be read as TOML: {error}", given=path
             ) from error

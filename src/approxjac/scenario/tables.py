@@ -102,7 +102,8 @@ def _value(hint: Any, value: Any, key: str, where: str, table: str) -> Any:
     """Return a value as a field of that type has it."""
     kinds = get_args(hint) if get_origin(hint) in _UNIONS else (hint,)
     for kind in kinds:
-        with suppress(TypeError, ValueError):  # such as a number, which has no length
+        # a number has no length, and one of 400 digits is no float
+        with suppress(TypeError, ValueError, OverflowError):
             return _converted(kind, value)
     kinds = tuple(kind for kind in kinds if kind is not type(None))
     words = [get_args(kind) for kind in kinds if get_origin(kind) is Literal]

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from approxjac.errors import InvalidInputError, TrajectoryFileError
-from approxjac.files import reason, replaced
+from approxjac.files import read_arrays, reason, replaced
 from approxjac.formatting import joined
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions
@@ -71,6 +71,18 @@ class Trajectory:
     derived: Callable[[Trajectory, str], Array] = field(kw_only=True)
     _more_arrays: ClassVar[tuple[str, ...]] = ()  # of what derives from it, in its files too
     _more_texts: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        for name in (*_OWN, *self._more_arrays):
+            array = getattr(self, name)
+            # another float would go through some plots only, and a mask would be lost on the way
+            if type(array) is not np.ndarray or array.dtype not in _NUMBERS:
+                given = getattr(array, "dtype", type(array).__name__)
+                masked = "a masked array of " if isinstance(array, np.ma.MaskedArray) else ""
+                raise InvalidInputError(
+                    f"{name} of a run must be an array of float64 or int64, got {masked}{given}",
+                    given=array,
+                )
 
     @cached_property
     def task_torque(self) -> Array:
@@ -189,10 +201,9 @@ class Trajectory:
         """
         path = _npz(path)
         try:
-            # opened here, because NumPy leaves a damaged file open
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                texts = json.loads(str(file["texts"]))
-                arrays = {name: file[name] for name in (*_ARRAYS, *cls._more_arrays)}
+            with path.open("rb") as stream:
+                arrays = read_arrays(stream, ("texts", *_ARRAYS, *cls._more_arrays))
+            texts = json.loads(str(arrays.pop("texts")))
             known = (*_TEXTS, *cls._more_texts, "scene")
             texts = {name: texts[name] for name in known}
             scene = texts.pop("scene")
@@ -227,7 +238,7 @@ class Trajectory:
         shapes |= dict.fromkeys(("x", "x_measured"), shapes["x_d"])
         for name, shape in shapes.items():
             array = getattr(self, name)
-            if array.shape != shape or array.dtype.kind not in "if":
+            if array.shape != shape or array.dtype not in _NUMBERS:
                 raise ValueError(f"{name} must be numbers of shape {shape}, got {array.shape}")
         known = set(np.unique(self.status)) <= set(Status)
         known &= set(np.unique(self.limit_status)) <= set(LimitStatus)
@@ -239,6 +250,8 @@ class Trajectory:
         texts = all(isinstance(name, str) for name in (*names, self.robot_name))
         if not texts or (len(self.joint_units), len(self.task_units)) != (joints, m):
             raise ValueError("its names and units do not fit its arrays")
+        if unknown := set(self.joint_units) - {"rad", "m"}:
+            raise ValueError(f"joints have the unit {sorted(unknown)[0]!r}, not rad or m")
         scene = self.scene
         if scene is not None and (scene.truth.nv, scene.truth.nq) != (joints, self.q.shape[1]):
             raise ValueError("its scene has another number of joints")
@@ -301,6 +314,8 @@ def _npz(path: str | Path) -> Path:
 
 
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
+_NUMBERS = (np.dtype(np.float64), np.dtype(np.int64))
 _DERIVED = ("task_torque", "V", "sigma_min")
 _OTHERS = (*_TEXTS, "scene", "derived")
-_ARRAYS = (*(f.name for f in fields(Trajectory) if f.name not in _OTHERS), *_DERIVED)
+_OWN = tuple(f.name for f in fields(Trajectory) if f.name not in _OTHERS)
+_ARRAYS = (*_OWN, *_DERIVED)

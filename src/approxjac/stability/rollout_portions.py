@@ -8,7 +8,6 @@ import math
 import os
 import pickle
 import threading
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.errors import InvalidInputError
-from approxjac.files import replaced
+from approxjac.files import read_arrays, replaced
 from approxjac.stability.rollout_study import COLUMNS, Study
 from approxjac.validation import Array
 
@@ -145,9 +144,9 @@ def _kept_part(
     file = folder / f"{name}.npz"
     if file.exists():
         try:
-            with file.open("rb") as stream, np.load(stream) as columns:
-                return dict(columns)
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            with file.open("rb") as stream:
+                return read_arrays(stream)
+        except Exception as error:  # NumPy, zipfile and zlib each raise their own
             raise InvalidInputError(
                 f"folder must hold whole files only, but {file} cannot be read ({error}); delete "
                 "it, and its runs are done again",
