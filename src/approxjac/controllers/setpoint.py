@@ -290,8 +290,7 @@ class SetpointController(ProvenLaw):
         """Return torque and rate of the state for one measurement.
 
         A measurement x that is not finite counts as lost: then there is no position force, only
-        damping (by K_v and B_c, where the law has them) and gravity compensation, and learning
-        rests.
+        damping (by K_v and B_c, where there is any) and gravity compensation; learning rests.
 
         Raises:
             MeasurementError: q or v not finite, or a torque that overflows.
@@ -306,9 +305,9 @@ class SetpointController(ProvenLaw):
         try:
             _, q, v, x, _ = measurement
             usual = (
-                (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
+                type(q) is type(v) is type(x) is type(target) is type(state) is np.ndarray
+                and (q.shape, v.shape, x.shape, target.shape, state.shape) == self._shapes
                 and q.dtype is v.dtype is x.dtype is target.dtype is state.dtype is FLOAT64
-                and type(q) is type(v) is type(x) is type(target) is type(state) is np.ndarray
             )
         except (TypeError, ValueError, AttributeError):
             usual = False

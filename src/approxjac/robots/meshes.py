@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
+from lxml import etree
 from lxml.builder import E
 
 from approxjac.errors import UrdfError
+from approxjac.files import replaced
 from approxjac.robots.catalog import share_dir
 from approxjac.robots.urdf import Urdf
 
 _MUJOCO_READS = (".stl", ".obj", ".msh")
+_MOST = 200_000_000  # bytes of a mesh file
+_READ = ("stl", "obj", "dae", "ply", "off")  # no archives, whose size nobody knows
+_MOST_COPIES = 100_000  # of nodes in a COLLADA file
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -28,7 +33,51 @@ def find_mesh(filename: str, urdf_dir: Path | None) -> Path | None:
         relative = filename.removeprefix("file://")
         roots = [Path("/") if urdf_dir is None else urdf_dir]
     candidates = (root / relative for root in roots)
-    return next((file.resolve() for file in candidates if file.is_file()), None)
+    # unlike Path.is_file, of any name
+    return next((file.resolve() for file in candidates if os.path.isfile(file)), None)
+
+
+def read_mesh(path: Path) -> Any:
+    """Return what trimesh reads from a mesh file: its triangles, no textures.
+
+    Raises:
+        Exception: Each of trimesh's readers raises its own; a ValueError for a file of another
+            kind, or one of more than 200 MB.
+    """
+    import trimesh
+
+    kind, size = path.suffix.lower().removeprefix("."), path.stat().st_size
+    if kind not in _READ:
+        raise ValueError(f"of meshes {', '.join(_READ)} are read, not {path.suffix[:20]!r}")
+    if size > _MOST:
+        raise ValueError(f"it has {size} bytes, more than {_MOST}")
+    with path.open("rb") as file:
+        if file.read(2) == b"PK":
+            raise ValueError("it is an archive")
+        file.seek(0)
+        if kind == "dae":
+            _require_few_copies(file)
+            file.seek(0)
+        # from a stream, with which readers find no other files
+        return trimesh.load(file, file_type=kind, force="mesh", process=False)
+
+
+def _require_few_copies(file: IO[bytes]) -> None:
+    """Refuse a COLLADA file whose nodes hold nodes twice, and these, …: it would be without end."""
+    nodes = list(etree.parse(file).iter("{*}node"))
+    holding = {f"#{node.get('id')}": node for node in nodes}
+    known: dict[str | None, int] = {}
+
+    def copies(name: str | None) -> int:
+        if name not in known:
+            known[name] = _MOST_COPIES  # should it hold itself
+            inside = [] if name not in holding else holding[name].iter("{*}instance_node")
+            known[name] = 1 + sum(copies(each.get("url")) for each in inside)
+        return known[name]
+
+    total = sum(copies(each.get("url")) for node in nodes for each in node.iter("{*}instance_node"))
+    if total >= _MOST_COPIES:
+        raise ValueError(f"its nodes are copied {total} times, more than {_MOST_COPIES}")
 
 
 def for_other_tools(urdf: Urdf, urdf_dir: Path | None, path: Path) -> None:
@@ -88,11 +137,11 @@ def _principal(inertia: Any) -> list[float]:
 
 def _to_stl(mesh: Path, stl: Path) -> Path:
     """Convert a mesh file to STL and return the new file."""
-    import trimesh
-
     try:
         stl.parent.mkdir(parents=True, exist_ok=True)
-        trimesh.load(mesh, force="mesh").export(stl)
+        read = read_mesh(mesh)
+        with replaced(stl) as unfinished:
+            read.export(unfinished)
     except Exception as error:  # each of trimesh's readers raises its own
         raise UrdfError(
             f"collision mesh {mesh} cannot be converted to {stl}: {error}", given=mesh

@@ -24,6 +24,8 @@ from approxjac.scenario.tables import Table, checked, differences, filled, to_to
 if TYPE_CHECKING:
     from approxjac.scenario.build import BuiltScenario
 
+_MOST_TEXT = 1_000_000  # bytes of a file
+
 
 @dataclass(frozen=True)
 class Scenario:

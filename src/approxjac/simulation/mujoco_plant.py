@@ -126,7 +126,7 @@ def _require_possible(robot: Robot) -> None:
             f"MuJoCo refuses links of {robot.name} with inertias that no body has, a principal "
             f"moment larger than the other two together [kg m^2]: {', '.join(told)}{more}; correct "
             "them in the URDF, or let MuJoCo put their mean in place: "
-            "MujocoPlant(..., balance_inertia=True), or inertias = \"balanced\" under [true] of a "
+            'MujocoPlant(..., balance_inertia=True), or inertias = "balanced" under [true] of a '
             "scenario",
             given=robot,
         )

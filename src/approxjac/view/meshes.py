@@ -10,6 +10,7 @@ import trimesh
 from trimesh import Trimesh
 
 from approxjac.extras import package_of
+from approxjac.robots.meshes import read_mesh
 from approxjac.validation import Array
 
 _FEW = 200  # triangles up to which a mesh is left as it is
@@ -39,7 +40,7 @@ def load_mesh(path: Path) -> Trimesh:
     """
     try:
         with np.errstate(all="ignore"):  # of what is not finite
-            loaded = trimesh.load(path, force="mesh", process=False)
+            loaded = read_mesh(path)
             # built anew: normals and textures would keep equal vertices apart
             mesh = _without_flat(Trimesh(loaded.vertices, loaded.faces))
     except Exception as error:  # each of trimesh's readers raises its own
