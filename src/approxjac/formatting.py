@@ -8,7 +8,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,19 @@ def listed(values: Any) -> str:
 
 def numbers(values: Any) -> str:
     """Return numbers to four digits as they may be typed; one where all entries are equal."""
-    entries = [f"{entry + 0.0:.4g}" for entry in np.ravel(values)]
+    entries = numbers_of(values).split()
     return entries[0] if len(set(entries)) == 1 else " ".join(entries)
+
+
+def numbers_of(values: Any) -> str:
+    """Return all numbers to four digits, as they may be typed."""
+    return " ".join(f"{entry + 0.0:.4g}" for entry in np.ravel(values))
+
+
+def shares(counts: Mapping[Any, int]) -> str:
+    """Return in which share of the instants each outcome was, in words."""
+    total = sum(counts.values())
+    return ", ".join(f"{each.words} {100.0 * n / total:.3g} %" for each, n in counts.items())
 
 
 def short_fields(record: Any) -> str:

@@ -32,6 +32,11 @@ class _Outcome(enum.IntEnum):
     def __str__(self) -> str:
         return self.name
 
+    @property
+    def words(self) -> str:
+        """Return the name as text: "near singular"."""
+        return "ok" if self.name == "OK" else self.name.lower().replace("_", " ")
+
 
 class Status(_Outcome):
     """Outcome of one step of a controller."""

@@ -48,7 +48,7 @@ def reach(tmp_path):
 
 def test_a_file_says_the_same_as_options(reach, tmp_path, capsys):
     assert main(["simulate", str(reach), "--out", str(tmp_path / "a")]) == 0
-    assert "verdict     converged" in capsys.readouterr().out
+    assert "converged\nerror " in capsys.readouterr().out
     assert main([*OPTIONS, "--out", str(tmp_path / "b"), f"--save={tmp_path / 'b.toml'}"]) == 0
     assert outcome(tmp_path / "a") == outcome(tmp_path / "b")
     assert Scenario.load(reach) == Scenario.load(tmp_path / "b.toml")
@@ -78,7 +78,7 @@ def test_an_axis_is_one_word_before_the_robot_or_after_it(tmp_path, word, axis):
 def test_a_path_that_was_followed_is_no_failure(tmp_path, capsys):
     words = ["--start", *map(str, HOME), "--run.target.circle.radius", "0.1", "--duration", "1.5"]
     assert main(["simulate", "panda", *words, "--out", str(tmp_path)]) == 0
-    assert "verdict     followed" in capsys.readouterr().out
+    assert "followed\nup to " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,9 @@ def test_a_certified_set(certified):
     verdict, first, second = summary["advice"]
     assert verdict.startswith("certified: yes, margin 0.")
     assert "as it runs at 1 kHz" in verdict
-    assert first.startswith("in continuous time Theorem 1 does not certify object_length 0.00 m")
+    assert first.startswith(
+        "in continuous time Theorem 1 does not certify object length 0 to 0.1 m"
+    )
     assert second.startswith("in continuous time the matrix form certifies it: margin 0.")
 
 

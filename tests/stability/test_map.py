@@ -155,7 +155,8 @@ def test_by_rollouts_over_parameters(plane):
     assert drawn.rollouts[1, 1] == runs.share
     assert tuple(drawn.intervals[1, 1]) == runs.interval
     assert np.isnan(drawn.decay_rate).all()
-    assert "36 runs at (2, 3) points" in str(drawn)
+    assert "36 runs at (2, 3) points" in repr(drawn)
+    assert "3 by 2, 36 runs in all" in str(drawn)
 
 
 def test_by_rollouts_over_errors_and_places(plane):

@@ -158,9 +158,10 @@ def test_what_became_of_them(controller, uncertainty, serial):
     assert serial.n == 5
     assert serial.share == serial.n_converged / 5
     assert serial.worst.final_error == max(run.final_error for run in serial.runs)
-    assert str(serial).startswith(f"{serial.n_converged} of 5 runs converged to within 0.02 m ")
-    assert f"run {serial.worst.index}, ended" in str(serial)
-    assert f"with {uncertainty.describe(serial.worst.values)}" in repr(serial)
+    assert str(serial).startswith(f"converged: {serial.n_converged} of 5 runs\n")
+    assert "within 0.02 m throughout the last tenth" in str(serial)
+    assert f"run {serial.worst.index} ended" in str(serial)
+    assert f"with {uncertainty.describe(serial.worst.values)}" in " ".join(str(serial).split())
     narrow = dataclasses.replace(REGION, margin=-0.1)
     left = aj.rollouts(controller, uncertainty, narrow, **SHORT)
     assert left.n_left == sum(not run.stayed for run in left.runs) > 0
@@ -177,11 +178,8 @@ def test_divergence_counts_as_not_converged(uncertainty):
     assert many.worst.final_error == math.inf
     assert math.isnan(many.worst.settling_time)
     assert not many.worst.stayed
-    assert "0 of 3 runs converged" in str(many)
-    assert (
-        "3 diverged, 0 went outside the region without diverging; the worst, run 0, diverged with"
-        in str(many)
-    )
+    assert "converged: 0 of 3 runs" in str(many)
+    assert "3 diverged, 0 more left the region\n  worst      run 0 diverged, with" in str(many)
 
 
 @pytest.mark.parametrize(

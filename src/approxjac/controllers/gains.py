@@ -7,8 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
+from approxjac.controllers import in_words
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import short_fields
+from approxjac.formatting import listed, short_fields
+from approxjac.tasks import Task
 from approxjac.validation import Array, as_diagonal, is_scalar, shape_of
 
 
@@ -39,6 +43,9 @@ class Gains:
 
     __repr__ = short_fields
 
+    def __str__(self) -> str:
+        return in_words.of_gains(self)
+
     def diagonals(self, m: int, nv: int) -> Diagonals:
         """Return the diagonals for a task of m coordinates on an arm of n_v joints.
 
@@ -60,13 +67,16 @@ class Diagonals(NamedTuple):
     damping: Array
 
 
-def require_damping(gains: Gains, diagonals: Diagonals, spare: int, name: str) -> None:
-    """Refuse no added damping on an arm with more joints than task coordinates."""
-    if spare > 0 and not (diagonals.damping > 0.0).all():
-        nv, m = len(diagonals.damping), len(diagonals.kp)
+def require_damping(gains: Gains, diagonals: Diagonals, task: Task) -> None:
+    """Refuse no added damping on an arm with more joints than task coordinates, say what does."""
+    robot, m = task.robot, task.m
+    if robot.nv > m and not (diagonals.damping > 0.0).all():
+        from approxjac.controllers.default_gains import default_gains
+
+        enough = f"damping={listed(np.round(default_gains(task).damping, 2))} would do"
         raise InvalidInputError(
-            f"damping must be > 0 [N m s/rad] for {name}: it has {nv} joints for {m} task "
-            f"coordinates, and nothing else damps its self-motion; "
-            f"got {diagonals.damping.tolist()}",
+            f"damping must be > 0 [N m s/rad] for {robot.name}: it has {robot.nv} joints for {m} "
+            f"task coordinates, and nothing else damps its self-motion; got "
+            f"{diagonals.damping.tolist()}; {enough}",
             given=gains,
         )

@@ -15,7 +15,7 @@ from approxjac.controllers.default_gains import slow_rate
 from approxjac.controllers.gains import Diagonals
 from approxjac.controllers.tuning import Learning
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import listed, short
+from approxjac.formatting import listed, numbers_of, short
 from approxjac.robots import GravityRegressor, Robot
 from approxjac.tasks import Task
 from approxjac.validation import (
@@ -313,18 +313,19 @@ class Adaptation(NamedTuple):
         change = theta_hat - self.theta0
         of_gravity, force, torques = np.split(change, np.cumsum(self.sizes)[:-1])
         mass, *moments = self.regressor.payload(of_gravity)
-        at = listed(np.round(moments, 4))
-        told = [f"as if the last link had {mass:+.3g} kg and {at} kg m more"]
+        at = numbers_of(np.round(moments, 4))
+        told = [f"a load on the last link of {mass:+.3g} kg, its first moment {at} kg m"]
         if len(force):
             units = {"m": "N", "rad": "N m"}
             parts = zip(force, task.units, task.labels, strict=True)
             along = [f"{d:+.3g} {units.get(u, f'J/{u}')} along {at}" for d, u, at in parts]
-            told.append(f"force {', '.join(along)}")
+            told.append(f"a constant force of {', '.join(along)}")
         if len(torques):
             i = int(np.abs(torques).argmax())
             unit = "N" if self.robot.joint_units[i] == "m" else "N m"
-            told.append(f"torques up to {torques[i]:+.3g} {unit} ({self.robot.joint_names[i]})")
-        return "; ".join(told)
+            at = self.robot.joint_names[i]
+            told.append(f"constant torques of up to {torques[i]:+.3g} {unit} ({at})")
+        return f"to compensate, beside the believed arm's weight: {'; '.join(told)}"
 
     def bounded(self, rate: Array, theta_hat: Array, Y: Array, g: Array) -> Array:
         """Return dθ̂/dt (P,) with what would lead out of bounds taken back, for g = Yθ̂ (n_v,).

@@ -94,6 +94,7 @@ class Limiter(ControllerWrapper):
     """
 
     controller: ProvenLaw
+    _what = "its torque is kept within limits"
 
     def __init__(self, controller: ProvenLaw, limits: Limits | None = None) -> None:
         self._remember(locals())

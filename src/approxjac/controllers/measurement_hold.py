@@ -60,6 +60,8 @@ class HeldMeasurement(ControllerWrapper):
         InvalidInputError: No such controller, or numbers that are not > 0.
     """
 
+    _what = "goes on with the last x that was seen while the arm moves it by less than the bound"
+
     def __init__(self, controller: Controller, unseen: float | Sequence[float] | Array) -> None:
         self._remember(locals())
         if isinstance(controller, HeldMeasurement):

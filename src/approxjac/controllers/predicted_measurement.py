@@ -48,6 +48,8 @@ class PredictedMeasurement(ControllerWrapper):
         InvalidInputError: Another controller, or kinematics of another task.
     """
 
+    _what = "controls the x that kinematics predict, which are learnt"
+
     def __init__(self, controller: Controller, kinematics: Kinematics) -> None:
         self._remember(locals())
         require("kinematics", kinematics, Kinematics, "AdaptiveKinematics(task)")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Literal, Self
 
+from approxjac.controllers import in_words
 from approxjac.controllers.latency import Latency
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics
@@ -28,6 +29,9 @@ class ProvenLaw(Immutable, ABC):
     command: Literal["torque", "velocity"] = "torque"
     latency: Latency | None = None
     alpha: float
+
+    def __str__(self) -> str:
+        return in_words.text(self)  # type: ignore[arg-type]  # there are two laws
 
     @property
     @abstractmethod

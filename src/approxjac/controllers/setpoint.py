@@ -132,7 +132,7 @@ class SetpointController(ProvenLaw):
         self.posture = posture
         self.diagonals = self.gains.diagonals(task.m, robot.nv)
         require_saturation(self.saturation, task)
-        require_damping(self.gains, self.diagonals, robot.nv - task.m, robot.name)
+        require_damping(self.gains, self.diagonals, task)
         if velocity is not None:
             velocity.require_difference(task)
         learning = self.gravity
@@ -390,11 +390,7 @@ class SetpointController(ProvenLaw):
             rate = theta_rate if x_dot is None else np.append(theta_rate, x_dot)
         return Evaluation(torque, rate, status, e, J_hat, g, _UNLIMITED, 0.0, reference)
 
-    def __str__(self) -> str:
-        """Return this, and what the rule chose and why, a line each."""
-        return repr(self) if self.tuning is None else f"{self!r}\n{self.tuning}"
-
     def __repr__(self) -> str:
         law = "(28), (29)" if self._p else "(6)" if self.velocity is None else "(5)"
-        parts = [f"law {law}", repr(self.task), repr(self.gains), repr(self.gravity)]
-        return f"{type(self).__name__}({', '.join(parts)})"
+        parts = f"law {law}, {self.task!r}, {self.gains!r}, {self.gravity!r}"
+        return f"{type(self).__name__}({parts})"

@@ -11,6 +11,7 @@ from approxjac.controllers.arguments import FLOAT64
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import wrapped
 from approxjac.interface import Controller, Measurement
 from approxjac.robots import Robot
 from approxjac.tasks import Task
@@ -30,7 +31,11 @@ class ControllerWrapper(Immutable, Controller):
     """
 
     controller: Controller
+    _what: str  # it does, in words
     _memory: int  # length of what it keeps itself
+
+    def __str__(self) -> str:
+        return "\n".join([str(self.controller), *wrapped(self._what, "  ")])
 
     @property
     def command(self) -> Literal["torque", "velocity"]:  # type: ignore[override]  # read-only

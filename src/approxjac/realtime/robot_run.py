@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from approxjac.formatting import rows
 from approxjac.realtime.faults import Fault
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array
@@ -51,16 +52,16 @@ class RobotRun(Trajectory):
         return int((self.gap > longest).sum())
 
     def __str__(self) -> str:
-        lines = [super().__str__(), f"ended   {self.ended}"]
+        told = {"ended": self.ended}
         if np.isfinite(self.stop_distance):
-            lines.append(
-                f"stop    within {self.stop_distance:.3g} {self.task_unit} "
+            told["stop"] = (
+                f"within {self.stop_distance:.3g} {self.task_unit} "
                 f"(at most {self.stop_bound:.3g} was foreseen)"
             )
         if len(self.work):
             half, most, worst = 1e6 * np.percentile(self.work, [50.0, 99.0, 100.0])
-            lines.append(
-                f"work    {half:.0f} µs in the median, 99 % within {most:.0f}, worst {worst:.0f}; "
+            told["work"] = (
+                f"{half:.0f} µs in the median, 99 % within {most:.0f}, worst {worst:.0f}; "
                 f"longest gap {1e3 * self.gap.max():.3g} ms"
             )
-        return "\n".join(lines)
+        return "\n".join([super().__str__(), *rows(told, 2)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,14 +15,15 @@ from approxjac.controllers import (
     KinematicReport,
     SetpointController,
     TrackingController,
+    in_words,
 )
 from approxjac.files import write_text
-from approxjac.formatting import listed
-from approxjac.interface import LimitStatus, Status
-from approxjac.scenario.records import Belief, Object
+from approxjac.formatting import numbers_of, rows, shares, wrapped
+from approxjac.interface import LimitStatus
+from approxjac.scenario.records import Belief
 from approxjac.scenario.result import Result
 from approxjac.scenario.scenario import Scenario
-from approxjac.scenario.tables import differences, toml
+from approxjac.scenario.tables import differences
 from approxjac.tasks import ImageTask
 from approxjac.tasks.analysis import place_of
 from approxjac.view import (
@@ -62,23 +62,25 @@ def write(result: Result, out: Path) -> None:
 
 
 def text(result: Result) -> str:
-    """Return where the arm started, went and ended, and the verdict, a line each."""
+    """Return the verdict, and then what the arm did, a line each."""
     run, built, torque = result.run, result.built, result.peak_torque_ratio
-    law = built.law
+    law, robot = built.law, built.plant.robot
     told = {
-        "object": toml(_held(built.scenario)),
+        "robot": f"{robot.name}, {robot.nv} joints, {robot.mass:.3g} kg with the object",
+        "object": held(built.scenario),
         "believed": believed(built.scenario),
-        "law": _law(law),
-        "joints": f"{listed(run.q[0])} -> {listed(run.q[-1])}",
-        "x": f"{listed(run.x[0])} -> {listed(run.x[-1])} after {run.t[-1]:g} s",
-        "target": listed(run.target),
-        **_error(result),
-        "tolerance": f"{result.tolerance:.4g} {run.task_unit}",
+        "law": in_words.of_law(law),
+        "q at start": numbers_of(run.q[0]),
+        "q at end": numbers_of(run.q[-1]),
+        "x at start": numbers_of(run.x[0]),
+        "x at end": f"{numbers_of(run.x[-1])} after {run.t[-1]:g} s",
+        "target": numbers_of(run.target),
         "settled": "not" if math.isnan(result.settling_time) else f"{result.settling_time:.3g} s",
         "torque": "no limit known"
         if math.isnan(torque)
-        else f"{'asks for up to' if built.limits is None else 'up to'} {torque:.2f} of the limits",
-        "status": _shares(run.status_counts()),
+        else f"{'asks for up to' if built.limits is None else 'up to'} "
+        f"{100.0 * torque:.0f} % of the limits",
+        "law's status": shares(run.status_counts()),
     }
     if isinstance(law, SetpointController) and law.adaptation is not None:
         told["learnt"] = law.adaptation.words(law.learnt(run.state[-1]), law.task)
@@ -86,38 +88,61 @@ def text(result: Result) -> str:
         learnt = built.learning.kinematics_learnt(run.state[-1])
         told["kinematics"] = _kinematics(learnt, isinstance(built.plant.sensor, ImageTask))
     if built.limits is not None:
-        told["limits"] = _shares(run.limit_status_counts())
+        told["limits' status"] = shares(run.limit_status_counts())
     if run.at_stops:
         told["stops"] = f"{run.stops_told()}; up to {result.joint_limit_excess:.2g} beyond"
     if not result.on_path and (run.x_d != run.x_d[0]).any():
         told["shown"] = "the target was moved while it ran: errors are to the target then"
     if built.warning:
         told["warning"] = built.warning
-    told["verdict"] = ": ".join(filter(None, (result.verdict, result.reason)))
-    lines = [f"{name:<11} {line}" for name, line in told.items()]
-    return "\n".join([repr(built.plant.robot), *lines])
+    lines = wrapped(f"{': '.join(filter(None, (result.verdict, result.reason)))}")
+    return "\n".join([*lines, *wrapped(_error(result)), "", *rows(told, 2)])
 
 
-def _error(result: Result) -> dict[str, str]:
+def _error(result: Result) -> str:
     """Return the error from start to end, or of a path, which begins at the arm, all along it."""
+    unit, factor = display_unit(result.run.task_unit)
+    within = f"{factor * result.tolerance:.3g} {unit}"
     if not result.on_path:
-        return {"error": f"{_size(result.errors_at(0))} -> {_size(result.final_error)}"}
+        told = f"error {_size(result.errors_at(0))} -> {_size(result.final_error)}"
+        if math.isnan(result.settling_time):
+            return f"{told}, where {within} is wanted"
+        return f"{told}, within {within} from {result.settling_time:.3g} s on"
     largest, rms, last = (_size({result.run.task_unit: error}) for error in result.strayed)
-    return {"strayed": f"up to {largest} from the path, {rms} RMS, {last} in the last quarter"}
+    return (
+        f"up to {largest} from the path, {rms} RMS, {last} in the last quarter, where {within} is "
+        "wanted"
+    )
 
 
-def _held(scenario: Scenario) -> dict[str, Any]:
+def held(scenario: Scenario) -> str:
     """Return the object that the arm truly holds."""
-    held = scenario.true.object
-    return {"length": held.length, "mass": held.mass} | differences(held, Object())
+    given = scenario.true.object
+    if not given.length and not given.mass:
+        return "none"
+    axis = given.axis if isinstance(given.axis, str) else given.axis and numbers_of(given.axis)
+    along = f", along {axis} of the tip" if axis else ""
+    return f"{given.length:g} m long, {given.mass:g} kg{along}"
 
 
 def believed(scenario: Scenario) -> str:
-    """Return what the controller believes that is wrong, as keys of [believed]."""
+    """Return what the controller believes that is wrong, by keys of [believed]."""
     true, belief = scenario.true, scenario.believed
     right = Belief(true.object, true.shifts, true.rotations)
     wrong = differences(replace(belief, object=belief.object.like(true.object)), right)
-    return ", ".join(f"{key} = {toml(value)}" for key, value in wrong.items()) or "what is true"
+    told = [
+        f"{name} {key} {_plain(value)}"
+        for name, values in wrong.items()
+        for key, value in values.items()
+    ]
+    return ", ".join(told) or "what is true"
+
+
+def _plain(value: Any) -> str:
+    """Return numbers or words without brackets."""
+    if value is None:
+        return "by default"
+    return value if isinstance(value, str) else numbers_of(value)
 
 
 def draw(result: Result) -> Figure:
@@ -151,7 +176,7 @@ def _plane(result: Result) -> str:
 def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
     """Return tool and camera as they were learnt, and whether that explains x."""
     tool = [row.value for row in learnt.rows if row.name.startswith("tool.")]
-    told = [f"tool at {listed(np.round(tool, 3))} m"] if tool else []
+    told = [f"tool at {numbers_of(np.round(tool, 3))} m"] if tool else []
     if learnt.angle:
         which, rows = ("camera", "") if is_image else ("tracker", " (camera.r in kinematics.txt)")
         told.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
@@ -160,14 +185,6 @@ def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
         why = ": its center and distortion are not learnt" if learnt.unit == "px" else ""
         told.append(f"which does not explain x{why}")
     return ", ".join(told)
-
-
-def _law(law: SetpointController | TrackingController) -> str:
-    """Return which law it is, and its gains."""
-    if isinstance(law, TrackingController):
-        return f"T with alpha={law.alpha:.4g}, kappa={law.kappa:.4g}"
-    number = "28" if law.adaptation is not None else "6" if law.velocity is None else "5"
-    return f"({number}) with {law.gains!r}"
 
 
 def _draw_kinematics(
@@ -186,8 +203,3 @@ def _draw_kinematics(
 def _size(errors: dict[str, float]) -> str:
     shown = [(value, *display_unit(unit)) for unit, value in errors.items()]
     return " and ".join(f"{factor * value:.3g} {unit}" for value, unit, factor in shown)
-
-
-def _shares(counts: Mapping[Status, int] | Mapping[LimitStatus, int]) -> str:
-    total = sum(counts.values())
-    return ", ".join(f"{status.name} {100.0 * n / total:.3g} %" for status, n in counts.items())

@@ -15,7 +15,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError, TrajectoryFileError
 from approxjac.files import read_arrays, reason, replaced
-from approxjac.formatting import joined
+from approxjac.formatting import joined, rows, shares, wrapped
 from approxjac.interface import LimitStatus, Status
 from approxjac.robots.joint_limits import beyond_positions
 from approxjac.simulation.scene import Scene
@@ -257,25 +257,24 @@ class Trajectory:
             raise ValueError("its scene has another number of joints")
 
     def __str__(self) -> str:
-        """Return a few lines: the error, the largest torque, and what was wrong meanwhile."""
+        """Return the error first, then the largest torque, and what was wrong meanwhile."""
         norm, last = self.error_norm, len(self.t) - 1
-        error = f"{norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}"
+        error = f"error {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}"
         above = np.nonzero(norm > 0.01 * norm[0])[0]
         if len(above) and above[-1] < last:
             error += f", below 1 % of the start from {self.t[above[-1] + 1]:.3g} s on"
         k = int(np.abs(self.tau).max(axis=0).argmax())
         unit = {"rad": "N m", "m": "N"}[self.joint_units[k]]
-        lines = [
-            f"{self.robot_name}, {self.t[-1]:g} s, {len(self.t)} samples",
-            f"error   {error}",
-            f"torque  at most {np.abs(self.tau[:, k]).max():.3g} {unit} ({self.joint_names[k]})",
-            f"status  {_counted(self.status_counts())}",
-        ]
-        if limits := self._limits():
-            lines.append(f"limits  {limits}")
+        told = {
+            "run": f"{self.robot_name}, {self.t[-1]:g} s, {len(self.t)} samples",
+            "torque": f"at most {np.abs(self.tau[:, k]).max():.3g} {unit} ({self.joint_names[k]})",
+            "law's status": shares(self.status_counts()),
+        }
+        if self._limits():
+            told["limits' status"] = shares(self.limit_status_counts())
         if self.at_stops:
-            lines.append(f"stops   {self.stops_told()}")
-        return "\n".join(lines)
+            told["stops"] = self.stops_told()
+        return "\n".join([*wrapped(error), *rows(told, 2)])
 
     def stops_told(self) -> str:
         """Return which joints were at their stops, and for how long, in words; "" if none was."""

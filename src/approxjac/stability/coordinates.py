@@ -150,4 +150,9 @@ def in_words(name: str, value: float, unit: str) -> str:
     """A coordinate at a value, such as "camera roll 0.349 rad (20.0 deg)"."""
     value += 0.0  # of -0 makes 0
     degrees = f" ({math.degrees(value):.1f} deg)" if unit == "rad" else ""
-    return f"{name} {value:#.3g} {unit}{degrees}"
+    return f"{spoken(name)} {value:.3g} {unit}{degrees}"
+
+
+def spoken(name: str) -> str:
+    """Return the name of a coordinate or parameter as text; joints keep theirs."""
+    return name.replace("object_", "object ").replace("focal_length", "focal length")

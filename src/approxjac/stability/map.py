@@ -13,8 +13,10 @@ import numpy as np
 
 from approxjac.controllers import Gains, SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.formatting import rows, wrapped
 from approxjac.stability.certificate import margin
 from approxjac.stability.closed_loop import SHARED, ClosedLoop, usual_region
+from approxjac.stability.coordinates import spoken
 from approxjac.stability.local import local_test
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_map import (
@@ -88,6 +90,33 @@ class StabilityMap:
             )
         stable, size = 100.0 * (self.decay_rate > 0.0).mean(), self.decay_rate.shape
         return f"StabilityMap({' × '.join(self.names)}: {stable:.3g} % of {size} locally stable)"
+
+    def __str__(self) -> str:
+        over = " and ".join(spoken(name) for name in self.names)
+        if self.targets == 0:
+            n, width = self.runs, np.ptp(self.intervals, axis=-1)
+            good = 100 * np.nansum(self.rollouts * n) / max(1, n.sum())
+            told = {
+                "points": f"{n.shape[1]} by {n.shape[0]}, {n.sum()} runs in all",
+                "sure": f"95 % intervals of points are at most {100 * width.max():.2g} % wide",
+            }
+            return "\n".join([*wrapped(f"converged: {good:.1f} % over {over}"), *rows(told, 2)])
+        j, i = self.decay_rate.shape
+        told = {"near targets": f"stable at {_points(self.decay_rate)}"}
+        if self.coarse_x.size:
+            told |= {
+                "Theorem 1": f"holds at {_points(self.theorem1)}",
+                "matrix form": f"holds at {_points(self.matrix)}; between these its boundary is "
+                "interpolated",
+            }
+        if self.runs.any():
+            told["rollouts"] = f"all converge at {_points(self.rollouts - 1.0 + 1e-9)}"
+        return "\n".join([*wrapped(f"map over {over}: {i} by {j} points"), *rows(told, 2)])
+
+
+def _points(values: Array) -> str:
+    """Return at how many of the points a value is positive."""
+    return f"{int((values > 0.0).sum())} of {values.size} points"
 
 
 def stability_map(

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
-import textwrap
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers import Latency
-from approxjac.formatting import joined, percent
+from approxjac.controllers import Latency, in_words
+from approxjac.formatting import joined, numbers_of, percent, wrapped
 from approxjac.stability.certificate import MatrixTest
 from approxjac.stability.local import LocalTest
 from approxjac.stability.region import JointBox
@@ -25,8 +23,6 @@ if TYPE_CHECKING:
 Row = tuple[str, str, str]
 """Of the table: test, verdict, and the figures it rests on."""
 
-_WIDTH = 100  # of the text
-_UNITS = re.compile(r"(\d) (%|[a-z]+)\b")
 _TINY = 1e-6
 _BEWARE = ""
 _SECTIONS = {
@@ -63,7 +59,7 @@ def verdict(report: StabilityReport) -> str:
 def text(report: StabilityReport) -> str:
     """Return all of it: the verdict, what it means, what it is about, and the figures."""
     rows = table(report)
-    lines = [verdict(report), *textwrap.wrap(_meaning(report), _WIDTH)]
+    lines = [*wrapped(verdict(report)), *wrapped(_meaning(report))]
     lines += _block("about", [(name, "", told) for name, told in _about(report)])
     for section, title in _SECTIONS.items():
         found = [row for row in rows if _section(row) == section]
@@ -95,12 +91,7 @@ def _block(title: str, rows: list[Row]) -> list[str]:
     lines = []
     for name, said, figures in rows:
         start = f"  {name:<{first}}  " + (f"{said:<{second}}  " if second else "")
-        whole = _UNITS.sub("\\1\u00a0\\2", figures)  # no number goes without its unit
-        told = textwrap.fill(
-            whole, _WIDTH, initial_indent=start, subsequent_indent=" " * len(start),
-            break_on_hyphens=False, drop_whitespace=True,
-        )  # fmt: skip
-        lines.append(told.replace("\u00a0", " ") or start.rstrip())
+        lines += wrapped(figures, start)
     return ["", title, *lines]
 
 
@@ -139,10 +130,10 @@ def _about(report: StabilityReport) -> list[tuple[str, str]]:
     gravity = "gravity is learnt" if learns else "gravity is known exactly"
     paper = report.matrix["paper"]
     return [
-        ("law", repr(report.loop.controller)),
+        ("law", in_words.of_law(report.loop.controller)),
         ("timing", ", ".join([f"a period of {_ms(latency.period)}", *(late or ["no delays"])])),
         ("errors", errors),
-        ("region", repr(report.loop.region)),
+        ("region", str(report.loop.region)),
         ("assumed", f"{gravity}, friction is viscous, no torque limit or joint stop is reached"),
         (
             "drawn",
@@ -160,21 +151,21 @@ def _beware(report: StabilityReport) -> list[Row]:
         figures = (
             f"off by up to {report.gravity_error:.3g} N m: the error does not go to 0 but to "
             "where K_p makes up for it, unless gravity is learnt (AdaptiveGravity); if it is "
-            "known exactly, leave it out (Robot.with_gravity((0, 0, 0)), NoGravity)"
+            "known exactly, leave it out (a robot without gravity, NoGravity)"
         )
         rows.append(("gravity", "not exact", figures))
     if report.singular_q is not None:
         figures = (
             "the estimated Jacobian loses rank in the region, where the arm may stand still "
-            f"away from its target: at q = {report.singular_q.round(3).tolist()}; nothing below "
-            "holds there; RegularPart leaves such configurations out"
+            f"away from its target: at q = {numbers_of(report.singular_q.round(3))}; nothing below "
+            "holds there; a bound on sigma_min leaves such configurations out (RegularPart)"
         )
         rows.append(("rank", "not regular", figures))
     if report.damped_q is not None:
         figures = (
             "learning uses a damped pseudo-inverse near singular configurations, such as q = "
-            f"{report.damped_q.round(3).tolist()}, which nothing below covers; RegularPart leaves "
-            "them out"
+            f"{numbers_of(report.damped_q.round(3))}, which nothing below covers; a bound on "
+            "sigma_min leaves them out (RegularPart)"
         )
         rows.append(("learning", "damped", figures))
     beyond = _beyond_limits(report)
@@ -385,8 +376,8 @@ def _rollouts(found: Rollouts) -> list[Row]:
 
 def _case(report: StabilityReport, among: Samples | LocalTest, index: int) -> str:
     """One of the cases: the true robot and the configuration."""
-    q = ", ".join(f"{value + 0.0:.2f}" for value in among.q[index])
-    return f"{report.describe_truth(int(among.truth[index]))} at q = [{q}]"
+    q = numbers_of(among.q[index].round(2))
+    return f"{report.describe_truth(int(among.truth[index]))} at q = {q}"
 
 
 def _ms(seconds: float) -> str:

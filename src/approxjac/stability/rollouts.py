@@ -14,7 +14,7 @@ import numpy as np
 
 from approxjac.controllers import Latency
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import joined, percent
+from approxjac.formatting import joined, percent, rows
 from approxjac.interface import Controller, Target, TargetPath
 from approxjac.simulation import Plant, Sensing, Trajectory
 from approxjac.simulation.targets import require_fit, wanted_of
@@ -160,18 +160,22 @@ class Rollouts:
         return self.runs[int(self.columns["final_error"].argmax())]
 
     def __repr__(self) -> str:
+        return f"Rollouts({self.n_converged} of {self.n} converged)"
+
+    def __str__(self) -> str:
         low, high = self.interval
         worst, study = self.worst, self.study
         unit = joined(study.controller.task.units)
         ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
-        return (
-            f"{self.n_converged} of {self.n} runs converged to within {study.tolerance:g} {unit} "
-            f"throughout the last tenth of their {study.duration:g} s: "
-            f"{percent(self.share)} %, with 95 % confidence "
-            f"{percent(low)} to {percent(high)} %; {self.n_diverged} diverged, {self.n_left} "
-            f"went outside the region without diverging; the worst, run {worst.index}, {ended} "
-            f"with {study.uncertainty.describe(worst.values)}"
-        )
+        told = {
+            "share": f"{percent(self.share)} %, with 95 % confidence {percent(low)} to "
+            f"{percent(high)} %",
+            "converged": f"within {study.tolerance:g} {unit} throughout the last tenth of "
+            f"{study.duration:g} s",
+            "others": f"{self.n_diverged} diverged, {self.n_left} more left the region",
+            "worst": f"run {worst.index} {ended}, with {study.uncertainty.describe(worst.values)}",
+        }
+        return "\n".join([f"converged: {self.n_converged} of {self.n} runs", *rows(told, 2)])
 
 
 def rollouts(

@@ -13,6 +13,7 @@ from approxjac.controllers import Gains, Latency, NoGravity, SetpointController,
 from approxjac.controllers.default_gains import position_gains
 from approxjac.controllers.usual_postures import usual_postures
 from approxjac.errors import UnknownNameError
+from approxjac.formatting import rows, short_fields, wrapped
 from approxjac.stability.certificate import margin
 from approxjac.stability.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.linearization import Timing
@@ -52,9 +53,11 @@ class Candidate:
         """Return whether the test, the torque and the time [s] are as demanded."""
         return self.margin > 0.0, self.torque_ratio <= 1.0, self.settling_time <= settling_time
 
-    def __repr__(self) -> str:
+    def __str__(self) -> str:
         torque = f"starts with {self.torque_ratio:.2g} of the torque limits"
-        return f"{self.gains!r}: {torque}, settles in {self.settling_time:.3g} s"
+        return f"{self.gains}: {torque}, settles in {self.settling_time:.3g} s"
+
+    __repr__ = short_fields
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,12 +77,25 @@ class Suggestion:
     tried: tuple[Candidate, ...]
 
     def __repr__(self) -> str:
+        found = "nothing" if self.found is None else repr(self.found.gains)
+        return f"Suggestion({self.test!r}: {found})"
+
+    def __str__(self) -> str:
         if self.found is None:
-            return "\n".join(["no gains meet all demands:", *(f"- {line}" for line in self.relax)])
-        left = f"margin {self.found.margin:.3g}"
+            lines = wrapped("gains: none found that meet all demands; one of these would do")
+            return "\n".join(
+                [*lines, *(line for each in self.relax for line in wrapped(each, "- "))]
+            )
+        left = f"margin {self.found.margin:.2g}"
         if self.test == "local":
-            left = f"slowest decay {self.found.margin:.3g}/s"
-        return f"{self.found} ({self.test} passes, and as it runs so does the loop: {left})"
+            left = f"slowest decay {self.found.margin:.2g}/s"
+        told = {
+            "gains": str(self.found.gains),
+            "torque": f"at the start at most {100 * self.found.torque_ratio:.2g} % of the limits",
+            "settles": f"in {self.found.settling_time:.3g} s in the worst case",
+        }
+        passes = "certified" if self.test == "matrix" else "passing"
+        return "\n".join([f"gains: found, {passes} with {left}", *rows(told, 2)])
 
 
 def suggest_gains(

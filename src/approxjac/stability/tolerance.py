@@ -10,6 +10,7 @@ import numpy as np
 
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.formatting import rows, wrapped
 from approxjac.stability.certificate import refine_constants, refine_weights
 from approxjac.stability.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.local import local_test
@@ -24,6 +25,12 @@ from approxjac.validation import Array, as_number, require
 Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
 """The tests that need no simulation."""
+_WORDS = {
+    "theorem1": "Theorem 1",
+    "matrix": "the matrix form",
+    "local": "the linearisation near targets",
+    "rollouts": "rollouts",
+}
 _STEPS = 20  # of bisection
 
 
@@ -52,11 +59,19 @@ class Tolerance:
         return self.uncertainty.describe(self.worst) if np.isfinite(self.fails_at) else ""
 
     def __repr__(self) -> str:
-        box = f"{self.scale:.3g} ({self.uncertainty.describe_box()})"
-        if not np.isfinite(self.fails_at):
-            return f"{self.test}: passes up to the largest scale tried, {box}"
-        fails = f"fails at {self.fails_at:.3g} with {self.worst_text}"
-        return f"{self.test}: passes up to scale {box}; {fails}"
+        return f"Tolerance({self.test!r}: scale {self.scale:.3g}, fails at {self.fails_at:.3g})"
+
+    def __str__(self) -> str:
+        box = f"{self.scale:.3g} times the errors"
+        what = _WORDS[self.test]
+        if self.scale == 0.0:
+            return "\n".join(wrapped(f"tolerated by {what}: no errors"))
+        told = {"errors": self.uncertainty.describe_box()}
+        if np.isfinite(self.fails_at):
+            told["fails"] = f"at {self.fails_at:.3g} times, with {self.worst_text}"
+        else:
+            box += ", the most that was tried"
+        return "\n".join([*wrapped(f"tolerated by {what}: {box}"), *rows(told, 2)])
 
 
 def tolerance(

@@ -24,6 +24,7 @@ from approxjac.stability.coordinates import (
     camera_coordinates,
     in_words,
     joint_coordinates,
+    spoken,
 )
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
 from approxjac.validation import Array, as_integer, as_number, as_vector, is_scalar, require
@@ -268,16 +269,16 @@ class Uncertainty:
         return Plant(self.belief(), self.believed_task(), self.friction)
 
     def describe(self, values: Sequence[float] | Array) -> str:
-        """Return values (d,) in words, such as "object_length 0.300 m, camera roll 0.349 rad"."""
+        """Return values (d,) in words, such as "object length 0.3 m, camera roll 0.349 rad"."""
         at = self._by_name(values)
         return ", ".join(map(in_words, at, at.values(), self.units)) or "no error"
 
     def describe_box(self) -> str:
-        """Return the ranges in words, such as "object_length 0.00 m to 0.300 m"."""
-        shown = [
-            f"{in_words(name, low, unit)} to {in_words('', high, unit).strip()}"
-            for name, unit, _, low, high in self._coordinates
-        ]
+        """Return the ranges in words, such as "object length 0 to 0.3 m"."""
+        shown = []
+        for name, unit, _, low, high in self._coordinates:
+            least, most = (in_words("", end, unit).strip() for end in (low, high))
+            shown.append(f"{spoken(name)} {least.removesuffix(f' {unit}')} to {most}")
         return ", ".join(shown) or "no error"
 
     def _checked(self, values: Sequence[float] | Array) -> Array:
