@@ -540,3 +540,12 @@ def test_the_target_is_drawn_where_the_tracker_means_it(panda):
         assert_allclose(place_of(sensor, sensor.value(q)), place, atol=1e-12)
     for sensor in (aj.PositionTask(panda, axes="xz"), aj.ImageTask(panda, PlanarCamera(0.05, 3.0))):
         assert place_of(sensor, sensor.value(q)) is None
+
+
+def test_a_target_that_only_the_true_arm_cannot_reach_is_told_before_the_run():
+    far = {"run": {"start": HOME, "target": (1.1, 0.0, 0.4), "duration": 0.01}}
+    short = {"true": {"object": {"length": 0.0}}, "believed": {"object": {"length": 0.6}}}
+    told = Scenario("panda", **far, **short).build().warning
+    assert told.startswith("for the true arm the target is out of reach: ")
+    long = {"true": {"object": {"length": 0.6}}, "believed": {"object": {"length": 0.6}}}
+    assert Scenario("panda", **far, **long).build().warning == ""

@@ -24,7 +24,7 @@ from approxjac.scenario.configurations import (
 from approxjac.scenario.control import Law, controller_of, limits_of, sampling_time
 from approxjac.scenario.images import image_scene
 from approxjac.scenario.reachability import doubts
-from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
+from approxjac.scenario.records import Goal, Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import (
@@ -71,13 +71,17 @@ class BuiltScenario:
 
     @functools.cached_property
     def warning(self) -> str:
-        """Why the gains, or the believed arm, may not get to the target; or ""."""
+        """Why the gains, the believed or the true arm may not get to the target; or ""."""
         tuning = None if isinstance(self.law, TrackingController) else self.law.tuning
         if tuning is not None and not tuning.stable:
             return tuning.reasons[0]
         if self.scenario.true.tracker != Tracker():
             return ""  # in whose axes nobody knows where the arm is
-        return doubts(self.law.task, self.target, self.q0, self.scenario.run.duration)
+        run, goal = self.scenario.run, self.scenario.run.target
+        told = doubts(self.law.task, self.target, self.q0, run.duration)
+        if not told and goal != Goal() and goal.configuration is None:  # or it was there itself
+            told = doubts(self.plant.sensor, self.target, self.q0, run.duration, "true")
+        return told
 
     @property
     def gains(self) -> dict[str, Any]:

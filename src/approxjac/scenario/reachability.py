@@ -1,4 +1,4 @@
-"""Targets that the believed arm cannot reach, named before a run."""
+"""Targets that the believed or the true arm cannot reach, named before a run."""
 
 from __future__ import annotations
 
@@ -26,8 +26,10 @@ def too_far(task: Task, values: Array) -> str:
     return f"out of reach: {away:.3g} m from the first joint, where {most:.3g} m is the most"
 
 
-def doubts(task: Task, target: Array | TargetPath, q0: Array, duration: float) -> str:
-    """Return why the believed arm cannot reach a target, as far as it tells; or "".
+def doubts(
+    task: Task, target: Array | TargetPath, q0: Array, duration: float, whose: str = "believed"
+) -> str:
+    """Return why the arm of a task cannot reach a target, as far as it tells; or "".
 
     Beyond doubt where it is too far. Otherwise by inverse kinematics from the start and from 20
     seeded configurations, which may miss one that there is; not of paths and images.
@@ -36,7 +38,7 @@ def doubts(task: Task, target: Array | TargetPath, q0: Array, duration: float) -
         target = np.array([target.at(t).x for t in np.linspace(0.0, duration, _INSTANTS)])
     far = too_far(task, np.atleast_2d(target))
     if far:
-        return f"for the believed arm the target is {far}"
+        return f"for the {whose} arm the target is {far}"
     if target.ndim == 2 or not isinstance(task, PositionTask | PoseTask):
         return ""
     rng = np.random.default_rng(0)
@@ -44,5 +46,5 @@ def doubts(task: Task, target: Array | TargetPath, q0: Array, duration: float) -
         if inverse_kinematics(task, target, start, within_limits=True) is not None:
             return ""
     return (
-        "no configuration of the believed arm within its limits was found that reaches the target"
+        f"no configuration of the {whose} arm within its limits was found that reaches the target"
     )

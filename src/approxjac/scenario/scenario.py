@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import KW_ONLY, dataclass, fields
+from dataclasses import KW_ONLY, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_text, write_text
@@ -25,6 +25,14 @@ if TYPE_CHECKING:
     from approxjac.scenario.build import BuiltScenario
 
 _MOST_TEXT = 1_000_000  # bytes of a file
+
+
+_ALWAYS = {
+    "true": ("object",),
+    "believed": ("object",),
+    "controller": ("law", "gravity"),
+    "run": ("duration", "seed"),
+}
 
 
 @dataclass(frozen=True)
@@ -104,8 +112,22 @@ class Scenario:
         return made
 
     def save(self, path: str | Path) -> Path:
-        """Write the scenario file that says the same, and return its path."""
-        write_text(Path(path), str(self))
+        """Write the scenario file that says the same, and return its path.
+
+        What a reader asks for first is in it, also where it is as by default: the objects, the
+        controller's law and gravity, duration and seed.
+        """
+        table: dict[str, Any] = {"robot": self.robot}
+        changed = differences(self, Scenario(self.robot))
+        for part, names in _ALWAYS.items():
+            record = getattr(self, part)
+            told = {name: getattr(record, name) for name in names}
+            objects = {name: vars(each) for name, each in told.items() if is_dataclass(each)}
+            for name, each in objects.items():
+                told[name] = {key: value for key, value in each.items() if value is not None}
+            others = {k: v for k, v in changed.get(part, {}).items() if k not in objects}
+            changed[part] = told | others
+        write_text(Path(path), to_toml(table | changed))
         return Path(path)
 
     def build(self) -> BuiltScenario:

@@ -126,7 +126,7 @@ class Study:
             package_of("fast", "llvmlite")
         elif importlib.util.find_spec("llvmlite") is None:
             return replace(self, reason="llvmlite is not installed")
-        study = replace(self, engine="lanes", examples=min(runs, _EXAMPLES))
+        study = replace(self, engine="lanes", examples=min(max(runs, 2), _EXAMPLES))
         try:
             key = hashlib.sha256(pickle.dumps(study)).hexdigest()
         except (pickle.PicklingError, AttributeError, TypeError):
