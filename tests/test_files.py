@@ -5,7 +5,8 @@ import pytest
 
 import approxjac as aj
 from approxjac import view
-from approxjac.files import replaced, write_text
+from approxjac.cli import main
+from approxjac.files import replaced, together, write_text
 
 
 def write_half(path):
@@ -25,6 +26,44 @@ def test_what_fails_leaves_what_was_there(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
     write_text(path, "after")
     assert path.read_text() == "after"
+
+
+def test_files_that_belong_together_come_together(tmp_path):
+    for name in ("a", "b"):
+        write_text(tmp_path / name, "before")
+
+    def write(text, breaks):
+        with together(tmp_path) as folder:
+            write_text(folder / "a", text)
+            write_text(folder / "c", text)
+            if breaks:
+                raise ZeroDivisionError
+        return {path.name: path.read_text() for path in tmp_path.iterdir()}
+
+    with pytest.raises(ZeroDivisionError):
+        write("half", breaks=True)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "a": "before", "b": "before"
+    }  # fmt: skip
+    assert write("after", breaks=False) == {"a": "after", "b": "before", "c": "after"}
+    with pytest.raises(FileNotFoundError, match="nowhere"), together(tmp_path / "nowhere"):
+        pass
+
+
+def test_a_command_that_breaks_off_leaves_the_files_of_the_one_before(tmp_path, monkeypatch):
+    words = ["simulate", "two_link", "--duration", "0.5", "--out", str(tmp_path)]
+    main(words)
+    kept = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert {path.name for path in kept} == {
+        "run.png", "run.svg", "run.npz", "summary.json", "scenario.toml"
+    }  # fmt: skip
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("approxjac.scenario.report.write_text", full)  # the last file of all
+    assert main([*words, "--seed", "3"]) == 2
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == kept
 
 
 def test_a_folder_is_not_replaced(tmp_path):

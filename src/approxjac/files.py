@@ -43,7 +43,10 @@ def together(folder: Path) -> Iterator[Path]:
     Where the block raises an error, no file of the other folder is changed.
     """
     unfinished = folder / f".{uuid.uuid4().hex[:16]}"
-    unfinished.mkdir()
+    try:
+        unfinished.mkdir()
+    except OSError as error:  # which names the folder that the user knows
+        raise OSError(error.errno, error.strerror, str(folder)) from error
     try:
         yield unfinished
         for path in sorted(unfinished.iterdir()):

@@ -12,7 +12,7 @@ import tyro
 from approxjac.cli.bars import time_bar
 from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
-from approxjac.files import write_text
+from approxjac.files import together, write_text
 
 
 def paper(
@@ -63,11 +63,14 @@ def paper(
     bound = None
     results = []
     experiments = [study.EXPERIMENTS[f] for f in sorted(set(figures)) if f != 1]
-    with time_bar(max(1, len(experiments)) * duration, "figure 1") as bar:
+    with (
+        together(out) as folder,
+        time_bar(max(1, len(experiments)) * duration, "figure 1") as bar,
+    ):
         if 1 in figures:
             bar.set_description("figure 1")
             bound = study.jacobian_bound(setup)
-            report.write_bound(bound, out)
+            report.write_bound(bound, folder)
         for i, experiment in enumerate(experiments):
             bar.set_description(f"figure {experiment.figure}")
 
@@ -75,10 +78,10 @@ def paper(
                 bar.update(done + t - bar.n)
 
             result = study.run_experiment(experiment, setup, progress=advance)
-            report.write_result(result, setup, truth, out)
+            report.write_result(result, setup, truth, folder)
             results.append(result)
-    summary = report.summary(results, bound, setup)
-    write_text(out / "summary.json", json.dumps(summary, indent=2) + "\n")
+        summary = report.summary(results, bound, setup)
+        write_text(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
     print(report.table(results, bound))
     print(f"\nPictures, runs and summary.json are in {out}")
     if experiments:

@@ -16,7 +16,7 @@ from approxjac.codegen.limits import require_covered
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
 from approxjac.errors import InvalidInputError
-from approxjac.files import reason, write_text
+from approxjac.files import reason, together, write_text
 from approxjac.validation import Array, require
 
 _RECORDED, _SHOWN = 50, 4  # steps of the self-test, and of the example
@@ -69,8 +69,9 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | PathL
         raise InvalidInputError(
             f"folder must be one that can be made, got {folder}: {reason(error)}", given=folder
         ) from error
-    for name, text in filled.items():
-        write_text(path / name, text)
+    with together(path) as unfinished:
+        for name, text in filled.items():
+            write_text(unfinished / name, text)
     return path
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from approxjac.errors import InvalidInputError
-from approxjac.files import write_text
+from approxjac.files import together, write_text
 from approxjac.formatting import numbers, plain, rows, wrapped
 from approxjac.scenario.build import loaded_arm
 from approxjac.scenario.control import latency_of, limits_of
@@ -91,7 +91,6 @@ def text(result: SuggestedGains) -> str:
 
 def write(result: SuggestedGains, out: Path) -> None:
     """Write summary.json, and scenario.toml with the gains that were found, into a folder."""
-    result.scenario.save(out / "scenario.toml")
     found = result.found.found
     summary = {
         "found": found is not None,
@@ -104,4 +103,6 @@ def write(result: SuggestedGains, out: Path) -> None:
         summary |= {name: getattr(control, name) for name in ("kp", "kv", "damping")}
         summary |= {name: getattr(found, name) for name in ("margin", "torque_ratio")}
         summary["settling_time_s"] = found.settling_time
-    write_text(out / "summary.json", json.dumps(plain(summary), indent=2) + "\n")
+    with together(out) as folder:
+        result.scenario.save(folder / "scenario.toml")
+        write_text(folder / "summary.json", json.dumps(plain(summary), indent=2) + "\n")

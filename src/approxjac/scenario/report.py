@@ -17,7 +17,7 @@ from approxjac.controllers import (
     TrackingController,
     in_words,
 )
-from approxjac.files import write_text
+from approxjac.files import together, write_text
 from approxjac.formatting import numbers_of, rows, shares, wrapped
 from approxjac.interface import LimitStatus
 from approxjac.scenario.records import Belief
@@ -49,16 +49,17 @@ def write(result: Result, out: Path) -> None:
 
     And kinematics.txt, .png and .svg, where they were learnt.
     """
-    save_figure(draw(result), out / "run")
-    result.run.save(out / "run.npz")
-    learning = result.built.learning
-    if learning is not None:
-        learnt = learning.kinematics_learnt(result.run.state[-1])
-        write_text(out / "kinematics.txt", f"{learnt}\n")
-        save_figure(_draw_kinematics(result.run, learning, learnt), out / "kinematics")
-    result.built.scenario.save(out / "scenario.toml")
-    summary = json.dumps(result.summary(), indent=2)
-    write_text(out / "summary.json", summary + "\n")
+    with together(out) as folder:
+        save_figure(draw(result), folder / "run")
+        result.run.save(folder / "run.npz")
+        learning = result.built.learning
+        if learning is not None:
+            learnt = learning.kinematics_learnt(result.run.state[-1])
+            write_text(folder / "kinematics.txt", f"{learnt}\n")
+            save_figure(_draw_kinematics(result.run, learning, learnt), folder / "kinematics")
+        result.built.scenario.save(folder / "scenario.toml")
+        summary = json.dumps(result.summary(), indent=2)
+        write_text(folder / "summary.json", summary + "\n")
 
 
 def text(result: Result) -> str:

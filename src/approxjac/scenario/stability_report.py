@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from approxjac.files import write_text
+from approxjac.files import together, write_text
 from approxjac.formatting import joined, percent, plain, short
 from approxjac.scenario.stability import StabilityResult, rollout_options, uncertainty_of
 from approxjac.simulation import Plant
@@ -273,12 +273,14 @@ def summary(result: StabilityResult) -> dict[str, Any]:
 
 def write(result: StabilityResult, out: Path) -> None:
     """Write the pictures, summary.json and scenario.toml into a folder."""
-    save_figure(draw_allowed_error(result), out / "figure1")
-    save_figure(draw_workspace(result), out / "workspace")
     drawn = draw_map(result)
-    for ending in ("png", "svg"):  # no map of another run beside the other files
-        (out / f"map.{ending}").unlink(missing_ok=True)
-    if drawn is not None:
-        save_figure(drawn, out / "map")
-    result.scenario.save(out / "scenario.toml")
-    write_text(out / "summary.json", json.dumps(summary(result), indent=2) + "\n")
+    with together(out) as folder:
+        save_figure(draw_allowed_error(result), folder / "figure1")
+        save_figure(draw_workspace(result), folder / "workspace")
+        if drawn is not None:
+            save_figure(drawn, folder / "map")
+        result.scenario.save(folder / "scenario.toml")
+        write_text(folder / "summary.json", json.dumps(summary(result), indent=2) + "\n")
+        for ending in ("png", "svg") if drawn is None else ():
+            # no map of another run beside the other files
+            (out / f"map.{ending}").unlink(missing_ok=True)
