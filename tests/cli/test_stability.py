@@ -328,3 +328,29 @@ def test_gains_that_are_certified_are_found(tmp_path, capsys):
     assert "needs ranges of errors, such as --object-length 0 0.3" in capsys.readouterr().err
     assert stability(tmp_path, "panda", *errors, "--suggest-gains", "--kp", "9") == 2
     assert "--kp must be left out where gains are to be found, got 9" in capsys.readouterr().err
+
+
+def test_a_map_says_of_its_own_point_what_the_report_does():
+    scenario = Scenario(
+        "two_link", controller={"gravity": "exact", "kp": 100.0, "kv": 50.0, "damping": 1.0},
+        stability={
+            "object_length": (0.0, 0.3), "around": (0.5, 1.2), "configurations": 40, "runs": 0,
+            "map_points": 5, "map_runs": 0,
+        },
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "stability_map", partial(stability_map, coarse=3, configurations=20))
+        result = study.analyse(scenario, study.prepare(scenario))
+    found, told = result.map, result.report
+    assert 1.0 in found.x
+    assert 2.0 in found.y
+    assert set(found.coarse_x) <= set(found.x)
+    assert set(found.coarse_y) <= set(found.y)
+    here = np.flatnonzero(found.y == 2.0)[0], np.flatnonzero(found.x == 1.0)[0]
+    coarse = np.flatnonzero(found.coarse_y == 2.0)[0], np.flatnonzero(found.coarse_x == 1.0)[0]
+    assert found.theorem1[here] == pytest.approx(max(-1.0, told.theorem1.margin))
+    assert (found.decay_rate[here] > 0.0) == told.local.stable
+    certified = any(test.certified for test in told.matrix.values())
+    assert (found.matrix[coarse] > 0.0) == certified
+    first, *_ = report.told_of_map(result, Path("out"))
+    assert first.startswith("map: tests at 25 points; the matrix form at 9 of them, between which")

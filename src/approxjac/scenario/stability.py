@@ -37,7 +37,7 @@ from approxjac.stability import (
     tolerance,
 )
 from approxjac.stability.closed_loop import ClosedLoop
-from approxjac.stability.map import PARAMETERS, labels
+from approxjac.stability.map import PARAMETERS, labels, own_values
 from approxjac.stability.rollout_map import PLACES, is_drawn
 from approxjac.stability.suggestion import damping_that_certifies, part_that_certifies
 from approxjac.stability.tolerance import Test
@@ -158,6 +158,8 @@ def analyse(
             controller, uncertainty, names=analysis.map, x=x, y=y, by=analysis.map_by,
             runs=runs, executor=executor, progress=partial(tell, "map"), **where, **as_it_runs,
         )  # fmt: skip
+        if analysis.map_by == "tests":
+            map_ = _as_reported(map_, report)
     return StabilityResult(scenario, report, tolerances, damping, part, map_)
 
 
@@ -250,8 +252,29 @@ def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -
         drawn = loop.region.sample(_DRAWN, np.random.default_rng(0))
         places = np.array([tip.position(q)[PLACES.index(name)] for q in drawn])
         return np.asarray(places.min() + np.ptp(places) * middles)
+    own = own_values(loop.controller)[name]
+    values = own * 10.0 ** (2.0 * shares - 1.0)
     if name == "error":
-        return uncertainty.largest_scale(3.0) * shares
-    kp, kv, _ = loop.controller.diagonals
-    middle = float(np.mean(kp / kv)) if name == "a" else 1.0
-    return np.asarray(middle * 10.0 ** (2.0 * shares - 1.0))
+        values = uncertainty.largest_scale(3.0) * shares
+    if count > 2 and values[0] < own < values[-1]:  # the report's own point is one of the map
+        values[1 + np.abs(values[1:-1] - own).argmin()] = own
+    return np.asarray(values)
+
+
+def _as_reported(found: StabilityMap, report: StabilityReport) -> StabilityMap:
+    """Return a map that says of the report's own point what the report does, which looked closer.
+
+    It draws fewer configurations, and looks for the worst of them less closely.
+    """
+    own = own_values(report.loop.controller)
+    decay_rate, theorem1, matrix = (
+        each.copy() for each in (found.decay_rate, found.theorem1, found.matrix)
+    )
+    first, second = (own[name] for name in found.names)
+    here = np.ix_(found.y == second, found.x == first)
+    decay_rate[here] = np.minimum(decay_rate[here], report.local.decay_rates.min())
+    theorem1[here] = max(-1.0, report.theorem1.margin)
+    best = max(report.matrix.values(), key=lambda test: (test.certified, test.margin))
+    margin = best.margin if best.certified else min(best.margin, 0.0)
+    matrix[np.ix_(found.coarse_y == second, found.coarse_x == first)] = max(-1.0, margin)
+    return replace(found, decay_rate=decay_rate, theorem1=theorem1, matrix=matrix)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from approxjac.files import together, write_text
-from approxjac.formatting import joined, percent, plain, short
+from approxjac.formatting import joined, numbers, percent, plain, wrapped
 from approxjac.scenario.stability import StabilityResult, rollout_options, uncertainty_of
 from approxjac.simulation import Plant
 from approxjac.stability import Uncertainty
@@ -33,20 +33,24 @@ if TYPE_CHECKING:
 
 
 def consequences(result: StabilityResult) -> str:
-    """Return how far each test tolerates the errors, and what follows."""
-    lines = [
-        "how far the errors may be scaled, in continuous time (a search, on fewer configurations)"
-    ]
-    for test, found in result.tolerances.items():
-        fails = f"; fails with {found.worst_text}" if found.worst_text else ""
-        box = found.uncertainty.describe_box()
-        lines.append(f"{test:<9} to {found.scale:<6.3g} {box}{fails}")
-    return "\n".join([*([*lines, ""] if result.tolerances else []), *advice(result)])
+    """Return what follows, the verdict first, and how far each test tolerates the errors."""
+    verdict, *more = advice(result)
+    lines = [*wrapped(verdict), *(line for each in more for line in wrapped(each, "- "))]
+    if result.tolerances:
+        lines += ["", *wrapped("in continuous time, by a search on fewer configurations:")]
+        lines += [str(each) for each in result.tolerances.values()]
+    return "\n".join(lines)
 
 
 def told_of_map(result: StabilityResult, out: Path) -> list[str]:
     """Return what came of the runs of a map by rollouts, and where its picture is."""
-    found, lines = result.map, []
+    found, lines = result.map, list[str]()
+    if found is not None and result.scenario.stability.map_by == "tests":
+        lines += wrapped(
+            f"map: tests at {found.decay_rate.size} points; the matrix form"
+            f"{' and rollouts' if found.runs.any() else ''} at {found.matrix.size} of them, "
+            "between which the boundary is interpolated"
+        )
     if found is not None and found.runs.any() and result.scenario.stability.map_by == "rollouts":
         names, made = " and ".join(found.names), np.flatnonzero(found.runs)
         share, n = found.rollouts.ravel(), found.runs.ravel()
@@ -112,7 +116,7 @@ def advice(result: StabilityResult) -> list[str]:
         how = "in the shape of the arm's inertia"
         if factor is not None:
             how = f"{factor:g} times what it is"
-        lines.append(f"with a damping of {short(values)}, {how}, it is certified {certified}")
+        lines.append(f"with a damping of {numbers(values)}, {how}, it is certified {certified}")
     if result.certified_part is not None:
         part = result.certified_part.describe_box()
         lines.append(f"with the damping that it has, certified {certified} are errors of {part}")
@@ -166,16 +170,17 @@ def draw_map(result: StabilityResult) -> Figure | None:
     if result.scenario.stability.map_by == "rollouts":
         return _draw_shares(result, uncertainty)
     coarse = found.coarse_x, found.coarse_y
+    n = found.matrix.size
     boundaries = [
         ("test 1, Theorem 1", found.x, found.y, found.theorem1),
-        ("test 2, matrix form (a sketch: 100 configurations)", *coarse, found.matrix),
+        (f"test 2, matrix form (interpolated between {n} points)", *coarse, found.matrix),
     ]
     if np.isfinite(found.rollouts).any():
         # half way between all runs and the next smaller share
         share = found.rollouts - 1.0 + 0.5 / np.maximum(1, found.runs)
         options = rollout_options(result.scenario, loop.controller)
         within = f"{options['tolerance']:g} {joined(loop.controller.task.units)}"
-        told = f"test 4, rollouts reach {within} in {options['duration']:g} s"
+        told = f"test 4, rollouts reach {within} in {options['duration']:g} s (interpolated)"
         boundaries.append((told, *coarse, share))
     figure, (ax,) = new_figure(size=(7.0, 5.8))
     plot_map(

@@ -162,7 +162,8 @@ def stability_map(
         target: x_d, shape (n_x,); see `stability_report`.
         targets: Configurations that test 3 takes as targets, ≥ 2: half of them the worst of 200
             with the controller's own gains, the true robots in turn.
-        coarse: Values of each parameter where tests 2 and 4 are made, ≥ 2; 0 makes test 3 alone.
+        coarse: At most so many values of each parameter where tests 2 and 4 are made, ≥ 2: the
+            first, the last and the controller's own among them; 0 makes test 3 alone.
         configurations: How many to draw for tests 1 and 2.
         runs: Rollouts at each coarse point, by default none; or by rollouts at each point, on
             average over what is drawn, by default 100.
@@ -204,9 +205,8 @@ def stability_map(
     runs = 0 if runs is None else runs
     loop = ClosedLoop(controller, uncertainty, region, target)
     loop.require_gravity()
-    few = tuple(
-        np.interp(np.linspace(0, 1, coarse), np.linspace(0, 1, len(v)), v) for v in (xs, ys)
-    )
+    own = own_values(controller)
+    few = tuple(_some(v, coarse, own[name]) for name, v in zip(names, (xs, ys), strict=True))
     rank_is_lost: list[bool] = []  # whether Ĵ loses rank in the region: no parameter changes that
 
     # the true robots and what is drawn change with "error" only, which is in the outer loop
@@ -240,7 +240,7 @@ def stability_map(
     costs = {"local": 1, "theorem1": bool(coarse), "matrix": 60}  # about, ms
     per_run = 5  # ms, too
     total = sum(costs[kind] * len(a) * len(b) for kind, (a, b) in grids.items())
-    total += per_run * runs * coarse**2
+    total += per_run * runs * len(few[0]) * len(few[1])
     done, found = 0, {}
     for kind, (first, second) in grids.items():
         found[kind] = np.full((len(second), len(first)), np.nan)
@@ -255,7 +255,7 @@ def stability_map(
                     raise  # grown errors may put the target out of reach, the given ones not
             done += costs[kind]
             tell(done / total)
-    shares = Shares.of(*np.zeros((2, coarse, coarse), dtype=int))
+    shares = Shares.of(*np.zeros((2, len(few[1]), len(few[0])), dtype=int))
     if runs and coarse:
         shares = shares_over_parameters(
             controller, uncertainty, loop.region, names, few[0], few[1], target=loop.target,
@@ -266,6 +266,21 @@ def stability_map(
         names, xs, ys, found["local"], targets, few[0], few[1], found["theorem1"], found["matrix"],
         *shares,
     )  # fmt: skip
+
+
+def own_values(controller: SetpointController) -> dict[str, float]:
+    """Return parameter → where a controller and its errors are themselves."""
+    kp, kv, _ = controller.diagonals
+    return {"error": 1.0, "a": float(np.mean(kp / kv)), "kv": 1.0, "damping": 1.0}
+
+
+def _some(values: Array, count: int, own: float) -> Array:
+    """Return at most `count` of the values: the ends, and the own one if it is among them."""
+    at = np.unique(np.linspace(0, len(values) - 1, count).round().astype(int))
+    k = np.flatnonzero(values == own)
+    if len(k) and len(at) > 2 and k[0] not in at:
+        at[1 + np.abs(at[1:-1] - k[0]).argmin()] = k[0]
+    return np.sort(values[at])
 
 
 def labels(uncertainty: Uncertainty) -> dict[str, str]:
