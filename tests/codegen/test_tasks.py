@@ -19,6 +19,7 @@ from approxjac.tasks import (
     PlanarCamera,
     PoseTrackerTask,
     TrackerTask,
+    tag_corners,
 )
 
 CAMERA = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
@@ -43,6 +44,7 @@ def kinds():
     panda, kinova = aj.load_robot("panda"), aj.load_robot("kinova")
     position = aj.PositionTask(panda)
     image = aj.ImageTask(panda, CAMERA, points=SQUARE)
+    tag = aj.ImageTask(panda, LENS, points=tag_corners(0.1))
     two = aj.StackedTask(position, aj.PositionTask(panda, "panda_link4", "yz"))
     return {
         "position": position,
@@ -71,6 +73,7 @@ def kinds():
             aj.ImageTask(panda, CAMERA), aj.PositionTask(panda, axes="z")
         ),
         "combined": CombinedTask.balanced(image, image.value(SEEN)),
+        "a tag": CombinedTask.balanced(tag, tag.value(SEEN)),
         "stacked, combined": aj.StackedTask(
             CombinedTask(aj.ImageTask(panda, CAMERA), [[1.0, 0.5], [0.0, 1.0]]),
             aj.PositionTask(panda, axes="z"),
@@ -89,7 +92,7 @@ KINDS = (
     "in the hand, of a link", "a depth", "a depth, a lens",
     "all that a lens may have", "a depth, all that a lens may have", "a fisheye lens",
     "a depth, a fisheye lens", "measured depths", "stacked",
-    "stacked, image and position", "combined", "stacked, combined", "nonsingular",
+    "stacked, image and position", "combined", "a tag", "stacked, combined", "nonsingular",
     "nonsingular, stacked", "nonsingular, image",
 )  # fmt: skip
 

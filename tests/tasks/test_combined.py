@@ -158,10 +158,11 @@ def test_copies(image, C):
 @pytest.mark.parametrize(
     ("C", "text"),
     [
-        (np.eye(3), r"C must have shape \(4, 4\), got shape \(3, 3\)"),
+        (np.eye(3), r"C must have shape \(k, 4\), got shape \(3, 3\)"),
+        (np.ones((5, 4)), r"C must have shape \(k, 4\) with k <= 4, got shape \(5, 4\)"),
         (np.diag([1.0, 1.0, 1.0, 0.0]), r"C must be regular, got singular values \[1.0, 1.0"),
         (np.full((4, 4), np.nan), "C must be finite"),
-        ("balanced", r"C must be numbers of shape \(4, 4\), got 'balanced'"),
+        ("balanced", r"C must be numbers of shape \(k, 4\), got 'balanced'"),
     ],
 )
 def test_bad_combinations_are_refused(image, C, text):

@@ -254,10 +254,6 @@ def test_default_gains_in_pixels(panda):
             {"points": ((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), (0.0, 0.0, 0.3))},
             "points must not lie on one line: their images do not change as it turns about itself",
         ),
-        (
-            {"points": ((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1))},
-            r"\(m <= n_v\), got m = 8 for panda with n_v = 7",
-        ),
         ({"depth": "known"}, r"depth must be 'believed', 'measured' or numbers > 0 \[m\], got"),
         ({"depth": 0.0}, r"depth must be > 0 in every entry \[m\], got \[0.0\]"),
         ({"depth": (1.0, 2.0)}, r"depth must have shape \(1,\) \[m\], got shape \(2,\)"),

@@ -107,7 +107,7 @@ def is_regular(G: Symbols, ratio: float, scale: float) -> Condition:
 
 
 def damped_gram_solve(
-    G: Symbols, b: Symbols, scale: float
+    G: Symbols, b: Symbols, scale: float, ratio: float = law.SINGULAR_RATIO
 ) -> tuple[Symbols, Number, Condition, Number]:
     """Return what `law.damped_gram_solve` does, on symbols.
 
@@ -115,12 +115,12 @@ def damped_gram_solve(
         G: J Jᵀ, shape (m, m).
         b: Shape (m,).
         scale: As there.
+        ratio: As there.
 
     Returns:
         w (m,); λ², 0 away from singular poses; whether it may be damped; and the smallest
         eigenvalue of G where it may be, 0 elsewhere.
     """
-    ratio = law.SINGULAR_RATIO
     if len(b) <= 3:
         rows, determinant, _, _ = law.adjugate(G.tolist())
         w = symbols(law.solution(rows, determinant, b.tolist()))

@@ -136,6 +136,7 @@ def answer(
         gains: In place of the law's own.
     """
     task, learning, scale = controller.task, controller.adaptation, controller.pinv.scale
+    ratio = controller.pinv.ratio
     (kp, kv, damping), p = gains or controller.diagonals, controller.resting
     e = tasks.error(task, x, x_d)
     lost: Condition = False
@@ -154,11 +155,11 @@ def answer(
         g = law.gravity(Y, state[:p])
     weight = 1.0 if controller.pinv.root is None else 1.0 / controller.pinv.root
     weighted = J_hat * weight
-    w, damped, _, _ = damped_gram_solve(weighted @ weighted.T, s, scale)
+    w, damped, _, _ = damped_gram_solve(weighted @ weighted.T, s, scale, ratio)
     pinv_s = (w @ weighted) * weight
     bias = g
     if controller.posture is not None:
-        bias = bias + _within_null_space(_pull(controller, q), J_hat, G, scale)
+        bias = bias + _within_null_space(_pull(controller, q), J_hat, G, scale, ratio)
     rate, x_dot, reference = np.zeros(len(state)), None, 0.0
     if controller.velocity is not None:
         x_dot = (x - state[p:]) / controller.velocity.time_constant
@@ -169,7 +170,7 @@ def answer(
     if v_d is not None:
         v_d = np.where(lost, 0.0, controller._combination @ v_d)
         relative = (J_hat @ v if x_dot is None else x_dot) - v_d
-        reference = damped_gram_solve(G, v_d, scale)[0] @ J_hat
+        reference = damped_gram_solve(G, v_d, scale, ratio)[0] @ J_hat
         v = v - reference
     if relative is None:
         torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)
@@ -215,10 +216,12 @@ def _pull(controller: SetpointController, q: Symbols) -> Symbols:
     return symbols(push(symbols([q[each.idx_q] if each.nq == 1 else 0.0 for each in joints])))
 
 
-def _within_null_space(torque: Symbols, J_hat: Symbols, G: Symbols, scale: float) -> Symbols:
+def _within_null_space(
+    torque: Symbols, J_hat: Symbols, G: Symbols, scale: float, ratio: float
+) -> Symbols:
     """Return what `posture.within_null_space` does."""
     b = symbols(J_hat @ torque)
-    w, damping, _, least = damped_gram_solve(G, b, scale)
+    w, damping, _, least = damped_gram_solve(G, b, scale, ratio)
     if not isinstance(damping, Scalar):
         return symbols(torque - w @ J_hat)
     # what is added, so that G⁻¹ exists, goes with the weight: near a singular pose, too

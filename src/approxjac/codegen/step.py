@@ -46,7 +46,7 @@ def step_program(controller: Controller, *, may_lose: bool, moves: bool = False)
     q, v = program.kept("q", robot.nq), program.kept("v", robot.nv)
     x, target = program.kept("x", task.n_x), program.kept("target", task.n_x)
     state = program.kept("state", setpoint.n_state(inside))
-    v_d = program.kept("target_v", task.m) if moves else None
+    v_d = program.kept("target_v", task._measured.m) if moves else None
     answer = setpoint.answer(inside, arm.at(q), q, v, x, target, state, may_lose=may_lose, v_d=v_d)
     within = limits.limited(controller, answer, v)
     numbers = [q, v, x, target, state, answer.e, answer.torque, answer.rate]
@@ -169,7 +169,7 @@ class _MachineCode:
         learns = unlimited, LimitStatus.FREE, LimitStatus.PROOF_KEPT
         statuses = {float(each): each for each in LimitStatus}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
-        ok, m = Status.OK, (inside.task.m,)
+        ok, m = Status.OK, (inside.task._measured.m,)
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
             """Return the answer of a usual step, or None."""

@@ -12,6 +12,7 @@ from approxjac.controllers.image_estimator import Deviations, Estimate
 from approxjac.controllers.watched_points import WatchedPoints
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import ImageTask, PinholeCamera
+from approxjac.tasks.analysis import require_controllable
 from approxjac.validation import Array, require
 
 USUAL_SD: Mapping[str, float] = {
@@ -73,6 +74,7 @@ class CameraUnknowns:
 def _camera(task: Any) -> PinholeCamera:
     """Return the camera of a task that can be learnt."""
     require("task", task, ImageTask, "an ImageTask of the believed robot")
+    require_controllable(task)
     camera = task.camera
     if not isinstance(camera, PinholeCamera):
         raise InvalidInputError(

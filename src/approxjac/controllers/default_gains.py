@@ -7,7 +7,8 @@ import numpy as np
 from approxjac.controllers.gains import Diagonals, Gains
 from approxjac.controllers.usual_postures import usual_postures
 from approxjac.tasks import Task
-from approxjac.validation import Array, as_number, require
+from approxjac.tasks.analysis import require_controllable
+from approxjac.validation import Array, as_number
 
 SETTLED = 4.0
 """Time constants until 2 % are left."""
@@ -49,7 +50,7 @@ def default_gains(task: Task, settling_time: float = 1.0, bandwidth: float = 100
         InvalidInputError: Numbers that are not positive, or a task that is singular in every
             configuration.
     """
-    require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+    require_controllable(task)
     rate = SETTLED / as_number("settling_time", settling_time, unit="s", above=_NO_TIME)
     fastest = 0.5 * as_number("bandwidth", bandwidth, unit="1/s", above=0.0)
     postures = usual_postures(task)

@@ -10,7 +10,7 @@ from approxjac.controllers.predicted import Kinematics, Prediction
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import uncombined
+from approxjac.tasks.analysis import combination
 from approxjac.validation import Array, require
 
 _DIFFERENCE = 1e-5  # of values, either way, from which a rate is taken [unit of the task]
@@ -41,8 +41,7 @@ class KnownKinematics(Kinematics):
                 given=task,
             )
         self.task = task
-        back = uncombined(task)  # a target moves in the coordinates of what is measured
-        self._combination = None if back is None else np.linalg.inv(back)
+        self._combination = combination(task)  # a target moves as what is measured does
         own = type(task)._sensor_jacobian is not Task._sensor_jacobian
         self._exact = task._subtracts and not own  # ż = Ĵq̇ − ẋ_d
         self._none = np.zeros(task.m)
@@ -77,7 +76,7 @@ class KnownKinematics(Kinematics):
         return f"KnownKinematics({self.task!r})"
 
     def _combined(self, rate: Array) -> Array:
-        return rate if self._combination is None else self._combination.dot(rate)
+        return np.asarray(self._combination.dot(rate))
 
     def _rate(self, x: Array, x_dot: Array, x_d: Array, x_d_dot: Array) -> Array:
         """Return ż of an error that is no difference, such as a rotation vector; shape (m,)."""

@@ -78,13 +78,14 @@ class HeldMeasurement(ControllerWrapper):
             )
         task = controller.task
         self.controller = controller
-        self.unseen = as_limits("unseen", unseen, task.m, unit=joined(task._measured.units))
         self._measured = task._measured  # whose parts are lost one by one
+        m = self._measured.m
+        self.unseen = as_limits("unseen", unseen, m, unit=joined(self._measured.units))
         self._parts = task._parts
         self._origin = task._origin
         self._uncombined = uncombined(task)
         self._limits = [self.unseen[coordinates].tolist() for _, coordinates in self._parts]
-        self._moved = slice(task.n_x + 1, task.n_x + 1 + task.m)  # p within the memory
+        self._moved = slice(task.n_x + 1, task.n_x + 1 + m)  # p within the memory
         self._memory = self._moved.stop + len(self._parts)
 
     def initial_state(self, measurement: Measurement) -> Array:

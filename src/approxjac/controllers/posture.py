@@ -132,17 +132,17 @@ def _require_redundant(posture: Posture | AwayFromStops, task: Task) -> None:
         )
 
 
-def within_null_space(torque: Array, J_hat: Array, G: Array, scale: float) -> Array:
+def within_null_space(torque: Array, J_hat: Array, G: Array, ratio: float, scale: float) -> Array:
     """Return N τ with N = I − Ĵ⁺Ĵ, faded out near a singular Ĵ; shape (n_v,).
 
-    G is ĴĴᵀ, and `scale` the size of Ĵ below which it vanishes, as in `law.damped_gram_solve`.
+    G is ĴĴᵀ; `ratio` and `scale` are those of `law.damped_gram_solve`.
     """
-    w, damped = law.damped_gram_solve(G, J_hat.dot(torque), scale=scale)
+    w, damped = law.damped_gram_solve(G, J_hat.dot(torque), ratio, scale)
     if damped == 0.0:
         return np.asarray(torque - w.dot(J_hat))
     # With a damped Ĵ⁺, N would be no projector. An exact one that is faded out is one still,
     # and continuous, as it turns only where its weight is zero.
     _, values, rows = np.linalg.svd(J_hat, full_matrices=False)
-    threshold = law.SINGULAR_RATIO * max(values[0], scale)
+    threshold = ratio * max(values[0], scale)
     weight = (values[-1] / threshold) ** 2 if threshold > 0.0 else 0.0
     return np.asarray(weight * (torque - rows.T.dot(rows.dot(torque))))

@@ -6,7 +6,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from approxjac import law
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import image_feature, seen_configurations
 from approxjac.validation import Array
+
+_LEAST = 1e-6  # ratio of singular values
+_OF_POINTS = 6  # coordinates of an image, from which on it may tell some motions badly
+_UNUSUAL = 0.2  # of the usual σ_min/σ_max
+_CONFIGURATIONS = 20
+
+
+def singular_ratio(task: Task, most: float = law.SINGULAR_RATIO) -> float:
+    """Return σ_min/σ_max of Ĵ below which it is near singular.
+
+    It is `most`; of the images of three points and more, which tell a tilt by small differences in
+    every configuration, at most a fifth of what is usual.
+    """
+    if task.m < _OF_POINTS or image_feature(task) is None:
+        return most
+    seen = seen_configurations(task, _CONFIGURATIONS)
+    values = [np.linalg.svd(task.jacobian(q, task.value(q)), compute_uv=False) for q in seen]
+    usual = float(np.median([each[-1] / each[0] for each in values]))
+    return min(most, max(_UNUSUAL * usual, _LEAST))
 
 
 class Pseudoinverse:
@@ -20,10 +41,13 @@ class Pseudoinverse:
         weight: As of `law.cross_weight_pinv`, shape (n_v,); None is I.
         root: Its square root, or None.
         scale: That of `law.damped_gram_solve`, at which Ĵ vanishes.
+        ratio: σ_min/σ_max below which Ĵ is near singular, as in `law.damped_gram_solve`.
     """
 
-    def __init__(self, weight: Array | None, scale: float) -> None:
-        self.weight, self.scale = weight, scale
+    def __init__(
+        self, weight: Array | None, scale: float, ratio: float = law.SINGULAR_RATIO
+    ) -> None:
+        self.weight, self.scale, self.ratio = weight, scale, ratio
         self.root = None if weight is None else np.sqrt(weight)
 
     def times(self, J_hat: Array, s: Array, whole: Array | None = None) -> tuple[Array, float]:
@@ -37,7 +61,7 @@ class Pseudoinverse:
             scale = float(np.linalg.norm(whole if root is None else whole / root, 2))
         if root is not None:
             J_hat = J_hat / root
-        w, damped = law.damped_gram_solve(J_hat.dot(J_hat.T), s, scale=scale)
+        w, damped = law.damped_gram_solve(J_hat.dot(J_hat.T), s, self.ratio, scale)
         pinv_s = w.dot(J_hat)
         return (pinv_s if root is None else pinv_s / root), damped
 
@@ -46,7 +70,7 @@ class Pseudoinverse:
         J_hat = J_hat if self.root is None else J_hat / self.root
         squares = np.asarray(np.linalg.svd(J_hat, compute_uv=False) ** 2, dtype=np.float64)
         least, largest = squares[..., -1], squares[..., 0]
-        return law.gram_damping(least, largest, law.SINGULAR_RATIO, self.scale) > 0.0
+        return law.gram_damping(least, largest, self.ratio, self.scale) > 0.0
 
     def matrix(self, J_hat: Array) -> Array:
         """Return Ĵ⁺ of a Ĵ (m, n_v), shape (n_v, m)."""

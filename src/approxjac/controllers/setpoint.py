@@ -23,7 +23,7 @@ from approxjac.controllers.gravity import (
 from approxjac.controllers.latency import Latency
 from approxjac.controllers.posture import AwayFromStops, Posture, within_null_space
 from approxjac.controllers.proven_law import ProvenLaw
-from approxjac.controllers.pseudoinverse import Pseudoinverse
+from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
 from approxjac.controllers.reach import Reach
 from approxjac.controllers.saturation import require_saturation
 from approxjac.controllers.tuning import Tuning, tuned
@@ -39,7 +39,7 @@ from approxjac.interface import (
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.robots import Dynamics
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import uncombined, vanishing
+from approxjac.tasks.analysis import combination, require_controllable, vanishing
 from approxjac.validation import Array, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
@@ -108,7 +108,7 @@ class SetpointController(ProvenLaw):
         settling_time: float | None = None,
     ) -> None:
         self._remember(locals())
-        require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+        require_controllable(task)
         for name, value, kind, wanted in (
             ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),
             ("velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"),
@@ -143,17 +143,15 @@ class SetpointController(ProvenLaw):
         self._p = 0 if self.adaptation is None else len(self.adaptation.theta0)
         self._scale = vanishing(task)
         weight = None if self.adaptation is None else self.adaptation.pinv_weight
-        self.pinv = Pseudoinverse(weight, self._scale)
+        self.pinv = Pseudoinverse(weight, self._scale, singular_ratio(task))
         # as arrays, which NumPy takes in two thirds of the time of numbers
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
         self._pull = None
         if posture is not None:
             self._pull = posture.torque(task, self.diagonals, slow_rate(task, self.diagonals))
-        self.reach = Reach(task)
-        self._subtracts = task._subtracts  # as most do
-        back = uncombined(task)  # a target moves in the coordinates of what is measured
-        self._combination = np.eye(task.m) if back is None else np.linalg.inv(back)
+        self.reach, self._subtracts = Reach(task), task._subtracts  # as most do
+        self._combination = combination(task)  # a target moves as what is measured does
         self._continuous = robot.nq != robot.nv
         self._n_state = self._p + (0 if velocity is None else task.m)
         # of q, v, x, target and state
@@ -301,7 +299,9 @@ class SetpointController(ProvenLaw):
         if isinstance(target, Target):
             target, v_d, _ = target
             if v_d is not None:
-                v_d = self._combination.dot(as_vector("v of the target", v_d, self.task.m))
+                v_d = self._combination.dot(
+                    as_vector("v of the target", v_d, self._combination.shape[1])
+                )
         try:
             _, q, v, x, _ = measurement
             usual = (
@@ -348,7 +348,7 @@ class SetpointController(ProvenLaw):
         G = J_hat.dot(J_hat.T)
         learning = self.adaptation
         if learning is None:
-            singular = law.is_near_singular(G, scale=self._scale)
+            singular = law.is_near_singular(G, self.pinv.ratio, self._scale)
             g = self.gravity.torque(q).copy()  # type: ignore[union-attr]  # the others have one
         else:
             pinv_s, damped = self.pinv.times(J_hat, s)
@@ -357,7 +357,7 @@ class SetpointController(ProvenLaw):
             g = law.gravity(Y, state[: self._p])  # with it, (6) below is (28)
         bias = g
         if self._pull is not None:
-            bias = bias + within_null_space(self._pull(q), J_hat, G, self._scale)
+            bias = bias + within_null_space(self._pull(q), J_hat, G, self.pinv.ratio, self._scale)
         rate, x_dot = self._no_rate, None
         if self.velocity is not None:
             # The differentiator's state follows x with time constant T: its rate is Ẋ itself.
@@ -367,7 +367,7 @@ class SetpointController(ProvenLaw):
         relative, reference = x_dot, None
         if v_d is not None:  # the law of the motion relative to ẋ_d, and to Ĵ⁺ẋ_d of the joints
             relative = (J_hat.dot(v) if x_dot is None else x_dot) - v_d
-            reference = law.damped_gram_solve(G, v_d, scale=self._scale)[0].dot(J_hat)
+            reference = law.damped_gram_solve(G, v_d, self.pinv.ratio, self._scale)[0].dot(J_hat)
             v = v - reference
         if relative is None:
             torque = law.estimated_velocity_torque(J_hat, kp, kv, s, v, damping, bias)

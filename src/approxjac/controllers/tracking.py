@@ -23,6 +23,7 @@ from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.limits import Limits
 from approxjac.controllers.predicted import Kinematics
 from approxjac.controllers.proven_law import ProvenLaw
+from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.controllers.rest_configuration import RestConfiguration
 from approxjac.controllers.tracking_defaults import usual_kinematics, usual_speeds
 from approxjac.controllers.velocity_command import VelocityCommand
@@ -30,7 +31,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import vanishing
+from approxjac.tasks.analysis import require_controllable, vanishing
 from approxjac.validation import Array, as_limits, as_number, as_vector, require
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
@@ -105,7 +106,7 @@ class TrackingController(ProvenLaw):
         acceleration: float | Sequence[float] | Array | None = None,
     ) -> None:
         self._remember(locals())
-        require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+        require_controllable(task)
         robot = task.robot
         self.task = task
         self.sampling_time = as_number("dt", dt, unit="s", above=0.0)
@@ -150,14 +151,13 @@ class TrackingController(ProvenLaw):
             self._added = self.dynamics.gain_inertia(room)
             self._n_dynamics = self.dynamics.n_state
         self._end = self._n_dynamics + self.kinematics.n_state
-        n_state = self._end + (0 if self._commands is None else robot.nv)
-        self._n_state = n_state
+        self._n_state = n_state = self._end + (0 if self._commands is None else robot.nv)
         # of q, v, x, target and state
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (n_state,)
         self._scale = vanishing(task)
         # of metres and radians at once it is usually 0.05, where nothing is singular
-        self._ratio = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
-        self._continuous = robot.nq != robot.nv
+        most = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
+        self._ratio, self._continuous = singular_ratio(task, most), robot.nq != robot.nv
         # as arrays, which NumPy multiplies with in a third of the time of numbers
         self._alpha, self._k = np.array(self.alpha), self.alpha / self.speed
 
@@ -289,7 +289,9 @@ class TrackingController(ProvenLaw):
     ) -> tuple[Target, Measurement]:
         """Return a target and a measurement that the law can be evaluated with, or refuse."""
         task = self.task
-        target = with_rates(target if isinstance(target, Target) else Target(target), task.m)
+        target = with_rates(
+            target if isinstance(target, Target) else Target(target), task._measured.m
+        )
         x_d = target.x
         try:
             _, q, v, x, _ = measurement

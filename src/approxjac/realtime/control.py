@@ -116,7 +116,7 @@ def control(
     require("accuracy", accuracy, (Accuracy, NoneType), "Accuracy(...)")
     require("stop", stop, (threading.Event, NoneType), "a threading.Event")
     require("observer", observer, (Callable, NoneType), "a function of a Loop")  # type: ignore[arg-type]
-    task = controller.task
+    task = controller.task._measured
     speeds = _bounds("speed", speed, task, _SPEED, "/s")
     far = _bounds("astray", astray, task, _ASTRAY)
     hidden = _bounds("unseen", unseen, task, _UNSEEN)

@@ -91,7 +91,8 @@ class RobotLoop(Loop):
         super().__init__(plant, controller, path, driver.dt, steps)
         self._driver, self._brake, self._speeds, self._astray = driver, brake, speeds, astray
         self._patience, self._unseen = patience, unseen
-        task, still = controller.task, np.zeros(controller.task.m)
+        task = controller.task._measured
+        still = np.zeros(task.m)
         self._begun = first.t
         self.measurement = self._timed(first)
         self.truth = self.measurement
@@ -103,7 +104,7 @@ class RobotLoop(Loop):
         self._watch = FaultWatch(plant.robot, self.dt, accuracy, fastest, late, commands_velocity)
         learnt = scene_of(plant, controller, len(self.state)).learnt
         self._accuracy, self._is_learnt = accuracy, bool(learnt)
-        self._sensor = SensorWatch(task, self.dt, accuracy, unseen, self._is_learnt)
+        self._sensor = SensorWatch(controller.task, self.dt, accuracy, unseen, self._is_learnt)
         self.fault: Fault | None = None
         self.halting = False
         self._lost = self._limited = self._halted = 0
@@ -156,7 +157,7 @@ class RobotLoop(Loop):
         if self.halting:
             return
         self.halting = True
-        task, velocity = self.controller.task, self._velocity
+        task, velocity = self.controller.task._measured, self._velocity
         stop = Halt(task, self.step * self.dt, self.target, velocity, _HALT)
         error = task.error(self.truth.x, self.target)
         faster = task.jacobian(self.truth.q) @ self.truth.v - velocity
@@ -171,7 +172,7 @@ class RobotLoop(Loop):
         path = wanted_of(self.plant.sensor, target, now)
         if self.halting:
             return
-        task, velocity = self.controller.task, self._velocity
+        task, velocity = self.controller.task._measured, self._velocity
         self._eased = Eased(task, path, now, self.target, velocity, self._speeds)
         self.path = path
 
@@ -202,7 +203,7 @@ class RobotLoop(Loop):
     def _velocity(self) -> Array:
         """Velocity of the moving target, shape (m,)."""
         v = self._wanted.v
-        return np.zeros(self.controller.task.m) if v is None else v
+        return np.zeros(self.controller.task._measured.m) if v is None else v
 
     def _aim(self) -> None:
         self._wanted = self._eased.at(self.step * self.dt)
@@ -210,7 +211,7 @@ class RobotLoop(Loop):
 
     def _look(self, measurement: Measurement) -> None:
         """Take the new measurement: where is the target, and is the arm where it should be?"""
-        x, task = measurement.x, self.controller.task
+        x, task = measurement.x, self.controller.task._measured
         sees = bool(np.isfinite(x).all())
         if self._blind and sees and not self.halting:
             # from where it is seen again

@@ -89,7 +89,9 @@ def first_state(
     if isinstance(controller, ContinuousController):
         as_array("the controller's state_rate", answer.state_rate, state.shape)
     if np.isfinite(measurement.x).all():  # a lost x has no error
-        as_array("the controller's e", answer.e, (plant.sensor.m,), joined(plant.sensor.units))
+        as_array(
+            "the controller's e", answer.e, (controller.task.m,), joined(controller.task.units)
+        )
     return state
 
 

@@ -9,6 +9,7 @@ from approxjac.tasks.pinhole import PinholeCamera
 from approxjac.tasks.pose import PoseTask
 from approxjac.tasks.position import PositionTask, best_axes
 from approxjac.tasks.stacked import StackedTask
+from approxjac.tasks.tag import tag_corners
 from approxjac.tasks.task import Task
 from approxjac.tasks.tracker import PoseTrackerTask, TrackerTask
 
@@ -27,4 +28,5 @@ __all__ = [
     "Task",
     "TrackerTask",
     "best_axes",
+    "tag_corners",
 ]

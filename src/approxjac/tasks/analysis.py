@@ -8,9 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
+from approxjac.tasks.image import ImageTask
 from approxjac.tasks.task import Feature, Task
-from approxjac.validation import Array
+from approxjac.validation import Array, require
 
+_OF_A_BODY = 6  # motions: its points tell no more, however many there are
 _TRIES = 20000  # random configurations to look for ones that a camera sees
 
 
@@ -26,13 +28,43 @@ def with_error(task: Task, x: Array, x_d: Array, e: Array) -> Array:
     return found
 
 
-def uncombined(task: Task) -> Array | None:
-    """Return the matrix (m, m) from a task's errors to those of what is measured; None is I."""
+def combination(task: Task) -> Array:
+    """Return the matrix from errors of what is measured to those of a task."""
     measured, origin = task._measured, task._origin
     if measured is task:
+        return np.eye(task.m)
+    units = [measured.displaced(origin, unit) for unit in np.eye(measured.m)]
+    return np.column_stack([task.error(x, origin) for x in units])
+
+
+def uncombined(task: Task) -> Array | None:
+    """Return the matrix from a task's errors to those of what is measured; None is I.
+
+    Of a task with fewer coordinates it is the pseudo-inverse: the least error that would show so.
+    """
+    if task._measured is task:
         return None
-    units = [measured.displaced(origin, unit) for unit in np.eye(task.m)]
-    return np.linalg.inv(np.column_stack([task.error(x, origin) for x in units]))
+    C = combination(task)
+    return np.asarray(np.linalg.inv(C) if len(C) == C.shape[1] else np.linalg.pinv(C))
+
+
+def controllable_coordinates(task: Task) -> int:
+    """Return how many of a task's coordinates the arm can move one by one, at most."""
+    most = min(task.m, task.robot.nv)
+    return min(most, _OF_A_BODY) if isinstance(task, ImageTask) else most
+
+
+def require_controllable(task: Task) -> None:
+    """Refuse what is no task, and one with more coordinates than the arm can move one by one."""
+    require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
+    m, nv, most = task.m, task.robot.nv, controllable_coordinates(task)
+    if m > most:
+        raise InvalidInputError(
+            f"task must have at most as many coordinates as the robot has joints (m <= n_v), and 6 "
+            f"of points of one body, got m = {m} for {task.robot.name} with n_v = {nv}: "
+            f"CombinedTask.balanced(task, x_d) makes {most} of them",
+            given=task,
+        )
 
 
 def features(task: Task | None) -> tuple[Feature, ...]:

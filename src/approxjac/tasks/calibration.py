@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
+from approxjac.tasks.viewpoint import as_pose
 from approxjac.validation import Array, as_array, as_number
 
 _LONGEST = 500_000  # file [bytes]
-_RIGID = 1e-6
 _MODELS = {  # of ROS
     "plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True,
 }  # fmt: skip
@@ -75,13 +75,8 @@ def opencv_parameters(
         t = as_array("tvec", np.ravel(tvec), (3,), "m")
         found.update(position=-R.T @ t, rotation=R.T)
     if camera_pose is not None:
-        pose = as_array("camera_pose", camera_pose, (4, 4), "m")
-        if np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > _RIGID:
-            raise InvalidInputError(
-                f"camera_pose must have the last row (0, 0, 0, 1), got {pose[3].tolist()}",
-                given=camera_pose,
-            )
-        found.update(position=pose[:3, 3], rotation=pose[:3, :3])
+        R, position = as_pose("camera_pose", camera_pose)
+        found.update(position=position, rotation=R)
     return found
 
 

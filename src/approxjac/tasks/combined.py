@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.robots import Dynamics, Robot
-from approxjac.tasks.analysis import seen_configurations, with_error
+from approxjac.tasks.analysis import controllable_coordinates, seen_configurations, with_error
 from approxjac.tasks.task import Task, WrappedTask
 from approxjac.validation import Array, as_array, require
 
 _CONFIGURATIONS = 400
 _NEAREST = 30  # of these, by their value's distance to the target
+_STARTS, _STEPS = 10, 20  # of the search for configurations with the target's value
+_DAMPED = 1e-3  # of the largest singular value
+_BEST = 1.5  # times the least error that was found is as good
+_LONGEST = 0.3  # step of that search [rad or m]
 _LEAST = 0.01  # mobility that a direction is taken to have at least, as a share of the largest
 _REGULAR = 1e-9  # σ_min/σ_max of C below which it has no inverse
 
 
 class CombinedTask(WrappedTask):
-    """e = C (error of another task): the same task, with gains along other directions.
+    """e = C (error of another task): the same task in other coordinates, as many or fewer.
 
     K_p and K_v are diagonal, so they weigh the coordinates and nothing between them. The images of
     several points move together when the hand moves sideways and hardly apart when it comes
@@ -26,6 +31,18 @@ class CombinedTask(WrappedTask):
     shows well and those that it shows little become coordinates of their own kind. What is
     measured, and a target, stay those of the task itself; C changes what is stable no more than
     gains do.
+
+    With fewer rows than columns C makes fewer coordinates. The four corners of a tag are eight, of
+    which a rigid body moves six: s = C x is a task like any other, with the Jacobian C J, so that
+    the law and its proof hold for s wherever C Ĵ has full row rank; near the target C x = C x_d
+    leaves no other x. `balanced` chooses such a C.
+
+    Corners, or the tag's pose? Corners by this task need nothing of the lens or the tag's size to
+    be exact: what the pixels say is what is controlled, to a fraction of a pixel. Take them where a
+    camera is known to some ten degrees and the tag is some tenths of its distance large, or nearer.
+    A tag's tilt is seen badly, though. Where the camera's pose may be wrong by more, or the tag is
+    small, compute its pose by `cv2.solvePnP`, which needs the true K, distortion and size of the
+    tag, and take a `PoseTrackerTask`, or a `TrackerTask` of its position alone.
 
     Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
     visual servoing in robotics", IEEE Trans. Robotics and Automation 8 (1992).
@@ -36,24 +53,30 @@ class CombinedTask(WrappedTask):
 
     Args:
         task: The task of the believed robot.
-        C: Regular matrix, shape (m, m). Its size does not matter, as gains go with it.
+        C: Matrix of full row rank with m columns and at most m rows. Its size does not matter, as
+            gains go with it.
 
     Raises:
-        InvalidInputError: A matrix of another shape, not finite or singular.
+        InvalidInputError: A matrix of another shape, not finite or without full row rank, or with
+            more rows than the robot has joints.
     """
 
     def __init__(self, task: Task, C: object) -> None:
         require("task", task, Task, "a task, such as ImageTask(robot, camera, points=points)")
-        self.C = as_array("C", C, (task.m, task.m))
+        self.C = as_array("C", C, ("k", task.m))
+        k = len(self.C)
+        if k > task.m:
+            raise InvalidInputError(
+                f"C must have shape (k, {task.m}) with k <= {task.m}, got shape {self.C.shape}",
+                given=C,
+            )
         values = np.linalg.svd(self.C, compute_uv=False)
         if not values[-1] > _REGULAR * values[0]:
             raise InvalidInputError(
                 f"C must be regular, got singular values {values.tolist()}", given=C
             )
-        super().__init__(
-            task, [f"c{i}" for i in range(1, task.m + 1)], (joined(task.units),) * task.m
-        )
-        self._inverse = np.linalg.inv(self.C)
+        super().__init__(task, [f"c{i}" for i in range(1, k + 1)], (joined(task.units),) * k)
+        self._inverse = np.linalg.inv(self.C) if k == task.m else np.linalg.pinv(self.C)
         self._subtracts = False
 
     @classmethod
@@ -63,6 +86,11 @@ class CombinedTask(WrappedTask):
         C = Ā^(−1/2), with Ā the mean of the mobility Ĵ M̂⁻¹ Ĵᵀ, its trace set to one, over the 30 of
         400 seeded configurations whose values are nearest to a target; with ‖C‖ = 1, so that it
         makes no error larger.
+
+        Of more coordinates than the arm can move one by one, such as the eight of a tag's corners,
+        C takes the six (or as many as there are joints) with the largest mobility; of those Ā is
+        that at the target, in configurations where the believed arm has that value or comes nearest
+        to it.
 
         Args:
             task: The task of the believed robot.
@@ -82,15 +110,19 @@ class CombinedTask(WrappedTask):
         x_d = task.target(target)
         seen = seen_configurations(task, _CONFIGURATIONS)
         far = [np.linalg.norm(task.error(task.value(q), x_d)) for q in seen]
+        near, rows = [seen[k] for k in np.argsort(far)[:_NEAREST]], controllable_coordinates(task)
+        if rows < task.m:
+            near = _attaining(task, x_d, near[:_STARTS])
         dynamics, A = Dynamics(task.robot), np.zeros((task.m, task.m))
-        for k in np.argsort(far)[:_NEAREST]:
-            q = seen[k]
-            J = task.jacobian(q, with_error(task, task.value(q), x_d, np.zeros(task.m)))
+        for q in near:
+            J = _jacobian(task, q, x_d)
             mobility = J @ np.linalg.solve(dynamics.M(q), J.T)
             A += mobility / np.trace(mobility)
         values, U = np.linalg.eigh(A)
+        values, U = values[-rows:], U[:, -rows:]
         values = np.maximum(values, _LEAST * values[-1])
-        return cls(task, (U * np.sqrt(values[0] / values)) @ U.T)
+        scaled = U * np.sqrt(values[0] / values)
+        return cls(task, scaled @ U.T if rows == task.m else scaled.T)
 
     def error(self, x: Array, x_d: Array) -> Array:
         return np.asarray(self.C @ self.task.error(x, x_d))
@@ -116,3 +148,31 @@ class CombinedTask(WrappedTask):
 
     def __repr__(self) -> str:
         return f"CombinedTask({self.task!r}, C={np.round(self.C, 4).tolist()})"
+
+
+def _jacobian(task: Task, q: Array, x_d: Array) -> Array:
+    """Return J with the value of a target, for a task that uses it, (m, n_v)."""
+    return task.jacobian(q, with_error(task, task.value(q), x_d, np.zeros(task.m)))
+
+
+def _attaining(task: Task, x_d: Array, starts: list[Array]) -> list[Array]:
+    """Return configurations whose values are a target, or as near to it as is found from starts."""
+    found = [_nearer(task, x_d, q) for q in starts]
+    least = min(error for _, error in found)
+    return [q for q, error in found if error <= _BEST * least + 1e-6]
+
+
+def _nearer(task: Task, x_d: Array, q: Array) -> tuple[Array, float]:
+    """Return where steps of damped least squares lead to, and the size of the error there."""
+    e = task.error(task.value(q), x_d)
+    for _ in range(_STEPS):
+        J = task._error_jacobian(e, task.jacobian(q, task.value(q)))
+        damping = _DAMPED * np.linalg.norm(J, 2)
+        step = -J.T @ np.linalg.solve(J @ J.T + damping**2 * np.eye(task.m), e)
+        step /= max(1.0, float(np.abs(step).max()) / _LONGEST)
+        moved = np.array(pin.integrate(task.robot.model, q, step))
+        after = task.error(task.value(moved), x_d)
+        if not np.linalg.norm(after) < np.linalg.norm(e):
+            break
+        q, e = moved, after
+    return q, float(np.linalg.norm(e))

@@ -26,7 +26,9 @@ class ImageTask(Task):
     camera fixed in the world watches points of the robot (eye-to-hand), one with a `mount` is
     carried by the robot and watches points of the world (eye-in-hand).
 
-    With k points x is (u₁, v₁, u₂, v₂, …) and m = 2k.
+    With k points x is (u₁, v₁, u₂, v₂, …) and m = 2k. A controller takes at most 6 of them, and at
+    most as many as there are joints: of four points, such as the corners of a tag,
+    `CombinedTask.balanced` makes six coordinates.
 
     What Ĵ_I needs of a point is where it is. By default that is where the believed robot and the
     believed camera have it. With a depth of its own, a point is on the ray of its *measured*
@@ -46,12 +48,13 @@ class ImageTask(Task):
 
     Raises:
         UnknownNameError: No such frame.
-        InvalidInputError: More image coordinates than joints; points that are the same or three
+        InvalidInputError: Points that are the same or three
             that lie on one line, whose image never tells how the body is turned about it; points
             that move with the camera; a depth for a camera that has none.
     """
 
     _kind = "image"
+    _overdetermined = True
 
     def __init__(
         self,

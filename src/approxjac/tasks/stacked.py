@@ -37,6 +37,7 @@ class StackedTask(Task):
                     given=tasks,
                 )
         self.tasks = tasks
+        self._overdetermined = any(task._overdetermined for task in tasks)
         super().__init__(
             tasks[0].robot,
             [f"{i}.{label}" for i, task in enumerate(tasks, start=1) for label in task.labels],
@@ -50,9 +51,10 @@ class StackedTask(Task):
         self._subtracts = all(task._subtracts for task in tasks)
         self._origin = np.concatenate([task._origin for task in tasks])
         self._untold = [where.start + i for task, where, _ in self._each for i in task._untold]
+        measured = _one_after_the_other([task._measured.m for task in tasks])
         self._parts = tuple(
-            (_moved(part, entries.start), _moved(coordinates, rows.start))
-            for task, entries, rows in self._each
+            (_moved(part, entries.start), _moved(coordinates, own.start))
+            for (task, entries, _), own in zip(self._each, measured, strict=True)
             for part, coordinates in task._parts
         )
         self._features = tuple(

@@ -78,6 +78,7 @@ class Task(Immutable, Saved, ABC):
     _features: tuple[Feature, ...] = ()  # what it follows, part by part, to draw it
     _subtracts: bool  # the error is x − x_d
     _origin: Array  # a value to measure others from
+    _overdetermined = False  # it may have more coordinates than there are joints, to be combined
     _untold: list[int]  # entries of x that no error tells
     # what is measured at once, such as a point of an image: entries of x, and of the error
     _parts: tuple[tuple[slice, slice], ...]
@@ -92,7 +93,7 @@ class Task(Immutable, Saved, ABC):
                 f"units must be one for each of the labels {tuple(labels)}, got {tuple(units)}",
                 given=units,
             )
-        if m > robot.nv:  # Ĵ⁺ would not exist
+        if m > robot.nv and not self._overdetermined:  # Ĵ⁺ would not exist
             raise InvalidInputError(
                 f"a task must have at most as many coordinates as the robot has joints "
                 f"(m <= n_v), got m = {m} for {robot.name} with n_v = {robot.nv}",

@@ -7,20 +7,31 @@ import numpy as np
 from approxjac.errors import InvalidInputError
 from approxjac.validation import Array, as_array
 
+_AXES = "the camera's axes (right, down, forward)"
 _ORTHONORMAL = 1e-6  # how far from it a rotation may be, to be made so
 
 
-def as_rotation(value: object) -> Array:
-    """Return a camera's axes (right, down, forward) as columns, (3, 3), if they are orthonormal."""
-    R = as_array("rotation", value, (3, 3))
+def as_rotation(value: object, name: str = "rotation", axes: str = _AXES) -> Array:
+    """Return axes as the columns of a matrix (3, 3), if they are orthonormal."""
+    R = as_array(name, value, (3, 3))
     if np.abs(R @ R.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(R) < 0.0:
         raise InvalidInputError(
-            f"rotation must have the camera's axes (right, down, forward) as orthonormal columns "
-            f"of a right-handed frame, got {R.tolist()}",
+            f"{name} must have {axes} as orthonormal columns of a right-handed frame, got "
+            f"{R.tolist()}",
             given=value,
         )
     U, _, V = np.linalg.svd(R)  # the nearest one, so that products of many stay rotations
     return np.asarray(U @ V)
+
+
+def as_pose(name: str, value: object) -> tuple[Array, Array]:
+    """Return rotation (3, 3) and position (3,) of a homogeneous matrix (4, 4) [m]."""
+    pose = as_array(name, value, (4, 4), "m")
+    if np.abs(pose[3] - [0.0, 0.0, 0.0, 1.0]).max() > _ORTHONORMAL:
+        raise InvalidInputError(
+            f"{name} must have the last row (0, 0, 0, 1), got {pose[3].tolist()}", given=value
+        )
+    return as_rotation(pose[:3, :3], name, "axes"), np.array(pose[:3, 3])
 
 
 def view_axes(position: object, looking_at: object, up: object) -> Array:

@@ -1,0 +1,144 @@
+"""Four corners of a tag: eight image coordinates, of which a rigid body moves six."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose
+
+import approxjac as aj
+from approxjac.controllers.pseudoinverse import singular_ratio
+from approxjac.robots import Dynamics
+from approxjac.tasks import CombinedTask, tag_corners
+
+Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+AWAY = np.array([0.2, -0.15, 0.1, 0.2, -0.1, 0.15, 0.1])
+
+
+def tag_in_view(arm, size=0.1, distance=0.7, tilt=30.0, count=4, q=Q):
+    """The image of a tag at the tip that a camera looks at, tilted by some degrees."""
+    R_tip, tip = aj.tasks.FrameKinematics(arm, arm.tip).placement(q)
+    way = np.array([0.75, -0.5, 0.45])
+    camera = aj.PinholeCamera.looking_at(
+        tip, tip + distance * way / np.linalg.norm(way), 600.0, (640, 480),
+        distortion=(-0.2, 0.05, 1e-3, -1e-3, 0.0),
+    )  # fmt: skip
+    facing = camera.placement()[0] @ np.diag([1.0, -1.0, -1.0])
+    pose = np.eye(4)
+    pose[:3, :3] = R_tip.T @ facing @ pin.exp3(np.array([np.radians(tilt), 0.2, 0.0]))
+    return aj.ImageTask(arm, camera, points=tag_corners(size, pose)[:count])
+
+
+def believed(image, roll, factor):
+    camera = image.camera.with_error(
+        rotation=(0.05, 0.0, np.radians(roll)), focal_factor=factor, shift=(0.02, 0.0, -0.05)
+    )
+    return aj.ImageTask(image.robot, camera, points=image.points)
+
+
+def test_the_corners_are_those_of_opencv():
+    """As cv2.SOLVEPNP_IPPE_SQUARE has them, which takes detections of cv2.aruco."""
+    corners = 0.5 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    assert_allclose(tag_corners(1.0), corners)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = pin.exp3(np.array([0.1, 0.2, 0.3])), (1.0, 2.0, 3.0)
+    homogeneous = np.column_stack([corners, np.ones(4)])
+    assert_allclose(tag_corners(1.0, pose), (homogeneous @ pose.T)[:, :3])
+    with pytest.raises(aj.InvalidInputError, match=r"size must be a finite number > 0 \[m\]"):
+        tag_corners(0.0)
+    with pytest.raises(aj.InvalidInputError, match="tag_pose must have axes as orthonormal"):
+        tag_corners(1.0, np.diag([2.0, 1.0, 1.0, 1.0]))
+
+
+def test_controllers_say_what_makes_eight_coordinates_six(panda):
+    image = tag_in_view(panda)
+    for build in (aj.SetpointController, aj.default_gains, aj.TrackingController):
+        with pytest.raises(aj.InvalidInputError, match=r"m = 8 .* n_v = 7: CombinedTask.balanced"):
+            build(image)
+    q = np.array([0.4, -1.6, 1.9, -1.9, -1.57, 0.3])
+    image = tag_in_view(aj.load_robot("ur5"), q=q)
+    assert CombinedTask.balanced(image, image.value(q)).m == 6
+
+
+def test_six_coordinates_tell_all_that_the_corners_do(panda):
+    image = tag_in_view(panda)
+    task = CombinedTask.balanced(image, image.value(Q))
+    assert task.C.shape == (6, 8)
+    assert np.linalg.norm(task.C, 2) == pytest.approx(1.0)
+    # the rows are those in which the corners move: nothing of J is lost
+    J = image.jacobian(Q)
+    assert_allclose(np.linalg.pinv(task.C) @ task.C @ J, J, atol=1e-6 * np.abs(J).max())
+    inertia = np.linalg.inv(Dynamics(panda).M(Q))
+    spreads = [np.linalg.eigvalsh(K @ inertia @ K.T)[-6:] for K in (J, task.jacobian(Q))]
+    assert spreads[1][-1] / spreads[1][0] < 0.05 * spreads[0][-1] / spreads[0][0]
+
+
+@pytest.mark.parametrize(
+    ("options", "roll", "factor"),
+    [
+        ({}, 20.0, 1.2),
+        pytest.param({}, 0.0, 1.0, marks=pytest.mark.study),
+        pytest.param(
+            {"size": 0.06, "distance": 0.9, "tilt": 10.0}, 20.0, 1.2, marks=pytest.mark.study
+        ),
+        pytest.param(
+            {"size": 0.15, "distance": 0.8, "tilt": 45.0}, 30.0, 1.3, marks=pytest.mark.study
+        ),
+        pytest.param({"count": 3}, 20.0, 1.2, marks=pytest.mark.study),
+        pytest.param(
+            {"count": 3, "size": 0.06, "distance": 0.9}, 0.0, 1.0, marks=pytest.mark.study
+        ),
+    ],
+)
+def test_a_tag_reaches_its_place_in_the_image_and_nothing_is_singular(panda, options, roll, factor):
+    sensor = tag_in_view(panda, **options)
+    x_d = sensor.value(Q)
+    task = CombinedTask.balanced(believed(sensor, roll, factor), x_d)
+    law = aj.SetpointController(task, aj.default_gains(task, settling_time=1.5))
+    law = aj.HeldMeasurement(law, unseen=60.0)
+    start = Q + AWAY
+    assert np.isfinite(sensor._seen(sensor.value(start))).all()
+    plant = aj.Plant(panda, sensor, torque_limits=panda.effort_limits)
+    run = aj.simulate(plant, law, x_d, start, 6.0, dt=2e-3, integrator="semi_implicit_euler")
+    assert np.abs(run.error[0]).max() > 100.0
+    assert np.abs(run.error[-1]).max() < 8.0
+    assert run.error.shape[1] == 2 * len(sensor.points)
+    assert not (run.status == aj.Status.NEAR_SINGULAR).any()
+
+
+def test_three_corners_are_not_near_singular_where_they_are_usual(panda):
+    image = tag_in_view(panda, count=3)
+    J = image.jacobian(Q)
+    values = np.linalg.svd(J, compute_uv=False)
+    assert values[-1] / values[0] < aj.law.SINGULAR_RATIO
+    law = aj.SetpointController(image)
+    x_d = image.value(Q)
+    for q, status in ((Q, aj.Status.OK), (np.zeros(7), aj.Status.NEAR_SINGULAR)):
+        answer = law.evaluate(np.zeros(0), aj.Measurement(0.0, q, np.zeros(7), x_d), x_d)
+        assert answer.status == status
+    assert singular_ratio(aj.PoseTask(panda)) == aj.law.SINGULAR_RATIO
+
+
+def test_a_target_moves_in_the_image(panda):
+    """Its velocity is that of the eight coordinates."""
+    image = tag_in_view(panda)
+    x_d = image.value(Q)
+    task = CombinedTask.balanced(image, x_d)
+    law = aj.SetpointController(task)
+    v = np.full(7, 0.1)
+    moving = aj.Target(x_d, image.jacobian(Q) @ v)
+    measured = aj.Measurement(0.0, Q, v, x_d)
+    along = law.evaluate(np.zeros(0), measured, moving)
+    assert_allclose(task.jacobian(Q) @ along.reference, task.jacobian(Q) @ v, rtol=1e-6)
+    with pytest.raises(aj.InvalidInputError, match=r"v of the target must have shape \(8,\)"):
+        law.evaluate(np.zeros(0), measured, aj.Target(x_d, np.zeros(6)))
+    held = aj.HeldMeasurement(law, unseen=30.0)
+    state = held.initial_state(measured)
+    for _ in range(3):
+        state, answer = held.step(state, measured, moving, 1e-3)
+        assert np.isfinite(answer.torque).all()
+    stacked = aj.StackedTask(task, aj.PositionTask(panda, "panda_link4", axes="z"))
+    assert (stacked.m, stacked._measured.m) == (7, 9)
+    held = aj.HeldMeasurement(aj.SetpointController(stacked), unseen=[30.0] * 8 + [0.1])
+    measured = aj.Measurement(0.0, Q, v, stacked.value(Q))
+    state = held.initial_state(measured)
+    assert np.isfinite(held.step(state, measured, stacked.value(Q), 1e-3)[1].torque).all()
