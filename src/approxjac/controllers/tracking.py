@@ -35,8 +35,7 @@ from approxjac.tasks.analysis import require_controllable, vanishing
 from approxjac.validation import Array, as_limits, as_number, as_vector, require
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
-_PREDICTED, _UNPREDICTED = Status.PREDICTED, Status.NOT_PREDICTED
-_LOST = Status.MEASUREMENT_LOST
+_PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
 _KAPPA = 60.0  # [1/s]
 _STEADY = 0.25  # κ dt at most
 _ROOM = 0.5  # κ dt λ_max(M⁻¹M̂) at most
@@ -154,10 +153,10 @@ class TrackingController(ProvenLaw):
         self._n_state = n_state = self._end + (0 if self._commands is None else robot.nv)
         # of q, v, x, target and state
         self._shapes = (robot.nq,), (robot.nv,), (task.n_x,), (task.n_x,), (n_state,)
-        self._scale = vanishing(task)
         # of metres and radians at once it is usually 0.05, where nothing is singular
         most = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
-        self._ratio, self._continuous = singular_ratio(task, most), robot.nq != robot.nv
+        self._ratio, self._scale = singular_ratio(task, most), vanishing(task)
+        self._continuous = robot.nq != robot.nv
         # as arrays, which NumPy multiplies with in a third of the time of numbers
         self._alpha, self._k = np.array(self.alpha), self.alpha / self.speed
 
