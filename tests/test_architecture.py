@@ -49,8 +49,8 @@ ALLOWED = {
         "extras",
     },
     "paper": {
-        "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "validation",
-        "errors",
+        "view", "stability", "controllers", "simulation", "law", "tasks", "robots", "formatting",
+        "validation", "errors",
     },
     "scenario": {
         "files", "view", "stability", "controllers", "simulation", "law", "tasks", "robots",

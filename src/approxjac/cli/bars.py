@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-_TIMES = "{percentage:3.0f} %|{bar}| {elapsed} so far, {remaining} to go"
+_TIMES = "{percentage:.0f} %|{bar}| {elapsed} so far, {remaining} to go"
 
 
 class ShareBar:
     """A bar of several parts of work one after the other, each from 0 to 1."""
 
     def __init__(self) -> None:
-        self._bar = _bar(1.0, "{desc}: " + _TIMES)
+        self._bar = _bar(1.0, "{desc}" + _TIMES)
         self._what = ""
 
     def __enter__(self) -> ShareBar:
@@ -41,7 +41,7 @@ class ShareBar:
 
 def time_bar(total: float, what: str, disable: bool | None = None) -> tqdm[Any]:
     """Return a bar of a simulated time [s]."""
-    bar = _bar(total, "{desc}, {n:.1f} of {total:g} s: " + _TIMES, disable)
+    bar = _bar(total, "{desc}{n:.1f} of {total:g} s, " + _TIMES, disable)
     bar.set_description(what, refresh=False)
     return bar
 

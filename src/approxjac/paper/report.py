@@ -9,6 +9,7 @@ from typing import Any
 
 from approxjac import view
 from approxjac.errors import MissingPackageError
+from approxjac.formatting import wrapped
 from approxjac.paper.experiments import ALPHA, CAMERA, LEARNING_GAIN, LENGTHS, OBJECT_MASS, Setup
 from approxjac.paper.result import JacobianBound, Result
 from approxjac.robots import GravityRegressor, Robot
@@ -60,20 +61,23 @@ def _camera(camera: PlanarCamera) -> dict[str, float]:
 
 
 def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
-    """Return the verdicts beside the paper's words, as text."""
+    """Return the verdicts beside the paper's words, as text; first how many are the same."""
     lines: list[str] = []
+    if results:
+        same = sum(result.agrees_with_paper for result in results)
+        lines += [f"verdicts: {same} of {len(results)} as in the paper", ""]
     if bound is not None:
         verdict = (
             "condition (23) is met there; (14) and (22), which Theorem 1 needs too, are not checked"
             if bound.condition_23_met
             else "Theorem 1 does not cover it"
         )
-        lines += [
+        told = (
             f"Figure 1: at the target, (25) allows p < {bound.largest_allowed_p:.4f}, and (23) "
-            f"allows p < {bound.allowed_p_at_a_of_figure_4:.4f} with the",
-            f"gain ratio a of Figure 4, which has p = {bound.p_of_figure_4:.4f}: {verdict}.",
-            "",
-        ]
+            f"allows p < {bound.allowed_p_at_a_of_figure_4:.4f} with the gain ratio a of Figure 4, "
+            f"which has p = {bound.p_of_figure_4:.4f}: {verdict}."
+        )
+        lines += [*wrapped(told), ""]
     if results:
         times = sorted({t for result in results for t in result.error_ratios})
         ratios = "".join(f"{f'{t:g} s':>8}" for t in times)
@@ -84,14 +88,14 @@ def table(results: Sequence[Result], bound: JacobianBound | None) -> str:
     for result in results:
         experiment = result.experiment
         ratios = "".join(f"{r:8.4f}" for r in result.error_ratios.values())
-        agrees = "" if result.agrees_with_paper else "  << differs"
+        agrees = "" if result.agrees_with_paper else " (differs)"
         name = f"{experiment.figure}  {experiment.title}"
         lines.append(
             f"{name:<46}{result.local.max_real_eigenvalue:>+9.4f} {ratios}  {result.verdict:<10}"
             f"“{experiment.paper_words}”{agrees}"
         )
         if not result.agrees_with_paper or not result.evidence_agrees:
-            lines.append(f"{'':3}{result.reason}")
+            lines += wrapped(result.reason, "   ")
         if result.theta_hat is not None:
             learnt = ", ".join(f"{value:.4f}" for value in result.theta_hat)
             lines.append(f"{'':3}learnt θ̂ = ({learnt}) kg m")

@@ -82,7 +82,9 @@ def text(result: SuggestedGains) -> str:
     told |= {
         "settling time": f"{found.settling_time:.3g} s in the worst case, where "
         f"{result.settling_time:g} s is wanted",
-        "torque": f"a start takes at most {100.0 * found.torque_ratio:.2g} % of the limits",
+        "torque": f"a start takes at most {100.0 * found.torque_ratio:.2g} % of the limits"
+        if found.torque_ratio
+        else "no limits known",
         "tried": f"{len(result.found.tried)} gains, gentle ones first",
     }
     options = [f"--{name} {numbers(getattr(control, name))}" for name in ("kp", "kv", "damping")]

@@ -202,5 +202,12 @@ def _draw_kinematics(
 
 
 def _size(errors: dict[str, float]) -> str:
-    shown = [(value, *display_unit(unit)) for unit, value in errors.items()]
-    return " and ".join(f"{factor * value:.3g} {unit}" for value, unit, factor in shown)
+    return " and ".join(_length(value, unit) for unit, value in errors.items())
+
+
+def _length(value: float, unit: str) -> str:
+    """Return the size of an error to three digits: in mm below a metre, and not below 1 µm."""
+    shown, factor = display_unit(unit)
+    if unit == "m" and value >= 1.0:
+        shown, factor = unit, 1.0
+    return "< 0.001 " + shown if factor * value < 1e-3 else f"{factor * value:.3g} {shown}"
