@@ -130,7 +130,7 @@ def test_a_terminal_gets_a_progress_bar(tmp_path):
         shown += chunk
     assert process.wait(timeout=60) == 0
     assert b"figure 4" in shown
-    assert b"100%" in shown
+    assert b"100 %" in shown
 
 
 def test_a_reader_that_has_seen_enough_is_no_error():

@@ -17,7 +17,7 @@ class ShareBar:
     """A bar of several parts of work one after the other, each from 0 to 1."""
 
     def __init__(self) -> None:
-        self._bar = _bar(1.0, "{desc}" + _TIMES)
+        self._bar = _bar(1.0, "{desc}" + _TIMES, "start")
         self._what = ""
 
     def __enter__(self) -> ShareBar:
@@ -41,12 +41,10 @@ class ShareBar:
 
 def time_bar(total: float, what: str, disable: bool | None = None) -> tqdm[Any]:
     """Return a bar of a simulated time [s]."""
-    bar = _bar(total, "{desc}{n:.1f} of {total:g} s, " + _TIMES, disable)
-    bar.set_description(what, refresh=False)
-    return bar
+    return _bar(total, "{desc}{n:.1f} of {total:g} s, " + _TIMES, what, disable)
 
 
-def _bar(total: float, shown: str, disable: bool | None = None) -> tqdm[Any]:
+def _bar(total: float, shown: str, what: str, disable: bool | None = None) -> tqdm[Any]:
     from tqdm import tqdm
 
-    return tqdm(total=total, disable=disable, bar_format=shown)
+    return tqdm(total=total, desc=f"{what}: ", disable=disable, bar_format=shown)
