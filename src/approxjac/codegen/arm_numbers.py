@@ -69,7 +69,7 @@ def all_frame_id(robot: Robot, frame: str) -> int:
 
 
 class Structure(NamedTuple):
-    """What arms must have in common; all lists are by joint.
+    """Structure that arms must have in common; all lists are by joint.
 
     Attributes:
         parents: Number of the joint that carries each; -1 for the base.

@@ -9,7 +9,7 @@ from approxjac.codegen.symbols import Symbols, symbols
 
 
 class Motion(NamedTuple):
-    """How a link moves, in its own axes.
+    """Motion of a link, in its own axes.
 
     Attributes:
         omega: Its angular velocity, shape (3,) [rad/s].

@@ -1,4 +1,4 @@
-"""What a controller in C says of itself: units, state, statuses, what it was made from."""
+"""Words of a controller in C about itself: units, state, statuses, what it was made from."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def inside(controller: Controller) -> Controller:
 
 
 class Held(NamedTuple):
-    """What is held at one step, as `HeldMeasurement.step` has it.
+    """Measurement that is held at one step, as `HeldMeasurement.step` has it.
 
     Attributes:
         x: What the controller inside is told, shape (n_x,); NaN where it is too old.

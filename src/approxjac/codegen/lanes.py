@@ -25,7 +25,7 @@ _BLOCK = 256  # steps that are drawn at once: some 20 MB of 1024 runs
 
 
 class Begun(NamedTuple):
-    """What lanes keep of a run that begins, which is little beside its plant.
+    """Numbers that lanes keep of a run that begins, which are few beside its plant.
 
     Attributes:
         q: Configuration, at rest, shape (nq,).

@@ -159,7 +159,7 @@ def _flat(values: Kept) -> dict[str, list[Number]]:
 
 
 class Language(NamedTuple):
-    """How straight-line code is written.
+    """Language that straight-line code is written in.
 
     Attributes:
         templates: Operation → how it is written, with its arguments as {0}, {1} and {2}.

@@ -29,7 +29,7 @@ _IMAGE, _TORQUE = "image", "late_torque"
 
 
 class Measured(NamedTuple):
-    """What a controller is told.
+    """Measurement that a controller is told.
 
     Attributes:
         q: Shape (nq,).
@@ -181,7 +181,7 @@ class Senses:
 
 
 class Draws:
-    """What is drawn for some runs, in blocks of steps that follow one another."""
+    """Numbers drawn for some runs, in blocks of steps that follow one another."""
 
     def __init__(
         self, program: Program, drawn_at: dict[str, Array], seeds: Sequence[int], width: int

@@ -40,7 +40,7 @@ STATUSES = tuple(Status)
 
 
 class Answer(NamedTuple):
-    """What a law answers.
+    """Answer of a law.
 
     Attributes:
         torque: Shape (n_v,).

@@ -109,7 +109,7 @@ def compiled(controller: Controller) -> Any:
 
 
 class _MachineCode:
-    """What a compiled controller has besides: machine code, in the variables `_MADE`."""
+    """Part of a compiled controller that is machine code, in the variables `_MADE`."""
 
     _MADE = ("evaluate", "step", "whole_run")
 

@@ -1,4 +1,4 @@
-"""Where law T has the torque of a motion from: the believed model, or what it learns."""
+"""Sources of law T's torque for a motion: the believed model, or what it learns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may be wrong about an image, in words and plausible errors."""
+"""Unknowns of an image, in words and plausible errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ USUAL_SD: Mapping[str, float] = {
 
 
 class CameraUnknowns:
-    """What may be wrong about the image of points in a pinhole camera.
+    """Unknowns of the image of points in a pinhole camera.
 
     Args:
         task: Image of the points, of the believed robot.

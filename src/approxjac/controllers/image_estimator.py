@@ -26,7 +26,7 @@ _PATIENCE = 10.0  # frames for it to become better
 
 
 class Estimate(NamedTuple):
-    """What is estimated of y = e^λ π(R(o + Hu − p)).
+    """Estimate of the unknowns in y = e^λ π(R(o + Hu − p)).
 
     Attributes:
         u: Translations, shape (n_u,) [m].

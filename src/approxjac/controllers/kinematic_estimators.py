@@ -18,7 +18,7 @@ _SAME = 0.8  # of tr(AᵀA'): about 45°, nearer than which rotations are one to
 
 
 class Estimate(NamedTuple):
-    """What is estimated of x = R(o + HΘ).
+    """Estimate of the unknowns in x = R(o + HΘ).
 
     Attributes:
         Theta: Translations, scale and offset in the base's axes, shape (P,).
@@ -30,7 +30,7 @@ class Estimate(NamedTuple):
 
 
 class Tilts(NamedTuple):
-    """What tilts of axes would explain beyond what is learnt.
+    """Tilts of axes, and what they would explain beyond what is learnt.
 
     Attributes:
         chi_squared: Fall of the sum of squares, in the noise's variance.

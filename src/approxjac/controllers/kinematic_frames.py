@@ -46,7 +46,7 @@ class Frame(NamedTuple):
 
 
 class Frames:
-    """Which x is new, and at which configuration it was taken.
+    """Memory of which x is new, and at which configuration it was taken.
 
     Its numbers: the last x, when it was taken, where the ring was written last, the last t, by how
     much its own clock is ahead of that, when it last found a frame, and the ring of (t, q). A clock

@@ -1,4 +1,4 @@
-"""What was learnt of kinematics, in words and numbers."""
+"""Kinematics as they were learnt, in words and numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _UNEXPLAINED = 1.5  # χ² a degree of freedom
 
 
 class LearntNumber(NamedTuple):
-    """What was learnt of one number.
+    """One number as it was learnt.
 
     Attributes:
         name: Such as "tool.x" or "camera.rz".
@@ -56,7 +56,7 @@ def rows_of(
 
 
 class TiltedAxes(NamedTuple):
-    """Whether axes of joints are as believed: what tilts would explain that is not explained.
+    """Tilts of joint axes, and how much of what is not explained they would explain.
 
     Attributes:
         chi_squared: What tilts of all axes would explain, per degree of freedom: 1 if none is
@@ -80,7 +80,7 @@ class TiltedAxes(NamedTuple):
 
 
 class KinematicReport(NamedTuple):
-    """What was learnt of kinematics.
+    """Report of the kinematics as they were learnt.
 
     Attributes:
         rows: A row each number that was learnt.

@@ -1,4 +1,4 @@
-"""What may be wrong about a measured position, as numbers that it is linear in, and a rotation."""
+"""Unknowns of a measured position: numbers that it is linear in, and a rotation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from approxjac.tasks import (
 from approxjac.validation import Array
 
 KINDS = ("tool", "origins", "camera", "offset", "scale")
-"""What may be unknown."""
+"""Kinds of unknowns."""
 USUAL_SD: Mapping[str, float] = {
     "tool": 0.2, "orientation": 1.0, "origins": 0.02, "camera": 1.0, "offset": 0.2, "scale": 0.2,
 }  # fmt: skip

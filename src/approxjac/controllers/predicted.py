@@ -43,7 +43,7 @@ class Prediction(NamedTuple):
 
 
 class Kinematics(Immutable, ABC):
-    """What a law controls, as kinematics that are known or learnt predict it.
+    """Kinematics, known or learnt, that predict what a law controls.
 
     It learns from the measured x in `step`, and from nothing else; `predict` is a function of its
     state, q and q̇. Its state is flat: it goes in and comes out.

@@ -78,7 +78,7 @@ class ProvenLaw(Immutable, ABC):
     @property
     @abstractmethod
     def resting(self) -> int:
-        """How many numbers of the state, its first, rest where the proof is given up."""
+        """Return how many of the state's first numbers rest where the proof is given up."""
 
     def with_limiter(self, motors: Array) -> ProvenLaw:
         """Return this law as it is inside of a limiter, which decides when it rests.

@@ -212,7 +212,7 @@ class SetpointController(ProvenLaw):
 
     @property
     def resting(self) -> int:
-        """How many numbers of the state, its first, rest where limits give the proof up."""
+        """Return how many of the state's first numbers rest where limits give the proof up."""
         return self._p
 
     def with_limiter(self, motors: Array) -> SetpointController:

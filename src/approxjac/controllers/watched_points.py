@@ -1,4 +1,4 @@
-"""What a camera watches, as points in the axes of its mount that are linear in translations."""
+"""Points that a camera watches, in the axes of its mount, linear in translations."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class ControllerWrapper(Immutable, Controller):
 
     @property
     def command(self) -> Literal["torque", "velocity"]:  # type: ignore[override]  # read-only
-        """What the controller inside commands."""
+        """Return what the controller inside commands."""
         return self.controller.command
 
     @property

@@ -124,7 +124,7 @@ def _again(perturbation: Perturbation, values: tuple[Any, ...], gravity: Array) 
 
 
 class _Parts:
-    """What in a model depends on the object, along n (3,) or None, and on the origins of joints."""
+    """Parts of a model that depend on the object, along n (3,) or None, and on joint origins."""
 
     def __init__(self, model: pin.Model, joints: Sequence[str], n: Array | None) -> None:
         frames = list(model.frames)

@@ -1,4 +1,4 @@
-"""Which link of a branched robot its user may mean by the tip."""
+"""Links of a branched robot that its user may mean by the tip."""
 
 from __future__ import annotations
 

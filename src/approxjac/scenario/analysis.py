@@ -1,4 +1,4 @@
-"""What a stability report of a scenario looks at; its attributes are the help of its options."""
+"""Errors and region of a scenario's stability report; attributes are the help of its options."""
 
 from __future__ import annotations
 

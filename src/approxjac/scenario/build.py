@@ -71,7 +71,7 @@ class BuiltScenario:
 
     @functools.cached_property
     def warning(self) -> str:
-        """Why the gains, the believed or the true arm may not get to the target; or ""."""
+        """Return why the gains, the believed or the true arm may miss the target; or ""."""
         tuning = None if isinstance(self.law, TrackingController) else self.law.tuning
         if tuning is not None and not tuning.stable:
             return tuning.reasons[0]
@@ -92,7 +92,7 @@ class BuiltScenario:
 
     @property
     def learning(self) -> TrackingController | ControllerWrapper | None:
-        """Where kinematics are learnt; None if they are not."""
+        """Return the controller that learns kinematics; None if they are not learnt."""
         if not self.scenario.controller.unknown:
             return None
         assert isinstance(self.controller, TrackingController | ControllerWrapper)

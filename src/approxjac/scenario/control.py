@@ -1,4 +1,4 @@
-"""Who controls in a scenario: law, limits, and what is learnt of kinematics."""
+"""Controller of a scenario: law, limits, and what is learnt of kinematics."""
 
 from __future__ import annotations
 

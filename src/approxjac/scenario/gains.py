@@ -22,7 +22,7 @@ _SETTLING_TIME = 1.0  # [s]
 
 @dataclass(frozen=True, eq=False)
 class SuggestedGains:
-    """What was found for a scenario: gains, or what to relax."""
+    """Gains found for a scenario, or what to relax."""
 
     scenario: Scenario  # with the gains that were found
     errors: str

@@ -12,7 +12,7 @@ _TINY = 1e-6  # of a frame or a sample: more than round-off in k dt, less than a
 
 
 class Frame(NamedTuple):
-    """What a camera does at one sample.
+    """Work of a camera at one sample.
 
     Attributes:
         is_taken: Whether it takes an image now.

@@ -138,7 +138,7 @@ class Plant(Immutable):
 
     @property
     def command(self) -> Literal["torque", "velocity"]:
-        """What it takes."""
+        """Return what it takes."""
         return "torque" if self.servo is None else "velocity"
 
     @property

@@ -19,7 +19,7 @@ from approxjac.tasks.analysis import with_error
 from approxjac.validation import Array, as_diagonal, as_number, shape_of
 
 DRAWN = ("x_noise", "q_noise", "x_dropout")
-"""What is drawn while a run goes on."""
+"""Names of what is drawn while a run goes on."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -269,7 +269,7 @@ class ClosedLoop:
         return found
 
     def _values(self, truths: Indices, configurations: Array) -> Array:
-        """What true robots (N,) measure at configurations (N, nq), shape (N, n_x)."""
+        """Return what true robots (N,) measure at configurations (N, nq), shape (N, n_x)."""
         at = self._true_arms.at(truths, configurations)
         found = np.empty((len(truths), self.plants[0].sensor.n_x))
         for sensor, each, here in self._by_sensor(truths, at):

@@ -205,7 +205,7 @@ class Configurations:
 
 
 def _before(carries: Array) -> Array:
-    """Whether the first joint carries the second one, which is another one."""
+    """Return whether the first joint carries the second one, which is another one."""
     return np.asarray(carries & ~np.eye(len(carries), dtype=bool))
 
 

@@ -46,7 +46,7 @@ OF_TARGETS = ("M", "G", "J", "J_hat", "J_hat_pinv", "Z")
 
 
 class Timing(NamedTuple):
-    """When things happen in sampled control."""
+    """Times at which things happen in sampled control."""
 
     dt: float  # sampling time [s]
     x_late: int = 0  # age of the measured x in samples

@@ -189,7 +189,7 @@ class MatrixForm:
 
 
 class _OfSamples(NamedTuple):
-    """What no weights change, of each sample: D, L⁻¹ of D = LLᵀ, and both G of `law` with ∂G."""
+    """Terms of each sample that no weights change: D, L⁻¹ of D = LLᵀ, both G of `law` with ∂G."""
 
     D: Array
     root: Array

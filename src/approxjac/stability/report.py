@@ -95,7 +95,7 @@ class StabilityReport:
 
     @property
     def certified_by(self) -> str | None:
-        """What certifies the loop as it runs: "sampled form", or None, for which see `reason`."""
+        """Return what certifies the loop as it runs: "sampled form", or None; see `reason`."""
         return None if self.reason else "sampled form"
 
     @property
@@ -134,7 +134,7 @@ class StabilityReport:
 
     @property
     def reason(self) -> str:
-        """Why the loop as it runs is not certified; empty where it is."""
+        """Return why the loop as it runs is not certified; empty where it is."""
         if self.contradiction:
             return self.contradiction
         if self.sampled is not None:
@@ -146,7 +146,7 @@ class StabilityReport:
 
     @property
     def contradiction(self) -> str:
-        """What no certificate can stand beside; empty where there is nothing."""
+        """Return what no certificate can stand beside; empty where there is nothing."""
         unstable = self.growth >= 1.0
         if not self.gravity_is_exact:
             return f"gravity is off by up to {self.gravity_error:.3g} N m"

@@ -279,7 +279,7 @@ def _learnt(report: StabilityReport) -> str:
 
 
 def _starts(report: StabilityReport) -> str:
-    """Which starts the form covers."""
+    """Return which starts the form covers."""
     sampled = report.sampled
     assert sampled is not None
     units, reach = report.loop.controller.task.units, sampled.reach

@@ -22,11 +22,11 @@ from approxjac.tasks import FrameKinematics
 from approxjac.validation import Array
 
 PLACES = ("x", "y", "z")
-"""Where the believed tip is at the start [m]."""
+"""Places of the believed tip at the start [m]."""
 
 
 class Shares(NamedTuple):
-    """What became of the runs at each point.
+    """Outcome of the runs at each point.
 
     Attributes:
         share: Of those that converged, shape (N_y, N_x); NaN where there are none.

@@ -32,7 +32,7 @@ COLUMNS = (
     "index", "values", "q0", "target", "final_error", "settling_time", "peak_torque", "peak_speed",
     "converged", "diverged", "stayed",
 )  # fmt: skip
-"""What is told of each run: the fields of `Rollout`."""
+"""Fields of `Rollout` that are told of each run."""
 
 _RECORDS = 500  # of a run: 50 in its last tenth
 _EXAMPLES = 16  # runs that show what differs from run to run
@@ -42,7 +42,7 @@ _COMPILED = 4  # loops that a process keeps
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """How a run begins.
+    """Begin of a run: truth, start and target.
 
     Attributes:
         index: Its number.
@@ -69,7 +69,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What all runs share.
+    """Setting that all runs share.
 
     Attributes:
         controller: The controller.

@@ -24,7 +24,7 @@ _MULTIPLE = 1e-6  # frames of so nearly whole numbers of periods fall on samples
 
 
 class Hold(NamedTuple):
-    """What holds and delays amount to.
+    """Bounds on what holds and delays amount to.
 
     Attributes:
         gain: γ of the torque, or of its part with D_c where x comes in frames [s].

@@ -56,7 +56,7 @@ class SampledTest(MatrixTest):
 
     @property
     def reason(self) -> str:
-        """Why it is not certified; empty where it is."""
+        """Return why it is not certified; empty where it is."""
         if self.certified:
             return ""
         if self.margin > 0.0:
@@ -154,7 +154,7 @@ def sampled_test(
 
 
 class _AtSpeed(NamedTuple):
-    """What was found for a v̄."""
+    """Finding for a v̄."""
 
     whole: SampledForm
     best: Best  # in the samples that it was chosen on

@@ -1,4 +1,4 @@
-"""What OpenCV and ROS tell of a camera, and the files that they keep it in."""
+"""Calibrations of OpenCV and ROS, and the files that they keep them in."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _NAMES = {  # in small letters
 
 
 class Calibration(NamedTuple):
-    """What a file tells of a camera: K (3, 3) [px], coefficients, size [px] and kind of lens."""
+    """Calibration as a file tells it: K (3, 3) [px], coefficients, size [px] and kind of lens."""
 
     K: Array
     distortion: Array

@@ -19,13 +19,13 @@ HALVINGS = 60
 NEWTON_STEPS = 8
 """From the ray of a lens that is round; of real lenses three will do."""
 LEAST = 1e-9
-"""How far a ray may be shown beside where it was asked for, in focal lengths."""
+"""Largest distance of a ray from where it was asked for, in focal lengths."""
 _SURELY = 1.0 - 1e-6  # of a disc, within which the derivative is regular
 _LARGEST = 1e9  # coefficient
 BEFORE = 1e-9
-"""How far a point of the image is before a tilted lens at least, in focal lengths."""
+"""Least distance of a point of the image before a tilted lens, in focal lengths."""
 COUNTS = (0, 1, 2, 3, 4, 5, 8, 12, 14)
-"""How many coefficients a lens may be given by."""
+"""Counts of coefficients that a lens may be given by."""
 
 
 class Lens(ABC):

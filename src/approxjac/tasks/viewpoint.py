@@ -1,4 +1,4 @@
-"""Where a camera stands and looks to."""
+"""Pose of a camera by where it stands and looks to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page asks for, as targets that a run can be given: a page cannot be trusted."""
+"""Wishes of a page as targets that a run can be given: a page cannot be trusted."""
 
 from __future__ import annotations
 
