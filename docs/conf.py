@@ -18,6 +18,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "equations",
+    "excerpts",
     "mathml",
     "study_figures",
     "gallery",

@@ -49,3 +49,4 @@ for left, right, kv in ((axes[0], axes[1], 5000.0), (axes[2], axes[3], 10000.0))
     view.plot_path(run, arm, q_target=goal, ax=right, title=f"Path of the tip, a = {5000.0 / kv:g}")
 
 print(*view.save_figure(figure, out / "uncalibrated_camera"), sep="\n")
+print(view.save_page(run, out / "uncalibrated_camera.html"))

@@ -49,3 +49,4 @@ for ax, (name, gravity) in zip(axes, gravities.items(), strict=True):
     view.plot_error(run, ax, title=f"Gravity {name}: {1e3 * left:.2g} mm after 6 s")
 
 print(*view.save_figure(figure, out / "learnt_gravity"), sep="\n")
+print(view.save_page(run, out / "learnt_gravity.html"))

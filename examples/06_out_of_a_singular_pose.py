@@ -60,3 +60,4 @@ for row, (name, run) in enumerate(runs.items()):
         run, truth, plane="xz", ax=axes[3 * row + 2], target=in_world, title=f"Path: {name}"
     )
 print(*view.save_figure(figure, out / "singular_pose"), sep="\n")
+print(view.save_page(run, out / "singular_pose.html"))

@@ -65,3 +65,4 @@ for row, (name, limiter) in enumerate(
         speeds.set(xlabel="time [s]", ylabel="|q̇| / limit [–]", title=f"Speed: {name}")
         view.legend_below(speeds)
 print(*view.save_figure(figure, out / "half_the_torque"), sep="\n")
+print(view.save_page(run, out / "half_the_torque.html"))

@@ -73,3 +73,4 @@ for row, (name, law) in enumerate(laws.items()):
     view.plot_error(run, axes[3 * row + 1], title=f"Task error: {name}")
     view.plot_torque(run, axes[3 * row + 2], title=f"Torque: {name}")
 print(*view.save_figure(figure, out / "eye_in_the_hand"), sep="\n")
+print(view.save_page(run, out / "eye_in_the_hand.html"))

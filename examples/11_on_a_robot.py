@@ -80,3 +80,4 @@ for ax in (left, middle, right):
     view.legend_below(ax)
 for path in view.save_figure(figure, out / "on_a_robot"):
     print(path)
+print(view.save_page(run, out / "on_a_robot.html"))

@@ -118,3 +118,7 @@ for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=T
     ax.set(xlabel=name, ylabel=shown, ylim=(5e-7, 2e4))
     view.legend_below(ax)
 print(*view.save_figure(figure, out / "what_breaks_it"), sep="\n")
+
+truly, law, dt = tilted(30, True)  # one of them in motion: each axis off by 30°
+run = aj.simulate(truly, law, truly.sensor.value(GOAL), FAR, duration=6.0, dt=dt)
+print(view.save_page(run, out / "what_breaks_it.html"))

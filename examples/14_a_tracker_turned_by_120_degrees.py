@@ -52,3 +52,4 @@ for ax, (name, controller) in zip(axes, controllers.items(), strict=False):
 true = dict(zip(["camera.rx", "camera.ry", "camera.rz"], turned, strict=True))
 view.plot_kinematics(run, controller, list(true), axes[2], truth=true, title="Its rotation, ± 2 sd")
 print(*view.save_figure(figure, out / "tracker_turned"), sep="\n")
+print(view.save_page(run, out / "tracker_turned.html"))

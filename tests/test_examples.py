@@ -16,8 +16,20 @@ ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9][0-9]_*.py"))
 PAGES = {
     "01": ["panda_unknown_tool"],
+    "02": ["uncalibrated_camera"],
+    "03": ["learnt_gravity"],
     "04": ["seven_joints_panda", "seven_joints_talos_arm", "seven_joints_xarm7"],
+    "05": ["panda_pose"],
+    "06": ["singular_pose"],
+    "07": ["tolerated_tools"],
+    "08": ["half_the_torque"],
     "09": ["camera_in_the_room"],
+    "10": ["eye_in_the_hand"],
+    "11": ["on_a_robot"],
+    "12": ["what_breaks_it"],
+    "13": ["circle_unknown_tool"],
+    "14": ["tracker_turned"],
+    "15": ["calibrate_on_the_job"],
 }
 
 

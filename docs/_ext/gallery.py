@@ -3,20 +3,26 @@
 With APPROXJAC_RESULTS in the environment, what they left in that folder is shown instead.
 
 Nothing is listed by hand: what is said of an example is its own header, what is shown are the files
-that it says it made.
+that it says it made, and its robot as the first of its pages shows it. That takes a browser; where
+there is none, the first of its plots is shown instead.
 """
 
 import ast
+import logging
 import os
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from study_figures import ROOT, gather
 
+sys.path.insert(0, str(ROOT / "docs"))
+from page_picture import ARM, at, opened, save
+
 FOLDER = ROOT / "examples"
+MOMENT = 0.15  # of a run at which its robot is shown: most have their way before them
 
 
 @dataclass(frozen=True)
@@ -28,12 +34,14 @@ class Story:
         pictures: The PNGs that it made, one or more.
         pages: The pages of runs that it made.
         printed: What it printed beside the paths of its files.
+        robot: A picture of its arm, or None.
     """
 
     path: Path
     pictures: list[Path]
     pages: list[Path]
     printed: str
+    robot: Path | None = None
 
     @property
     def title(self):
@@ -115,8 +123,9 @@ def runs(told, up=""):
 
 def card(told):
     """What the gallery shows of an example, as Markdown of docs/gallery.md."""
+    shown = told.robot or told.pictures[0]
     return (
-        f"::::{{container}} example\n{picture(told, told.pictures[0])}\n\n"
+        f"::::{{container}} example\n{picture(told, shown)}\n\n"
         f"[{told.title}](gallery/{told.path.stem}.md)\n\n"
         f"{told.summary}\n\n{runs(told)}\n::::\n"
     )
@@ -129,7 +138,8 @@ def cards(stories):
 
 def page(told):
     """The page of an example, as Markdown of docs/gallery/."""
-    pictures = "\n\n".join(picture(told, file, "../") for file in told.pictures)
+    shown = [*told.pictures, *filter(None, [told.robot])]
+    pictures = "\n\n".join(picture(told, file, "../") for file in shown)
     return f"""---
 hide-toc: true
 ---
@@ -174,6 +184,30 @@ def write(docs, stories):
         (folder / f"{told.path.stem}.md").write_text(page(told), encoding="utf-8")
 
 
+def with_robots(stories, out):
+    """The same stories with a picture of each robot on its way."""
+    try:
+        from playwright.sync_api import Error
+    except ImportError:
+        return stories
+    try:
+        with opened(ARM, alone=True) as open_:
+            return [with_robot(told, open_, out) for told in stories]
+    except Error as error:  # there is no browser
+        logging.getLogger(__name__).warning("The gallery shows no robots: %s", error)
+        return stories
+
+
+def with_robot(told, open_, out):
+    """A story with a picture of its robot, if it has a page that shows it."""
+    if not told.pages:
+        return told
+    robot = out / f"{told.path.stem}_robot.webp"
+    shown = open_(out / told.pages[0].name)
+    save(at(shown, MOMENT * shown.evaluate("approxjac.column('t').at(-1)[0]")), robot)
+    return replace(told, robot=robot)
+
+
 def make(app):
     docs = Path(app.srcdir)
     out = docs / "_generated" / "examples"
@@ -181,7 +215,7 @@ def make(app):
     results = os.environ.get("APPROXJAC_RESULTS")
     folder = Path(results, "examples") if results else None
     stories = [left(path, folder, out) if folder else run(path, out) for path in examples()]
-    write(docs, stories)
+    write(docs, with_robots(stories, out))
     gather(out, docs / "_generated" / "site" / "runs" / "examples")
 
 

@@ -2,16 +2,45 @@
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from lxml import etree
+
+SPACE = "{http://www.w3.org/1998/Math/MathML}"
+HAT = "\u0302"  # as wide as its letter; "^" is one of a typewriter
+ACCENTS = frozenset("^ˆ˜~¯‾˙¨.→⃗" + "\u0302\u0303\u0304\u0307\u0308")
+TALL = frozenset("bdfhklβδθλ") | {chr(code) for code in range(ord("A"), ord("Z") + 1)}
 
 
 def visit_inline(translator, node):
-    translator.body.append(convert(node.astext()))
+    translator.body.append(formula(node.astext()))
     raise nodes.SkipNode
 
 
 def visit_block(translator, node):
-    translator.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>')
+    shown = formula(node.astext(), display="block")
+    translator.body.append(f'<div class="math">{shown}</div>')
     raise nodes.SkipNode
+
+
+def formula(source, display="inline"):
+    """MathML of LaTeX, with accents near their letters and exponents beside these, not above.
+
+    Browsers put a mark above with the gap of a limit, unless they are told that it is an accent,
+    and an exponent at the top of all that it belongs to, hat included.
+    """
+    root = etree.fromstring(convert(source, display=display))
+    for over in list(root.iter(f"{SPACE}mover")):
+        if len(over) == 2 and (over[1].text or "").strip() in ACCENTS:
+            over.set("accent", "true")
+            if over[1].text == "^":
+                over[1].text = HAT
+    for base in [each[0] for each in root.iter(*(f"{SPACE}{n}" for n in ("msup", "msubsup")))]:
+        if base.tag == f"{SPACE}mover" and base.get("accent"):
+            letters = "".join(base[0].itertext())
+            height = "0.66em" if TALL & set(letters) else "0.45em"
+            padded = etree.Element(f"{SPACE}mpadded", height=height)
+            base.getparent().replace(base, padded)
+            padded.append(base)
+    return etree.tostring(root, encoding="unicode")
 
 
 def setup(app):
