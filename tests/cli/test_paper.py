@@ -183,7 +183,7 @@ def test_the_pages_of_the_study_load(paper, open_page):
     """And show how each run ends: its error, and the believed tip elsewhere if the arm is wrong."""
     out, _ = paper
     index = open_page(out / "index.html", (640, 480))
-    links = index.eval_on_selector_all("a", "links => links.map((a) => a.href)")
+    links = index.eval_on_selector_all("li a", "links => links.map((a) => a.href)")
     assert [link.rsplit("/", 1)[1] for link in links] == [f"fig{n}.html" for n in range(3, 9)]
     for n, link in enumerate(links, start=3):
         index.goto(link)
