@@ -114,6 +114,8 @@ def test_the_search_finds_and_leads_there(pages, open_page, words, wanted):
     box.press("Enter")
     page.wait_for_url("**/search.html**")
     results = page.locator("#search-results li a")
+    # each has a few words around what was found, in a folder without a network, too
+    page.locator("#search-results li .context").first.wait_for()
     # they come in one by one
     page.locator(f"#search-results li a[href*='{wanted}']").first.wait_for()
     results.first.click()

@@ -19,9 +19,10 @@ from pathlib import Path
 from study_figures import ROOT, gather
 
 sys.path.insert(0, str(ROOT / "docs"))
-from page_picture import ARM, at, opened, save
+from page_picture import at, opened, save
 
 FOLDER = ROOT / "examples"
+CARD = (640, 360)
 MOMENT = 0.15  # of a run at which its robot is shown: most have their way before them
 
 
@@ -191,7 +192,7 @@ def with_robots(stories, out):
     except ImportError:
         return stories
     try:
-        with opened(ARM, alone=True) as open_:
+        with opened(CARD, alone=True) as open_:
             return [with_robot(told, open_, out) for told in stories]
     except Error as error:  # there is no browser
         logging.getLogger(__name__).warning("The gallery shows no robots: %s", error)
@@ -204,6 +205,7 @@ def with_robot(told, open_, out):
         return told
     robot = out / f"{told.path.stem}_robot.webp"
     shown = open_(out / told.pages[0].name)
+    shown.add_style_tag(content="header { display: none }")  # too small to be read on a card
     save(at(shown, MOMENT * shown.evaluate("approxjac.column('t').at(-1)[0]")), robot)
     return replace(told, robot=robot)
 

@@ -5,8 +5,7 @@ from latex2mathml.converter import convert
 from lxml import etree
 
 SPACE = "{http://www.w3.org/1998/Math/MathML}"
-HAT = "\u0302"  # as wide as its letter; "^" is one of a typewriter
-ACCENTS = frozenset("^ˆ˜~¯‾˙¨.→⃗" + "\u0302\u0303\u0304\u0307\u0308")
+ACCENTS = frozenset("^~¯˙¨→")  # combining ones are lost at times as Chromium paints
 TALL = frozenset("bdfhklβδθλ") | {chr(code) for code in range(ord("A"), ord("Z") + 1)}
 
 
@@ -31,8 +30,6 @@ def formula(source, display="inline"):
     for over in list(root.iter(f"{SPACE}mover")):
         if len(over) == 2 and (over[1].text or "").strip() in ACCENTS:
             over.set("accent", "true")
-            if over[1].text == "^":
-                over[1].text = HAT
     for base in [each[0] for each in root.iter(*(f"{SPACE}{n}" for n in ("msup", "msubsup")))]:
         if base.tag == f"{SPACE}mover" and base.get("accent"):
             letters = "".join(base[0].itertext())
