@@ -84,6 +84,7 @@ def plain(value: Any) -> Any:
 
 
 _WIDTH = 100  # of text that no terminal shows
+_INDENT = 6
 _UNITS = re.compile(r"(\d) (%|[a-z]+)\b")
 
 
@@ -97,11 +98,14 @@ def width() -> int:
 def wrapped(text: str, start: str = "", indent: int | None = None) -> list[str]:
     """Return text as lines of the `width`, the first after `start`, and others as far in.
 
-    No number goes without its unit.
+    No number goes without its unit. After a start that takes more than half of the width, text
+    begins in a line of its own.
     """
+    if len(start) > width() // 2:
+        return [start.rstrip(), *(wrapped(text, " " * _INDENT) if text else ())]
     lines = textwrap.wrap(
         _UNITS.sub("\\1\u00a0\\2", text),
-        max(width(), len(start) + 30),
+        width(),
         initial_indent=start,
         subsequent_indent=" " * (len(start) if indent is None else indent),
         break_on_hyphens=False,

@@ -45,7 +45,7 @@ def export(
     if not isinstance(controller, SetpointController | TorqueLimited):
         raise InvalidInputError(
             "C code is made of set-point laws on what is measured, without what holds or predicts "
-            f"measurements, got {controller!r}",
+            f"measurements, got {' '.join(str(controller).split())}",
             given=controller,
         )
     path = export_c(controller, folder)

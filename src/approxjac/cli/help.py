@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 
 from approxjac.cli.arguments import Option, metavar
-from approxjac.formatting import wrapped
+from approxjac.formatting import width, wrapped
 
 _INDENT = 26
 
@@ -95,6 +95,7 @@ def _told(option: Option) -> str:
 
 def _entry(name: str, told: str, indent: int) -> list[str]:
     """Return a name and what is told of it beside it, or below where the name is long."""
+    indent = min(indent, width() // 2)
     lines = wrapped(told, " " * indent)
     if len(name) + 4 > indent:
         return [f"  {name}", *lines]

@@ -92,7 +92,7 @@ def _block(title: str, rows: list[Row]) -> list[str]:
     for name, said, figures in rows:
         start = f"  {name:<{first}}  " + (f"{said:<{second}}  " if second else "")
         lines += wrapped(figures, start)
-    return ["", title, *lines]
+    return ["", *wrapped(title), *lines]
 
 
 def _meaning(report: StabilityReport) -> str:
