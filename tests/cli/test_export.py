@@ -14,7 +14,7 @@ def export(folder, *options):
 def test_it_writes_the_controller_of_the_scenario(tmp_path, capsys):
     assert export(tmp_path / "made", "panda", "--believed-length", "0.1", "--effort-only") == 0
     said = capsys.readouterr().out
-    assert "law (28), (29)" in said
+    assert "set-point law (28)" in said
     assert "controller.h says how to call it" in said
     built = Scenario("panda", believed={"object": {"length": 0.1}}).build()
     expected = aj.TorqueLimited(
