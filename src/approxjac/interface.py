@@ -12,10 +12,12 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import listed
 from approxjac.tasks import Task
 from approxjac.validation import Array, as_number
+
+_HUGE = 1e300  # below it no finite rate makes a state overflow within a second
 
 
 class _Outcome(enum.IntEnum):
@@ -261,10 +263,17 @@ class ContinuousController(Controller, Protocol):
         if not (isinstance(dt, float) and 0.0 < dt < math.inf):
             dt = as_number("dt", dt, unit="s", above=0.0)
         try:
-            return state + dt * np.asarray(answer.state_rate), answer
+            if dt <= 1.0 and math.hypot(*state.tolist()) < _HUGE:
+                return state + dt * np.asarray(answer.state_rate), answer
+            with np.errstate(over="ignore"):  # an overflow is a named error
+                after = state + dt * np.asarray(answer.state_rate)
         except (AttributeError, TypeError, ValueError):
             told = f"evaluate must return an Evaluation with a state_rate, got {answer!r}"
             raise InvalidInputError(told, given=answer) from None
+        if np.isfinite(after).all():
+            return after, answer
+        told = f"the state overflows in a step of {dt:g} s from {state.tolist()}"
+        raise MeasurementError(told, given=state)
 
     def evaluate(
         self, state: Array, measurement: Measurement, target: Target | Array

@@ -215,7 +215,7 @@ class _MachineCode:
 
         def step(state: Array, measurement: Measurement, target: Target | Array, dt: float) -> Any:
             found = answer(state, measurement, target)
-            if found is None or not (isinstance(dt, float) and 0.0 < dt < math.inf):
+            if found is None or not (isinstance(dt, float) and 0.0 < dt <= 1.0):
                 return ordinary_step(state, measurement, target, dt)
             after = state + dt * found.state_rate if state.size else state.copy()
             if p and found.limit_status not in learns:

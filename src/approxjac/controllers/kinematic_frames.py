@@ -10,15 +10,17 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.controllers.arguments import time_of_x
+from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Measurement, Status
 from approxjac.robots import Robot
-from approxjac.validation import Array
+from approxjac.validation import Array, as_number
 
 _OK, _PREDICTED = Status.OK, Status.PREDICTED  # members of an enum are slow to look up
 _LOST = Status.MEASUREMENT_LOST
 _SPACING = 10e-3  # between remembered configurations, from which others are interpolated [s]
 _HORIZON = 0.25  # age up to which a frame finds its configuration [s]
 _LONG_AGO = -1e6  # [s]
+_FOREVER = 1e15  # t of no clock [s]
 _AHEAD = 1e-9  # by which a clock is on time [s]
 _CLOSEST = 4e-3  # between frames, below which there is nothing to learn from the second one [s]
 _STALE = 1.0  # without a frame to learn from, after which it is said [s]
@@ -35,6 +37,23 @@ def parts_of(sizes: Mapping[str, int]) -> tuple[dict[str, slice], int]:
 def is_seen(x: Array) -> Array:
     """Return which entries of x are positions, and not lost, shape (n_x,)."""
     return np.asarray(np.abs(x) < _FARTHEST)
+
+
+def _time(measurement: Measurement) -> float:
+    """Return the time of a measurement [s], or refuse it: what is learnt has to be known when."""
+    name, most = "t of a measurement", _FOREVER
+    return as_number(name, measurement.t, unit="s", minimum=-most, most=most)
+
+
+def _require_known(measurement: Measurement) -> None:
+    """Refuse a first measurement without a time or a configuration."""
+    _time(measurement)
+    if not np.isfinite(measurement.q).all():
+        raise MeasurementError(
+            f"q must be finite, got {measurement.q.tolist()}: frames are learnt from with the "
+            "configuration of their time",
+            given=measurement,
+        )
 
 
 class Frame(NamedTuple):
@@ -74,6 +93,7 @@ class Frames:
 
     def initial(self, measurement: Measurement) -> Array:
         """Return the numbers before the first frame: the arm was at rest; shape (size,)."""
+        _require_known(measurement)
         ring = np.empty((self._count, self._width))
         ring[:, 0] = measurement.t + self._spacing * np.arange(1 - self._count, 1)
         ring[:, 1:] = measurement.q
@@ -88,7 +108,7 @@ class Frames:
 
     def on_time(self, numbers: Array, measurement: Measurement, dt: float) -> Measurement:
         """Return a measurement by the own clock, dt [s] after the one before if t stands still."""
-        n, t = self._n_x, measurement.t
+        n, t = self._n_x, _time(measurement)
         (last, ahead), t_x = numbers[n + 2 : n + 4].tolist(), time_of_x(measurement.t_x)
         ahead = ahead + dt if t == last else max(ahead - abs(t - last), 0.0)
         numbers[n + 2 : n + 4] = t, ahead
@@ -115,6 +135,12 @@ class Frames:
             Whether it was, or time does not pass.
         """
         n, head = self._n_x, self._head
+        if not 0.0 <= numbers[n + 1] < self._count:
+            raise InvalidInputError(
+                "state must be one that initial_state, resumed or step returned: its frames are "
+                f"counted from 0 to {self._count - 1}, got {numbers[n + 1]:g}",
+                given=numbers,
+            )
         last = int(numbers[n + 1])
         since = measurement.t - numbers[head + last * self._width]
         if since >= self._spacing - 1e-9:

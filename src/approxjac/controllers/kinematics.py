@@ -232,7 +232,9 @@ class AdaptiveKinematics(Kinematics):
         since = min(max(frame.t - float(state[at["time"]][0]), 0.0), _LONGEST)
         sums, averaged, chi = state[at["sums"]], state[at["averaged"]], state[at["chi"]]
         kept = -math.expm1(-since / _WINDOW)
-        noise = max(self.noise, math.sqrt(chi[3]))  # as told, or as seen from frame to frame
+        noise = max(
+            self.noise, math.sqrt(max(chi[3], 0.0))
+        )  # as told, or as seen from frame to frame
         usual = noise * math.sqrt(kept / (2.0 - kept))  # of what noise leaves of an average
         # what was not explained all along is no news
         unexplained = math.sqrt(min(max(chi[0], 1.0), _WORST))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import abc
+import math
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from approxjac import law
+from approxjac.controllers.arguments import HUGE, overflow
 from approxjac.controllers.limits import Limits, rate_bounds
 from approxjac.controllers.proven_law import ProvenLaw
 from approxjac.controllers.setpoint import SetpointController
@@ -150,7 +152,10 @@ class Limiter(ControllerWrapper):
                 given=measurement,
             )
         q = self.task.robot.configuration(q)
-        hold = self._law.gravity_torque(state, q)
+        with np.errstate(over="ignore", invalid="ignore"):
+            hold = self._law.gravity_torque(state, q)
+        if not math.hypot(*hold.tolist()) < HUGE:
+            raise overflow(measurement)
         return np.concatenate([state, self._kept, np.clip(hold, self._lower, self._upper)])
 
     def step(
@@ -165,10 +170,14 @@ class Limiter(ControllerWrapper):
             state, memory = self._split(state)
             if self._has_rate:
                 memory, before = np.split(memory, [len(self._kept)])
+                if not math.hypot(*before.tolist()) < HUGE:  # no law gives such a torque
+                    told = f"state must end with the torque before, got {before.tolist()}"
+                    raise InvalidInputError(told, given=state)
         after, answer = self._law.step(state, measurement, target, dt)
         if self._has_rate:
             within = np.minimum(np.maximum(before, lower), upper)
-            lower, upper = rate_bounds(within, self._rate, dt, lower, upper)
+            with np.errstate(over="ignore"):  # no bound at all, of an absurd rate or dt
+                lower, upper = rate_bounds(within, self._rate, dt, lower, upper)
         wanted = answer.torque
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
         status, slack = _FREE, 0.0

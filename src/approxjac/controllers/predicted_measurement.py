@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from approxjac.controllers.arguments import require_arrays, require_finite, with_rates
+from approxjac.controllers.arguments import overflow, require_arrays, require_finite, with_rates
 from approxjac.controllers.kinematic_report import KinematicReport
 from approxjac.controllers.predicted import Kinematics
 from approxjac.controllers.tracking import TrackingController
@@ -151,11 +151,17 @@ class PredictedMeasurement(ControllerWrapper):
             require_finite(q, v, x_d, state, self._task)
         target, e = with_rates(target._replace(x=x_d), self._task.m), self._task.error(x, x_d)
         now = self.kinematics.status(known, measurement)
-        seen, origin = self._predicted(known, measurement, target)
-        if now is _LOST:  # nothing is predicted before x was seen once
-            seen.x[: self._task.m] = math.nan
-        after, answer = self.controller.step(inner, seen, origin, dt)
-        known = self.kinematics.step(known, measurement, dt)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
+                seen, origin = self._predicted(known, measurement, target)
+                if now is _LOST:  # nothing is predicted before x was seen once
+                    seen.x[: self._task.m] = math.nan
+                after, answer = self.controller.step(inner, seen, origin, dt)
+                known = self.kinematics.step(known, measurement, dt)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            raise overflow(measurement) from None
+        if not math.isfinite(math.hypot(*known.tolist())):
+            raise overflow(measurement)
         status = answer.status
         if status is _OK and (now is _PREDICTED or not math.isfinite(math.hypot(*e.tolist()))):
             status = _PREDICTED

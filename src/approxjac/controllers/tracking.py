@@ -235,7 +235,7 @@ class TrackingController(ProvenLaw):
                 after, answer = self._step(state, measurement, target)
                 if math.isfinite(float(after.dot(after) + answer.torque.dot(answer.torque))):
                     return after, answer
-            except np.linalg.LinAlgError:  # no eigenvalues: Ĵ has overflowed
+            except (ArithmeticError, np.linalg.LinAlgError):  # what has overflowed, Ĵ too
                 pass
         raise overflow(measurement)
 

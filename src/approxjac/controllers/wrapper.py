@@ -120,10 +120,10 @@ class ControllerWrapper(Immutable, Controller):
             InvalidInputError: A state that is no such array, or a memory that is not finite.
         """
         least = self._memory
-        if not isinstance(state, np.ndarray) or state.ndim != 1 or state.dtype != FLOAT64:
+        if type(state) is not np.ndarray or state.ndim != 1 or state.dtype != FLOAT64:
             raise InvalidInputError(
                 f"state must be an array of float64 as initial_state and step return it, got "
-                f"{f'{state.dtype} {state.shape}' if isinstance(state, np.ndarray) else state!r}",
+                f"{f'{state.dtype} {state.shape}' if type(state) is np.ndarray else repr(state)}",
                 given=state,
             )
         if len(state) < least:

@@ -74,7 +74,7 @@ def rotation_log(R: Array) -> Array:
     sine, cosine = 0.5 * math.hypot(*twice.tolist()), 0.5 * (float(R.trace()) - 1.0)
     angle = math.atan2(sine, cosine)
     if cosine > -0.99:
-        return np.asarray((0.5 if angle < 1e-6 else 0.5 * angle / sine) * twice)
+        return np.asarray((0.5 if sine < 1e-6 else 0.5 * angle / sine) * twice)
     symmetric = 0.5 * (R + R.T) - cosine * np.eye(3)  # (1 − cos) a aᵀ
     axis = symmetric[:, int(np.argmax(symmetric.diagonal()))]
     axis = axis / np.linalg.norm(axis)
