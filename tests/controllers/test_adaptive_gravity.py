@@ -143,7 +143,9 @@ def test_what_is_learnt_is_told_in_words(arms):
     task = aj.PositionTask(belief)
     learns = aj.SetpointController(task, gravity=aj.AdaptiveGravity(regressor)).adaptation
     told = learns.words(np.array([*theta, 0.0, -3.0, 0.0, *np.zeros(5), 0.25, 0.0]), task)
-    assert told.startswith("as if the last link had +1 kg and [")
+    assert told.startswith(
+        "to compensate, beside the believed arm's weight: a load on the last link of +1 kg"
+    )
     assert "-3 N along y" in told
     assert "0.25 N m" in told
     assert "panda_joint6" in told
