@@ -128,7 +128,7 @@ def test_a_pinhole_camera_gives_the_same_numbers(results, figure):
     local = aj.local_stability(plant, controller, q_target)
     assert_allclose(local.max_real_eigenvalue, results[figure].local.max_real_eigenvalue)
     run = aj.simulate(
-        plant, controller, sensor.value(q_target), setup.start, 20.0, record_every=0.05, dt=None
+        plant, controller, sensor.value(q_target), setup.start, 20.0, record_every=0.025, dt=None
     )
     n = len(run.t)
     assert_allclose(run.t, planar.t[:n], atol=1e-9)

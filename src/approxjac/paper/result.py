@@ -92,8 +92,8 @@ def run_experiment(
         q0=setup.start,
         duration=setup.duration,
         dt=None,
-        # at most 50 ms, whatever the duration: error ratios are read between the records
-        record_every=setup.duration / max(2400, math.ceil(setup.duration / 0.05)),
+        # at most 25 ms, whatever the duration: error ratios are read between the records
+        record_every=setup.duration / max(4800, math.ceil(setup.duration / 0.025)),
         progress=progress,
     )
     theta_hat = controller.learnt(run.state)[-1] if experiment.learn_gravity else None

@@ -65,7 +65,7 @@ def test_columns_are_those_of_the_run(run):
     data = data_of(page(run))
     t = column(data, "t")
     assert len(t) == 61  # 60 a second
-    kept = _thinned(run.t)
+    kept = _thinned(run.t, run.q)
     assert_allclose(t, run.t[kept], atol=1e-6)
     assert_allclose(column(data, "joints"), run.q[kept], atol=1e-6)
     assert_allclose(column(data, "error"), 1e3 * run.error[kept], rtol=1e-5, atol=1e-6)
@@ -74,13 +74,21 @@ def test_columns_are_those_of_the_run(run):
 
 def test_first_and_last_instant_are_kept():
     for t in (np.linspace(0.0, 100.0, 50001), np.linspace(2.0, 2.5, 500), np.array([0.0, 9.0])):
-        kept = _thinned(t)
+        kept = _thinned(t, np.zeros((len(t), 2)))
         assert kept[0] == 0
         assert kept[-1] == len(t) - 1
         assert (np.diff(kept) > 0).all()
         assert len(kept) <= 1000
         assert len(kept) <= 60.0 * (t[-1] - t[0]) + 2
-    assert_array_equal(_thinned(np.array([0.0])), [0])
+    assert_array_equal(_thinned(np.array([0.0]), np.zeros((1, 2))), [0])
+
+
+def test_more_instants_are_kept_where_the_arm_is_fast():
+    t = np.linspace(0.0, 100.0, 20_001)
+    q = np.column_stack([1.0 - np.exp(-t), 0.0 * t])
+    kept = _thinned(t, q)
+    assert np.abs(np.diff(q[kept, 0])).max() < 0.01  # 0.1 if they were shared out by time alone
+    assert np.diff(t[kept]).max() < 0.25
 
 
 def test_no_peak_is_lost_between_instants(rng):

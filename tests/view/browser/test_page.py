@@ -484,7 +484,7 @@ def test_the_rim_of_the_ghost_lies_around_the_arm_only(reach, show):
         grown[:, 1:] |= reached[:, :-1]
         grown[:, :-1] |= reached[:, 1:]
         reached = grown
-    assert (pink & ~reached).sum() < 0.01 * pink.sum()  # in narrow gaps between links
+    assert (pink & ~reached).sum() < 0.03 * pink.sum()  # in gaps as of fingers
 
 
 def test_the_view_is_reset(reach, show):

@@ -135,7 +135,7 @@ def page(run: Trajectory, title: str | None = None) -> str:
             "approxjac.simulate returned, or give dataclasses.replace(run, scene=Scene(...))",
             given=run,
         )
-    stage, kept = Stage(run.scene), _thinned(run.t)
+    stage, kept = Stage(run.scene), _thinned(run.t, run.q)
     columns = Frames(run.scene).columns(run, kept)
     return document(page_data(stage, run, columns, run.q[kept], title, _facts(run)))
 
@@ -151,13 +151,20 @@ def open_browser(url: str) -> bool:
         return False
 
 
-def _thinned(t: Array) -> Any:
-    """Return indices of the instants that the page shows, the first and the last among them."""
+def _thinned(t: Array, q: Array) -> Any:
+    """Return indices of the instants that the page shows, the first and the last among them.
+
+    Half of them are shared out by time and half by motion, so that paths are round where it is
+    fast.
+    """
     duration = float(t[-1] - t[0])
     count = min(len(t), _FRAMES, max(2, round(duration * _RATE) + 1))
     if count == len(t):
         return np.arange(len(t))
-    nearest = np.searchsorted(0.5 * (t[1:] + t[:-1]), np.linspace(t[0], t[-1], count))
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1)))
+    progress = (t - t[0]) / duration + (way / way[-1] if way[-1] > 0.0 else 0.0)
+    wanted = np.linspace(0.0, progress[-1], count)
+    nearest = np.searchsorted(0.5 * (progress[1:] + progress[:-1]), wanted)
     return np.unique(np.concatenate([[0], nearest, [len(t) - 1]]))
 
 

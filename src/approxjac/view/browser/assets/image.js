@@ -172,13 +172,28 @@ approxjac.ImagePlane = class {
       ctx.fillText(text, edge.left - 5, y + 4);
     });
     ctx.textAlign = "center";
-    ctx.fillText(`${image.labels[0]} [${image.unit}]`, 0.5 * (edge.left + right), bottom + 29);
+    this._name(ctx, 0, 0.5 * (edge.left + right), bottom + 29);
     ctx.save();
     ctx.translate(edge.left - 44, 0.5 * (edge.top + bottom));
     ctx.rotate(-Math.PI / 2);
-    ctx.fillText(`${image.labels[1]} [${image.unit}]`, 0, 0);
+    this._name(ctx, 1, 0, 0);
     ctx.restore();
     ctx.textAlign = "left";
+  }
+
+  // The name of an axis with its middle at (x, y), an index below its letter.
+  _name(ctx, axis, x, y) {
+    const [symbol, index] = approxjac.indexed(this.image.labels[axis]), font = "11px sans-serif";
+    const parts = [[symbol, font, 0], [index, "8px sans-serif", 3], [` [${this.image.unit}]`, font, 0]];
+    const widths = parts.map(([text, kind]) => { ctx.font = kind; return ctx.measureText(text).width; });
+    let at = x - 0.5 * widths.reduce((a, b) => a + b);
+    ctx.textAlign = "left";
+    parts.forEach(([text, kind, down], i) => {
+      ctx.font = kind;
+      ctx.fillText(text, at, y + down);
+      at += widths[i];
+    });
+    ctx.font = font;
   }
 
   _dragTarget() {

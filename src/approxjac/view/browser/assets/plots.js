@@ -122,13 +122,21 @@ approxjac.panel = function (parent, title, keys) {
     const key = document.createElement("span"), mark = document.createElement("i");
     const value = document.createElement("span");
     mark.style.background = colour === "#000000" ? "var(--black)" : colour;
-    key.append(mark, label + " ", value);
+    const [symbol, index] = approxjac.indexed(label), below = document.createElement("sub");
+    below.textContent = index;
+    key.append(mark, symbol, ...(index ? [below] : []), " ", value);
     list.append(key);
     return value;
   });
   box.append(head, list, area);
   parent.append(box);
   return { box, area, values };
+};
+
+// A symbol such as x_s as its letter and its index, or another name as it is.
+approxjac.indexed = (name) => {
+  const found = /^(\p{L})_(\w{1,2})$/u.exec(name);
+  return found ? [found[1], found[2]] : [name, ""];
 };
 
 // A number to three digits, with a true minus sign.
