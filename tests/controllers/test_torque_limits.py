@@ -915,3 +915,25 @@ def test_what_others_learn_at_limits_stays_within_bounds(panda, rng):
         assert (moved[theta_hat <= lower] >= -1e-9 * size).all()
         assert (moved[theta_hat >= upper] <= 1e-9 * size).all()
     assert seen > 2
+
+
+@pytest.mark.parametrize(
+    "solver",
+    ["daqp", "osqp"]
+    + [
+        pytest.param(name, marks=pytest.mark.solvers)
+        for name in ("clarabel", "piqp", "quadprog", "scs")
+    ],
+)
+def test_solvers_print_nothing(solver, rng, capfd):
+    """Nor does the C inside of them, whatever becomes of the problem."""
+    robot = ROBOTS["panda"]
+    limits = replace(aj.Limits.of(robot, scale=0.2), rate=500.0)
+    limited = aj.TorqueLimited(learning(robot), limits, weight="inertia", solver=solver)
+    statuses = set()
+    for size in (0.0, 1.0, 1e3, 1e9):
+        for _ in range(5):
+            measurement, target = some_measurement(robot, rng, speed=size, error=size)
+            statuses.add(first_answer(limited, measurement, target).limit_status)
+    assert len(statuses) > 1
+    assert capfd.readouterr() == ("", "")
