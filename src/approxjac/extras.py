@@ -12,6 +12,7 @@ _NEEDED_BY = {
     "franka": "FrankaDriver",
     "mujoco": "MujocoPlant",
     "view": "the browser view",
+    "vision": "the search for tags in images",
 }
 
 

@@ -203,3 +203,31 @@ def test_damaged_files_are_refused_or_read(tmp_path, rng):
 def test_a_missing_file_is_told(tmp_path):
     with pytest.raises(aj.InvalidInputError, match="must be a calibration file that can be read"):
         aj.PinholeCamera.from_file(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"distortion": (-0.28, 0.1, 2e-3, -1e-3, -0.02)}, {"fisheye": True, "focal_length": 220.0}],
+    ids=["tangential", "fisheye"],
+)
+def test_a_camera_is_learnt_through_its_lens(panda, options):
+    """Its rays are those of the lens: learnt is where it stands, and the error goes to zero."""
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    made = aj.PinholeCamera(**{"focal_length": 600.0, "size": (640, 480), **options})
+    camera = made.standing_at((1.2, -0.6, 0.8), looking_at=(0.5, 0.0, 0.5))
+    sensor = aj.ImageTask(panda, camera)
+    task = aj.ImageTask(panda, camera.with_error(rotation=(0.0, 0.0, 0.3), shift=(0.0, 0.1, -0.1)))
+    learns = aj.controllers.AdaptiveCamera(task, unknown=("camera",))
+    controller = aj.TrackingController(task, kinematics=learns, dt=2e-3)
+    plant = aj.Plant(panda, sensor)
+    x_d = sensor.value(q0) + [40.0, -30.0]
+    run = aj.simulate(plant, controller, x_d, q0, 4.0, dt=2e-3, integrator="semi_implicit_euler")
+    assert run.error_norm[0] == pytest.approx(50.0)
+    assert run.error_norm[-1] < 0.5
+    # a target that moves out of what the lens shows leaves no torque undefined
+    far = aj.Target(np.array([5000.0, -4000.0]), np.array([50.0, 0.0]), np.zeros(2))
+    measured = aj.Measurement(0.0, q0, np.zeros(7), sensor.value(q0))
+    state = controller.initial_state(measured)
+    for x in (sensor.value(q0), np.array([639.0, 479.0]), np.array([-0.4, -0.4])):
+        state, answer = controller.step(state, measured._replace(x=x), far, 2e-3)
+        assert np.isfinite(answer.torque).all()

@@ -1,5 +1,7 @@
 """Four corners of a tag: eight image coordinates, of which a rigid body moves six."""
 
+import sys
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -7,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac.controllers.pseudoinverse import singular_ratio
+from approxjac.extras import package_of
 from approxjac.robots import Dynamics
 from approxjac.tasks import CombinedTask, tag_corners
 
@@ -142,3 +145,9 @@ def test_a_target_moves_in_the_image(panda):
     measured = aj.Measurement(0.0, Q, v, stacked.value(Q))
     state = held.initial_state(measured)
     assert np.isfinite(held.step(state, measured, stacked.value(Q), 1e-3)[1].torque).all()
+
+
+def test_what_finds_tags_is_named_where_it_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(aj.errors.MissingPackageError, match=r"pip install 'approxjac\[vision\]'"):
+        package_of("vision", "cv2")
