@@ -210,7 +210,6 @@ def test_files_that_are_no_runs_are_refused(tmp_path):
         ("error", np.zeros((3, 2))),
         ("q", np.zeros(11)),
         ("status", np.full(11, 99)),
-        ("t", np.array(["a"] * 11)),
         ("t", np.zeros(11)),
         ("joint_units", ("rad",)),
         ("robot_name", 5),
