@@ -115,8 +115,11 @@ def test_it_is_for_arms_with_self_motion(panda, two_link):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ((np.zeros(6), 1.0), r"q of the posture must have shape \(7,\), got shape \(6,\)"),
-        ((0.0, 1.0), r"q of the posture must have shape \(7,\), got shape \(\)"),
+        (
+            (np.zeros(6), 1.0),
+            r"q of the posture must have shape \(7,\) \[rad or m\], got shape \(6,\)",
+        ),
+        ((0.0, 1.0), r"q of the posture must have shape \(7,\) \[rad or m\], got shape \(\)"),
         ((np.full(7, np.nan), 1.0), r"q of the posture must be finite \[rad\], got \[nan"),
         ((np.full(7, 90.0), 1.0), "q of the posture must be in radians: it is 90.07 rad beyond"),
         (("up", 1.0), "q of the posture must be numbers of shape"),

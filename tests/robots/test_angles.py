@@ -28,7 +28,9 @@ def test_angles_become_cosines_and_sines():
     assert ARM.configuration(Q) is Q
     with pytest.raises(aj.InvalidInputError, match="q must be finite"):
         ARM.configuration([np.nan, *ANGLES[1:]])
-    with pytest.raises(aj.InvalidInputError, match=r"must have shape \(9,\), got shape \(7,\)"):
+    with pytest.raises(
+        aj.InvalidInputError, match=r"must have shape \(9,\) \[rad or m\], got shape \(7,\)"
+    ):
         ARM.configuration(np.zeros(7))
 
 

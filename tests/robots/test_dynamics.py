@@ -69,9 +69,9 @@ def test_bad_states_are_refused_everywhere(panda):
     dynamics, task = Dynamics(panda), aj.PositionTask(panda)
     regressor, good = GravityRegressor(panda), np.zeros(7)
     bad = {
-        r"q must have shape \(7,\), got shape \(6,\)": np.zeros(6),
-        r"q must be finite, got \[nan": np.full(7, np.nan),
-        r"q must be numbers of shape \(7,\), got 'zero'": "zero",
+        r"q must have shape \(7,\) \[rad or m\], got shape \(6,\)": np.zeros(6),
+        r"q must be finite \[rad or m\], got \[nan": np.full(7, np.nan),
+        r"q must be numbers of shape \(7,\) \[rad or m\], got 'zero'": "zero",
     }
     for text, q in bad.items():
         for call in (dynamics.M, dynamics.g, task.value, task.jacobian, regressor.Z):

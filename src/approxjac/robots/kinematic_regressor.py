@@ -317,7 +317,11 @@ class KinematicRegressor:
 
     def _all(self, q: Array, theta: Array) -> Array:
         """Return q and θ as the model with translations as joints has them."""
-        q = as_vector("q", q, self._nq) if self._is_vector else self.robot.configuration(q)
+        q = (
+            as_vector("q", q, self._nq, "rad or m")
+            if self._is_vector
+            else self.robot.configuration(q)
+        )
         if self._map is not None:
             q = self._map.q(q)
         if self._own_q is not None:

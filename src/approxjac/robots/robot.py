@@ -170,7 +170,7 @@ class Robot(Immutable):
         if self.nq != self.nv and shape_of(q) == (self.nv,):
             motion = as_array(name, q, (self.nv,), "rad or m")
             return np.array(pin.integrate(self.model, self.neutral(), motion))
-        vector = as_vector(name, q, self.nq)
+        vector = as_vector(name, q, self.nq, "rad or m")
         if self.nq != self.nv and not pin.isNormalized(self.model, vector, 1e-3):
             raise InvalidInputError(
                 f"{name} must have cos^2 + sin^2 = 1 in the pairs of continuous joints of "

@@ -30,7 +30,7 @@ from approxjac.simulation.targets import (
     wanted_of,
 )
 from approxjac.simulation.trajectory import Trajectory
-from approxjac.validation import Array, as_array, as_integer, as_number, require, shape_of
+from approxjac.validation import Array, as_array, as_integer, as_number, require
 
 Progress = Callable[[float], None]
 Observer = Callable[[Loop], None]
@@ -100,8 +100,7 @@ def simulate(
     robot = plant.robot
     wanted = wanted_of(plant.sensor, target, 0.0)
     q0 = plant.ready_configuration() if q0 is None else q0
-    size = robot.nv if shape_of(q0) == (robot.nv,) else robot.nq  # or angles of the joints
-    q = robot.configuration(as_array("q0", q0, (size,), "rad or m"), "q0")
+    q = as_array("q0", robot.configuration(q0, "q0"), (robot.nq,))
     require_radians("q0", robot, q)
     v = as_array("v0", np.zeros(robot.nv) if v0 is None else v0, (robot.nv,), "rad/s")
     duration = as_number("duration", duration, unit="s", above=0.0)

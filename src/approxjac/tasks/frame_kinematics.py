@@ -86,7 +86,11 @@ class FrameKinematics:
 
     def jacobian(self, q: Array) -> Array:
         """Return the Jacobian of (velocity, angular velocity), LOCAL_WORLD_ALIGNED, (6, n_v)."""
-        q = as_vector("q", q, self._nq) if self._is_vector else self.robot.configuration(q)
+        q = (
+            as_vector("q", q, self._nq, "rad or m")
+            if self._is_vector
+            else self.robot.configuration(q)
+        )
         J: Array = self._jacobian_of(q, self._id, _LWA)
         return J if self._many else J.reshape(6, 1)
 

@@ -565,6 +565,8 @@ def test_a_flood_of_messages_does_not_hold_up_a_run(panda):
             if done.is_set():
                 break
         connection.close()
+        while await connection.read_message() is not None:
+            pass  # until it is closed
         return i
 
     def act(pages, running):
