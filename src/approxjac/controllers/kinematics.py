@@ -264,7 +264,7 @@ class AdaptiveKinematics(Kinematics):
         averaged[seen] += kept * (left - averaged[seen])
         change = left - state[at["left"]][seen]
         state[at["left"]][seen] = left
-        if kept > 0.0:
+        if kept > 1e-12:  # time has passed
             chi[[1, 4]] += since
             now = averaged[seen].dot(averaged[seen]) / (len(left) * usual**2)
             chi[0] += since / min(chi[4] + 1.0, _MEMORY) * (now - chi[0])
