@@ -120,3 +120,10 @@ def test_the_cross_matrix_turns_as_its_generators_do(rng):
     for angles in (phi, phi[:1]):
         expected = np.tensordot(angles, law.generators(2 if len(angles) == 1 else 3), 1)
         assert_allclose(law.cross_matrix(angles), expected)
+
+
+@pytest.mark.parametrize("absurd", [np.nan, np.inf, 1e200])
+def test_no_rotation_is_near_what_is_not_finite(absurd):
+    """LAPACK's SVD was seen to go on for ever with such numbers, in a control step."""
+    with pytest.raises(np.linalg.LinAlgError, match="must be finite"):
+        law.nearest_rotation(np.diag([absurd, 1.0, 1.0]))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from approxjac import law
+from approxjac.errors import InvalidInputError
 from approxjac.validation import Array
 
 _KEYS = 40  # key frames
@@ -181,6 +182,9 @@ class ImageEstimator:
     def _remember(self, numbers: Array, H: Array, o: Array, y: Array) -> None:
         """Add a frame to the last key frame, or begin another one, in place."""
         keys = numbers[: self._m].reshape(self._shape)
+        if not 0.0 <= numbers[-1] < _KEYS:
+            told = f"state must be one of this controller's, got key frame {numbers[-1]:g}"
+            raise InvalidInputError(told, given=numbers)
         last = int(numbers[-1])
         key = keys[last]
         has = key[:, 0] > 0.0

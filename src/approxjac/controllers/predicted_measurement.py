@@ -149,10 +149,11 @@ class PredictedMeasurement(ControllerWrapper):
         q, v, x = require_arrays(state, measurement, x_d, self._task, len(state))
         if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
             require_finite(q, v, x_d, state, self._task)
-        target, e = with_rates(target._replace(x=x_d), self._task.m), self._task.error(x, x_d)
+        target = with_rates(target._replace(x=x_d), self._task.m)
         now = self.kinematics.status(known, measurement)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
+                e = self._task.error(x, x_d)
                 seen, origin = self._predicted(known, measurement, target)
                 if now is _LOST:  # nothing is predicted before x was seen once
                     seen.x[: self._task.m] = math.nan

@@ -20,6 +20,7 @@ _PRODUCTS = {
     len(G[0]): (0.5 * (G @ G[:, np.newaxis] + G[:, np.newaxis] @ G)).reshape(len(G) ** 2, -1)
     for G in (_SPACE, _PLANE)
 }
+_FAR = 1e100
 _NEWTON_STEPS = 5  # it goes on with the next frame
 _LARGEST_STEP = 0.7  # of Newton's method [rad]
 _CONVERGED = 1e-4  # after a step as small the next would be its square [rad]
@@ -82,7 +83,13 @@ def rotation_log(R: Array) -> Array:
 
 
 def nearest_rotation(A: Array) -> Array:
-    """Return the rotation R with the largest tr(RᵀA), by SVD (Kabsch); shape of A, (d, d)."""
+    """Return the rotation R with the largest tr(RᵀA), by SVD (Kabsch); shape of A, (d, d).
+
+    Raises:
+        LinAlgError: Of A beyond 1e100, with which LAPACK may go on for ever.
+    """
+    if not math.hypot(*A.ravel().tolist()) < _FAR:
+        raise np.linalg.LinAlgError("A must be finite and below 1e100")
     U, _, Vt = np.linalg.svd(A)
     R = np.asarray(U.dot(Vt), dtype=np.float64)
     return R - np.outer(2.0 * U[:, -1], Vt[-1]) if _mirrors(R) else R
