@@ -206,7 +206,7 @@ class _MachineCode:
                             found[gravity_at], status, slack,
                             None if v_d is None else found[reference_at],
                         ))  # fmt: skip
-            except (AttributeError, TypeError, ValueError):
+            except (AttributeError, IndexError, TypeError, ValueError):
                 pass
             return None
 
