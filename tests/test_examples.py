@@ -31,6 +31,7 @@ PAGES = {
     "14": ["tracker_turned"],
     "15": ["calibrate_on_the_job"],
 }
+REACHES = ("01", "04", "09")  # whose pages end at a target, with a belief that is wrong
 
 
 @functools.cache
@@ -65,17 +66,19 @@ def test_an_example_runs_and_makes_its_files(example):
     for path in made:
         assert str(path) in process.stdout
         assert path.stat().st_size > (1000 if path.name == "index.html" else 10_000)
-    assert {path for path in made if path.suffix not in (".png", ".svg", ".urdf")} == (
-        pages | {out / "index.html"} if pages else set()
-    )
+    index = out / "index.html"
+    assert {path for path in made if path.suffix not in (".png", ".svg", ".urdf")} - {
+        index
+    } == pages
     assert {".png", ".svg"} <= {path.suffix for path in made}
     for page in pages:
         assert page.stat().st_size < 4_000_000
-        assert f'href="{page.name}"' in (out / "index.html").read_text(encoding="utf-8")
+        if index in made:
+            assert f'href="{page.name}"' in index.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    "path", [path for path in EXAMPLES if path.stem[:2] in PAGES], ids=lambda path: path.stem
+    "path", [path for path in EXAMPLES if path.stem[:2] in REACHES], ids=lambda path: path.stem
 )
 def test_its_pages_show_that_the_true_tip_arrives(path, open_page):
     for file in pages_of(ran(path)):

@@ -140,17 +140,21 @@ def test_a_verdict_that_differs_gives_exit_code_1(tmp_path, capsys):
     code = main(["paper", "--out", str(tmp_path), "--figures", "3", "--friction", "50"])
     assert code == 1
     out = capsys.readouterr().out
-    assert "<< differs" in out
+    assert out.startswith("verdicts: 0 of 1 as in the paper")
+    assert "(differs)" in out
     assert "max Re λ = -" in out
 
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--figures"], "approxjac: figures must name at least one figure, got none"),
-        (["--figures", "2"], "approxjac: figures must be among 1, 3, 4, 5, 6, 7, 8, got 2"),
-        (["--friction", "-1"], "approxjac: friction must be a finite number >= 0"),
-        (["--start", "90", "90"], "approxjac: start must not have the image of the target already"),
+        (["--figures"], "approxjac: --figures takes whole numbers, got nothing"),
+        (["--figures", "2"], "approxjac: --figures must be among 1, 3, 4, 5, 6, 7, 8, got 2"),
+        (["--friction", "-1"], "approxjac: --friction must be a finite number >= 0"),
+        (
+            ["--start", "90", "90"],
+            "approxjac: --start must not have the image of the target already",
+        ),
     ],
 )
 def test_bad_input_is_one_clear_line_and_exit_code_2(tmp_path, capsys, arguments, text):

@@ -294,7 +294,7 @@ def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
         assert "times the errors" in str(each)
         assert "fails" in str(each)
         assert each.worst_text in str(each)
-    assert "object_length" in found["matrix"].worst_text
+    assert "object length" in found["matrix"].worst_text
 
 
 def test_tolerated_camera_roll_is_where_the_eigenvalues_say():

@@ -135,7 +135,7 @@ def sampled_test(
     reach = fastest / math.sqrt(2.0 * setting.c_bar * float(potential.min()))
     whole = SampledForm(form, friction, latency, fastest, reach, dg)
     found = _at_speed(whole, first, known)
-    if not found.passes:  # and it may be that no speed is slow enough
+    if not found.passes and fastest > 0.0:  # and it may be that no speed is slow enough
         found = _at_speed(whole.with_speed(_SLOWEST * fastest), first, known)
         if found.passes:
             tries = (_at_speed(whole.with_speed(k * fastest), first, known) for k in _SLOWER)
