@@ -117,17 +117,10 @@ def _first_largest(values: Array) -> int:
 
 
 def refine_weights(
-    loop: ClosedLoop,
-    form: MatrixForm,
-    family: Family,
-    rng: np.random.Generator,
-    known: Best | None = None,
+    loop: ClosedLoop, form: MatrixForm, family: Family, rng: np.random.Generator
 ) -> tuple[MatrixForm, Best]:
-    """Choose a Lyapunov function, with a closer look around its worst sample.
-
-    `known` is what was found in a smaller family, to begin with.
-    """
-    best = best_weights(form, family, known)
+    """Choose a Lyapunov function, with a closer look around its worst sample."""
+    best = best_weights(form, family)
     worst, k, least = form.samples, int(best.margins.argmin()), float(best.margins.min())
     found: list[MatrixForm] = []
     for _ in range(_REFINED):
@@ -151,10 +144,9 @@ def margin(test: str, samples: Samples, setting: Setting) -> float:
     """
     if test == "theorem1":
         return theorem1(samples, setting).margin
-    form, most, best = MatrixForm(samples, setting), -math.inf, None
+    form, most = MatrixForm(samples, setting), -math.inf
     for family in setting.families:
-        best = best_weights(form, family, best)
-        most = max(most, float(best.margins.min()))
+        most = max(most, float(best_weights(form, family).margins.min()))
         if most > 0.0:
             break
     return most

@@ -121,23 +121,9 @@ class Unknowns:
         other.least = np.append(self.least, np.zeros(len(more)))
         return other
 
-    def nearest(self, weights: Weights) -> Array:
-        """Return the unknowns of a function of this family or of one within, or the nearest."""
-        entries = np.column_stack([_entries(part) for part in self.basis])
-        rest = _entries(weights.plus(-1.0, self.fixed))
-        return np.asarray(np.linalg.lstsq(entries, rest)[0])
-
     def weights(self, y: Array) -> Weights:
         """Return the Lyapunov function of some unknowns."""
         found = self.fixed
         for k, part in zip(y, self.basis, strict=True):
             found = found.plus(k, part)
         return found
-
-
-def _entries(weights: Weights) -> Array:
-    """Return all entries of a function, in the order of `Weights`."""
-    m = len(weights.w)
-    A1, A2, w, multiplier, X, coupling = weights
-    more = np.zeros(m) + X, np.zeros((m, m)) + coupling
-    return np.concatenate([np.ravel(each) for each in (A1, A2, w, multiplier, *more)])

@@ -31,30 +31,14 @@ _PRECISION = 5e-3  # of the margin
 _SIGN = 1e-5  # and while it is negative, as weights of other sizes may still make it positive
 
 
-class Cuts(NamedTuple):
-    """Directions v in which the matrices of some samples bound the margin: vᵀ(X − μY)v ≥ 0."""
-
-    part: Indices  # 0 of Q, 1 of P, shape (c,)
-    sample: Indices  # shape (c,)
-    vector: Array  # shape (c, n_v + m)
-
-    def join(self, other: Cuts) -> Cuts:
-        """Return these and others after them."""
-        part = np.append(self.part, other.part)
-        vectors = np.concatenate([self.vector, other.vector])
-        return Cuts(part, np.append(self.sample, other.sample), vectors)
-
-    def take(self, which: Indices) -> Cuts:
-        """Return some of them."""
-        return Cuts(self.part[which], self.sample[which], self.vector[which])
-
-
 class Best(NamedTuple):
     """The Lyapunov function of a family with the largest least margin."""
 
     weights: Weights
     margins: Array  # in every sample, shape (N,)
-    cuts: Cuts | None  # that decided it, to go on from
+    active: Indices  # of the samples that decided it
+    unknowns: Array  # the scaled ones of `weights`, to start from again
+    cuts: Array  # that are known, see `_cutting_planes`
 
 
 class MatrixForm:
@@ -202,24 +186,24 @@ class _OfSamples(NamedTuple):
 def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
     """Choose the Lyapunov function of a family whose least margin is largest.
 
-    The worst samples are gathered until no other one is worse. `known` is what was found in this
-    family or in a smaller one, perhaps without the last ones of the samples, to go on from.
+    The worst samples are gathered until no other one is worse. `known` is what was found without
+    the last ones of the samples, to go on from.
     """
     return best_of(form, form.unknowns(family), known)
 
 
 def best_of(form: MatrixForm, unknowns: Unknowns, known: Best | None = None) -> Best:
     """Choose the unknowns whose least margin is largest, as `best_weights`."""
-    N, fixed = len(form.samples), unknowns.fixed
-    if not unknowns.basis:
-        return Best(fixed, form.margins(fixed), None)
-    y, active = unknowns.start, np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
-    cuts = None
+    N = len(form.samples)
+    y, cuts = unknowns.start, np.empty((2, 0, 1 + len(unknowns.start)))
+    active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
     if known is not None:
-        y, cuts = unknowns.nearest(known.weights), known.cuts
-        new = np.arange(len(known.margins), N)
-        active = np.union1d(new, active if cuts is None else cuts.sample)
-    y, inner, cuts = _cutting_planes(form, active, unknowns, y, cuts)
+        active = np.union1d(known.active, np.arange(len(known.margins), N))
+        y, cuts = known.unknowns, known.cuts
+    if not unknowns.basis:
+        weights = unknowns.fixed
+        return Best(weights, form.margins(weights), active, y, cuts)
+    y, inner, cuts = _cutting_planes(form.take(active), unknowns, y, cuts)
     for every in (_FIRST, 1):  # most of the samples that decide it are found among a few
         some = form.take(slice(None, None, every))
         while True:
@@ -227,18 +211,19 @@ def best_of(form: MatrixForm, unknowns: Unknowns, known: Best | None = None) -> 
             others = np.setdiff1d(every * np.argsort(margins)[:_MORE], active)
             if margins.min() >= inner - _PRECISION or len(others) == 0:
                 break
-            active = np.union1d(active, others)
-            y, inner, cuts = _cutting_planes(form, active, unknowns, y, cuts)
-    return Best(unknowns.weights(y), margins, cuts)
+            active = np.concatenate([active, others])
+            y, inner, cuts = _cutting_planes(form.take(active), unknowns, y, cuts)
+    return Best(unknowns.weights(y), margins, active, y, cuts)
 
 
 def on_more(form: MatrixForm, family: Family, known: Best) -> Best:
-    """Return the best of a family on more samples: another one only where it fails on a new one."""
+    """Return the best of a family on more samples: another one only where a new one is worse."""
     before = len(known.margins)
     if before == len(form.samples):
         return known
     more = form.take(slice(before, None)).margins(known.weights)
-    if more.min() < known.margins.min() - _PRECISION:
+    least = known.margins.min()
+    if more.min() < least - _PRECISION or more.min() <= 0.0 < least:
         return best_weights(form, family, known)
     return known._replace(margins=np.append(known.margins, more))
 
@@ -253,25 +238,25 @@ class _Look(NamedTuple):
 
 
 def _cutting_planes(
-    form: MatrixForm, active: Indices, unknowns: Unknowns, start: Array, cuts: Cuts | None
-) -> tuple[Array, float, Cuts | None]:
+    form: MatrixForm, unknowns: Unknowns, start: Array, cuts: Array
+) -> tuple[Array, float, Array]:
     """Maximise the least margin: μ is raised to that of the best point until no point beats it.
 
     X − μY is affine in the unknowns; its eigenvectors v bound its least eigenvalue by vᵀ(X − μY)v.
+    These bounds, the cuts, hold of the same samples among others, too.
 
     Args:
-        form: Of all samples.
-        active: Those that are looked at, in order.
+        form: Of the samples.
         unknowns: The unknowns.
         start: Those to begin with, shape (d,).
-        cuts: That are known, of some of these.
+        cuts: vᵀXv and vᵀYv that are known, as affine functions, shape (2, c, 1 + d).
 
     Returns:
         The best unknowns, their least margin, and the cuts that matter near them.
     """
     from scipy.optimize import linprog
 
-    d, form = len(start), form.take(active)
+    d = len(start)
     X0, Y0 = form.pencils(unknowns.fixed)
     parts = [form.pencils(unknowns.fixed.plus(1.0, part)) for part in unknowns.basis]
     X1, Y1 = np.stack([X - X0 for X, _ in parts]), np.stack([Y - Y0 for _, Y in parts])
@@ -293,32 +278,22 @@ def _cutting_planes(
             return _Look(float(form.margins(weights).min()), metric, whitened, values)
         return _Look(float(values.min()) if is_positive else -np.inf, metric, whitened, values)
 
-    def bounds(cuts: Cuts) -> Array:
-        """Return vᵀXv and vᵀYv as affine functions, shape (2, c, 1 + d)."""
-        which = cuts.part, np.searchsorted(active, cuts.sample)
-        return np.stack([_along(cuts.vector, X0, X1, which), _along(cuts.vector, Y0, Y1, which)])
-
     best, here = start, look(start)
     if here is None:  # found where some of these samples were not known yet
         best, here = unknowns.start, look(unknowns.start)
     assert here is not None
     best_margin, mu = here.margin, max(here.margin, -1.0)
-    lines = np.empty((2, 0, 1 + d)) if cuts is None else bounds(cuts)
     for _ in range(_ROUNDS):
         worst = np.argsort(here.values, axis=None)[:_CUTS]
         which = np.unravel_index(worst, here.values.shape)
         vectors = here.metric.mT[which] @ np.linalg.eigh(here.whitened[which])[1][..., :2]
-        found = Cuts(
-            np.repeat(which[0], 2),
-            np.repeat(active[which[1]], 2),
-            vectors.mT.reshape(-1, vectors.shape[1]),
-        )
-        cuts = found if cuts is None else cuts.join(found)
-        lines = np.concatenate([lines, bounds(found)], axis=1)
-        bound = lines[0] - mu * lines[1]
+        for v in np.moveaxis(vectors, -1, 0):
+            more = np.stack([_along(v, X0, X1, which), _along(v, Y0, Y1, which)])
+            cuts = np.concatenate([cuts, more], axis=1)
+        bound = cuts[0] - mu * cuts[1]
         answer = linprog(
             np.append(np.zeros(d), -1.0),
-            A_ub=np.column_stack([-bound[:, 1:], lines[1] @ np.append(1.0, best)]),
+            A_ub=np.column_stack([-bound[:, 1:], cuts[1] @ np.append(1.0, best)]),
             b_ub=bound[:, 0],
             bounds=[*((least, BOX) for least in unknowns.least), (None, 10.0)],
             method="highs-ds",
@@ -326,8 +301,7 @@ def _cutting_planes(
         )
         if answer.status != 0 or answer.x[-1] < (_PRECISION if best_margin > 0.0 else _SIGN):
             break
-        kept = np.sort(np.argsort(answer.slack)[:_KEPT])
-        cuts, lines = cuts.take(kept), lines[:, kept]
+        cuts = cuts[:, np.sort(np.argsort(answer.slack)[:_KEPT])]
         # part of the way only, as the bounds far from the best point are still poor
         y = best + _STEP * (answer.x[:-1] - best)
         here = look(y, mu, here.metric)

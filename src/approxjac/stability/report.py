@@ -349,9 +349,9 @@ def stability_report(
     form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
     found: dict[Family, Best] = {}
     best: Best | None = None
-    for k, family in enumerate(setting.families):  # a family holds those before it
+    for k, family in enumerate(setting.families):
         tell("matrix form", k / len(setting.families))
-        form, best = refine_weights(loop, form, family, rng, best)
+        form, best = refine_weights(loop, form, family, rng)
         found[family] = best
         if best.margins.min() > 0.0 and not check.violations(best.weights):
             break

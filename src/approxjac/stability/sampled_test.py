@@ -199,10 +199,8 @@ def _best(form: SampledForm, known: Best) -> tuple[Best, Family]:
             weights=known.weights._replace(multiplier=0.5), margins=nowhere
         ), "free"
     found: list[tuple[Best, Family]] = []
-    best = None
     for family in form.setting.families[1:]:
-        best = best_weights(form, family, best)
-        found.append((best, family))
+        found.append((best_weights(form, family), family))
         if found[-1][0].margins.min() > 0.0:
             break
     return max(found, key=lambda each: float(each[0].margins.min()))

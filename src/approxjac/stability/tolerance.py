@@ -183,10 +183,9 @@ def _failing(
         samples, constants = refine_constants(loop, samples, rng)
         first = theorem1(samples, loop.setting, constants)
         return None if first.holds else np.array(loop.values[samples.truth[first.worst["p"]]])
-    form, best = MatrixForm(samples, loop.setting), None
+    form = MatrixForm(samples, loop.setting)
     for family in form.setting.families:
-        form, best = refine_weights(loop, form, family, rng, best)
+        form, best = refine_weights(loop, form, family, rng)
         if best.margins.min() > 0.0:
             return None
-    assert best is not None
     return np.array(loop.values[int(form.samples.truth[best.margins.argmin()])])
