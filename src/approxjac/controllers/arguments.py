@@ -41,10 +41,13 @@ def require_array(name: str, value: Array, size: int, task: Task) -> None:
     """Refuse what is no vector of floats of the size that a task asks for."""
     if not isinstance(value, np.ndarray) or value.shape != (size,):
         given = value.shape if isinstance(value, np.ndarray) else type(value).__name__
-        how = f"; numpy.array({name}, dtype=float) makes one of numbers"
+        how = ""
+        if isinstance(value, _NUMBERS):
+            how = f"; numpy.array({name}, dtype=float) makes one of numbers"
+        elif name == "q" and given == (task.robot.nv,):  # continuous joints have (cos, sin)
+            how = "; task.robot.configuration(q) makes one of one angle a joint"
         raise InvalidInputError(
-            f"{name} must be an array of shape {(size,)} for {task!r}, got {given}"
-            f"{how if isinstance(value, _NUMBERS) else ''}",
+            f"{name} must be an array of shape {(size,)} for {task!r}, got {given}{how}",
             given=value,
         )
     if isinstance(value, np.ma.MaskedArray):  # by chance it would do as if nothing was hidden
