@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -189,17 +189,8 @@ class Distortion(Lens):
             depth = max(h20 * u + h21 * v + h22, BEFORE)
             u, v = (h00 * u + h01 * v + h02) / depth, (h10 * u + h11 * v + h12) / depth
         wanted = math.hypot(u, v)
-        if wanted == 0.0:
-            scale = 0.0
-        else:  # the radius grows up to the fold: bisection cannot fail, and nothing is in a hurry
-            low, high = 0.0, self.largest_radius
-            for _ in range(HALVINGS):
-                middle = 0.5 * (low + high)
-                if self.radius(middle) < wanted:
-                    low = middle
-                else:
-                    high = middle
-            scale = 0.5 * (low + high) / wanted
+        # the radius grows up to the fold
+        scale = inverse(self.radius, wanted, self.largest_radius) / wanted if wanted else 0.0
         x, y = scale * u, scale * v
         if not self._is_round:
             for _ in range(NEWTON_STEPS):
@@ -237,6 +228,21 @@ class Distortion(Lens):
             conditions.append(h22 * below - math.hypot(h20, h21) * (r * above + beside * below))
         first = min(FARTHEST, *map(_first_root, conditions))
         return first if self._is_round else _SURELY * first
+
+
+def inverse(growing: Callable[[float], float], wanted: float, largest: float) -> float:
+    """Return where a function that grows from 0 to `largest` has a value.
+
+    Bisection cannot fail, and nothing is in a hurry.
+    """
+    low, high = 0.0, largest
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if growing(middle) < wanted:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
 
 
 def _even(coefficients: Sequence[float]) -> Polynomial:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from approxjac.errors import InvalidInputError
-from approxjac.tasks.distortion import HALVINGS, Lens
+from approxjac.tasks.distortion import Lens, inverse
 from approxjac.validation import Array
 
 WIDEST = math.radians(85.0)
@@ -85,11 +85,4 @@ class Fisheye(Lens):
         wanted = math.hypot(*shown.tolist())
         if wanted == 0.0:
             return np.zeros(2)
-        low, high = 0.0, self.widest
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            if self.bent(middle) < wanted:
-                low = middle
-            else:
-                high = middle
-        return shown * (math.tan(0.5 * (low + high)) / wanted)
+        return shown * (math.tan(inverse(self.bent, wanted, self.widest)) / wanted)
