@@ -2,8 +2,8 @@
 
 You will see: the same camera, in truth not rolled, and two gain ratios a = K_p / K_v. With a = 1
 the arm never settles (the paper's Figure 3), with a = 0.5 it does (Figure 4), and the eigenvalues
-of the linearised closed loop say so before anything moves: the largest real part is positive, or
-negative.
+of the linearised closed loop say so before anything moves: their largest real part is positive with
+a = 1 and negative with a = 0.5.
 
 You will learn: that the gains decide how wrong a Jacobian may be, and how to ask before running.
 

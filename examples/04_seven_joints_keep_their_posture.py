@@ -1,11 +1,11 @@
 """Panda, xArm7 and Talos' arm bring an unknown tool to a target, and their elbows towards home.
 
 You will see: seven joints for three task coordinates leave a self-motion. Added joint damping
-brings it to rest anywhere; a posture, projected into what the task does not feel, draws it towards
-home, as near as a tip at the target leaves it. The target is reached either way, because at rest
-the two torques cannot balance each other.
+brings it to rest anywhere; a posture torque, projected so that the task does not feel it, draws the
+arm towards home, as far as a tip at the target allows. The target is reached either way, because at
+rest the two torques cannot balance each other.
 
-You will learn: what the joints do that the task does not need, and how to give the elbow a place.
+You will learn: what joints do that the task does not need, and how to place the elbow.
 
     python examples/04_seven_joints_keep_their_posture.py --out results/examples
 """

@@ -1,11 +1,12 @@
-"""A Panda brings the pose of an unknown tool to its target, with sensors and joints as they are.
+"""A Panda brings the pose of an unknown tool to its target, with imperfect sensors and joints.
 
 You will see: position and orientation reach their targets, six coordinates for seven joints. The
 pose is measured with noise, 10 ms late, and a tenth of the samples is lost; q̇ comes from filtered
 differences of encoder readings, not from a tachometer; torques act 1 ms late; the joints have
-friction that the controller does not know. Last comes what of gravity this motion could teach.
+friction that the controller does not know. Last, it prints how much of gravity this motion could
+teach.
 
-You will learn: how to make a simulated plant as bad as your robot, and what gains then allow for.
+You will learn: how to make a simulated plant as bad as your robot, and how gains allow for that.
 
     python examples/05_pose_with_real_sensors.py --out results/examples
 """

@@ -1,10 +1,10 @@
-"""A stretched arm whose Jacobian has lost the direction to the target.
+"""A stretched arm, whose Jacobian has lost the direction to the target, finds its way out.
 
 You will see: with the Jacobian as it is, no joint torque acts along the error and the arm stands
 still. With one that is designed to keep its rank (the paper's section 6) the elbow folds and the
 tip of an unknown tool reaches its target; what the design adds to the Jacobian's error is printed.
 
-You will learn: how to tell by a run's status that a pose was singular, and what helps.
+You will learn: how to tell from a run's status that a pose was singular, and what helps.
 
     python examples/06_out_of_a_singular_pose.py --out results/examples
 """

@@ -1,10 +1,10 @@
-"""How long may an unknown tool be? A Panda's stability, told before anything moves.
+"""How long may an unknown tool be? A Panda's stability, known before anything moves.
 
-You will see: what Theorem 1, the matrix form and the linearisation say of tools of up to 30 cm
+You will see: what Theorem 1, the matrix form and the linearisation say about tools of up to 30 cm
 that the controller believes absent, around one configuration; and how long a tool each of them lets
 pass, with more and more joint damping. Theorem 1 certifies millimetres to centimetres and the
-matrix form decimetres. The linearisation, which speaks of small motions only,
-lets even longer ones pass.
+matrix form decimetres. The linearisation, which covers small motions only, lets even longer ones
+pass.
 
 You will learn: how to ask before anything moves, and that a test that fails may only be too strict.
 

@@ -1,9 +1,10 @@
 """A Panda with an unknown tool, watched by a camera that nobody calibrated.
 
-You will see: two points of a 15 cm tool, of which the controller knows nothing, brought to where
-they shall be in an image. It believes the camera rolled by 20 degrees, with a focal length wrong by
-30 % and the scene 1.5 times as far away. Images come 30 times a second, late and with noise of half
-a pixel; between them the law goes on with the last one. The errors end below that noise.
+You will see: two points of a 15 cm tool, of which the controller knows nothing, brought to their
+targets in an image. The controller believes the camera rolled by 20 degrees, with a focal length
+wrong by 30 % and the scene 1.5 times as far away. Images come 30 times a second, late and with
+noise of half a pixel; between them the law goes on with the last one. The errors end below that
+noise.
 
 You will learn: how images take the place of positions, and what a slow camera needs around a law.
 

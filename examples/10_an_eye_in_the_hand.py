@@ -1,9 +1,9 @@
-"""A camera on the hand of a UR5, and two laws that believe another one.
+"""A camera on the hand of a UR5, and two laws with the same wrong model of it.
 
-You will see: the paper's law (6) and the classical velocity control with the same wrong camera
-(rolled by 20 degrees, focal length wrong by 30 %) bring two points of the room to where they shall
-be in the image. Neither knows where the points are: both take them 1.5 times as far away as they
-are at the goal, always. Both arrive; the torque of the classical law shakes with each image.
+You will see: the paper's law (6) and classical velocity control, both with the same wrong camera
+(rolled by 20 degrees, focal length wrong by 30 %), bring two points of the room to their targets in
+the image. Neither knows where the points are: both always take them to be 1.5 times as far away as
+they are at the goal. Both arrive; the torque of the classical law shakes with each image.
 
 You will learn: how a camera is mounted on the arm, and how to compare laws on the same plant.
 

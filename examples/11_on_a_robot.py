@@ -1,12 +1,12 @@
 """The loop on a robot: a Panda with an unknown tool in real time, and an encoder that freezes.
 
-You will see: `aj.control` leads an arm behind a driver at 1 kHz, here one in MuJoCo with friction,
+You will see: `aj.control` runs an arm through a driver at 1 kHz, here one in MuJoCo with friction,
 a camera of 60 images a second and encoders. The target starts at the tip and is eased in; at the
 end the arm is brought to rest and braked. In a second run an encoder freezes in mid-motion: the arm
-is braked some milliseconds later. How long periods took is told as it was; on a busy machine some
+is braked some milliseconds later. The periods are reported as they were; on a busy machine some
 are late, and the arm goes on with the last torque meanwhile, as a real one does.
 
-You will learn: what a driver is, what `control` looks after, and what its run tells.
+You will learn: what a driver is, what `control` takes care of, and what its run records.
 
     python examples/11_on_a_robot.py --out results/examples
 """

@@ -2,9 +2,9 @@
 
 You will see: six ways to fail, as curves of what is left after 6 s: a camera rolled too far, a
 measurement that is late, damping faster than it is sampled; joint axes that point elsewhere, a
-payload neither known nor learnt, weak motors. Dashed: where the local test says so beforehand.
+payload neither known nor learnt, weak motors. Dashed: where the local test predicts failure.
 
-You will learn: what the limits of the law look like, and which of them can be told beforehand.
+You will learn: what the limits of the law look like, and which of them can be predicted.
 
     python examples/12_what_breaks_it.py --out results/examples
 """

@@ -1,8 +1,9 @@
-"""A UR5 follows a circle with a tool that nobody told of, and learns the tool on its way.
+"""A UR5 follows a circle with a tool that it was not told of, and learns the tool on its way.
 
-You will see: with the Jacobian of the bare flange, fed forward or not, the tip runs centimetres
-behind and beside the circle. Law T controls where it *predicts* the tip and learns from where it is
-measured: a millimetre after a few seconds, through a sensor with noise, frames and delay.
+You will see: with the Jacobian of the bare flange, with or without feedforward, the tip runs
+centimetres behind and beside the circle. Law T controls where it *predicts* the tip and learns from
+where the tip is measured: the error is a millimetre after a few seconds, although the sensor has
+noise, frames and delay.
 
 You will learn: paths, `TrackingController`, what `AdaptiveKinematics` has to be told, and how to
 read what was learnt.

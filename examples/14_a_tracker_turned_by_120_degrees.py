@@ -1,11 +1,11 @@
-"""A Panda reaches a target in the axes of a tracker that is turned by 120° and nobody registered.
+"""A Panda reaches a target in the axes of a tracker that is turned by 120° and was never registered.
 
 You will see: with the believed Jacobian the arm goes the wrong way, as the paper's Figure 3 says it
 must beyond 90°, whatever its gains are. The same set-point law on a predicted x̂, whose kinematics
 are learnt from the tracker, gets there within a second and a half, through noise and delay.
 
 You will learn: `PredictedMeasurement` around a law that you have, within torque limits, and what a
-sensor in axes of its own is.
+sensor with axes of its own is.
 
     python examples/14_a_tracker_turned_by_120_degrees.py --out results/examples
 """

@@ -2,7 +2,7 @@
 
 You will see: each joint origin is 1 cm off the drawing and the tool is unknown. After 30 s along a
 path that turns the arm in all directions, the predicted tip is wrong by a millimetre instead of 15
-cm in configurations that it has never been in, and the report says what was seen and what was not.
+cm in configurations where the arm has never been, and the report says what was seen and what not.
 
 You will learn: how to read a report of kinematics, why single numbers are uncertain although the
 tip is not, and how the next run starts from what this one has learnt.

@@ -1,8 +1,8 @@
-"""A Panda brings a tag to where it shall be in an image: pixels in, torques out.
+"""A Panda brings a tag to its target in an image: pixels in, torques out.
 
 You will see: images of a tag on a tool whose 15 cm the controller does not know, with the lens,
 blur and noise of a camera that it believes turned by 20 degrees and 16 cm from where it stands.
-OpenCV finds the corners, 30 times a second and 40 ms late. They end within 1.5 px of the target's.
+OpenCV finds the corners, 30 times a second and 40 ms late. They end within 1.5 px of their targets.
 
 You will learn: what lies between a calibration and a detector on one side and torques on the other.
 
