@@ -1,4 +1,4 @@
-"""A Panda reaches a target in the axes of a tracker that is turned by 120° and was never registered.
+"""A Panda reaches a target in the axes of a tracker turned by 120° and never registered.
 
 You will see: with the believed Jacobian the arm goes the wrong way, as the paper's Figure 3 says it
 must beyond 90°, whatever its gains are. The same set-point law on a predicted x̂, whose kinematics
