@@ -9,7 +9,8 @@ import turns
 import approxjac as aj
 from approxjac.robots import GravityRegressor
 
-ROUNDS, DURATION, DT = 3, 1.0, 1e-3
+ROUNDS, DURATION, DT = 3, 5.0, 1e-3
+COMPILED = "`Plant`, compiled"
 HEADS = ("robot", "plant", "law (6), steps/s", "law (28), (29), steps/s", "control's share of (6)")
 
 
@@ -23,17 +24,16 @@ def runs(name):
         "known": aj.SetpointController(task, gains),
         "learnt": aj.SetpointController(task, gains, gravity=learnt),
     }
-    plants = {"`Plant`": aj.Plant(robot, task), "`MujocoPlant`": aj.MujocoPlant(robot, task)}
+    plant = aj.Plant(robot, task)
+    plants = {"`Plant`": plant, COMPILED: plant, "`MujocoPlant`": aj.MujocoPlant(robot, task)}
+    compiled = {kind: aj.codegen.compiled(law) for kind, law in controllers.items()}
     target = task.value(q0) + 0.05
 
-    def simulated(plant, controller):
-        return lambda: aj.simulate(plant, controller, target, q0, DURATION, dt=DT, record_every=0.1)
+    def simulated(name, kind):
+        law = (compiled if name == COMPILED else controllers)[kind]
+        return lambda: aj.simulate(plants[name], law, target, q0, DURATION, dt=DT)
 
-    found = {
-        (plant, kind): simulated(plants[plant], controllers[kind])
-        for plant in plants
-        for kind in controllers
-    }
+    found = {(plant, kind): simulated(plant, kind) for plant in plants for kind in controllers}
     step, steps = control_step.our_step(controllers["known"]), round(DURATION / DT)
     found["control"] = lambda: [step(*inputs[i % len(inputs)]) for i in range(steps)]
     return found
@@ -44,10 +44,11 @@ def rows():
     found = []
     for name in control_step.ROBOTS:
         taken = turns.medians(runs(name), [()], ROUNDS)
-        for plant in ("`Plant`", "`MujocoPlant`"):
+        for plant in ("`Plant`", COMPILED, "`MujocoPlant`"):
             known, learnt = taken[plant, "known"], taken[plant, "learnt"]
             steps = DURATION / DT
-            found.append((name, plant, steps / known, steps / learnt, taken["control"] / known))
+            share = "–" if plant == COMPILED else taken["control"] / known
+            found.append((name, plant, steps / known, steps / learnt, share))
     return found
 
 
