@@ -264,6 +264,17 @@ def test_the_self_motion_goes_to_the_posture(panda):
     assert run.error_norm[-1] < 1e-4
 
 
+def test_joints_that_turn_a_whole_turn_are_drawn_nowhere():
+    """The middle of their ranges would be an arm that is stretched out."""
+    ur5 = aj.load_robot("ur5")
+    task, q0 = aj.PositionTask(ur5), np.array([0.0, -1.2, 1.6, -1.9, -1.57, 0.0])
+    controller, plant = known(task, dynamics=ModelDynamics(ur5)), aj.Plant(ur5)
+    circle = aj.Circle(task.value(q0) + [-0.08, 0.0, 0.05], radius=0.08, period=4.0)
+    run = aj.simulate(plant, controller, circle, q0, duration=8.0, dt=1e-3, record_every=0.1)
+    assert np.abs(run.q - q0).max() < 0.5  # 1.3 rad to the middle
+
+
+
 def test_joints_are_led_no_faster_than_they_may_move(panda, panda_law):
     task = aj.PositionTask(panda)
     law_ = known(task, speed=100.0)

@@ -14,6 +14,7 @@ from approxjac.tasks import Task
 from approxjac.validation import Array, as_array
 
 _FASTEST = 0.5  # [rad/s or m/s]
+_WHOLE = 0.999  # of a turn
 
 
 class RestConfiguration:
@@ -24,7 +25,9 @@ class RestConfiguration:
 
     Args:
         task: The task of the believed robot.
-        q: q_rest, shape (nq,); the middle of the joints' ranges by default.
+        q: q_rest, shape (nq,). By default the middle of the ranges of joints that turn less than
+            once, or slide less than 2 m. The others are drawn nowhere: the middle of ±2π says
+            nothing of an elbow.
         rate: k_n [1/s].
 
     Raises:
@@ -41,7 +44,7 @@ class RestConfiguration:
                 given=q,
             )
         # as arrays, which NumPy multiplies with in a third of the time of numbers
-        self._pull, self._share = np.array(-rate), np.array(rate / _FASTEST)
+        self._pull, self._share = np.full(robot.nv, -rate), np.array(rate / _FASTEST)
         self._is_vector = robot.nq == robot.nv
         joints = robot._joints.values()
         self._continuous = np.array([joint.nq > joint.nv for joint in joints])
@@ -49,7 +52,10 @@ class RestConfiguration:
         self._second = self._first + self._continuous
         self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
         if q is None:
-            middle = 0.5 * np.sum(robot.usual_range(), axis=0)
+            lower, upper = robot.usual_range()
+            whole = np.where(np.array(robot.joint_units) == "m", 2.0, 2.0 * np.pi)
+            self._pull[upper - lower > _WHOLE * whole] = 0.0
+            middle = 0.5 * (lower + upper)
             self.q = np.array(pin.integrate(robot.model, robot.neutral(), middle))
             return
         self.q = as_array("posture", robot.configuration(q, "posture"), (robot.nq,))
