@@ -147,6 +147,62 @@ def test_a_target_moves_in_the_image(panda):
     assert np.isfinite(held.step(state, measured, stacked.value(Q), 1e-3)[1].torque).all()
 
 
+def the_other_way(x):
+    return x.reshape(-1, 2)[::-1].ravel()
+
+
+def held(task):
+    return aj.HeldMeasurement(aj.SetpointController(task, aj.Gains(50.0, 10.0, 1.0)), unseen=60.0)
+
+
+def at(q, x):
+    return aj.Measurement(0.0, q, np.zeros(7), x)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_corners_in_the_order_of_pupil_apriltags_are_refused(panda, count):
+    sensor = tag_in_view(panda, count=count)
+    x = sensor.value(Q)
+    combined = CombinedTask(believed(sensor, 30.0, 1.2), np.eye(6, 2 * count))
+    stacked = aj.StackedTask(combined, aj.PositionTask(panda, "panda_link4", axes="z"))
+    z = stacked.value(Q)[-1:]
+    for task, more in ((combined, []), (stacked, z)):
+        law = held(task)
+        law.initial_state(at(Q, np.append(x, more)))
+        with pytest.raises(aj.InvalidInputError, match=r"^x must .* pupil.*corners\[::-1\]"):
+            law.initial_state(at(Q, np.append(the_other_way(x), more)))
+    plant, law = aj.Plant(panda, sensor), held(combined)
+    with pytest.raises(aj.InvalidInputError, match=r"^target must .*in the measured x"):
+        aj.simulate(plant, law, the_other_way(x), Q, 0.01, dt=2e-3)
+    driver = aj.realtime.SimulatedDriver(plant, Q, pace=np.inf)
+    with pytest.raises(aj.InvalidInputError, match=r"^target must .*in the measured x"):
+        limited = aj.TorqueLimited(law, driver.limits)
+        aj.control(driver, limited, the_other_way(x), 0.01)
+
+
+def test_corners_in_the_right_order_are_accepted_with_a_wrong_camera(panda):
+    sensor = tag_in_view(panda)
+    x = sensor.value(Q)
+    for roll in (80.0, -170.0):
+        task = CombinedTask(believed(sensor, roll, 1.5), np.eye(6, 8))
+        held(task).initial_state(at(Q, x))
+        lost = np.where(np.arange(8) < 2, np.nan, the_other_way(x))
+        held(task).initial_state(at(Q, lost))  # nothing to compare
+    steep = tag_in_view(panda, tilt=78.0)  # nearly edge on
+    assert not steep._is_mirrored(steep.value(Q), the_other_way(steep.value(Q)))
+    eye = aj.PinholeCamera(600.0, (640, 480), position=(0.05, 0.0, 0.0), mount=panda.tip)
+    R, p = aj.tasks.FrameKinematics(panda, panda.tip).placement(Q)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = R @ np.diag([1.0, -1.0, -1.0]), p + 0.4 * R[:, 2]
+    image = aj.ImageTask(panda, eye, points=tag_corners(0.06, pose))
+    wrong = CombinedTask(believed(image, 80.0, 1.3), np.eye(6, 8))
+    held(wrong).initial_state(at(Q, image.value(Q)))
+    with pytest.raises(aj.InvalidInputError, match="as if in a mirror"):
+        held(wrong).initial_state(at(Q, the_other_way(image.value(Q))))
+    crossed = aj.ImageTask(panda, sensor.camera, points=sensor.points[[0, 2, 1, 3]])
+    assert not crossed._is_mirrored(crossed.value(Q), the_other_way(crossed.value(Q)))
+
+
 def test_what_finds_tags_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(aj.errors.MissingPackageError, match=r"pip install 'approxjac\[vision\]'"):

@@ -38,8 +38,7 @@ from approxjac.interface import (
 )
 from approxjac.law import Linear, Saturation, Tanh
 from approxjac.robots import Dynamics
-from approxjac.tasks import Task
-from approxjac.tasks.analysis import combination, require_controllable, vanishing
+from approxjac.tasks import Task, analysis
 from approxjac.validation import Array, as_number, as_vector, require
 
 _OK, _LOST = Status.OK, Status.MEASUREMENT_LOST  # members of an enum are slow to look up
@@ -108,7 +107,7 @@ class SetpointController(ProvenLaw):
         settling_time: float | None = None,
     ) -> None:
         self._remember(locals())
-        require_controllable(task)
+        analysis.require_controllable(task)
         for name, value, kind, wanted in (
             ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),
             ("velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"),
@@ -141,7 +140,7 @@ class SetpointController(ProvenLaw):
             learning = learning.adaptation(task, self.diagonals, chosen)
         self.adaptation = learning if isinstance(learning, Adaptation) else None
         self._p = 0 if self.adaptation is None else len(self.adaptation.theta0)
-        self._scale = vanishing(task)
+        self._scale = analysis.vanishing(task)
         weight = None if self.adaptation is None else self.adaptation.pinv_weight
         self.pinv = Pseudoinverse(weight, self._scale, singular_ratio(task))
         # as arrays, which NumPy takes in two thirds of the time of numbers
@@ -151,7 +150,7 @@ class SetpointController(ProvenLaw):
         if posture is not None:
             self._pull = posture.torque(task, self.diagonals, slow_rate(task, self.diagonals))
         self.reach, self._subtracts = Reach(task), task._subtracts  # as most do
-        self._combination = combination(task)  # a target moves as what is measured does
+        self._combination = analysis.combination(task)  # a target moves as what is measured does
         self._continuous = robot.nq != robot.nv
         self._n_state = self._p + (0 if velocity is None else task.m)
         # of q, v, x, target and state
@@ -179,11 +178,12 @@ class SetpointController(ProvenLaw):
         """Return the state before the first evaluation: θ̂(0), and the first measured x for law (5).
 
         Raises:
-            InvalidInputError: A measurement of the wrong shapes.
+            InvalidInputError: A measurement of the wrong shapes, or of mirrored corners.
             MeasurementError: Law (5), and the first x is lost.
         """
         task, x_d = self.task, np.zeros(self.task.n_x)
-        _, _, x = require_arrays(self._no_rate, measurement, x_d, task, self._n_state)
+        q, _, x = require_arrays(self._no_rate, measurement, x_d, task, self._n_state)
+        analysis.require_as_believed(task, q, x)
         if self.velocity is not None:
             self.velocity.require_finite(x)
         theta0 = np.zeros(0) if self.adaptation is None else self.adaptation.theta0

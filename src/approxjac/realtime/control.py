@@ -27,7 +27,7 @@ from approxjac.realtime.start_checks import require_able, require_at_rest, requi
 from approxjac.realtime.stop_signals import StopSignals
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import Observer
-from approxjac.simulation.targets import require_fit, wanted_of
+from approxjac.simulation.targets import require_fit, require_start, wanted_of
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.simulation.velocity_servo import VelocityServo
 from approxjac.tasks import Task
@@ -133,6 +133,7 @@ def control(
         held.enter_context(signals)  # a signal that comes while this begins is looked at, too
         held.callback(brake.close)  # whatever happens from here on
         first = require_at_rest(driver, task, patience)
+        require_start(task, wanted, first.x)
         loop = RobotLoop(
             driver, brake, plant, controller, wanted, first, steps, stride, accuracy or Accuracy(),
             speeds, far, hidden, _fastest(driver, plant), patience, late, state,

@@ -16,6 +16,7 @@ from approxjac.interface import (
 )
 from approxjac.simulation.plant import Plant
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import require_unmirrored
 from approxjac.validation import Array, as_array, require
 
 Wanted = Target | TargetPath | Array
@@ -50,6 +51,12 @@ def x_of(target: Target | Array) -> Array:
     return target.x if isinstance(target, Target) else target
 
 
+def require_start(task: Task, wanted: Wanted, x: Array) -> None:
+    """Refuse a target at rest whose points run round the other way than they are measured."""
+    if isinstance(wanted, np.ndarray):
+        require_unmirrored(task, "target", wanted, x, "the measured x")
+
+
 def diverged(t: float, duration: float, error: Exception) -> SimulationError:
     """Return the error of a loop that diverged."""
     return SimulationError(
@@ -71,6 +78,7 @@ def first_state(
 
     Its initial state, unless another one is given.
     """
+    require_start(controller.task, wanted, measurement.x)
     state = controller.initial_state(measurement)
     if given is not None:
         state = as_array("state", given, state.shape)

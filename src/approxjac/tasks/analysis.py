@@ -86,6 +86,23 @@ def image_feature(task: Task | None) -> Feature | None:
     return next((feature for feature in features(task) if feature.camera is not None), None)
 
 
+def require_unmirrored(task: Task, name: str, x: Array, like: Array, whose: str) -> None:
+    """Refuse a value whose points run round the other way than in another one."""
+    if task._is_mirrored(x, like):
+        raise InvalidInputError(
+            f"{name} must have its points in the task's order: they run round the other way than "
+            f"in {whose}, as if in a mirror; pupil-apriltags' corners are to be reversed, "
+            f"corners[::-1]; got {np.round(x, 1).tolist()}",
+            given=x,
+        )
+
+
+def require_as_believed(task: Task, q: Array, x: Array) -> None:
+    """Refuse a measured x whose points run round the other way than in the believed image."""
+    if image_feature(task) is not None and np.isfinite(q).all():
+        require_unmirrored(task, "x", x, task.value(q), "the believed image")
+
+
 def sees(task: Task, q: Array) -> bool:
     """Return whether a sensor delivers all of a task's value at q (nq,)."""
     if type(task)._seen is Task._seen:

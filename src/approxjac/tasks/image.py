@@ -17,6 +17,8 @@ from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, as_array, as_diagonal, require
 
 _APART = 1e-9  # points nearer to one another, or to one line, count as there [m]
+_FLAT = 0.05  # of their extent, by which points may leave their plane
+_ROUND, _OPEN = 0.2, 0.5  # how round a polygon must be, and what of it must be left in an image
 
 
 class ImageTask(Task):
@@ -85,6 +87,7 @@ class ImageTask(Task):
         labels = [f"{label}{number}" for number in numbers for label in camera.labels]
         super().__init__(robot, labels, (camera.unit,) * (2 * k), n * k)
         self._subtracts = not measured
+        self._roundness = _roundness(self.points) if isinstance(camera, PinholeCamera) else 0.0
         self._untold = list(range(2, n * k, 3)) if measured else []
         self._parts = tuple((slice(n * i, n * i + n), slice(2 * i, 2 * i + 2)) for i in range(k))
         if frame is not None or camera.mount is None:
@@ -121,6 +124,13 @@ class ImageTask(Task):
             if not np.isfinite(self.camera.seen(point[:2])).all():
                 point[:] = np.nan
         return delivered.ravel()
+
+    def _is_mirrored(self, x: Array, other: Array) -> bool:
+        if not self._roundness:
+            return False
+        a, b = (_turn(self._images(each)) for each in (x, other))  # NaN of what is lost
+        least = _OPEN * self._roundness  # a polygon that is seen edge on may go either way
+        return min(a, b) < -least and max(a, b) > least
 
     def target(self, x_d: object) -> Array:
         target = super().target(x_d)
@@ -228,6 +238,23 @@ def _points(points: object) -> Array:
             given=points,
         )
     return array
+
+
+def _turn(images: Array) -> float:
+    """Return twice the area of a polygon (k, 2) over its squared sides, > 0 if clockwise."""
+    u, v = images.T
+    sides = images - np.roll(images, -1, axis=0)
+    return float((u @ np.roll(v, -1) - v @ np.roll(u, -1)) / np.sum(sides**2))
+
+
+def _roundness(points: Array) -> float:
+    """Return |`_turn`| of points (k, 3) as seen from the front; 0 of what is no plane polygon."""
+    if len(points) < 3:
+        return 0.0
+    about = points - points.mean(axis=0)
+    _, extent, axes = np.linalg.svd(about)
+    found = abs(_turn(about @ axes[:2].T))
+    return found if extent[2] < _FLAT * extent[1] and found > _ROUND else 0.0
 
 
 def _depth(depth: object, k: int) -> str | Array:

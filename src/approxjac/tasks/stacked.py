@@ -97,6 +97,9 @@ class StackedTask(Task):
     def _seen(self, x: Array) -> Array:
         return np.concatenate([task._seen(x[i]) for task, i, _ in self._each])
 
+    def _is_mirrored(self, x: Array, other: Array) -> bool:
+        return any(task._is_mirrored(x[i], other[i]) for task, i, _ in self._each)
+
     def _sensor_jacobian(self, q: Array) -> Array:
         return np.concatenate([task._sensor_jacobian(q) for task in self.tasks])
 

@@ -187,6 +187,10 @@ class Task(Immutable, Saved, ABC):
         """Return what a sensor delivers of a value x (n_x,): NaN in parts that it cannot see."""
         return x
 
+    def _is_mirrored(self, x: Array, other: Array) -> bool:
+        """Return whether points run round the other way in one value (n_x,) than in another."""
+        return False
+
     def _sensor_jacobian(self, q: Array) -> Array:
         """Return `jacobian` without what a controller is to assume in it; shape (m, n_v)."""
         return self.jacobian(q)
@@ -226,6 +230,9 @@ class WrappedTask(Task):
 
     def _seen(self, x: Array) -> Array:
         return self.task._seen(x)
+
+    def _is_mirrored(self, x: Array, other: Array) -> bool:
+        return self.task._is_mirrored(x, other)
 
     def _sensor_jacobian(self, q: Array) -> Array:
         return self.task._sensor_jacobian(q)
