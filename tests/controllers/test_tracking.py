@@ -274,7 +274,6 @@ def test_joints_that_turn_a_whole_turn_are_drawn_nowhere():
     assert np.abs(run.q - q0).max() < 0.5  # 1.3 rad to the middle
 
 
-
 def test_joints_are_led_no_faster_than_they_may_move(panda, panda_law):
     task = aj.PositionTask(panda)
     law_ = known(task, speed=100.0)

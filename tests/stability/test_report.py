@@ -527,3 +527,18 @@ def test_what_would_certify_is_the_first_that_does(tools, box, monkeypatch):
     assert_allclose(part.factor, 0.4)
     assert aj.stability.part_that_certifies(weak, tools, box) is None  # half of them is too much
     assert aj.stability.part_that_certifies(weak, tools, box, largest=0.0) is None
+
+
+def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
+    class Pushed(aj.SetpointController):
+        def evaluate(self, state, measurement, target):
+            answer = super().evaluate(state, measurement, target)
+            return answer._replace(torque=answer.torque + [3.0, 0.0])
+
+    arm = aj.load_robot("two_link")
+    errors = aj.Uncertainty(arm, lambda robot: aj.PositionTask(robot, axes="xz"))
+    law = Pushed(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0), gravity=aj.NoGravity(arm))
+    region = aj.JointBox.around(arm, [0.3, 0.8], 0.1)
+    for test in (aj.stability_report, aj.tolerance):
+        with pytest.raises(aj.InvalidInputError, match="Pushed has another evaluate; rollouts"):
+            test(law, errors, region)

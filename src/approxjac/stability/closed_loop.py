@@ -18,7 +18,7 @@ from approxjac.stability.configurations import Arms, Configurations
 from approxjac.stability.families import Setting
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.linearization import Timing, linear_loops
-from approxjac.stability.region import JointBox, Region, RegularPart, require_setpoint
+from approxjac.stability.region import JointBox, Region, RegularPart, require_law
 from approxjac.stability.samples import Indices, Samples
 from approxjac.stability.singular import least_regular
 from approxjac.stability.targets import Targets
@@ -381,18 +381,6 @@ class ClosedLoop:
 def _portions(N: int) -> Iterator[slice]:
     for start in range(0, N, _PORTION):
         yield slice(start, start + _PORTION)
-
-
-def require_law(controller: SetpointController) -> None:
-    """Refuse a controller whose closed loop is neither eq. (9) nor that of (28), (29)."""
-    require_setpoint(controller)
-    if controller.velocity is not None or controller.posture is not None:
-        raise InvalidInputError(
-            "the conditions are those of the laws (6) and (28) without a posture torque, got "
-            f"{controller!r} with velocity = {controller.velocity!r} and "
-            f"posture = {controller.posture!r}",
-            given=controller,
-        )
 
 
 def usual_region(task: Task) -> RegularPart:

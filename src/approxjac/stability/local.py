@@ -13,9 +13,9 @@ from approxjac.controllers import SetpointController
 from approxjac.controllers.gravity import Adaptation
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant, Sensing
-from approxjac.stability.closed_loop import ClosedLoop, require_law
+from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.linearization import Timing, linear_loop
-from approxjac.stability.region import require_seen
+from approxjac.stability.region import require_law, require_seen
 from approxjac.stability.samples import Indices
 from approxjac.stability.targets import Targets
 from approxjac.validation import Array, as_number, require

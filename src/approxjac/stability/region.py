@@ -344,6 +344,29 @@ def require_setpoint(controller: SetpointController) -> None:
     require("controller", controller, SetpointController, wanted)
 
 
+def require_law(controller: SetpointController) -> None:
+    """Refuse a controller whose closed loop is neither eq. (9) nor that of (28), (29)."""
+    require_setpoint(controller)
+    own = [
+        name
+        for name in ("evaluate", "step")
+        if getattr(type(controller), name) is not getattr(SetpointController, name)
+    ]
+    if own:
+        raise InvalidInputError(
+            "the conditions are those of the laws (6) and (28), got a law of your own: "
+            f"{type(controller).__name__} has another {' and '.join(own)}; rollouts judge any law",
+            given=controller,
+        )
+    if controller.velocity is not None or controller.posture is not None:
+        raise InvalidInputError(
+            "the conditions are those of the laws (6) and (28) without a posture torque, got "
+            f"{controller!r} with velocity = {controller.velocity!r} and "
+            f"posture = {controller.posture!r}",
+            given=controller,
+        )
+
+
 def require_seen(name: str, q: Array, sensor: Task) -> None:
     """Raise if a sensor does not see a configuration (nq,)."""
     if not sees(sensor, q):
