@@ -44,8 +44,9 @@ def as_array(name: str, value: Any, shape: tuple[int | str, ...], unit: str = ""
         n == k or (n and isinstance(k, str)) for n, k in zip(array.shape, shape, strict=True)
     )
     if not fits:
+        how = "; ravel() makes it one" if array.ndim > 1 and shape == (array.size,) else ""
         raise InvalidInputError(
-            f"{name} must have shape {wanted}{suffix}, got shape {array.shape}", given=value
+            f"{name} must have shape {wanted}{suffix}, got shape {array.shape}{how}", given=value
         )
     if not np.isfinite(array).all():
         wrong = array.size - int(np.isfinite(array).sum())

@@ -176,8 +176,22 @@ def test_corners_in_the_order_of_pupil_apriltags_are_refused(panda, count):
         aj.simulate(plant, law, the_other_way(x), Q, 0.01, dt=2e-3)
     driver = aj.realtime.SimulatedDriver(plant, Q, pace=np.inf)
     with pytest.raises(aj.InvalidInputError, match=r"^target must .*in the measured x"):
-        limited = aj.TorqueLimited(law, driver.limits)
+        limited = aj.TorqueLimited(law.controller, driver.limits)
         aj.control(driver, limited, the_other_way(x), 0.01)
+
+
+def test_corners_as_rows_are_told_how_to_become_a_vector_in_few_words(panda):
+    sensor = tag_in_view(panda)
+    task = CombinedTask(sensor, np.eye(6, 8))
+    assert repr(sensor).endswith("'panda_hand_tcp', 4 points)")
+    assert repr(tag_in_view(panda, count=1)).endswith("tcp', [-0.01399, 0.04457, -0.05308])")
+    assert repr(task) == f"CombinedTask({sensor!r}, C of shape (6, 8))"
+    rows = sensor.value(Q).reshape(4, 2)
+    with pytest.raises(aj.InvalidInputError, match=r"got \(4, 2\); x.ravel\(\) makes one$") as told:
+        held(task).initial_state(at(Q, rows))
+    assert len(str(told.value)) < 350
+    with pytest.raises(aj.InvalidInputError, match=r"got shape \(4, 2\); ravel\(\) makes it one$"):
+        task.target(rows)
 
 
 def test_corners_in_the_right_order_are_accepted_with_a_wrong_camera(panda):

@@ -147,7 +147,7 @@ class CombinedTask(WrappedTask):
         return np.asarray(self.C @ self.task._error_jacobian(inverse @ e, inverse @ J))
 
     def __repr__(self) -> str:
-        return f"CombinedTask({self.task!r}, C={np.round(self.C, 4).tolist()})"
+        return f"CombinedTask({self.task!r}, C of shape {self.C.shape})"
 
 
 def _jacobian(task: Task, q: Array, x_d: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import listed, short
 from approxjac.robots import Robot
 from approxjac.tasks.camera import Camera
 from approxjac.tasks.frame_kinematics import PointKinematics
@@ -208,11 +209,13 @@ class ImageTask(Task):
     def __repr__(self) -> str:
         name = "the world" if self.frame is None else repr(self.frame)
         shown = f"ImageTask({self.robot.name!r}, {self.camera!r}, {name}"
-        if len(self.points) > 1 or self.points.any():
-            shown += f", {self.points.tolist()}"
+        if len(self.points) > 1:
+            shown += f", {len(self.points)} points"
+        elif self.points.any():
+            shown += f", {listed(self.points)}"
         if self._uses_x:
-            depth = self.depth if isinstance(self.depth, str) else self.depth.tolist()
-            shown += f", depth={depth!r}"
+            depth = repr(self.depth) if isinstance(self.depth, str) else short(self.depth)
+            shown += f", depth={depth}"
         return shown + ")"
 
 
