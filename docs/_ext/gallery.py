@@ -76,6 +76,7 @@ def run(path, out):
     Raises:
         RuntimeError: It failed.
     """
+    print(f"running examples/{path.name}", flush=True)  # all of them take minutes
     process = subprocess.run(
         [sys.executable, str(path), "--out", str(out)], capture_output=True, text=True
     )
