@@ -11,9 +11,11 @@ import pytest
 import approxjac as aj
 from approxjac.cli import main
 from approxjac.scenario import Scenario
+from approxjac.scenario import gains as study_gains
 from approxjac.scenario import stability as study
 from approxjac.scenario import stability_report as report
-from approxjac.stability import stability_map, tolerance
+from approxjac.stability import Suggestion, stability_map, tolerance
+from approxjac.stability.suggestion import Candidate
 
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
 QUICK = ["--configurations", "40", "--runs", "1", "--map-points", "2", "--map-runs", "0"]
@@ -328,6 +330,19 @@ def test_gains_that_are_certified_are_found(tmp_path, capsys):
     assert "needs ranges of errors, such as --object-length 0 0.3" in capsys.readouterr().err
     assert stability(tmp_path, "panda", *errors, "--suggest-gains", "--kp", "9") == 2
     assert "--kp must be left out where gains are to be found, got 9" in capsys.readouterr().err
+
+
+def test_suggested_gains_are_written_as_a_scenario_that_is_taken(tmp_path, monkeypatch):
+    """No settling time beside given gains, which the command's own next line would refuse."""
+    gains = aj.Gains(100.0, 20.0, 2.0)
+    candidate = Candidate(gains, margin=0.2, torque_ratio=0.5, settling_time=1.47)
+    found = Suggestion("matrix", candidate, (), (candidate,))
+    monkeypatch.setattr(study_gains, "suggest_gains", lambda *args, **options: found)
+    errors = ["--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius", "0.1"]
+    given = ["--settling-time", "2", "--suggest-gains"]
+    assert stability(tmp_path, "two_link", *errors, *given) == 0
+    built = Scenario.load(tmp_path / "scenario.toml").build()
+    np.testing.assert_array_equal(built.law.diagonals.damping, [2.0, 2.0])
 
 
 def test_a_map_says_of_its_own_point_what_the_report_does():

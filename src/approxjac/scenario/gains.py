@@ -64,6 +64,7 @@ def suggested(scenario: Scenario, progress: Callable[[float], None]) -> Suggeste
     if found.found is not None:
         kp, kv, damping = loop.controller.with_gains(found.found.gains).diagonals
         gains: dict[str, Any] = {"kp": tuple(kp), "kv": tuple(kv), "damping": tuple(damping)}
+        gains["settling_time"] = None  # refused beside given gains
         scenario = scenario.with_values({"controller": gains})
     return SuggestedGains(scenario, uncertainty.describe_box(), settling_time, found)
 
