@@ -60,7 +60,8 @@ def test_a_certified_set(certified):
     assert summary["rollouts"]["runs"] == 1
     assert np.array(summary["map"]["decay_rate"]).shape == (2, 2)
     assert summary["scenario"]["stability"]["object_length"] == [0.0, 0.1]
-    verdict, first, second = summary["advice"]
+    verdict, starts, first, second = summary["advice"]
+    assert " in the median: from all of these the error goes to zero as long as " in starts
     assert verdict.startswith("certified: yes, margin 0.")
     assert "as it runs at 1 kHz" in verdict
     assert first.startswith(

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from approxjac.controllers import DifferentiatedVelocity, Latency
 from approxjac.errors import UnknownNameError
 from approxjac.law import Sine
 from approxjac.robots import GravityRegressor
-from approxjac.stability import stability_map, suggestion
+from approxjac.stability import report_starts, stability_map, suggestion
 from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.local import local_test
@@ -105,6 +106,20 @@ def test_report_says_what_each_test_says(report):
     starts = rows["as it runs, starts"][1]
     assert " m in one coordinate, none in the others; " in starts
     assert starts.endswith(" % of the starts drawn, about half near their targets")
+
+
+def test_report_says_at_once_for_which_starts_it_holds(report):
+    """Those of which staying is proven, against the usual ones, of which it is assumed."""
+    told = " ".join(str(report).split("\n\n")[0].splitlines()[1:])
+    stays, usual = report.attraction, np.linalg.norm(report_starts.usual_errors(report), axis=1)
+    assert stays.error < 0.2 * np.median(usual)
+    assert told.startswith(f"Covers starts up to {stays.error:.2g} m from their target (start and ")
+    assert f"; those drawn here are {np.median(usual):.2g} m away in the median: " in told
+    assert "from all of these the error goes to zero as long as the arm stays in the " in told
+    slower = replace(report.sampled, level=0.1 * report.sampled.level)
+    less = report_starts.told(replace(report, sampled=slower))
+    share = float(re.search(r"from ([\d.]+) % of these", less)[1])
+    assert 0.0 < share < 100.0
 
 
 def test_report_says_what_no_test_knows_of():

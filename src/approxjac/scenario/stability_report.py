@@ -14,7 +14,7 @@ from approxjac.files import together, write_text
 from approxjac.formatting import joined, numbers, percent, plain, wrapped
 from approxjac.scenario.stability import StabilityResult, rollout_options, uncertainty_of
 from approxjac.simulation import Plant
-from approxjac.stability import Uncertainty
+from approxjac.stability import Uncertainty, report_starts
 from approxjac.stability.map import PARAMETERS, labels
 from approxjac.stability.rollout_map import PLACES
 from approxjac.stability.rollouts import clopper_pearson
@@ -110,6 +110,8 @@ def advice(result: StabilityResult) -> list[str]:
                 "as it runs, errors grow: a shorter period, shorter delays or less damping of "
                 "light joints may help"
             )
+    if report.certified_by is not None:
+        lines.insert(0, report_starts.told(report))
     certified = "in continuous time" if report.sampled is None else "as it runs"
     if result.damping is not None:
         values, factor = result.damping

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from approxjac.controllers import Latency, in_words
 from approxjac.formatting import joined, numbers_of, percent, wrapped
+from approxjac.stability import report_starts
 from approxjac.stability.certificate import MatrixTest
 from approxjac.stability.local import LocalTest
 from approxjac.stability.region import JointBox
@@ -101,8 +102,8 @@ def _meaning(report: StabilityReport) -> str:
     left = f" It left the region in {runs.n_left} of {runs.n} rollouts." if runs else ""
     if report.certified_by is not None:
         return (
-            "From the starts below, the error goes to zero as long as the arm stays in the region."
-            f"{left} Checked on samples of the region, not proven between them."
+            f"{report_starts.told(report)}{left} Checked on samples of the region, not proven "
+            "between them."
         )
     if report.passed:
         return (
@@ -236,7 +237,8 @@ def _as_it_runs(report: StabilityReport) -> list[Row]:
         said = "withdrawn"
     rows = [("as it runs, matrix form", said, f"{_margin(sampled)} ({_FAMILIES[sampled.family]})")]
     if not report.reason:
-        rows += [("as it runs, starts", "", _starts(report)), _stays(report)]
+        starts = ("as it runs, starts", "", report_starts.covered(report))
+        rows += [starts, report_starts.staying(report)]
     return [*rows, *_longest(report), near]
 
 
@@ -276,34 +278,6 @@ def _learnt(report: StabilityReport) -> str:
     """Return what is said of decays where parameters are learnt."""
     learns = report.loop.controller.adaptation is not None
     return " (learnt parameters, often slow, included)" if learns else ""
-
-
-def _starts(report: StabilityReport) -> str:
-    """Return which starts the form covers."""
-    sampled = report.sampled
-    assert sampled is not None
-    units, reach = report.loop.controller.task.units, sampled.reach
-    each = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(reach, units, strict=True))
-    if len(set(units)) == 1:
-        each = f"{', '.join(f'{r:.2g}' for r in reach)} {units[0]}"
-    return (
-        f"at rest, with an error of up to {each} in one coordinate, none in the others; "
-        f"{100.0 * sampled.covered:.3g} % of the starts drawn, about half near their targets"
-    )
-
-
-def _stays(report: StabilityReport) -> Row:
-    """Row about starts from which the region is not left."""
-    name, found = "as it runs, staying", report.attraction
-    if found is None or not found.radius:
-        return name, "assumed", "from no start is it proven that the arm stays in the region"
-    unit = "rad" if set(report.loop.plants[0].robot.joint_units) == {"rad"} else "rad or m"
-    told = (
-        f"holds from rest if start and target are within {found.radius:.2g} {unit} of the "
-        f"region's middle in every joint (errors of up to {found.error:.2g} "
-        f"{report.loop.controller.task.units[0]}); assumed elsewhere"
-    )
-    return name, "in part", told
 
 
 def _longest(report: StabilityReport) -> list[Row]:

@@ -1,0 +1,83 @@
+"""Starts that a `StabilityReport` certifies, against the usual ones of its region, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from approxjac.formatting import joined, percent
+from approxjac.validation import Array
+
+if TYPE_CHECKING:
+    from approxjac.stability.report import StabilityReport
+
+_DRAWN = 400  # starts that tell what is usual
+
+
+def told(report: StabilityReport) -> str:
+    """Return for which starts a certificate holds, and how far the usual ones are away."""
+    sampled, stays, unit = report.sampled, report.attraction, _unit(report)
+    assert sampled is not None
+    e = usual_errors(report)
+    saturation = report.loop.controller.saturation
+    share = (sampled.weights.at_rest(saturation.S(e), saturation.s(e)) <= sampled.level).mean()
+    of_these = "all" if share == 1.0 else f"{percent(share)} %" if share else "none"
+    if stays is not None and stays.radius:
+        both = "start and target" if report.loop.target is None else "start"
+        begins = (
+            f"Covers starts up to {stays.error:.2g} {unit} from their target ({both} within "
+            f"{stays.radius:.2g} {_joint_unit(report)} of the region's middle)"
+        )
+    else:
+        begins = "From no start is it proven that the arm stays in the region"
+    return (
+        f"{begins}; those drawn here are {np.median(np.linalg.norm(e, axis=1)):.2g} {unit} away in "
+        f"the median: from {of_these} of these the error goes to zero as long as the arm stays in "
+        "the region."
+    )
+
+
+def usual_errors(report: StabilityReport) -> Array:
+    """Return errors between configurations of the region, or to its one target, shape (N, m)."""
+    loop, rng = report.loop, np.random.default_rng(report.seed)
+    truths = np.arange(_DRAWN) % len(loop.corners)
+    q, ends = (loop._seen(truths, loop.region.sample(_DRAWN, rng), rng) for _ in range(2))
+    if loop.target is None:
+        return loop.errors(truths, q, loop._values(truths, ends))
+    return loop.errors(truths, q, np.tile(np.asarray(loop.target), (_DRAWN, 1)))
+
+
+def covered(report: StabilityReport) -> str:
+    """Return which starts the form covers while the arm stays in the region."""
+    sampled = report.sampled
+    assert sampled is not None
+    units, reach = report.loop.controller.task.units, sampled.reach
+    each = ", ".join(f"{r:.2g} {unit}" for r, unit in zip(reach, units, strict=True))
+    if len(set(units)) == 1:
+        each = f"{', '.join(f'{r:.2g}' for r in reach)} {units[0]}"
+    return (
+        f"at rest, with an error of up to {each} in one coordinate, none in the others; "
+        f"{100.0 * sampled.covered:.3g} % of the starts drawn, about half near their targets"
+    )
+
+
+def staying(report: StabilityReport) -> tuple[str, str, str]:
+    """Return the row about starts from which the region is not left."""
+    name, found = "as it runs, staying", report.attraction
+    if found is None or not found.radius:
+        return name, "assumed", "from no start is it proven that the arm stays in the region"
+    figures = (
+        f"holds from rest if start and target are within {found.radius:.2g} {_joint_unit(report)} "
+        f"of the region's middle in every joint (errors of up to {found.error:.2g} "
+        f"{_unit(report)}); assumed elsewhere"
+    )
+    return name, "in part", figures
+
+
+def _unit(report: StabilityReport) -> str:
+    return joined(report.loop.controller.task.units)
+
+
+def _joint_unit(report: StabilityReport) -> str:
+    return "rad" if set(report.loop.plants[0].robot.joint_units) == {"rad"} else "rad or m"
