@@ -146,6 +146,13 @@ def test_frames_that_are_all_too_old_are_said_to_teach_nothing(task, clock, cloc
     assert "no frame to learn from" in str(report)
 
 
+def test_a_clock_of_x_that_is_another_one_is_refused(task):
+    seen = aj.Measurement(0.0, START, np.zeros(6), task.value(START), 1.7e9)
+    for law in (law_of(task, "torque"), law_of(task, "set-point")):
+        with pytest.raises(aj.InvalidInputError, match=r"x was taken 1.7e\+09 s after t: two cl"):
+            law.step(law.initial_state(seen), seen, seen.x, DT)
+
+
 def test_frames_that_become_too_old_are_said_to_teach_nothing_any_more(task):
     law = law_of(task, "torque", delay=0.03)
     x, state, said = task.value(START), None, []

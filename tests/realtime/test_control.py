@@ -223,6 +223,48 @@ def test_a_path_is_followed(plant, controller):
     assert found.error_norm[2000:].max() < 0.02
 
 
+BROKEN = {
+    "clock of x": (
+        lambda m, old: m._replace(t_x=m.t + 1.7e9),
+        "CLOCK_JUMPED: the clock of the robot, or that of x, jumped (x was taken 1.7e+09 s after",
+    ),
+    "clock": (
+        lambda m, old: m._replace(t=m.t - 0.1), "jumped (-99 ms from state to state); braked",
+    ),
+    "jump": (
+        lambda m, old: m._replace(q=m.q + 0.02 * (np.arange(7) == 2)),
+        "(panda_joint3: by 0.01",
+    ),
+    "sign": (lambda m, old: m._replace(v=m.v + 2.0 * (np.arange(7) == 1)), "(panda_joint2: "),
+    "frozen": (
+        lambda m, old: m._replace(
+            q=np.where(np.arange(7) == 3, old.q, m.q), v=np.where(np.arange(7) == 3, 0.0, m.v)
+        ),
+        "(panda_joint4: ",
+    ),
+    "astray": (lambda m, old: m, " m, at most 1e-06); braked"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_run_that_a_fault_ended_says_where_and_by_how_much(plant, controller, what):
+    change, told = BROKEN[what]
+    kept = []
+
+    class Changed(Wrapped):
+        def read(self):
+            m = super().read()
+            if len(self.sent) < 200:
+                kept[:] = [m]
+                return m
+            return change(m, kept[0])
+
+    options = {"astray": (1e-6, 1.0, 1.0)} if what == "astray" else {}
+    found = run(driver_of(plant, Changed), controller, **options)
+    assert told in found.ended
+    assert found.fault.message in found.ended
+
+
 REFUSED = {
     "limits": "controller must keep the robot's limits of effort",
     "falls": "the controller must compensate gravity, such as by AdaptiveGravity",
@@ -230,6 +272,7 @@ REFUSED = {
     "moving": "the arm must be at rest",
     "blind": "x must be known before the arm moves",
     "clock": "the clock of the driver must go on",
+    "two clocks": "t_x must be by the clock of t: x was taken 1.7e+09 s after t: two clocks?",
     "period": "must be",
     "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got shapes (6,), (7,), (3,)",
     "duration": "duration must be a finite number > 0 [s], got 0.0",
@@ -244,6 +287,7 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         "moving": lambda m: m._replace(v=np.full(7, 0.1)),
         "blind": lambda m: m._replace(x=np.full(3, np.nan)),
         "clock": lambda m: m._replace(t=1.0),
+        "two clocks": lambda m: m._replace(t_x=m.t + 1.7e9),
         "sizes": lambda m: m._replace(q=m.q[:6]),
     }
 

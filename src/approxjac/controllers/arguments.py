@@ -117,6 +117,13 @@ def time_of_x(t_x: Any) -> float | None:
     return as_number("t_x of a measurement", t_x, unit="s")
 
 
+def told_ahead(t: float, t_x: float | None, most: float) -> str:
+    """Return in words that x was taken more than `most` [s] after t, as by another clock, or ""."""
+    if t_x is None or not t_x - t > most:
+        return ""
+    return f"x was taken {t_x - t:.3g} s after t: two clocks?"
+
+
 def overflow(measurement: Measurement) -> MeasurementError:
     """Return the error of a law whose torque is no number."""
     _, q, v, x, _ = measurement

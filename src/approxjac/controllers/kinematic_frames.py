@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from approxjac.controllers.arguments import time_of_x
+from approxjac.controllers.arguments import time_of_x, told_ahead
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Measurement, Status
 from approxjac.robots import Robot
@@ -22,6 +22,7 @@ _HORIZON = 0.25  # age up to which a frame finds its configuration [s]
 _LONG_AGO = -1e6  # [s]
 _FOREVER = 1e15  # t of no clock [s]
 _AHEAD = 1e-9  # by which a clock is on time [s]
+_OTHER = 1.0  # by which it is another one [s]
 _CLOSEST = 4e-3  # between frames, below which there is nothing to learn from the second one [s]
 _STALE = 1.0  # without a frame to learn from, after which it is said [s]
 _FARTHEST = 1e3  # that anything is from the sensor [m]
@@ -72,8 +73,8 @@ class Frames:
     t that stands still from step to step is gone on with by dt.
 
     A frame is new by `Measurement.t_x`, and was taken then. Where that is None or ahead of
-    now, it is new by a change of x, and was taken `delay` ago. One taken before all that the ring
-    remembers is passed over, and so are those that come faster than at 250 Hz.
+    now, it is new by a change of x, and was taken `delay` ago; 1 s ahead is refused. One taken
+    before all that the ring remembers is passed over, and so are those faster than at 250 Hz.
 
     Args:
         robot: The believed robot.
@@ -112,6 +113,8 @@ class Frames:
         (last, ahead), t_x = numbers[n + 2 : n + 4].tolist(), time_of_x(measurement.t_x)
         ahead = ahead + dt if t == last else max(ahead - abs(t - last), 0.0)
         numbers[n + 2 : n + 4] = t, ahead
+        if told := told_ahead(t + ahead, t_x, _OTHER):
+            raise InvalidInputError(f"t_x must be by the clock of t: {told}", given=measurement)
         t_x = None if t_x is None else t_x + ahead
         return Measurement(t + ahead, measurement.q, measurement.v, measurement.x, t_x)
 

@@ -157,8 +157,9 @@ def control(
             brake.close()
         if watchdog.bit:
             loop.fault = Fault.READ_HUNG
+            loop.detail = f"no command for {1e3 * _HANGS * late:.3g} ms, twice `late`"
         elif error is not None:
-            loop.fault = Fault.FAILED
+            loop.fault, loop.detail = Fault.FAILED, ""
         run = _run_of(loop, why)
     error = error or brake.error
     if error is not None:
@@ -190,7 +191,7 @@ def _run(
             elif loop.step >= steps:
                 why = "its time was over: brought to rest"
             elif loop.fault is not None:
-                why = f"{loop.fault}: {loop.fault.message}; brought to rest"
+                why = f"{loop.told()}; brought to rest"
             if why:
                 loop.halt()
         if signals.count > 1:
@@ -205,7 +206,7 @@ def _run(
 def _run_of(loop: RobotLoop, why: str) -> RobotRun:
     fault = loop.fault
     if fault is not None and not fault.stops:
-        why = f"{fault.name}: {fault.message}; braked at once" + (f" ({why})" if why else "")
+        why = f"{loop.told()}; braked at once" + (f" ({why})" if why else "")
     run = loop.record().trajectory()
     done = slice(1, max(loop.step, 1))
     return RobotRun(

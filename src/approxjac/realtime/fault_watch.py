@@ -26,6 +26,7 @@ _STOPPED = 30.0  # rad/s², by which no joint stops by itself
 _REPEATS = 8  # readings of q to the bit, after which a joint that moved is taken for frozen
 _STANDS = 0.03  # s, for which a joint has to tell the same q to the bit to be at rest
 _REMEMBERED = 200  # readings of both clocks
+_TORQUE = {"rad": "N m", "m": "N"}
 _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many seconds
 
 
@@ -42,6 +43,9 @@ class FaultWatch:
         fastest: Largest joint speeds, shape (n_v,) [rad/s or m/s].
         late: Time from state to state that is a fault [s].
         commands_velocity: Whether joint velocities are commanded, not torques.
+
+    Attributes:
+        detail: Of the fault that was found, in words: which joint, and by how much.
     """
 
     def __init__(
@@ -56,6 +60,7 @@ class FaultWatch:
         n = robot.nv
         self._model, self._is_vector = robot.model, robot.nq == n
         self._dt, self._fastest, self._late = dt, fastest, late
+        self._names, self._units, self.detail = robot.joint_names, robot.joint_units, ""
         self._q_noise = _SIGMAS * np.sqrt(2.0) * np.broadcast_to(np.asarray(accuracy.q, float), n)
         self._v_noise = _SIGMAS * np.broadcast_to(np.asarray(accuracy.v, float), n)
         self._lag = 1.5 * accuracy.velocity_filter + 0.5 * dt
@@ -109,7 +114,10 @@ class FaultWatch:
             return None
         elapsed = t - last.t
         if not 0.0 <= elapsed <= self._late + missed * self._dt:
-            return Fault.TORQUE_LATE if elapsed > 0.0 and not ahead else Fault.CLOCK_JUMPED
+            is_late = elapsed > 0.0 and not ahead
+            most = f", at most {1e3 * self._late:.3g}" if is_late else ""
+            self.detail = f"{1e3 * elapsed:.3g} ms from state to state{most}"
+            return Fault.TORQUE_LATE if is_late else Fault.CLOCK_JUMPED
         if elapsed < 0.1 * self._dt:
             self._still += 1
             self._last = last._replace(t=t)  # what comes meanwhile is held against the last state
@@ -129,14 +137,31 @@ class FaultWatch:
             reference = command
         self._asked = np.zeros_like(command) if reference is None else reference
 
-    def _unanswered(self, same: Array) -> bool:
-        """Return whether a joint stands still under a command that must move it."""
+    def too_fast(self, j: int, share: float, v: Array) -> str:
+        """Return in words how fast a joint is, which is a share of what it may be."""
+        unit = self._units[j]
+        return f"{self._names[j]}: {abs(v[j]):.3g} {unit}/s, at most {abs(v[j]) / share:.3g}"
+
+    def _tell(self, fault: Fault, j: int, told: str) -> Fault:
+        """Return a fault of a joint, with what is told of it as its detail."""
+        self.detail = f"{self._names[j]}: {told}"
+        return fault
+
+    def _unanswered(self, same: Array) -> Fault | None:
+        """Return a fault where a joint stands still under a command that must move it."""
         self._stood = np.where(same, self._stood + 1.0, 0.0)
         self._way = np.where(same, self._way + self._dt * self._asked, 0.0)
         self._held_by = np.where(same, self._held_by, self._command)
-        unanswered = np.abs(self._way) > _WAY
-        unanswered |= np.abs(self._command - self._held_by) > self._answered
-        return bool((unanswered & (self._stood >= self._stands)).any())
+        led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)
+        unanswered = (led > _WAY) | (pushed > self._answered)
+        unanswered &= self._stood >= self._stands
+        if not unanswered.any():
+            return None
+        j = int(unanswered.argmax())
+        told = f"its torque changed by {pushed[j]:.3g} {_TORQUE[self._units[j]]}"
+        if led[j] > _WAY:
+            told = f"it was led {led[j]:.3g} {self._units[j]}"
+        return self._tell(Fault.COMMAND_UNANSWERED, j, told)
 
     def _compare(
         self, way: Array, v: Array, before: Array, elapsed: float, missed: int
@@ -153,9 +178,11 @@ class FaultWatch:
         sudden = np.abs(v - before)
         if (off > self._q_jump * periods).any():
             # a q̇ that does not belong to q is off as much in every period
-            return self._q_or_v(way, off, v)
+            return self._q_or_v(way, off, v, elapsed)
         if (sudden > self._v_jump * (periods + missed)).any():
-            return Fault.VELOCITY_JUMPED
+            j = int(np.argmax(sudden / self._v_jump))
+            told = f"from {before[j]:.3g} to {v[j]:.3g} {self._units[j]}/s"
+            return self._tell(Fault.VELOCITY_JUMPED, j, told)
         for window in _WINDOWS:
             if k >= window:
                 old = self._sums[(k - window) % size]
@@ -166,24 +193,37 @@ class FaultWatch:
                     + self._v_noise * (math.sqrt(window) * self._dt + 0.1 * window * self._dt)
                 )  # fmt: skip
                 if (np.abs(q_way - v_way) > slack).any():
-                    return Fault.VELOCITY_DISAGREES
+                    j = int(np.argmax(np.abs(q_way - v_way) - slack))
+                    return self._disagrees(j, q_way[j], v_way[j], window * self._dt)
         # a joint that stops from one period to the next, and then tells the same q again and again
         same = way == 0.0
         moved = np.abs(before) > self._v_noise
         self._halted = (self._halted | ((sudden > self._v_stop) & moved)) & same
         self._repeats = np.where(self._halted, self._repeats + 1.0, 0.0)
         if (self._repeats >= _REPEATS).any():
-            return Fault.ENCODER_FROZEN
-        return Fault.COMMAND_UNANSWERED if self._unanswered(same) else None
+            j = int(self._repeats.argmax())
+            return self._tell(Fault.ENCODER_FROZEN, j, f"{_REPEATS} times the same q")
+        return self._unanswered(same)
 
-    def _q_or_v(self, way: Array, off: Array, v: Array) -> Fault:
+    def _disagrees(self, j: int, way: float, mean: float, elapsed: float) -> Fault:
+        ways = f"{way:.3g} {self._units[j]} by q and {mean:.3g} by q̇"
+        told = f"moved {ways} in {1e3 * elapsed:.3g} ms"
+        return self._tell(Fault.VELOCITY_DISAGREES, j, told)
+
+    def _q_or_v(self, way: Array, off: Array, v: Array, elapsed: float) -> Fault:
         j = int(np.argmax(off / self._q_jump))
         q_moves = abs(way[j]) > self._q_jump[j] + self._dt * self._fastest[j]
-        return Fault.POSITION_JUMPED if q_moves else Fault.VELOCITY_DISAGREES
+        if not q_moves:
+            return self._disagrees(j, way[j], elapsed * v[j], elapsed)
+        told = f"by {way[j]:.3g} {self._units[j]} in {1e3 * elapsed:.3g} ms"
+        return self._tell(Fault.POSITION_JUMPED, j, told)
 
     def _speed(self, t: float, v: Array) -> Fault | None:
         """Look at speeds, and whether they grow like those of a loop that is unstable."""
-        if (np.abs(v) > self._fastest + self._v_noise).any():
+        share = np.abs(v) / (self._fastest + self._v_noise)
+        if (share > 1.0).any():
+            j = int(share.argmax())
+            self.detail = self.too_fast(j, share[j], v)
             return Fault.TOO_FAST
         peaks = self._peaks
         peaks[-1] = max(peaks[-1], float(np.max((np.abs(v) - self._led) / self._fastest)))

@@ -39,7 +39,7 @@ class Fault(enum.Enum):
     SENSOR_DISAGREES = "x does not move as the joints do: its axes, its unit, or an encoder"
     SENSOR_FROZEN = "the joints move, and x does not"
     CLOCK_STOOD_STILL = "the robot's clock stands still: its state is an old one"
-    CLOCK_JUMPED = "the robot's clock jumped"
+    CLOCK_JUMPED = "the clock of the robot, or that of x, jumped"
     READ_HUNG = "the driver or the controller did not come back in time"
     TORQUE_LATE = "a command was sent too late", True
     TOO_FAST = "a joint is faster than it may be"

@@ -23,7 +23,7 @@ from approxjac.realtime.driver import Driver
 from approxjac.realtime.easing import Eased, Halt
 from approxjac.realtime.fault_watch import FaultWatch
 from approxjac.realtime.faults import Fault
-from approxjac.realtime.reading import read
+from approxjac.realtime.reading import read, two_clocks
 from approxjac.realtime.sensor_watch import SensorWatch
 from approxjac.realtime.start_checks import require_able
 from approxjac.simulation.loop import Loop
@@ -64,6 +64,7 @@ class RobotLoop(Loop):
 
     Attributes:
         fault: What is wrong, or None.
+        detail: Of the fault, in words: which joint, and by how much; "" for none.
         halting: Whether it is being brought to rest.
     """
 
@@ -106,6 +107,7 @@ class RobotLoop(Loop):
         self._accuracy, self._is_learnt = accuracy, bool(learnt)
         self._sensor = SensorWatch(controller.task, self.dt, accuracy, unseen, self._is_learnt)
         self.fault: Fault | None = None
+        self.detail = ""
         self.halting = False
         self._lost = self._limited = self._halted = 0
         self._blind, self._asked = False, np.zeros(plant.robot.nv)
@@ -129,9 +131,11 @@ class RobotLoop(Loop):
         self.measurement = measurement
         fault = self._watch.look(measurement, self._read)
         known = bool(np.isfinite(measurement.q).all() and np.isfinite(measurement.v).all())
+        self._note(fault, self._watch.detail)
         if fault is None and known:
-            fault = self._sensor.look(measurement, self.target)
-        self._note(fault)
+            self._note(self._sensor.look(measurement, self.target))
+            if told := two_clocks(measurement, self.dt):
+                self._note(Fault.CLOCK_JUMPED, told)
         if known and not self._brakes():
             self._look(measurement)
             if not self._brakes():
@@ -224,7 +228,10 @@ class RobotLoop(Loop):
             return
         error = task.error(x, self.target)
         if (np.abs(error) > self._astray).any():
-            self._note(Fault.ASTRAY)
+            i = int(np.argmax(np.abs(error) / self._astray))
+            most = f"at most {self._astray[i]:.3g}"
+            told = f"{task.labels[i]}: {abs(error[i]):.3g} {task.units[i]}, {most}"
+            self._note(Fault.ASTRAY, told)
         if self.halting:
             way = float(np.linalg.norm(task.error(x, self._stopped_at)))
             self.stop_distance = max(self.stop_distance, way)
@@ -235,8 +242,10 @@ class RobotLoop(Loop):
         if asked is not None:
             fastest = np.abs(asked)
             self._asked = np.maximum(self._fades * self._asked, 2.0 * fastest + fastest.max())
-            if (np.abs(self.measurement.v) > self._asked + self._faster).any():
-                self._note(Fault.TOO_FAST)
+            share = np.abs(self.measurement.v) / (self._asked + self._faster)
+            if (share > 1.0).any():
+                j = int(share.argmax())
+                self._note(Fault.TOO_FAST, self._watch.too_fast(j, share[j], self.measurement.v))
         lost = self.answer.status in _LOST
         self._lost = self._lost + 1 if lost else 0
         self._blind = self._blind or lost
@@ -248,10 +257,17 @@ class RobotLoop(Loop):
         elif self._limited * self.dt > self._patience:
             self._note(Fault.LIMITS)
 
-    def _note(self, fault: Fault | None) -> None:
+    def told(self) -> str:
+        """Return the fault in words."""
+        if self.fault is None:
+            return ""
+        detail = f" ({self.detail})" if self.detail else ""
+        return f"{self.fault}: {self.fault.message}{detail}"
+
+    def _note(self, fault: Fault | None, detail: str = "") -> None:
         """Keep the first fault, or the first at which the robot brakes at once."""
         if self.fault is None or (fault is not None and self.fault.stops and not fault.stops):
-            self.fault = fault
+            self.fault, self.detail = fault, detail
 
     def _brakes(self) -> bool:
         """Return whether there is a fault at which the robot brakes at once."""

@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from approxjac.controllers.arguments import told_ahead
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.realtime.driver import Driver
 from approxjac.tasks import Task
 from approxjac.validation import Array
+
+_AHEAD = 0.01  # s, and a period: by which x may be stamped later than the state it comes with
 
 
 def read(driver: Driver, task: Task) -> Measurement:
@@ -32,6 +35,11 @@ def read(driver: Driver, task: Task) -> Measurement:
             given=measured,
         )
     return measured
+
+
+def two_clocks(measurement: Measurement, dt: float) -> str:
+    """Return in words that x was taken after t, which no one clock can tell, or ""."""
+    return told_ahead(measurement.t, measurement.t_x, dt + _AHEAD)
 
 
 def _configuration(task: Task, q: Array) -> Array:

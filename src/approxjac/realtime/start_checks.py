@@ -11,7 +11,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
 from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
 from approxjac.realtime.driver import Driver
-from approxjac.realtime.reading import read
+from approxjac.realtime.reading import read, two_clocks
 from approxjac.robots import Dynamics
 from approxjac.robots.joint_limits import beyond_positions
 from approxjac.tasks import Task
@@ -70,6 +70,8 @@ def require_at_rest(driver: Driver, task: Task, patience: float) -> Measurement:
             raise InvalidInputError(
                 f"{name} must be known before the arm moves, got {listed(values)}", given=measured
             )
+    if told := two_clocks(measured, driver.dt):
+        raise InvalidInputError(f"t_x must be by the clock of t: {told}", given=measured)
     if (np.abs(measured.v) > _AT_REST).any():
         raise InvalidInputError(
             f"the arm must be at rest, below {_AT_REST} rad/s or m/s, got v = {listed(measured.v)}",
