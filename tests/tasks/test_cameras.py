@@ -205,6 +205,15 @@ def test_a_point_is_located_by_its_image_and_its_depth(k, pixel, depth):
     assert_array_equal(cam.seen(cam.project(r)), cam.project(r))
 
 
+@pytest.mark.parametrize("n", [3, 4])
+def test_several_points_at_once_have_no_image(n):
+    for cam in (aj.PinholeCamera(600.0, (640, 480)), PlanarCamera(0.05, 3.0)):
+        with pytest.raises(
+            aj.InvalidInputError, match=rf"r must have shape .*got shape \({n}, 3\)"
+        ):
+            cam.project(np.ones((n, 3)))
+
+
 def test_looking_at_puts_the_target_in_the_middle_and_up_upwards():
     cam = camera()
     assert_allclose(cam.project(np.array([0.5, 0.1, 0.3])), (325.0, 236.0), atol=1e-9)

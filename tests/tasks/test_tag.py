@@ -175,8 +175,8 @@ def test_corners_in_the_order_of_pupil_apriltags_are_refused(panda, count):
     with pytest.raises(aj.InvalidInputError, match=r"^target must .*in the measured x"):
         aj.simulate(plant, law, the_other_way(x), Q, 0.01, dt=2e-3)
     driver = aj.realtime.SimulatedDriver(plant, Q, pace=np.inf)
+    limited = aj.TorqueLimited(law.controller, driver.limits)
     with pytest.raises(aj.InvalidInputError, match=r"^target must .*in the measured x"):
-        limited = aj.TorqueLimited(law.controller, driver.limits)
         aj.control(driver, limited, the_other_way(x), 0.01)
 
 

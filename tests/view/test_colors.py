@@ -51,6 +51,7 @@ def closest(colors, eyes):
 @pytest.mark.parametrize("eyes", EYES)
 def test_any_two_colors_are_told_apart(eyes):
     meant = {view.COLORS[role] for role in ROLES}
+    assert len(set(view.SERIES)) == 8  # the corners of a tag are eight coordinates
     assert closest(sorted(meant | set(view.SERIES)), eyes) > APART
 
 

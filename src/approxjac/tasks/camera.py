@@ -11,7 +11,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import short_fields
-from approxjac.validation import Array, Saved, as_array, as_number, plane_rows
+from approxjac.validation import Array, Saved, as_array, as_number, plane_rows, shape_of
 
 
 class Calibrated(NamedTuple):
@@ -125,6 +125,8 @@ class PlanarCamera(Camera):
         return self.focal_length / (self.distance - self.focal_length)
 
     def project(self, r: Array) -> Array:
+        if shape_of(r) != (3,):
+            as_array("the point r", r, (3,), "m")
         return self._J @ r + self._d
 
     def interaction(self, r: Array) -> Array:

@@ -245,7 +245,12 @@ class PinholeCamera(Camera):
         """Return the image (2,) [px] of a point at r (3,), also beyond the edges of the image.
 
         NaN for a point behind the camera or nearer than `near`, and where the lens folds back.
+
+        Raises:
+            InvalidInputError: Another shape, such as several points.
         """
+        if shape_of(r) != (3,):
+            as_array("the point r", r, (3,), "m")
         X, Y, Z = self.in_camera(r).tolist()
         if self.near <= Z < math.inf:
             p = np.array([X / Z, Y / Z])

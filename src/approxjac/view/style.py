@@ -20,8 +20,11 @@ from matplotlib.transforms import offset_copy
 from approxjac.errors import InvalidInputError
 from approxjac.files import reason, replaced
 
-SERIES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Of lines in turn: Okabe and Ito's colours, which people with colour-blindness can tell apart."""
+_OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+SERIES = (*_OKABE_ITO, "#962DFF")
+"""Of lines in turn: Okabe and Ito's colours, and an eighth for the corners of a tag.
+
+People with colour-blindness can tell them apart."""
 COLORS: Mapping[str, str] = {
     "true": "#0072B2",  # the true arm, its path, what a camera truly sees
     "believed": "#CC79A7",  # what the controller believes of the same
