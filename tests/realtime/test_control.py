@@ -265,6 +265,21 @@ def test_a_run_that_a_fault_ended_says_where_and_by_how_much(plant, controller, 
     assert found.fault.message in found.ended
 
 
+def test_the_usual_noise_of_x_is_in_the_unit_of_the_task(panda):
+    """0.5 px of noise are usual, and 2 mm of it would be 2000 px."""
+    camera = aj.PinholeCamera.looking_at((0.4, 0.0, 0.4), (2.0, -1.0, 1.0), 600.0, (640, 480))
+    task = aj.ImageTask(panda.with_object(0.0), camera)
+    plant = aj.Plant(task.robot, task, sensing=aj.Sensing(x_noise=0.5, x_rate=60.0))
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(task.robot))
+    limited = aj.TorqueLimited(law, aj.Limits.of(task.robot))
+    found = control(driver_of(plant), limited, plant.sensor.value(START) + 5.0, 0.3, late=SLOW)
+    assert found.fault is None
+    usual = aj.realtime.Accuracy().for_units(("m", "rad", "px")).x
+    assert_array_equal(usual, [2e-3, 2e-3, 1.0])
+    assert aj.realtime.Accuracy(x=0.3).for_units(("px",)).x == 0.3
+    assert "Accuracy(x=..., x_period=...)" in Fault.SENSOR_JUMPED.message
+
+
 REFUSED = {
     "limits": "controller must keep the robot's limits of effort",
     "falls": "the controller must compensate gravity, such as by AdaptiveGravity",

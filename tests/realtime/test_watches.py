@@ -298,7 +298,7 @@ def test_speed_that_grows_as_the_target_leads_is_no_fault():
 def test_a_lost_frame_of_a_late_camera_is_no_blindness():
     """50 ms late at 0.2 m/s are 1 cm already, without anything being lost."""
     task = aj.PositionTask(TRUTH)
-    sight = SensorWatch(task, DT, Accuracy(), np.full(3, 0.01), False)
+    sight = SensorWatch(task, DT, Accuracy(x=2e-3), np.full(3, 0.01), False)
     J = task.jacobian(START)
     v = np.linalg.pinv(J) @ [0.0, 0.2, 0.0]
     lost = []

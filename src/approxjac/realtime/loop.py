@@ -93,6 +93,7 @@ class RobotLoop(Loop):
         self._driver, self._brake, self._speeds, self._astray = driver, brake, speeds, astray
         self._patience, self._unseen = patience, unseen
         task = controller.task._measured
+        accuracy = accuracy.for_units(task.units)
         still = np.zeros(task.m)
         self._begun = first.t
         self.measurement = self._timed(first)
