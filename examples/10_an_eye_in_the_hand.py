@@ -30,7 +30,8 @@ out.mkdir(parents=True, exist_ok=True)
 arm = aj.load_robot("ur5")
 truth, belief = arm.with_object(0.1, 0.3, axis="y"), arm  # its load is not known either
 
-# Looks along the hand's y axis, out of the arm, from 5 cm beside it.
+# 5 cm before the flange, and looks sideways: along tool0's y axis, which points up at the goal.
+# (Out of the arm points tool0's z axis.)
 axes_of_camera = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 camera = aj.PinholeCamera(600.0, (640, 480), (0.0, 0.0, 0.05), axes_of_camera, mount="tool0")
 wrong = camera.with_error(rotation=(0.0, 0.0, np.radians(20.0)), focal_factor=1.3)

@@ -125,7 +125,8 @@ simulate panda --true.floor 0
 --true.floor needs --true.engine mujoco, got 0.0 with pinocchio
 
 simulate panda --task.kind image --task.points 9
---task.points must be 1, 2 or 3, got 9
+--task.points must be 1, 2 or 3, got 9; four, such as a tag's corners, are for Python: \
+approxjac.tasks.CombinedTask.balanced
 
 simulate panda --sensor.rate 1e6
 --sensor.rate must be at most that of control, 1000 [Hz], got 1e+06

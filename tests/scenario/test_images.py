@@ -174,7 +174,7 @@ AWAY = {"position": (-1.0, 0.0, 1.5), "looking_at": (-2.0, 0.0, 1.5)}
 @pytest.mark.parametrize(
     ("robot", "parts", "text"),
     [
-        ("panda", {"task": {"points": 4}}, "task.points must be 1, 2 or 3, got 4"),
+        ("panda", {"task": {"points": 4}}, "got 4; four, such as a tag's corners, are for Python"),
         ("two_link", {"task": {"points": 2}}, "task.points must be at most half.*: 1 for two_link"),
         ("panda", {"run": {"target": (900.0, 100.0)}}, "target must be within the image of 640 x"),
         ("panda", {"run": {"target": (90.0,)}}, r"run.target must have shape \(2,\)"),

@@ -41,7 +41,11 @@ def image_scene(
     """Return the tasks of a pinhole camera, the start, and a goal, shape (nq,) each."""
     points, camera = scenario.task.points, scenario.true.camera
     if not 1 <= points <= 3:
-        raise InvalidInputError(f"task.points must be 1, 2 or 3, got {points!r}", given=points)
+        raise InvalidInputError(
+            f"task.points must be 1, 2 or 3, got {points!r}; four, such as a tag's corners, are "
+            "for Python: approxjac.tasks.CombinedTask.balanced",
+            given=points,
+        )
     if 2 * points > truth.nv:
         raise InvalidInputError(
             "task.points must be at most half as many as joints, as each has two image "

@@ -322,12 +322,13 @@ class PinholeCamera(Camera):
         rotation: Sequence[float] | Array = (0.0, 0.0, 0.0),
         focal_factor: float = 1.0,
     ) -> PinholeCamera:
-        """Return a camera that stands elsewhere and has another focal length.
+        """Return this camera moved and with another focal length: of a true one, a wrong belief.
 
         Args:
-            shift: Of its centre along its own axes (right, down, forward), shape (3,) [m]. A
+            shift: From here, along this camera's axes (right, down, forward), shape (3,) [m]. A
                 shift of (0, 0, −d) makes all depths larger by d.
-            rotation: Rotation vector in its own axes, shape (3,) [rad]; (0, 0, δ) is a roll by δ.
+            rotation: Rotation vector in this camera's axes, shape (3,) [rad]; (0, 0, δ) rolls the
+                camera clockwise by δ, as it looks, so that what it sees turns the other way.
             focal_factor: Of both focal lengths, > 0.
 
         Raises:
