@@ -37,7 +37,9 @@ class InvalidInputError(ApproxJacError, ValueError):
 class UnknownNameError(ApproxJacError, LookupError):
     """A frame, joint, link or robot that does not exist, with near matches."""
 
-    def __init__(self, kind: str, name: object, where: str, valid: Iterable[str]) -> None:
+    def __init__(
+        self, kind: str, name: object, where: str, valid: Iterable[str], likely: str = ""
+    ) -> None:
         self.valid = sorted(valid)
         message = f"{kind} {name!r} not in {where}"
         wanted = str(name).lower()
@@ -45,6 +47,8 @@ class UnknownNameError(ApproxJacError, LookupError):
         near = near or difflib.get_close_matches(str(name), self.valid, n=3, cutoff=0.5)
         if near:
             message += f"; did you mean {' or '.join(repr(n) for n in near)}?"
+        elif likely:
+            message += f"; {likely}"
         if self.valid and (not near or len(self.valid) <= _FEW):
             message += f"{'' if near else ';'} valid are {', '.join(self.valid)}"
         super().__init__(message, given=name)

@@ -53,7 +53,8 @@ def test_robots_takes_any_urdf(capsys):
     assert main(["robots", path]) == 0
     out = capsys.readouterr().out
     assert "nv 17, nq 17" in out
-    assert "tip: not clear, as it has more than one end: name one as tip" in out
+    assert "tip: not clear, as it has more than one end: name one as tip (--tip)" in out
+    assert "likely tips are left_gripper, right_gripper, " in " ".join(out.split())
     assert main(["robots", path, "--tip", "right_gripper"]) == 0
     by_path = capsys.readouterr().out.splitlines()
     assert main(["robots", "baxter_left_arm", "--tip", "right_gripper"]) == 0

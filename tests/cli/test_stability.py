@@ -14,10 +14,11 @@ from approxjac.scenario import Scenario
 from approxjac.scenario import gains as study_gains
 from approxjac.scenario import stability as study
 from approxjac.scenario import stability_report as report
-from approxjac.stability import Suggestion, stability_map, tolerance
+from approxjac.stability import Suggestion, Tolerance, stability_map, tolerance
 from approxjac.stability.suggestion import Candidate
 
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
+NOT_TOLERATED = Tolerance("matrix", 0.0, 0.0, np.zeros(1), None)
 QUICK = ["--configurations", "40", "--runs", "1", "--map-points", "2", "--map-runs", "0"]
 
 
@@ -344,6 +345,28 @@ def test_suggested_gains_are_written_as_a_scenario_that_is_taken(tmp_path, monke
     assert stability(tmp_path, "two_link", *errors, *given) == 0
     built = Scenario.load(tmp_path / "scenario.toml").build()
     np.testing.assert_array_equal(built.law.diagonals.damping, [2.0, 2.0])
+
+
+def test_where_nothing_is_found_it_says_what_was_tried_and_what_is_next():
+    scenario = Scenario(
+        "two_link", controller={"gravity": "exact", "kp": 5000.0, "kv": 2.0, "damping": 0.01},
+        stability={"object_length": (0.0, 0.3), "around": (0.3, 1.0), "radius": 0.1},
+    )  # fmt: skip
+    loop = study.prepare(scenario)
+    failed = aj.stability_report(loop.controller, loop.truth, loop.region, configurations=20)
+    assert not failed.passed
+    scales = {"matrix": dataclasses.replace(NOT_TOLERATED, uncertainty=loop.truth)}
+    *_, tried, following = report.advice(study.StabilityResult(scenario, failed, scales))
+    assert tried.startswith("tried, and nothing found: up to 20 times the damping, ")
+    assert tried.endswith(", smaller errors; not even without errors it holds")
+    assert following.startswith("next: --suggest-gains, in place of --kp, --kv and --damping; a ")
+    assert following.endswith(
+        " a belief in the middle of each range, such as --believed-length 0.15"
+    )
+    part = study.StabilityResult(scenario, failed, scales, certified_part=loop.truth.scaled(0.5))
+    *_, found, following = report.advice(part)
+    assert found.startswith("with the damping that it has, certified as it runs are errors of ")
+    assert following.startswith("next: ")
 
 
 def test_a_map_says_of_its_own_point_what_the_report_does():

@@ -145,6 +145,11 @@ def test_a_path_gives_the_same_arm_as_the_name(name):
             "tip must be a frame that a joint moves, got 'floor': there is no moving joint between "
             "the root and it in branched",
         ),
+        (
+            {"tip": "zz"},
+            UnknownNameError,
+            "frame 'zz' not in branched; ends are tooth, head, rim; valid are ",
+        ),
         ({"base": "trnk"}, UnknownNameError, "frame 'trnk' not in branched; did you mean 'trun"),
         (
             {"base": "head"},

@@ -84,6 +84,7 @@ def test_report_says_what_each_test_says(report):
     assert text.splitlines()[0].endswith(", as it runs at 2 kHz")
     assert "not proven between them." in text.split("about")[0]
     assert "  timing   a period of 0.5 ms, no delays" in text
+    assert "; gravity known exactly: the arm" in " ".join(text.split())
     assert max(map(len, text.splitlines())) <= 100
     rows = {test: (said, figures) for test, said, figures in report.lines()}
     said, figures = rows["in continuous time, Theorem 1"]
@@ -347,6 +348,9 @@ def test_tolerance_stops_where_robots_cannot_exist(weightless, box):
     assert_allclose(found["local"].scale, 1.0, rtol=1e-4)  # a length below 0 is none
     assert found["local"].fails_at == math.inf
     assert "times the errors, the most that was tried" in str(found["local"])
+    assert str(found["local"]).startswith("tolerated by the linearisation (near targets only): ")
+    assert repr(found["local"]) == "Tolerance('local': did not fail up to 1, the largest)"
+    assert "object length 0 to 0.2 m" in str(found["local"])  # and not 1.2e-07
 
 
 def test_tolerance_of_a_controller_that_never_passes(tools, box):
@@ -436,9 +440,14 @@ def test_relaxations_keep_the_other_demands():
     assert time.startswith("the settling time: 3 s: ")
     # what fails as it runs is not told
     fails = [lambda gains: 0.0, lambda each: replace(each, margin=0.0)]
-    assert _relaxations(tried, 1.0, *fails)[0].startswith("at least two of them: no gains tried")
-    (line,) = _relaxations(tried[-1:], 1.0, *fails)
-    assert line == "at least two of them: no gains tried meet any two demands together"
+    (line,) = _relaxations(tried, 1.0, *fails)
+    assert line == (
+        "at least two of the errors, the settling time and the torque limits, as one alone is not "
+        "enough: of 5 gains tried 3 settle within 1 s, 3 start within the torque limits, 2 do "
+        "both, and none of all these passes with the errors"
+    )
+    told = str(suggestion.Suggestion("matrix", None, (line,), tuple(tried)))
+    assert told.startswith("gains: none found that meet all demands; relax\n- at least two of the ")
 
 
 def test_suggest_refuses(tools, small_box):

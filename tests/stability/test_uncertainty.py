@@ -245,7 +245,8 @@ def test_what_a_calibration_does_not_have_is_refused(arm, watched):
     with pytest.raises(UnknownNameError, match=r"range 'roll' not in the calibration of Fixed$"):
         aj.Uncertainty(arm, camera=Fixed(), roll=(0.0, 0.1))
     with pytest.raises(
-        aj.InvalidInputError, match=r"roll must hold what is believed, 0 \[rad\], got \(0.1, 0.2\)"
+        aj.InvalidInputError,
+        match=r"roll must contain what is believed, 0 \[rad\], got \(0.1, 0.2\)",
     ):
         aj.Uncertainty(arm, camera=watched.camera, roll=(0.1, 0.2))
     with pytest.raises(
@@ -485,9 +486,9 @@ REFUSED = [
     ),
     (
         {"object_length": (0.1, 0.3)},
-        r"object_length must hold what is believed, 0 \[m\], got \(0.1, 0.3\); \(0.0, 0.3\) does",
+        r"_length must contain what is believed, 0 \[m\], got \(0.1, 0.3\); \(0.0, 0.3\) does",
     ),
-    ({"object_mass": (0.0, 1.0), "believed_mass": 2.0}, "object_mass must hold what is"),
+    ({"object_mass": (0.0, 1.0), "believed_mass": 2.0}, "object_mass must contain what is"),
     ({"object_length": (-0.1, 0.3)}, r"object_length must be >= 0 in the whole set \[m\]"),
     ({"object_mass": (-0.1, 0.3)}, r"object_mass must be >= 0 in the whole set \[kg\], got -0.1"),
     ({"believed_length": -1.0}, r"believed_length must be a finite number >= 0 \[m\], got -1"),
@@ -513,7 +514,7 @@ REFUSED = [
     ),
     ({"camera": CAMERA, "focal_length": (0.05, 3.0)}, r"distance must be a finite number > 3 \[m"),
     ({"camera": CAMERA, "distance": (0.05, 3.0)}, r"distance must be .* > 0.05 \[m\], got 0"),
-    ({"camera": CAMERA, "roll": (0.2, 0.3)}, r"roll must hold what is believed, 0.1 \[rad\]"),
+    ({"camera": CAMERA, "roll": (0.2, 0.3)}, r"roll must contain what is believed, 0.1 \[rad\]"),
     ({"factor": -1.0}, "factor must be a finite number >= 0, got -1.0"),
     ({"friction": (0.1, 0.2, 0.3)}, r"friction must have shape \(2,\)"),
     ({"friction": -1.0}, "friction must be >= 0"),

@@ -14,6 +14,7 @@ import tyro
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Robot, load_robot, robot_names
 from approxjac.robots.load import locked_joints
+from approxjac.robots.tips import likely_tips
 
 _WIDTH = 100
 
@@ -64,10 +65,11 @@ def _details(source: str, tip: str | None, base: str | None, free: Sequence[str]
         known = known if math.isfinite(lower[i]) else "none known"
         most = f"{efforts[i]:g} {force}" if math.isfinite(efforts[i]) else "none known"
         rows.append((name, kind, "none" if kind == "continuous" else known, most))
-    leads = robot.tip or "not clear, as it has more than one end: name one as tip"
+    unclear = "not clear, as it has more than one end: name one as tip (--tip)"
+    leads = robot.tip or f"{unclear}; {likely_tips(robot.tree)}"
     lines = [
         f"{source}: {_kinds(robot)}; nv {robot.nv}, nq {robot.nq}; {robot.mass:.4g} kg",
-        f"tip: {leads}",
+        *textwrap.wrap(f"tip: {leads}", _WIDTH, subsequent_indent="  "),
         "",
         _aligned(rows),
     ]

@@ -44,6 +44,8 @@ def of_law(law: SetpointController | TrackingController) -> str:
     number = "(28)" if law.adaptation is not None else "(6)" if law.velocity is None else "(5)"
     name = type(law.gravity).__name__
     gravity = _GRAVITY.get(name, f"by {name}")
+    if name == "NoGravity" and not law.task.robot.gravity.any():
+        gravity = "known exactly: the arm is taken without it"
     return f"set-point law {number}, {of_gains(law.gains)}; gravity {gravity}"
 
 

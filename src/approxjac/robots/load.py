@@ -18,6 +18,7 @@ from approxjac.errors import (
 from approxjac.robots.catalog import NAMED, NamedRobot, urdf_path
 from approxjac.robots.plausibility import implausible
 from approxjac.robots.robot import STANDARD_GRAVITY, Robot
+from approxjac.robots.tips import likely_tips
 from approxjac.robots.urdf import MOST_TEXT, Urdf, leader_of
 from approxjac.robots.urdf_edit import with_locked_joints
 from approxjac.validation import Array
@@ -209,4 +210,4 @@ def _link(urdf: Urdf, frame: str) -> str:
         return frame
     if isinstance(frame, str) and frame in urdf.joints:
         return urdf.joints[frame].child
-    raise UnknownNameError("frame", frame, urdf.name, urdf.links)
+    raise UnknownNameError("frame", frame, urdf.name, urdf.links, likely_tips(urdf))

@@ -16,6 +16,7 @@ from approxjac.scenario.control import latency_of, limits_of
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.stability import prepare, uncertainty_of
 from approxjac.stability import Suggestion, suggest_gains
+from approxjac.stability.suggestion import SETTLES
 
 _SETTLING_TIME = 1.0  # [s]
 
@@ -73,16 +74,16 @@ def text(result: SuggestedGains) -> str:
     """Return the gains, or what to relax; the verdict first."""
     found, told = result.found.found, {"errors": result.errors}
     if found is None:
-        lines = wrapped("gains: none found that meet all demands; one of these would do")
+        lines = wrapped(result.found.heading)
         for line in result.found.relax:
             lines += wrapped(line, "- ")
         wanted = {"settling time": f"{result.settling_time:g} s"}
         return "\n".join([*lines, "", *rows(told | wanted, 2)])
-    lines = wrapped(f"gains: found, certified with margin {found.margin:.2g}")
+    lines = wrapped(result.found.heading)
     control = result.scenario.controller
     told |= {
-        "settling time": f"{found.settling_time:.3g} s in the worst case, where "
-        f"{result.settling_time:g} s is wanted",
+        "settling time": f"{found.settling_time:.3g} s {SETTLES} ({result.settling_time:g} s is "
+        "wanted)",
         "torque": f"a start takes at most {100.0 * found.torque_ratio:.2g} % of the limits"
         if found.torque_ratio
         else "no limits known",

@@ -80,7 +80,10 @@ def advice(result: StabilityResult) -> list[str]:
     errors = "the true robot" if isinstance(report.loop.truth, Plant) else "the belief as it is"
     errors = errors if uncertainty is None else uncertainty.describe_box()
     if not report.gravity_is_exact:
-        return ["not certified: gravity is neither known nor can it be learnt (wrong joint axes)"]
+        return [
+            "not certified: gravity is neither known nor can it be learnt (wrong joint axes); "
+            "--gravity exact tells of all else"
+        ]
     if report.singular_q is not None:
         return [
             "not certified: the estimated Jacobian loses rank in the region, where the arm may "
@@ -122,7 +125,29 @@ def advice(result: StabilityResult) -> list[str]:
     if result.certified_part is not None:
         part = result.certified_part.describe_box()
         lines.append(f"with the damping that it has, certified {certified} are errors of {part}")
+    if not report.passed:
+        lines += _next(result, uncertainty)
     return [report.verdict(), *lines]
+
+
+def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> list[str]:
+    """Return what was tried and found nothing, and what to do next where nothing is certified."""
+    lines, steps = [], ["a smaller --radius around a configuration (--around)"]
+    if uncertainty is not None:
+        steps.insert(0, "--suggest-gains, in place of --kp, --kv and --damping")
+        least, most = uncertainty.low, uncertainty.high
+        if (abs(least + most - 2.0 * uncertainty.believed) > 0.2 * (most - least)).any():
+            middle = dict(zip(uncertainty.names, 0.5 * (least + most), strict=True))
+            length = middle.get("object_length")
+            such = "" if length is None else f", such as --believed-length {length:.3g}"
+            steps.append(f"a belief in the middle of each range{such}")
+        if result.damping is None and result.certified_part is None:
+            none = "" if result.tolerances["matrix"].scale else "; not even without errors it holds"
+            lines.append(
+                "tried, and nothing found: up to 20 times the damping, damping in the shape of "
+                f"the arm's inertia, smaller errors{none}"
+            )
+    return [*lines, f"next: {'; '.join(steps)}"]
 
 
 def draw_allowed_error(result: StabilityResult) -> Figure:

@@ -79,7 +79,7 @@ def as_range(name: str, given: Any, believed: float, unit: str, of: str = "") ->
         )
     if not low <= believed <= high:
         raise InvalidInputError(
-            f"{name} must hold what is believed, {believed:g} [{unit}], got {(low, high)}; "
+            f"{name} must contain what is believed, {believed:g} [{unit}], got {(low, high)}; "
             f"{(min(low, believed), max(high, believed))} does",
             given=given,
         )

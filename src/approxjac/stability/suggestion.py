@@ -36,6 +36,8 @@ _SHAPED = (10.0, 5.0, 20.0, 40.0)  # times the joints' own inertia [1/s]
 _FLOOR = 0.05  # of the mean inertia, that light joints count as heavier by
 _LOOKED = 100  # configurations that show the unstable ones among dampings
 _CONFIRMED = 5  # gains that a report is asked about to relax a demand
+_SEVERAL = "at least two of"
+SETTLES = "to 2 % of a small error, linearised near the target, at worst; far reaches take longer"
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # of the largest scale
 
 
@@ -76,26 +78,34 @@ class Suggestion:
     relax: tuple[str, ...]
     tried: tuple[Candidate, ...]
 
+    @property
+    def heading(self) -> str:
+        """The first line: whether gains were found, and what is to be done if not."""
+        if self.found is None:
+            what = "relax" if self.relax[0].startswith(_SEVERAL) else "one of these would do"
+            return f"gains: none found that meet all demands; {what}"
+        left = f"margin {self.found.margin:.2g}"
+        if self.test == "local":
+            left = f"slowest decay {self.found.margin:.2g}/s"
+        passes = "certified" if self.test == "matrix" else "passing"
+        return f"gains: found, {passes} with {left}"
+
     def __repr__(self) -> str:
         found = "nothing" if self.found is None else repr(self.found.gains)
         return f"Suggestion({self.test!r}: {found})"
 
     def __str__(self) -> str:
         if self.found is None:
-            lines = wrapped("gains: none found that meet all demands; one of these would do")
+            lines = wrapped(self.heading)
             return "\n".join(
                 [*lines, *(line for each in self.relax for line in wrapped(each, "- "))]
             )
-        left = f"margin {self.found.margin:.2g}"
-        if self.test == "local":
-            left = f"slowest decay {self.found.margin:.2g}/s"
         told = {
             "gains": str(self.found.gains),
             "torque": f"at the start at most {100 * self.found.torque_ratio:.2g} % of the limits",
-            "settles": f"in {self.found.settling_time:.3g} s in the worst case",
+            "settles": f"in {self.found.settling_time:.3g} s {SETTLES}",
         }
-        passes = "certified" if self.test == "matrix" else "passing"
-        return "\n".join([f"gains: found, {passes} with {left}", *rows(told, 2)])
+        return "\n".join([*wrapped(self.heading), *rows(told, 2)])
 
 
 def suggest_gains(
@@ -115,7 +125,8 @@ def suggest_gains(
 
     Three demands: the test passes for every corner of the set and every configuration drawn, and so
     does the loop as it runs, sampled and late; the torque of a start at rest, gravity compensated,
-    is within the limits; and a small error settles to 2 % in the wanted time with every true robot.
+    is within the limits; and a small error settles to 2 % in the wanted time with every true robot,
+    linearised near the target: a far reach takes longer.
     Tried are the default gains and multiples of them, from gentle to strong, K_p along with K_v and
     the damping so that the believed arm settles in time.
 
@@ -252,7 +263,7 @@ def _relaxations(
                 return found
         return None
 
-    lines = []
+    lines = list[str]()
     if known := [c for c, _, torque, time in met if torque and time]:
         best = max(known, key=lambda c: c.margin)
         if share := tolerated(best.gains):
@@ -263,7 +274,15 @@ def _relaxations(
     known = sorted((c for c, test, torque, _ in met if test and torque), key=_time)
     if found := first_that_passes(known):
         lines.append(f"the settling time: {found.settling_time:.3g} s: {found}")
-    return tuple(lines) or ("at least two of them: no gains tried meet any two demands together",)
+    if lines:
+        return tuple(lines)
+    in_time, gentle = ({c for c, *each in met if each[k]} for k in (2, 1))
+    return (
+        f"{_SEVERAL} the errors, the settling time and the torque limits, as one alone is not "
+        f"enough: of {len(tried)} gains tried {len(in_time)} settle within {settling_time:g} s, "
+        f"{len(gentle)} start within the torque limits, {len(in_time & gentle)} do both, and none "
+        "of all these passes with the errors",
+    )
 
 
 def _time(candidate: Candidate) -> float:

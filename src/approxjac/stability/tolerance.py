@@ -26,10 +26,10 @@ Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
 """The tests that need no simulation."""
 _WORDS = {
-    "theorem1": "Theorem 1",
-    "matrix": "the matrix form",
-    "local": "the linearisation near targets",
-    "rollouts": "rollouts",
+    "theorem1": "Theorem 1 (a certificate)",
+    "matrix": "the matrix form (a certificate)",
+    "local": "the linearisation (near targets only)",
+    "rollouts": "rollouts (no proof)",
 }
 _STEPS = 20  # of bisection
 
@@ -42,7 +42,7 @@ class Tolerance:
         test: The test.
         scale: The largest scale at which it passed, with the test passing at all the smaller
             ones that bisection tried; 0 if it does not even pass without errors.
-        fails_at: The smallest scale at which it failed; infinite if it never did.
+        fails_at: The smallest scale at which it failed; infinite if it never did, up to `largest`.
         worst: The true values that fail there, shape (d,); those at `scale` if nothing fails.
         uncertainty: The set at `scale`.
     """
@@ -59,6 +59,8 @@ class Tolerance:
         return self.uncertainty.describe(self.worst) if np.isfinite(self.fails_at) else ""
 
     def __repr__(self) -> str:
+        if not np.isfinite(self.fails_at):
+            return f"Tolerance({self.test!r}: did not fail up to {self.scale:.3g}, the largest)"
         return f"Tolerance({self.test!r}: scale {self.scale:.3g}, fails at {self.fails_at:.3g})"
 
     def __str__(self) -> str:
@@ -90,6 +92,9 @@ def tolerance(
     **options: Any,
 ) -> dict[Test, Tolerance]:
     """Find the largest scaling of a set of errors for which each test still passes.
+
+    Theorem 1 and the matrix form certify, in continuous time, motions that stay in the region; the
+    local test speaks of what begins near its target only, and rollouts prove nothing.
 
     A region with a configuration where Ĵ loses rank passes neither of the first two tests, at any
     scale.

@@ -29,6 +29,8 @@ from approxjac.stability.coordinates import (
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
 from approxjac.validation import Array, as_integer, as_number, as_vector, is_scalar, require
 
+_NONE = 1e-4  # of the width of a range: an end that is nearer to 0 is written as 0
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty:
@@ -277,7 +279,8 @@ class Uncertainty:
         """Return the ranges in words, such as "object length 0 to 0.3 m"."""
         shown = []
         for name, unit, _, low, high in self._coordinates:
-            least, most = (in_words("", end, unit).strip() for end in (low, high))
+            ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
+            least, most = (in_words("", end, unit).strip() for end in ends)
             shown.append(f"{spoken(name)} {least.removesuffix(f' {unit}')} to {most}")
         return ", ".join(shown) or "no error"
 
