@@ -63,8 +63,9 @@ simulate panda --damping -1
 --damping must be a finite number >= 0, got -1.0
 
 simulate panda --gravity lernt
---gravity takes learnt, exact, believed or none, got lernt (compensated as it is learnt (law \
-(28)), as it truly is ("exact"), as the believed arm has it, or not at all)
+--gravity takes learnt, exact, believed, none or rest, got lernt (compensated as it is learnt (law \
+(28)), as it truly is ("exact"), as the believed arm has it, or not at all; or the "rest" is \
+learnt from 0, of a robot that adds the gravity of the believed arm by itself (Franka, UR))
 
 simulate panda --start 0 0
 --start must be 7 numbers [rad or m], got 2

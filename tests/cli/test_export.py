@@ -36,6 +36,20 @@ def test_a_file_and_options_say_the_same(tmp_path):
     assert b"limits   none" in made
 
 
+def test_what_a_robot_adds_by_itself_is_left_to_it(tmp_path):
+    options = ("two_link", "--no-limits", "--gravity")
+    headers = []
+    for gravity in ("rest", "learnt"):
+        export(tmp_path / gravity, *options, gravity)
+        headers.append((tmp_path / gravity / "controller.h").read_text(encoding="utf-8"))
+    said = ["a robot that adds its own gravity" in " ".join(h.split()) for h in headers]
+    assert said == [True, False]
+    source = (tmp_path / "rest" / "controller.c").read_text(encoding="utf-8")
+    start = source.partition("_init(")[2].partition("}")[0]
+    assert "= 0.0;" in start
+    assert all("= 0.0;" in line for line in start.splitlines() if "state->values" in line)
+
+
 @pytest.mark.parametrize(
     ("options", "text"),
     [

@@ -241,8 +241,10 @@ def test_a_run_on_a_path_again():
 
 def test_what_is_refused(two_link):
     controller = aj.SetpointController(aj.PositionTask(two_link))
-    for options in ({"servo": VelocityServo()}, {"torque_limits": 1.0}):
-        with pytest.raises(aj.InvalidInputError, match="without a servo and torque_limits, to"):
+    for options in (
+        {"servo": VelocityServo()}, {"torque_limits": 1.0}, {"adds_gravity": two_link},
+    ):  # fmt: skip
+        with pytest.raises(aj.InvalidInputError, match="without a servo, torque_limits and"):
             require_covered(controller, aj.Plant(two_link, controller.task, **options))
     loop = test_lanes.study("ur5")
     with pytest.raises(aj.InvalidInputError, match="x_noise"):

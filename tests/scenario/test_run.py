@@ -67,6 +67,28 @@ def test_it_converges_and_says_so(done, tmp_path):
     assert text.startswith("converged\nerror ")
 
 
+def test_the_rest_is_learnt_of_a_robot_that_adds_its_own_gravity():
+    def made(**controller):
+        return reach(
+            "ur5", true={"object": {"length": 0.1, "mass": 0.5}},
+            believed={"object": {"mass": 0.2}}, controller=controller,
+            run={"target": {"offset": (0.05, 0.0, -0.05)}, "duration": 1.0}, loop={"dt": 2e-3},
+        )  # fmt: skip
+
+    built = made(gravity="rest").build()
+    assert built.plant.adds_gravity == built.law.task.robot != built.plant.robot
+    done = built.run()
+    assert "beside the gravity that the robot adds" in " ".join(report.text(done).split())
+    run = done.run
+    assert not built.law.learnt(run.state[0]).any()
+    last = run.error_norm[-1]
+    assert last < 0.2 * run.error_norm[0]
+    with pytest.raises(InvalidInputError, match="must be learnt, exact, believed or none in a rep"):
+        prepare(made(gravity="rest"))
+    with pytest.raises(InvalidInputError, match="must be learnt or believed with law T"):
+        made(gravity="rest", law="tracking").build()
+
+
 def test_a_pose_has_errors_of_two_units():
     result = reach(
         task={"kind": "pose"}, controller={"gravity": "exact"},

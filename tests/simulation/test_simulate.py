@@ -1,3 +1,4 @@
+import copy
 import dataclasses
 
 import numpy as np
@@ -8,8 +9,14 @@ from own_controller import OwnController
 from scipy.integrate import cumulative_simpson
 
 import approxjac as aj
-from approxjac.errors import SimulationError, TrajectoryFileError, UnknownNameError
+from approxjac.errors import (
+    InvalidInputError,
+    SimulationError,
+    TrajectoryFileError,
+    UnknownNameError,
+)
 from approxjac.robots import GravityRegressor
+from approxjac.simulation.integrators import INTEGRATORS
 
 
 class ConstantTorque(OwnController):
@@ -114,6 +121,27 @@ def test_friction_dissipates_exactly_its_power():
     energy = np.array([plant.dynamics.energy(q, v) for q, v in zip(run.q, run.v, strict=True)])
     lost = cumulative_simpson((run.v**2) @ B, x=run.t, initial=0.0)
     assert_allclose(energy[0] - energy, lost, atol=1e-6)
+
+
+def test_a_robot_that_adds_its_own_gravity_stands_without_torque(two_link):
+    told = two_link.with_object(0.1, 0.3, name="load")
+    q, nothing = np.array([0.3, 0.9]), np.zeros(2)
+    for robot in (told, two_link):
+        plant = aj.Plant(robot, adds_gravity=told)
+        torque = plant.dynamics.g(q) - aj.robots.Dynamics(told).g(q)
+        assert_allclose(plant.holding_torque(q), torque, atol=1e-12)
+        assert_allclose(plant.acceleration(q, nothing, torque), 0.0, atol=1e-9)
+        stands = plant.advance(q, nothing, torque, 0.01, INTEGRATORS["rk4"])[0]
+        assert_allclose(stands, q, atol=1e-3)
+    assert np.abs(plant.acceleration(q, nothing, nothing)).max() > 0.5  # told of too much
+    weak = aj.Plant(told, adds_gravity=told, torque_limits=1.0)  # motors carry what it adds, too
+    assert np.abs(weak.acceleration(q, nothing, nothing)).max() > 1.0
+    assert "adds_gravity" in repr(copy.deepcopy(plant))
+    for what in (plant.require_ideal, plant.require_linear):
+        with pytest.raises(InvalidInputError, match="gravity that it adds"):
+            what("a test")
+    with pytest.raises(InvalidInputError, match="adds_gravity must be of a robot with the 2 joi"):
+        aj.Plant(two_link, adds_gravity=aj.load_robot("panda"))
 
 
 def test_gravity_direction_is_the_plants():

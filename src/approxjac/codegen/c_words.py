@@ -87,7 +87,7 @@ def _made_from(
         yield (
             "gravity",
             f"learnt: {p} parameters of {learning.robot.name}, {forces} task forces, {torques} "
-            f"joint torques, alpha = {learning.alpha:.6g} [1/s]",
+            f"joint torques, alpha = {learning.alpha:.6g} [1/s]{_of_rest(step)}",
         )
     if law.velocity is not None:
         yield "velocity", f"x, filtered with {law.velocity.time_constant:g} s and differentiated"
@@ -98,6 +98,12 @@ def _made_from(
         yield "limits", f"torques {efforts} [N m or N], {how}; none of speeds and positions"
     else:
         yield "limits", "none"
+
+
+def _of_rest(step: SampledStep) -> str:
+    if step.initial_state[: step.law.resting].any():
+        return ""
+    return "; from 0, for a robot that adds its own gravity: only the rest of it is learnt"
 
 
 def _numbers(values: Array) -> str:

@@ -85,10 +85,11 @@ def require_covered(controller: Controller, plant: Plant) -> None:
         )
     limits.require_covered(inside(controller))
     tasks.require_covered(plant.sensor)
-    if type(plant) is not Plant or plant.servo is not None or plant.torque_limits is not None:
+    more = (plant.servo, plant.torque_limits, plant.adds_gravity)
+    if type(plant) is not Plant or any(part is not None for part in more):
         raise InvalidInputError(
-            "plant must be a Plant itself, without a servo and torque_limits, to make code of it, "
-            f"got {plant!r}",
+            "plant must be a Plant itself, without a servo, torque_limits and adds_gravity, to "
+            f"make code of it, got {plant!r}",
             given=plant,
         )
 

@@ -59,7 +59,7 @@ class SimulatedDriver:
         q = robot.configuration(plant.ready_configuration() if q0 is None else q0, "q0")
         self.q, self.v = np.array(q), np.zeros(robot.nv)
         self.limits = Limits(effort=plant.motor_limits)
-        self.adds_gravity = adds_gravity is not None
+        self.adds_gravity = (adds_gravity or plant.adds_gravity) is not None
         self._gravity = None if adds_gravity is None else Dynamics(adds_gravity)
         self._pace = None
         if pace != math.inf:

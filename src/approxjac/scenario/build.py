@@ -150,10 +150,10 @@ def build(scenario: Scenario, arm: Robot | None = None) -> BuiltScenario:
         if scenario.task.points > 1 and alike:
             x_d = target if isinstance(target, np.ndarray) else target.at(0.0).x
             task = CombinedTask.balanced(task, x_d)
-        plant = _plant(truth, sensor, motors, scenario)
+        plant = _plant(truth, sensor, motors, scenario, belief)
     else:
         sensor, task = _tasks(truth, belief, scenario)
-        plant = _plant(truth, sensor, motors, scenario)
+        plant = _plant(truth, sensor, motors, scenario, belief)
         draw = functools.partial(regular_configuration, sensor, task, rng, motors)
         if isinstance(start := scenario.run.start, tuple):
             q0 = configuration_of(truth, "run.start", start)
@@ -243,7 +243,7 @@ def _target(
 # -- the plant --------------------------------------------------------------------------
 
 
-def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Plant:
+def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario, belief: Robot) -> Plant:
     true = scenario.true
     options: dict[str, Any] = {
         "coulomb": true.coulomb,
@@ -254,6 +254,8 @@ def _plant(truth: Robot, sensor: Task, motors: Array, scenario: Scenario) -> Pla
     if scenario.controller.command == "velocity":
         options["servo"] = VelocityServo(**vars(true.servo))
         options["torque_limits"], options["actuator_delay"] = None, 0.0
+    if scenario.controller.gravity == "rest":
+        options["adds_gravity"] = belief
     if true.engine == "mujoco":
         options |= {"floor": true.floor, "balance_inertia": true.inertias == "balanced"}
         return MujocoPlant(truth, sensor, true.friction, **options)

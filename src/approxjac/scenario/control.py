@@ -95,9 +95,9 @@ def _kinematics(scenario: Scenario, task: Task) -> Kinematics:
 
 def _gravity(truth: Robot, belief: Robot, kind: str, integral: str | None = None) -> Gravity:
     """Return the gravity of a controller by its kind; `integral` says if it learns forces, too."""
-    if kind == "learnt":
-        nothing = 0.0 if integral == "none" else None
-        return AdaptiveGravity(belief, task_force=nothing, joint_torque=nothing)
+    if kind in ("learnt", "rest"):
+        nothing, theta0 = 0.0 if integral == "none" else None, 0.0 if kind == "rest" else None
+        return AdaptiveGravity(belief, theta0=theta0, task_force=nothing, joint_torque=nothing)
     if kind == "exact":
         regressor = GravityRegressor(belief)
         theta = regressor.fit(truth)[0]

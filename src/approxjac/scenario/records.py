@@ -233,7 +233,8 @@ class ControllerChoice:
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
         gravity: Compensated as it is learnt (law (28)), as it truly is ("exact"), as the believed
-            arm has it, or not at all.
+            arm has it, or not at all; or the "rest" is learnt from 0, of a robot that adds the
+            gravity of the believed arm by itself (Franka, UR).
         integral: Constant task force and joint torques, "learnt" or "none"; as gravity by default.
         settling_time: Time to settle that is wanted, s; by default as fast as inertia, motors and
             latency allow.
@@ -254,7 +255,7 @@ class ControllerChoice:
     unknown: tuple[str, ...] = ()
     command: Literal["torque", "velocity"] = "torque"
     differentiator: float | None = above(None)
-    gravity: Literal["learnt", "exact", "believed", "none"] = "learnt"
+    gravity: Literal["learnt", "exact", "believed", "none", "rest"] = "learnt"
     integral: Literal["learnt", "none"] | None = None
     settling_time: float | None = above(None)
     kp: Numbers | None = above(None)

@@ -80,7 +80,8 @@ def text(result: Result) -> str:
         "torque": "no limit known"
         if math.isnan(torque)
         else f"{'asks for up to' if built.limits is None else 'up to'} "
-        f"{100.0 * torque:.0f} % of the limits",
+        f"{100.0 * torque:.0f} % of the limits"
+        f"{'' if built.plant.adds_gravity is None else ', beside the gravity that the robot adds'}",
         "law's status": shares(run.status_counts()),
     }
     if isinstance(law, SetpointController) and law.adaptation is not None:

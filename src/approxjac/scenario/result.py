@@ -185,7 +185,7 @@ class Result:
         if moved < 0.1 * size[-1] and np.abs(run.v[-1]).max() < _AT_REST:
             if self._learns(last) and size[-1] < 0.99 * size[last][0]:
                 return "still learning: the error shrinks as what lacks is learnt"
-            learnt = self.built.scenario.controller.gravity == "learnt"
+            learnt = self.built.scenario.controller.gravity in ("learnt", "rest")
             weight = "" if learnt else ", or gravity is not compensated as it is"
             return f"came to rest away from its target: out of reach, blocked, friction{weight}"
         if not stands:

@@ -87,6 +87,12 @@ def prepare(scenario: Scenario) -> ClosedLoop:
             raise InvalidInputError(
                 f"stability.{name} needs task.kind image, got {scenario.task.kind}", given=given
             )
+    if choice.gravity == "rest":
+        raise InvalidInputError(
+            "controller.gravity must be learnt, exact, believed or none in a report, which is of "
+            "robots that add none, got rest",
+            given="rest",
+        )
     arm, gravity = loaded_arm(scenario), choice.gravity
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"

@@ -29,7 +29,7 @@ class HeldCommands:
 
     def __init__(self, plant: Plant, q: Array, dt: float, samples: int) -> None:
         if plant.servo is None:
-            first, delay = plant.dynamics.g(q), plant.actuator_delay
+            first, delay = plant.holding_torque(q), plant.actuator_delay
             self._per_sample, self._taken_per_step = 1, 1.0
         else:
             first, delay = np.zeros(plant.robot.nv), plant.servo.delay

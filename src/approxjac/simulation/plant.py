@@ -64,10 +64,12 @@ class Plant(Immutable):
             sampled step that ends beyond a limit is one of semi-implicit Euler.
         servo: The robot's own loop, for a controller that commands velocities of the joints:
             `simulation.VelocityServo`. None takes torques. Needs dt.
+        adds_gravity: The robot whose g(q) it adds to each torque by itself, such as that of a
+            Franka without a tool; the motors deliver the sum. None adds none.
 
     Raises:
         InvalidInputError: A sensor on another robot, numbers that are negative or of the wrong
-            shape, or an actuator delay beside a servo, which has its own.
+            shape, or an actuator delay or own gravity beside a servo, which has its own.
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class Plant(Immutable):
         torque_limits: float | Sequence[float] | Array | None = None,
         joint_limits: bool = True,
         servo: VelocityServo | None = None,
+        adds_gravity: Robot | None = None,
     ) -> None:
         self._remember(locals())
         require("robot", robot, Robot, "the true Robot")
@@ -108,6 +111,8 @@ class Plant(Immutable):
                 f"{self.actuator_delay:g} beside {servo!r}",
                 given=actuator_delay,
             )
+        self.adds_gravity = adds_gravity
+        self._added = None if adds_gravity is None else _added(adds_gravity, robot, servo)
         if torque_limits is not None:
             torque_limits = as_limits("torque_limits", torque_limits, nv, unit="N m or N")
         self.torque_limits = torque_limits
@@ -205,22 +210,23 @@ class Plant(Immutable):
 
     def require_ideal(self, what: str) -> None:
         """Raise an InvalidInputError if there is more than eq. (1) and joint stops."""
-        if self.coulomb.any() or self.needs_sampling or self.torque_limits is not None:
+        unknown = self.torque_limits is not None or self.adds_gravity is not None
+        if self.coulomb.any() or self.needs_sampling or unknown:
             raise InvalidInputError(
                 f"{what} is for a plant without Coulomb friction, sensing, actuator delay, "
-                f"torque limits and servo, got {self!r}",
+                f"torque limits, gravity that it adds and servo, got {self!r}",
                 given=self,
             )
 
     def require_linear(self, what: str) -> None:
         """Raise an InvalidInputError if no linearisation has it; delays, a filter of q̇ it has."""
         rough = self.sensing is not None and not self.sensing.is_linear
-        rough = rough or self.servo is not None
+        rough = rough or self.servo is not None or self.adds_gravity is not None
         if self.coulomb.any() or rough or self.torque_limits is not None:
             raise InvalidInputError(
-                f"{what} is for a plant without Coulomb friction, torque limits, servo, x_rate, "
-                f"x_lost, x_frozen, noise, rounding and dropouts (delays and velocity_filter may "
-                f"be there), got {self!r}",
+                f"{what} is for a plant without Coulomb friction, torque limits, gravity that it "
+                f"adds, servo, x_rate, x_lost, x_frozen, noise, rounding and dropouts (delays and "
+                f"velocity_filter may be there), got {self!r}",
                 given=self,
             )
 
@@ -261,7 +267,7 @@ class Plant(Immutable):
         """Return q̈ under a torque, shape (n_v,) [rad/s² or m/s²]."""
         nv = self.robot.nv
         q, v = self.robot.configuration(q), as_vector("v", v, nv)
-        tau = self._delivered(as_vector("tau", tau, nv))
+        tau = self._delivered(q, as_vector("tau", tau, nv))
         if self.stops is not None and self.stops.touched(q):
             tau = tau + self.stops.torque(q, v)
         return self._acceleration(q, v, tau).copy()
@@ -275,7 +281,7 @@ class Plant(Immutable):
         """
         accelerate: Acceleration = self._driven
         if self.servo is None:
-            accelerate, tau = self._acceleration, self._delivered(tau)
+            accelerate, tau = self._acceleration, self._delivered(q, tau)
         q_end, v_end = integrate(accelerate, self._moved, q, v, tau, dt)
         if self.stops is None or not self.stops.touched(q_end):
             return q_end, v_end
@@ -290,8 +296,15 @@ class Plant(Immutable):
             return q + motion
         return np.asarray(pin.integrate(self.robot.model, q, motion))
 
-    def _delivered(self, tau: Array) -> Array:
-        """Return the part of a torque that the motors deliver."""
+    def holding_torque(self, q: Array) -> Array:
+        """Return the torque to send so that it stands, shape (n_v,) [N m or N]."""
+        g = self.dynamics.g(q)
+        return g if self._added is None else g - self._added.g(q)
+
+    def _delivered(self, q: Array, tau: Array) -> Array:
+        """Return what the motors deliver of a torque, and of the gravity that the robot adds."""
+        if self._added is not None:
+            tau = tau + self._added.g(q)
         if self.torque_limits is None:
             return tau
         return np.minimum(np.maximum(tau, -self.torque_limits), self.torque_limits)
@@ -355,6 +368,8 @@ class Plant(Immutable):
             shown.append("joint_limits=False")
         if self.servo is not None:
             shown.append(repr(self.servo))
+        if self.adds_gravity is not None:
+            shown.append(f"adds_gravity={self.adds_gravity.name!r}")
         return shown
 
 
@@ -366,6 +381,17 @@ def _require_own(robot: Robot, sensor: Task) -> None:
             f"PositionTask(truth), got {sensor!r} of another (the believed one?)",
             given=sensor,
         )
+
+
+def _added(other: Robot, robot: Robot, servo: VelocityServo | None) -> Dynamics:
+    require("adds_gravity", other, Robot, "the Robot whose gravity it adds, or None")
+    if other.nv != robot.nv or servo is not None:
+        raise InvalidInputError(
+            f"adds_gravity must be of a robot with the {robot.nv} joints of {robot.name}, and "
+            f"without a servo, got {other.name} with {other.nv} and servo={servo!r}",
+            given=other,
+        )
+    return Dynamics(other)
 
 
 def holdable(dynamics: Dynamics, q: Array, effort: Array) -> bool:
