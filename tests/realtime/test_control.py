@@ -280,6 +280,23 @@ def test_the_usual_noise_of_x_is_in_the_unit_of_the_task(panda):
     assert "Accuracy(x=..., x_period=...)" in Fault.SENSOR_JUMPED.message
 
 
+def test_the_error_is_that_to_the_target_when_x_was_taken(plant, controller):
+    late = aj.Plant(plant.robot, plant.sensor, sensing=aj.Sensing(x_delay=0.03))
+    path = aj.Circle(goal(plant, (-0.05, 0.0, 0.0)), 0.05, 2.0)
+    found = control(driver_of(late), controller, path, 0.6, late=SLOW)
+    true = np.array([plant.sensor.value(q) for q in found.q]) - found.x_d
+    assert_allclose(found.error[100:], true[70:-30], atol=1e-8)
+    moved = found.x_d[30:] - found.x_d[:-30]
+    assert np.linalg.norm(moved, axis=1).max() > 4e-3  # by which it would be off otherwise
+
+
+def test_a_run_says_how_far_the_target_went(plant, controller):
+    found = run(driver_of(plant), controller, 1.5)
+    way, last = math.hypot(0.05, 0.05, 0.05), found.error_norm[-1]
+    told = f"target led {way:.3g} m away from the start, error {last:.3g} m at the end\n"
+    assert str(found).startswith(told)
+
+
 REFUSED = {
     "limits": "controller must keep the robot's limits of effort",
     "falls": "the controller must compensate gravity, such as by AdaptiveGravity",

@@ -209,8 +209,9 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
         why = f"{loop.told()}; braked at once" + (f" ({why})" if why else "")
     run = loop.record().trajectory()
     done = slice(1, max(loop.step, 1))
+    kept = {field.name: getattr(run, field.name) for field in fields(Trajectory)}
     return RobotRun(
-        **{field.name: getattr(run, field.name) for field in fields(Trajectory)},
+        **kept | {"error": loop.errors},
         ended=why,
         fault_name="" if fault is None else fault.name,
         stop_distance=float(loop.stop_distance),

@@ -121,7 +121,8 @@ class RobotLoop(Loop):
         self._stride = stride
         rounds = steps + math.ceil(patience / self.dt) + 2  # with those of a stop
         self._record = Record(plant, rounds // stride + _TAIL + 2)
-        self._tail: deque[tuple[int, tuple[Any, ...]]] = deque()
+        self._tail: deque[tuple[int, tuple[Any, ...], tuple[Array, Array, float]]] = deque()
+        self._errors: list[Array] = []
         self.gaps = np.zeros(rounds, dtype=np.float32)
         self.works = np.zeros(rounds, dtype=np.float32)
 
@@ -197,6 +198,11 @@ class RobotLoop(Loop):
             self._evict(last=True)
         return self._record
 
+    @property
+    def errors(self) -> Array:
+        """Errors of x to the target when x was taken, at the instants of `record`, (N, m)."""
+        return np.array(self._errors)
+
     def _timed(self, measurement: Measurement) -> Measurement:
         """Return it in the time of the run."""
         t_x = measurement.t_x
@@ -224,7 +230,8 @@ class RobotLoop(Loop):
             self._eased = Eased(task, self.path, now, x, still, self._speeds)
             self._blind = False
         self._aim()
-        self.truth = measurement if sees else measurement._replace(x=self.truth.x)
+        seen = measurement if sees else self.truth
+        self.truth = measurement._replace(x=seen.x, t_x=seen.t_x)
         if not sees:
             return
         error = task.error(x, self.target)
@@ -288,11 +295,24 @@ class RobotLoop(Loop):
             self.truth, self.measurement.x, self.state, self.answer, self.tau, self.target,
             self.controller,
         )  # fmt: skip
-        self._tail.append((self.step, instant))
+        self._tail.append((self.step, instant, self._led()))
         if len(self._tail) > _TAIL:
             self._evict(last=False)
 
     def _evict(self, last: bool) -> None:
-        step, instant = self._tail.popleft()
+        step, instant, (before, after, share) = self._tail.popleft()
         if last or step % self._stride == 0:
             self._record.add(*instant)
+            error, x = self.plant.sensor.error, instant[0].x
+            self._errors.append((1.0 - share) * error(x, before) + share * error(x, after))
+
+    def _led(self) -> tuple[Array, Array, float]:
+        """Return the targets between which x was taken, and how far between; now if that is all."""
+        t, _, _, _, t_x = self.truth
+        if t_x is None or not t_x < t:
+            return self.target, self.target, 0.0
+        targets = self._tail  # of the periods before
+        ago = min((t - t_x) / self.dt, float(len(targets)))
+        k = math.ceil(ago)
+        before, after = (self.target if i <= 0 else targets[-i][1][5] for i in (k, k - 1))
+        return before, after, k - ago

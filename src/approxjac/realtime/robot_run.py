@@ -12,13 +12,16 @@ from approxjac.realtime.faults import Fault
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array
 
+_SOME = 200  # instants of a run, among which the farthest target is looked for
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobotRun(Trajectory):
     """The record of a run on a robot, which plots and pages take like any other `Trajectory`.
 
     What nobody can know stands for what is: x is what was measured last, the scene has the believed
-    robot twice, and V is that of the believed arm.
+    robot twice, and V is that of the believed arm. The error is that of x to the target when x was
+    taken, as `Measurement.t_x` tells; without it to the target of the same instant.
 
     Attributes:
         ended: Why it ended, in words.
@@ -50,6 +53,16 @@ class RobotRun(Trajectory):
     def late(self, longest: float) -> int:
         """Return how many commands came later than a time after the one before [s]."""
         return int((self.gap > longest).sum())
+
+    def _error_told(self) -> str:
+        """Return in words how far the target went, which is eased in, and the error at the end."""
+        error = f"error {self.error_norm[-1]:.3g} {self.task_unit} at the end"
+        sensor = None if self.scene is None else self.scene.sensor
+        if sensor is None:
+            return error
+        some = self.x_d[np.unique(np.linspace(0, len(self.t) - 1, _SOME).astype(int))]
+        way = max(float(np.linalg.norm(sensor.error(x_d, self.x_d[0]))) for x_d in some)
+        return f"target led {way:.3g} {self.task_unit} away from the start, {error}"
 
     def __str__(self) -> str:
         told = {"ended": self.ended}

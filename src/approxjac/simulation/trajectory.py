@@ -258,11 +258,6 @@ class Trajectory:
 
     def __str__(self) -> str:
         """Return the error first, then the largest torque, and what was wrong meanwhile."""
-        norm, last = self.error_norm, len(self.t) - 1
-        error = f"error {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}"
-        above = np.nonzero(norm > 0.01 * norm[0])[0]
-        if len(above) and above[-1] < last:
-            error += f", below 1 % of the start from {self.t[above[-1] + 1]:.3g} s on"
         k = int(np.abs(self.tau).max(axis=0).argmax())
         unit = {"rad": "N m", "m": "N"}[self.joint_units[k]]
         told = {
@@ -274,7 +269,15 @@ class Trajectory:
             told["limits' status"] = shares(self.limit_status_counts())
         if self.at_stops:
             told["stops"] = self.stops_told()
-        return "\n".join([*wrapped(error), *rows(told, 2)])
+        return "\n".join([*wrapped(self._error_told()), *rows(told, 2)])
+
+    def _error_told(self) -> str:
+        norm, last = self.error_norm, len(self.t) - 1
+        error = f"error {norm[0]:.3g} -> {norm[-1]:.3g} {self.task_unit}"
+        above = np.nonzero(norm > 0.01 * norm[0])[0]
+        if len(above) and above[-1] < last:
+            error += f", below 1 % of the start from {self.t[above[-1] + 1]:.3g} s on"
+        return error
 
     def stops_told(self) -> str:
         """Return which joints were at their stops, and for how long, in words; "" if none was."""
