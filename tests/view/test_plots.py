@@ -1,5 +1,6 @@
 import dataclasses
 import re
+import zlib
 
 import numpy as np
 import pytest
@@ -94,6 +95,16 @@ def test_symbols_with_an_index_are_formulas():
     assert formulas("K_v too small, x_s [mm]") == "$K_{v}$ too small, $x_{s}$ [mm]"
     for text in ("panda_joint1", "object_tip", "$x_d$", "x"):
         assert formulas(text) == text
+
+
+def test_curves_are_round_in_print(tmp_path):
+    figure, (ax,) = view.new_figure()
+    t = np.linspace(0.0, 10.0, 10_001)
+    ax.plot(t, np.sin(t))
+    *_, path = view.save_figure(figure, tmp_path / "sine", columns=1)
+    streams = re.findall(rb"stream\r?\n(.*?)endstream", path.read_bytes(), re.DOTALL)
+    drawn = [zlib.decompress(each) for each in streams if each.startswith(b"x")]
+    assert max(each.count(b" l\n") for each in drawn) > 120  # 61 are enough for a screen
 
 
 @pytest.mark.parametrize(("columns", "inches"), [(1, 3.5), (2, 7.16)])

@@ -41,9 +41,11 @@ COLORS: Mapping[str, str] = {
 
 _DPI = 130
 _COLUMNS: Mapping[int, float] = {1: 3.5, 2: 7.16}  # widths of one and two columns of IEEE's [inch]
+_CURVED = 0.02  # how far a curve may be off in print [pt]: corners show there
 _SMALLEST = 7.0  # letters in print [pt], where plots have so much room
 _LEGEND = 36.0  # below the axes, under their ticks and their label [pt]
 _LEGEND_WIDTH = 270.0  # of a plot of usual size [pt]; a letter takes 4.4 of them, a line 34
+_DETAIL = "path.simplify_threshold"
 _RC: Mapping[str, Any] = {
     "axes.axisbelow": True,
     "axes.grid": True,
@@ -59,7 +61,7 @@ _RC: Mapping[str, Any] = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
     "mathtext.fontset": "dejavusans",  # as the text around it
-    "path.simplify_threshold": 0.3,  # pixels, hardly seen; half the file where torques are rough
+    _DETAIL: 0.3,  # pixels, hardly seen; half the file where torques are rough
     "pdf.fonttype": 42,  # TrueType, embedded: publishers refuse bitmaps of letters
     "svg.hashsalt": "approxjac",  # the same SVG from the same run
 }
@@ -75,10 +77,14 @@ def style() -> Iterator[None]:
 class StyledFigure(Figure):
     """A figure that keeps the look wherever it is drawn; pyplot does not know it."""
 
+    in_print = False
+
     def draw(self, renderer: Any) -> None:
         """Draw it in the look: ticks are made only now, from the settings of this moment."""
         layout = self.get_layout_engine()
         with style():
+            if self.in_print:
+                matplotlib.rcParams[_DETAIL] = _CURVED  # `style` puts it back
             # one pass takes the room beside an image of fixed shape for room under its legend
             if layout is not None and any(ax.get_aspect() != "auto" for ax in self.axes):
                 layout.execute(self)
@@ -198,8 +204,10 @@ def _in_print(figure: Figure, width: float) -> Iterator[None]:
         for text, size in texts:
             text.set_fontsize(letters * size)
         figure.set_size_inches(width, letters * before[1])
+        vars(figure)["in_print"] = True
         yield
     finally:
+        vars(figure)["in_print"] = False
         figure.set_size_inches(before)
         for text, size in texts:
             text.set_fontsize(size)
