@@ -301,6 +301,7 @@ REFUSED = {
     "limits": "controller must keep the robot's limits of effort",
     "falls": "the controller must compensate gravity, such as by AdaptiveGravity",
     "adds": "the robot adds its own gravity: the controller must learn what is left of it",
+    "adds to T": "own gravity: take it off each torque in the driver's send, as FrankaDriver(grav",
     "moving": "the arm must be at rest",
     "blind": "x must be known before the arm moves",
     "clock": "the clock of the driver must go on",
@@ -327,11 +328,14 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         def read(self):
             return changed.get(what, lambda m: m)(super().read())
 
-    driver = driver_of(plant, Changed, adds_gravity=panda if what == "adds" else None)
+    driver = driver_of(plant, Changed, adds_gravity=panda if "adds" in what else None)
     if what == "limits":
         controller = controller.controller
     elif what == "falls":
         law = aj.SetpointController(controller.task, gravity=aj.NoGravity(belief))
+        controller = aj.TorqueLimited(law, aj.Limits.of(belief))
+    elif what == "adds to T":
+        law = aj.TrackingController(controller.task, dt=1e-3)
         controller = aj.TorqueLimited(law, aj.Limits.of(belief))
     elif what == "period":
         driver.dt = 2e-3

@@ -138,7 +138,7 @@ def control(
             driver, brake, plant, controller, wanted, first, steps, stride, accuracy or Accuracy(),
             speeds, far, hidden, _fastest(driver, plant), patience, late, state,
         )  # fmt: skip
-        require_held(driver, task, loop.measurement.q, loop.answer)
+        require_held(driver, controller, loop.measurement.q, loop.answer)
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)
         watched = held.enter_context(Onlooker(loop, observer))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from approxjac.controllers import ControllerWrapper, TorqueLimited
+from approxjac.controllers import ControllerWrapper, TorqueLimited, TrackingController, law_of
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
 from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
@@ -84,9 +84,10 @@ def require_at_rest(driver: Driver, task: Task, patience: float) -> Measurement:
     return measured
 
 
-def require_held(driver: Driver, task: Task, q: Array, answer: Evaluation) -> None:
+def require_held(driver: Driver, controller: Controller, q: Array, answer: Evaluation) -> None:
     """Refuse to begin where the command does not hold the arm, as it is believed to be."""
-    limits = driver.limits.for_joints(task.robot.nv)
+    robot = controller.task.robot
+    limits = driver.limits.for_joints(robot.nv)
     if answer.limit_status in (LimitStatus.INFEASIBLE, LimitStatus.SOLVER_FAILED):
         raise InvalidInputError(
             f"the limits do not hold the arm as it stands: {answer.limit_status.message}",
@@ -97,15 +98,18 @@ def require_held(driver: Driver, task: Task, q: Array, answer: Evaluation) -> No
     most = np.asarray(limits.effort)
     needed = np.zeros(len(most))
     if not driver.adds_gravity:
-        needed = Dynamics(task.robot).g(q)
+        needed = Dynamics(robot).g(q)
     slack = _HELD * np.where(np.isfinite(most), most, np.abs(needed).max())
     if (np.abs(answer.gravity - needed) > slack).any():
-        told = (
-            "the robot adds its own gravity: the controller must learn what is left of it, "
-            "AdaptiveGravity(robot, theta0=0.0), or leave it out, NoGravity(robot)"
-            if driver.adds_gravity
-            else "the controller must compensate gravity, such as by AdaptiveGravity(robot)"
-        )
+        told = "the controller must compensate gravity, such as by AdaptiveGravity(robot)"
+        if driver.adds_gravity:
+            told = "the robot adds its own gravity: " + (
+                "take it off each torque in the driver's send, as FrankaDriver(gravity=arm) does, "
+                "and set adds_gravity = False, for law T compensates all of it"
+                if isinstance(law_of(controller), TrackingController)
+                else "the controller must learn what is left of it, AdaptiveGravity(robot, "
+                "theta0=0.0), or leave it out, NoGravity(robot)"
+            )
         raise InvalidInputError(
             f"{told}; it compensates {listed(answer.gravity)}, and the arm takes "
             f"{listed(needed)} [N m or N]",
