@@ -13,14 +13,15 @@ from approxjac.codegen.c99 import SampledStep, constant, sampled_step
 from approxjac.codegen.c_words import identifier, pairs, words
 from approxjac.codegen.functions import LARGEST_ANGLE
 from approxjac.codegen.limits import require_covered
+from approxjac.controllers.latency import Latency
 from approxjac.controllers.setpoint import SetpointController
 from approxjac.controllers.torque_limits import TorqueLimited
+from approxjac.controllers.wrapper import law_of
 from approxjac.errors import InvalidInputError
 from approxjac.files import reason, together, write_text
 from approxjac.validation import Array, require
 
 _RECORDED, _SHOWN = 50, 4  # steps of the self-test, and of the example
-_DT = 1e-3
 _LOST = 10  # x is, every so many steps
 _OFF_CIRCLE = 1e-3  # what Robot.configuration takes, too
 
@@ -52,13 +53,14 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | PathL
     require("folder", folder, (str, PathLike), "a folder")
     step = sampled_step(controller)
     named = words(controller, step)
-    records = _recorded(step)
+    dt = _period(controller)
+    records = _recorded(step, dt)
     filled = {
         "controller.h": _filled(templates.HEADER, named),
         "controller.c": _filled(templates.SOURCE, named | _source(step)),
-        "main.c": _filled(templates.EXAMPLE, named | _example(records)),
+        "main.c": _filled(templates.EXAMPLE, named | _example(records) | {"dt": repr(dt)}),
         "selftest.c": _filled(
-            templates.SELFTEST, named | {"records": _rows(records), "dt": constant(_DT)}
+            templates.SELFTEST, named | {"records": _rows(records), "dt": constant(dt)}
         ),
         "CMakeLists.txt": _filled(templates.CMAKE, named),
     }
@@ -73,6 +75,15 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | PathL
         for name, text in filled.items():
             write_text(unfinished / name, text)
     return path
+
+
+def _period(controller: SetpointController | TorqueLimited) -> float:
+    """Return the period that a controller was made for [s]; 1 ms where it does not say."""
+    law = law_of(controller)
+    assert isinstance(law, SetpointController)
+    if law.latency is None and isinstance(controller, TorqueLimited):
+        return controller._dt
+    return (law.latency or Latency()).period
 
 
 def _filled(text: str, named: dict[str, str]) -> str:
@@ -140,7 +151,7 @@ def _first(step: SampledStep) -> str:
 Record = dict[str, Array]
 
 
-def _recorded(step: SampledStep) -> list[Record]:
+def _recorded(step: SampledStep, dt: float) -> list[Record]:
     """Return steps at random configurations, one after the other, with what they answer."""
     task, robot, rng = step.law.task, step.law.task.robot, np.random.default_rng(0)
     function, found, state = step.in_numpy(), [], step.initial_state
@@ -154,7 +165,7 @@ def _recorded(step: SampledStep) -> list[Record]:
             x = np.full(task.n_x, np.nan)
         given = {"q": q, "v": v, "x": x, "target": target}
         columns = {name: value[:, np.newaxis] for name, value in given.items()}
-        answer = function(**columns, state=state[:, np.newaxis], dt=np.array([[_DT]]))
+        answer = function(**columns, state=state[:, np.newaxis], dt=np.array([[dt]]))
         found.append(given | {name: value.ravel() for name, value in answer.items()})
         state = found[-1]["after"]
     return found

@@ -231,7 +231,7 @@ int main(void)
     }
     for (k = 0; k < (int)(sizeof q / sizeof q[0]); ++k) {
         ${prefix}_status status =
-            ${prefix}_step(&state, q[k], v[k], x[k], target[k], 1e-3, &answer);
+            ${prefix}_step(&state, q[k], v[k], x[k], target[k], $dt, &answer);
         printf("status %d, limits %d, torque", (int)status, (int)answer.limit_status);
         for (i = 0; i < ${PREFIX}_N_V; ++i) {
             printf(" %.6g", answer.torque[i]);
