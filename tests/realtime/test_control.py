@@ -15,6 +15,7 @@ from rehearsal import SLOW, START, Wrapped, driver_of, goal, run
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
+from approxjac.view.browser.document import _legend
 
 
 def test_it_brings_the_tip_there_and_brakes(plant, controller):
@@ -288,6 +289,18 @@ def test_the_error_is_that_to_the_target_when_x_was_taken(plant, controller):
     assert_allclose(found.error[100:], true[70:-30], atol=1e-8)
     moved = found.x_d[30:] - found.x_d[:-30]
     assert np.linalg.norm(moved, axis=1).max() > 4e-3  # by which it would be off otherwise
+
+
+def test_a_page_of_a_robot_speaks_of_beliefs_not_of_truth(plant, controller, tmp_path):
+    found = run(driver_of(plant), controller, 0.1)
+    again = aj.Trajectory.load(found.save(tmp_path / "run.npz"))
+    for one in (found, again):
+        words = [entry[-1] for entry in _legend(one.scene, image=False)]
+        assert "the arm as believed" in words
+        assert "tip by the belief and its path" in words
+        assert not {"the arm as it is", "true tip and its path"} & set(words)
+    known = dataclasses.replace(found.scene, knows_truth=True)
+    assert "true tip and its path" in [entry[-1] for entry in _legend(known, image=False)]
 
 
 def test_a_run_says_how_far_the_target_went(plant, controller):

@@ -6,7 +6,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import NoneType
 from typing import Any
 
@@ -208,10 +208,11 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
     if fault is not None and not fault.stops:
         why = f"{loop.told()}; braked at once" + (f" ({why})" if why else "")
     run = loop.record().trajectory()
+    scene = None if run.scene is None else replace(run.scene, knows_truth=False)
     done = slice(1, max(loop.step, 1))
     kept = {field.name: getattr(run, field.name) for field in fields(Trajectory)}
     return RobotRun(
-        **kept | {"error": loop.errors},
+        **kept | {"error": loop.errors, "scene": scene},
         ended=why,
         fault_name="" if fault is None else fault.name,
         stop_distance=float(loop.stop_distance),

@@ -69,6 +69,7 @@ class RobotLoop(Loop):
     """
 
     _wanted: Target
+    _knows_truth = False
 
     def __init__(
         self,

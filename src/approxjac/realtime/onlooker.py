@@ -93,6 +93,8 @@ class Onlooker:
 class Seen(Loop):
     """Copy of a robot's loop that an observer sees, whose wishes go to the loop itself."""
 
+    _knows_truth = False
+
     def __init__(self, loop: RobotLoop, onlooker: Onlooker) -> None:
         # controllers and plants have scratch memory: one instance a thread
         super().__init__(

@@ -50,6 +50,7 @@ class Scene:
     task: Task | None  # the controller's, of the believed robot
     torque_limits: Array  # of the motors, shape (n_v,) [N m or N]; infinite where unknown
     learnt: Mapping[str, int] = field(default_factory=dict)  # of kinematics: where in a state
+    knows_truth: bool = True  # else the true robot is the believed one, as nobody knows more
 
     def to_dict(self) -> dict[str, Any]:
         """Return what a file holds of it: texts, numbers, lists and dictionaries."""
@@ -60,6 +61,7 @@ class Scene:
             "task": self.task and self.task._saved(),
             # JSON knows no infinity
             "learnt": dict(self.learnt),
+            "knows_truth": self.knows_truth,
             "torque_limits": [x if np.isfinite(x) else None for x in self.torque_limits.tolist()],
         }
 
@@ -73,7 +75,15 @@ class Scene:
             raise ValueError("its robots and torque limits have different numbers of joints")
         sensor = _restored_task(kept["sensor"], truth)
         task = _restored_task(kept["task"], belief)
-        return cls(truth, belief, sensor, task, np.array(limits), kept.get("learnt", {}))
+        return cls(
+            truth,
+            belief,
+            sensor,
+            task,
+            np.array(limits),
+            kept.get("learnt", {}),
+            kept.get("knows_truth", True),
+        )
 
 
 def _saved_robot(robot: Robot) -> dict[str, Any]:

@@ -58,7 +58,8 @@ def page_data(
     name and a text. A live page gets instants while it is open, and its targets can be dragged.
     """
     scene = stage.scene
-    believed = "" if scene.belief is None else ", and what its controller believes of it"
+    is_known = scene.knows_truth and scene.belief is not None
+    believed = ", and what its controller believes of it" if is_known else ""
     ends = [columns[name][[0, -1]] for name in ("tip", "target", "believed_tip")]
     moving = np.concatenate([*ends, columns["tip"]])
     seen = [link_points(robot, q, stage.boxes[role]) for role, robot in stage.robots.items()]
@@ -73,7 +74,8 @@ def page_data(
     data["commands"] += grid(view["normal"], points, stage.ground)
     image, axes = image_feature(scene.sensor), None
     if image is not None and image.camera is not None:
-        axes = _image_axes(image.camera) | {"points": len(image.points)}
+        seen_by = "seen" if scene.knows_truth else "seen, by the belief"
+        axes = _image_axes(image.camera) | {"points": len(image.points), "seen": seen_by}
     return data | {
         "title": title or scene.truth.name + believed,
         "facts": [*_belief_facts(scene), *facts],
@@ -132,14 +134,15 @@ def _legend(scene: Scene, image: bool) -> list[tuple[str, str, str, str]]:
     held, told = bool(held_objects(scene.truth)), scene.belief is not None
     ghost = "arm and camera as the controller believes them"
     ghost = ghost if image else "the arm as the controller believes it"
+    known = scene.knows_truth
     entries = (
-        (True, "arm", "bar", "the arm as it is"),
+        (True, "arm", "bar", "the arm as it is" if known else "the arm as believed"),
         (held, "object", "bar", "object that it holds"),
         (told, "believed", "bar", ghost),
         (told, "believed_tip", "", _TIPS[learnt_regressor(scene) is not None]),
-        (True, "true", "", "true tip and its path"),
+        (True, "true", "", f"{'true tip' if known else 'tip by the belief'} and its path"),
         (any(feature.axes for feature in features(scene.sensor)),
-         "measured", "", "measured tip, where it differs"),
+         "measured", "", "measured tip" + ", where it differs" * known),
         (True, "target", "", "target, line of sight" if image else "target"),
         (scene.task is not None, "force", "dash", "force that the control means to exert"),
         (np.isfinite(scene.torque_limits).any(),

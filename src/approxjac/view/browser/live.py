@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -145,6 +146,7 @@ class LiveView:
     def _look(self, loop: Loop) -> Stage:
         """See anew who takes part."""
         scene = scene_of(loop.plant, loop.controller, len(loop.state))
+        scene = replace(scene, knows_truth=loop._knows_truth)
         self._frames = Frames(scene)
         self._stage = stage = Stage(scene, self._stage)
         return stage

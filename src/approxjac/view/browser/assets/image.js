@@ -8,7 +8,7 @@ approxjac.ImagePlane = class {
     this.looked = 0; // rows whose images are within the bounds
     const c = data.colours;
     const box = approxjac.panel(parent, "Image plane",
-      [[c.true, "seen"], [c.believed, "believed to be seen"], [c.target, "target"]]);
+      [[c.true, this.image.seen], [c.believed, "believed to be seen"], [c.target, "target"]]);
     box.box.classList.add("image");
     this.area = box.area;
     this.canvas = document.createElement("canvas");
