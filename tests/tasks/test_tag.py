@@ -217,6 +217,31 @@ def test_corners_in_the_right_order_are_accepted_with_a_wrong_camera(panda):
     assert not crossed._is_mirrored(crossed.value(Q), the_other_way(crossed.value(Q)))
 
 
+@pytest.mark.study
+def test_a_camera_on_the_hand_needs_only_to_know_roughly_where_the_tag_is(panda):
+    eye = aj.PinholeCamera(600.0, (640, 480), position=(0.05, 0.0, -0.03), mount=panda.tip)
+    R, p = aj.tasks.FrameKinematics(panda, panda.tip).placement(Q)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = R @ np.diag([1.0, -1.0, -1.0]), p + R @ [0.07, 0.01, 0.35]
+    held_load = panda.with_object(0.1, 0.3)
+    sensor = aj.ImageTask(held_load, eye, points=tag_corners(0.06, pose))
+    x_d = sensor.value(Q)
+    wrong = aj.ImageTask(panda, eye, points=sensor.points + [0.05, -0.06, 0.04])
+    task = CombinedTask.balanced(wrong, x_d)
+    final = {}
+    for known in (held_load, panda):
+        law = aj.SetpointController(
+            task,
+            gravity=aj.controllers.ModelGravity(known),
+            latency=aj.Latency(image_period=1 / 30, image_age=0.04),
+        )
+        plant = aj.Plant(held_load, sensor, sensing=aj.Sensing(x_rate=30.0, x_delay=0.04))
+        run = aj.simulate(plant, aj.HeldMeasurement(law, unseen=60.0), x_d, Q + 0.05, 6.0)
+        final[known] = np.abs(run.error[-1]).max()
+    assert final[held_load] < 1.0
+    assert final[panda] > 5.0
+
+
 def test_what_finds_tags_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(aj.errors.MissingPackageError, match=r"pip install 'approxjac\[vision\]'"):

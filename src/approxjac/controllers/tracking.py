@@ -67,9 +67,8 @@ class TrackingController(ProvenLaw):
             arm's own for true.
         dynamics: What the torque of a motion comes from; `AdaptiveDynamics` of the believed robot
             by default, or `ModelDynamics`.
-        posture: Configuration that the self-motion of a redundant arm is drawn to, shape (nq,). By
-            default the middle of the ranges of joints that turn less than once; the others, such
-            as all of a UR's, are drawn nowhere.
+        posture: Configuration that the self-motion of a redundant arm is drawn to, shape (nq,); by
+            default the middle of the ranges of joints that turn less than once, others nowhere.
         speed: How fast an error is reduced at most, a number or one for each coordinate, shape (m,)
             [unit of the task/s]. By default 0.5 m/s and 1 rad/s, and of other units what half a
             rad/s of the joints makes.
