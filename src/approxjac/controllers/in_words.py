@@ -54,8 +54,10 @@ def text(law: SetpointController | TrackingController) -> str:
     from approxjac.controllers.setpoint import SetpointController
 
     tuning = law.tuning if isinstance(law, SetpointController) else None
+    drawn = "" if isinstance(law, SetpointController) else law._rest.words()
     found = [*wrapped(of_law(law)), *wrapped(f"{of_task(law.task)} of {law.task.robot.name}", "  ")]
     reasons = () if tuning is None else tuning.reasons
+    found += wrapped(drawn, "  ") if drawn else []
     return "\n".join([*found, *(line for each in reasons for line in wrapped(each, "  "))])
 
 

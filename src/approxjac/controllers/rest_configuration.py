@@ -51,6 +51,7 @@ class RestConfiguration:
         self._first = np.array([joint.idx_q for joint in joints])  # the cosine of (cos, sin)
         self._second = self._first + self._continuous
         self._none = np.zeros(robot.nv) if robot.nv <= task.m or rate == 0.0 else None
+        self._names = None if q is not None else robot.joint_names
         if q is None:
             lower, upper = robot.usual_range()
             whole = np.where(np.array(robot.joint_units) == "m", 2.0, 2.0 * np.pi)
@@ -60,6 +61,20 @@ class RestConfiguration:
             return
         self.q = as_array("posture", robot.configuration(q, "posture"), (robot.nq,))
         require_radians("posture", robot, self.q)
+
+    def words(self) -> str:
+        """Return where it draws the self-motion to; "" where there is none or it is left alone."""
+        if self._none is not None:
+            return ""
+        if self._names is None:
+            return "self-motion: drawn to the posture that is given"
+        drawn = [name for name, k in zip(self._names, self._pull, strict=True) if k]
+        if not drawn:
+            return "self-motion: drawn nowhere, as all joints turn a whole turn"
+        if len(drawn) == len(self._names):
+            return "self-motion: drawn to the middle of the ranges of all joints"
+        middle = f"drawn to the middle of the ranges of {', '.join(drawn)}"
+        return f"self-motion: {middle}; joints that turn a whole turn are free"
 
     def velocity(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return n₀ and its derivative at q (nq,) and q̇ (n_v,)."""

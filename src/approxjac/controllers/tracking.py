@@ -108,8 +108,7 @@ class TrackingController(ProvenLaw):
         require_controllable(task)
         robot = task.robot
         self.task = task
-        self.sampling_time = as_number("dt", dt, unit="s", above=0.0)
-        dt = self.sampling_time
+        self.sampling_time = dt = as_number("dt", dt, unit="s", above=0.0)
         self.kinematics = usual_kinematics(task, dt) if kinematics is None else kinematics
         self.alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
         usual = min(_KAPPA, _STEADY / self.sampling_time)
