@@ -53,7 +53,7 @@ def test_the_operational_space_torque_is_the_one_by_pinocchio(benchmark):
         assert_allclose(step(q, v, x)[0], expected, atol=1e-6)
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_steps_leave_no_memory_behind(benchmark):
     control_step, memory = benchmark("control_step"), benchmark("memory")
     _, _, inputs = control_step.arm("panda")

@@ -93,7 +93,7 @@ def test_it_repeats_bit_by_bit(certified, tmp_path):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     code = stability(
         tmp_path, "panda", "--object-length", "0", "0.3", "--around", *AROUND, "--radius", "0.1",

@@ -248,7 +248,7 @@ def test_it_gives_the_bits_of_numpy(case, tmp_path):
 
 
 @needs_compiler
-@pytest.mark.study
+@pytest.mark.long
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("case", CASES)
 def test_it_gives_the_bits_of_numpy_over_a_million_steps(case, compiler, tmp_path):

@@ -613,7 +613,7 @@ def test_rates_are_not_held_where_time_does_not_pass(turned_run):
     assert_allclose(kinematics.predict(state, run.q, still, target).z, 0.0, atol=0.01)
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_the_covariance_is_honest(panda, belief):
     """Normalised squared errors of the tool over twelve seeds are those of χ² with 3 d.o.f."""
     found, after = [], []

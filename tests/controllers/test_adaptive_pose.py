@@ -301,7 +301,7 @@ def test_what_was_learnt_is_the_next_belief(turned_run, sensor):
     assert_allclose(z, before, atol=1e-12)
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_the_covariance_of_rotations_is_honest(panda, belief):
     """Any tool and tracker, over twelve seeds; normalised errors are χ² with 3 d.o.f."""
     found = {"tool.r": [], "camera.r": []}

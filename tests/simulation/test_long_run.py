@@ -52,7 +52,7 @@ def run_of(panda, duration, record_every, progress):
     )
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_three_minutes_do_not_drift(panda):
     memory = {}
 
@@ -91,7 +91,7 @@ def test_three_minutes_do_not_drift(panda):
     assert resident < 1200 * 3000 + 2_000_000
 
 
-@pytest.mark.study
+@pytest.mark.long
 def test_a_step_leaves_nothing_behind(panda):
     """To the byte: what Python and NumPy hold grows with the records, not with the steps."""
     sizes = []
