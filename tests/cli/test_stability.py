@@ -4,6 +4,7 @@ import dataclasses
 import json
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -177,6 +178,23 @@ def test_rollouts_are_of_the_loop_that_runs():
     assert "of all points at object_length 0." in told[0]
     assert "with 95 % confidence" in told[1]
     assert told[2] == f"The map is {where}"
+
+
+@pytest.mark.parametrize(
+    ("given", "tolerance"),
+    [
+        ({}, 1e-3),
+        ({"sensor": {"noise": 2e-3}}, 6e-3),
+        ({"sensor": {"noise": 2e-3}, "run": {"tolerance": 1e-4}}, 1e-4),
+        ({"task": {"kind": "image"}, "sensor": {"noise": 0.01}}, 0.5),
+        ({"task": {"kind": "image"}, "sensor": {"noise": 1.0}}, 3.0),
+    ],
+)
+def test_rollouts_converge_to_within_the_noise(given, tolerance):
+    scenario = Scenario("two_link").with_values(given)
+    task = SimpleNamespace(units=("px",) if scenario.task.kind == "image" else ("m",))
+    options = study.rollout_options(scenario, SimpleNamespace(task=task))
+    assert options["tolerance"] == pytest.approx(tolerance)
 
 
 def test_a_map_by_rollouts():

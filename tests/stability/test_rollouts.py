@@ -17,7 +17,8 @@ from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
 from approxjac.stability.region import Region
 from approxjac.stability.rollout_study import _judged
-from approxjac.stability.rollouts import clopper_pearson
+from approxjac.stability.rollouts import as_study, clopper_pearson
+from approxjac.tasks.analysis import fine_error
 
 PLANE = functools.partial(aj.PositionTask, axes="xz")
 SHORT = {"runs": 5, "duration": 0.8, "dt": 4e-3, "tolerance": 0.02}
@@ -210,6 +211,13 @@ def test_a_pose(panda):
 
 
 # -- the interval -----------------------------------------------------------------------
+
+
+def test_by_default_they_converge_to_what_the_unit_and_the_noise_allow(controller, uncertainty):
+    assert fine_error(("px", "px")) == 0.5
+    assert as_study(controller, uncertainty, REGION).tolerance == 1e-3
+    noisy = aj.Sensing(x_noise=2e-3)
+    assert as_study(controller, uncertainty, REGION, sensing=noisy).tolerance == 6e-3
 
 
 def test_known_intervals():

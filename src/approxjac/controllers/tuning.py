@@ -19,12 +19,12 @@ from approxjac.controllers.usual_postures import usual_postures
 from approxjac.formatting import short
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import FINE
 from approxjac.validation import Array, as_number
 
 _RATES = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # [1/s]
 _LAG = 0.3  # rate times lag of x at most: a quarter of what makes a delayed integrator ring
 _SHARES = (1.0, 0.7, 0.49, 0.34, 0.24, 0.17, 0.12)  # of the learning that inertia alone allows
-_FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}  # errors that count as none
 _TORQUE, _HOLDABLE, _SPEED = 0.755, 0.7, 0.8  # shares of the limits
 _RIDGE = 0.03  # of the natural metric: what hardly any posture tells is learnt slowly
 _MARGIN = 1.5  # gains and learning may be larger by it
@@ -151,7 +151,7 @@ class _Arm:
         times = []
         for group, distance in zip(self.postures.groups, self.distance, strict=True):
             unit, g = np.array(self.task.units)[group][0], float(gamma[group][0])
-            fine = min(_FINE.get(unit, math.inf), 0.01 * distance)
+            fine = min(FINE.get(unit, math.inf), 0.01 * distance)
             far = max(0.0, distance - g) / (alpha * g)
             times.append(far + 2.0 * math.log(max(g / fine, 1.0)) / rate)
         return max(times)

@@ -356,8 +356,9 @@ class Run:
         target: Value or path of the task; by default random by the seed, where no joint stop bars
             the straight way from the start unless that is random, too.
         duration: Length of the run, s.
-        tolerance: Error below which it is done, m, rad or px; 1e-3, or the noise of an image; of a
-            path a twentieth of how far it leads from its start, if that is more.
+        tolerance: Error below which it is done, m, rad or px; by default 1e-3 m and rad or three
+            times the noise, 0.5 px or the noise; of a path a twentieth of how far it leads from its
+            start, if that is more.
         seed: Seed of target, noise and dropouts, and of a random start.
     """
 

@@ -17,11 +17,11 @@ from approxjac.scenario.build import BuiltScenario
 from approxjac.scenario.reachability import too_far
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import Trajectory
+from approxjac.tasks.analysis import FINE, fine_error
 from approxjac.validation import Array
 
 _AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
-_TOLERANCE, _HALF_A_PIXEL = 1e-3, 0.5  # [m and rad], [px]
 _STRAY = 0.05  # of how far a path leads from its start: farther beside it is not following it
 
 
@@ -279,7 +279,9 @@ def tolerance_of(scenario: Scenario, units: Iterable[str]) -> float:
     """Return the error below which a task of some units is done: m, and rad of a pose; px."""
     if scenario.run.tolerance is not None:
         return scenario.run.tolerance
-    return (scenario.sensor.noise or _HALF_A_PIXEL) if "px" in units else _TOLERANCE
+    if "px" in units:  # an RMS of the last tenth
+        return max(FINE["px"], scenario.sensor.noise)
+    return fine_error(units, scenario.sensor.noise)
 
 
 def _peak(values: Array, limits: Array) -> float:

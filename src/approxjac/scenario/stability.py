@@ -18,7 +18,6 @@ from approxjac.scenario.analysis import Analysis
 from approxjac.scenario.build import BuiltScenario, build, loaded_arm, sensing_of
 from approxjac.scenario.configurations import configuration_of
 from approxjac.scenario.control import latency_of, limits_of
-from approxjac.scenario.result import tolerance_of
 from approxjac.scenario.scenario import Scenario
 from approxjac.simulation import Plant, Trajectory
 from approxjac.stability import (
@@ -42,7 +41,7 @@ from approxjac.stability.rollout_map import PLACES, is_drawn
 from approxjac.stability.suggestion import damping_that_certifies, part_that_certifies
 from approxjac.stability.tolerance import Test
 from approxjac.tasks import Camera, CombinedTask, FrameKinematics, ImageTask, Task
-from approxjac.tasks.analysis import features
+from approxjac.tasks.analysis import features, fine_error
 from approxjac.validation import Array
 
 Progress = Callable[[str, float], None]
@@ -175,7 +174,7 @@ def rollout_options(scenario: Scenario, controller: Controller) -> dict[str, Any
     return {
         "dt": dt,
         "duration": max(1, round(run.duration / dt)) * dt,
-        "tolerance": tolerance_of(scenario, controller.task.units),
+        "tolerance": run.tolerance or fine_error(controller.task.units, scenario.sensor.noise),
         "sensing": sensing_of(scenario.sensor),
         "actuator_delay": scenario.loop.actuator_delay,
     }

@@ -22,6 +22,7 @@ from approxjac.stability.region import Region
 from approxjac.stability.rollout_portions import Progress, carried_out
 from approxjac.stability.rollout_study import Study
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.tasks.analysis import fine_error
 from approxjac.validation import Array, as_integer, as_number, require
 
 _EXECUTOR: Any = (Executor, NoneType)
@@ -187,7 +188,7 @@ def rollouts(
     runs: int = 100,
     duration: float = _DURATION,
     dt: float = 1e-3,
-    tolerance: float = 1e-3,
+    tolerance: float | None = None,
     seed: int = 0,
     sensing: Sensing | None = None,
     actuator_delay: float = 0.0,
@@ -216,7 +217,8 @@ def rollouts(
         duration: Of a run, a whole number of dt [s].
         dt: Sampling time [s].
         tolerance: > 0; a run converged if ‖e‖ is below it at every recorded instant of the last
-            tenth [unit of the task].
+            tenth [unit of the task]; by default 1 mm, 1 mrad or 0.5 px, or three times the sensor's
+            noise if that is more.
         seed: ≥ 0.
         sensing: How measurements differ from the truth, as of `Plant`; not at all by default.
         actuator_delay: Time from a torque to its effect [s], as of `Plant`.
@@ -260,7 +262,7 @@ def as_study(
     runs: int = 100,
     duration: float = _DURATION,
     dt: float = 1e-3,
-    tolerance: float = 1e-3,
+    tolerance: float | None = None,
     seed: int = 0,
     sensing: Sensing | None = None,
     actuator_delay: float = 0.0,
@@ -281,6 +283,9 @@ def as_study(
             f"is measured in a run, got {sensing.x_delay:g}",
             given=sensing,
         )
+    if tolerance is None:
+        noise = 0.0 if sensing is None else float(np.max(sensing.x_noise))
+        tolerance = fine_error(controller.task.units, noise)
     tolerance = as_number("tolerance", tolerance, above=0.0)
     x_d = None if target is None else wanted_of(uncertainty.believed_task(), target, 0.0)
     study = Study(

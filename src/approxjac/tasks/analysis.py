@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import islice
 
 import numpy as np
@@ -12,8 +13,16 @@ from approxjac.tasks.image import ImageTask
 from approxjac.tasks.task import Feature, Task
 from approxjac.validation import Array, require
 
+FINE = {"m": 1e-3, "rad": 1e-3, "px": 0.5}
+"""Errors that count as none, by the unit of a task."""
+_NOISY = 3.0  # times a sensor's noise, within which an error counts as none, too
 _OF_A_BODY = 6  # motions: its points tell no more, however many there are
 _TRIES = 20000  # random configurations to look for ones that a camera sees
+
+
+def fine_error(units: Iterable[str], noise: float = 0.0) -> float:
+    """Return the error below which a task of some units is done, measured with noise."""
+    return max(_NOISY * noise, *(FINE.get(unit, FINE["m"]) for unit in units))
 
 
 def jacobian_gradient(task: Task, q: Array) -> Array:
