@@ -11,6 +11,7 @@ import pytest
 
 import approxjac as aj
 from approxjac.cli import main
+from approxjac.cli.bars import ShareBar
 from approxjac.scenario import Scenario
 from approxjac.scenario import gains as study_gains
 from approxjac.scenario import stability as study
@@ -361,8 +362,16 @@ def test_suggested_gains_are_written_as_a_scenario_that_is_taken(tmp_path, monke
     errors = ["--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius", "0.1"]
     given = ["--settling-time", "2", "--suggest-gains"]
     assert stability(tmp_path, "two_link", *errors, *given) == 0
+    assert "settling_time" not in (tmp_path / "scenario.toml").read_text(encoding="utf-8")
     built = Scenario.load(tmp_path / "scenario.toml").build()
     np.testing.assert_array_equal(built.law.diagonals.damping, [2.0, 2.0])
+
+
+def test_what_takes_long_is_told_once_where_no_bar_is_shown(capsys):
+    with ShareBar({"map": "making the map"}) as bar:
+        for what, share in (("local", 0.0), ("map", 0.0), ("map", 0.5), ("local", 0.0)):
+            bar.tell(what, share)
+    assert capsys.readouterr().err == "approxjac: making the map\n"
 
 
 def test_where_nothing_is_found_it_says_what_was_tried_and_what_is_next():

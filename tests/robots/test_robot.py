@@ -56,6 +56,8 @@ def test_every_arm_starts_at_a_valid_neutral_and_random_configuration(arm, rng):
         motion = pin.difference(arm.model, arm.neutral(), q)
         assert (motion >= lower - 1e-12).all()
         assert (motion <= upper + 1e-12).all()
+        assert_allclose(arm.configuration(arm.angles(q)), q, atol=1e-12)
+    assert arm.angles(np.tile(q, (3, 2, 1))).shape == (3, 2, arm.nv)
 
 
 def test_a_zero_or_missing_effort_means_no_limit_known():

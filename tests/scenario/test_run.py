@@ -571,3 +571,17 @@ def test_a_target_that_only_the_true_arm_cannot_reach_is_told_before_the_run():
     assert told.startswith("for the true arm the target is out of reach: ")
     long = {"true": {"object": {"length": 0.6}}, "believed": {"object": {"length": 0.6}}}
     assert Scenario("panda", **far, **long).build().warning == ""
+
+
+def test_configurations_are_told_as_angles():
+    """Of an arm with continuous joints one number a joint, and no cosines and sines."""
+    q = [0.1, 2.9, 1.3, -4.0, 1.4, 0.2]
+    scenario = Scenario("kinova", run={"start": q, "target": {"offset": (0.0, 0.0, 0.01)}})
+    result = scenario.with_values({"run": {"duration": 0.01}}).build().run()
+    told = next(
+        line for line in report.text(result).splitlines() if line.startswith("  q at start")
+    )
+    wrapped = np.remainder(np.array(q) + np.pi, 2.0 * np.pi) - np.pi
+    angles = np.array([float(word) for word in told.split()[3:]])
+    np.testing.assert_allclose(np.cos(angles - wrapped), 1.0, atol=1e-6)
+    assert len(result.summary()["q_start"]) == len(result.summary()["q_end"]) == len(q)

@@ -1,10 +1,12 @@
 """Progress bars on a terminal: what is done, how long it has taken, and how long it may take yet.
 
-Nothing is shown where the output is no terminal (`disable=None`).
+Where the output is no terminal no bar is shown (`disable=None`), and what takes long is told once.
 """
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,9 +18,11 @@ _TIMES = "{percentage:.0f} %|{bar}| {elapsed} so far, {remaining} to go"
 class ShareBar:
     """A bar of several parts of work one after the other, each from 0 to 1."""
 
-    def __init__(self) -> None:
+    def __init__(self, long: Mapping[str, str] | None = None) -> None:
+        """Take what is to be told, of parts that take long, where no bar is shown."""
         self._bar = _bar(1.0, "{desc}" + _TIMES, "start")
         self._what = ""
+        self._long = dict(long or {})
 
     def __enter__(self) -> ShareBar:
         return self
@@ -30,6 +34,8 @@ class ShareBar:
         """Show which part is done, and the share of it that is."""
         if what != self._what:  # its time counts from here
             self._what = what
+            if self._bar.disable and what in self._long:
+                print(f"approxjac: {self._long.pop(what)}", file=sys.stderr, flush=True)
             self._bar.reset()
             self._bar.set_description(what, refresh=False)
         self._bar.update(share - self._bar.n)

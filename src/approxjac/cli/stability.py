@@ -12,6 +12,15 @@ from approxjac.cli.options import make_folder
 from approxjac.errors import InvalidInputError
 from approxjac.scenario import Scenario
 
+_LONG = {
+    "rollouts": "rollouts: simulating runs",
+    "tolerance": "looking how large errors each test tolerates",
+    "other damping": "looking for advice: other damping, about a minute or two",
+    "smaller errors": "looking for advice: smaller errors, about a minute",
+    "map": "making the map, about a minute or two (--map-points 0 leaves it out)",
+    "gains": "looking for gains, up to some minutes",
+}
+
 
 def stability(
     scenario: Scenario,
@@ -47,7 +56,7 @@ def stability(
     loop = study.prepare(scenario)
     make_folder(out)
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
-    with pool as executor, ShareBar() as bar:
+    with pool as executor, ShareBar(_LONG) as bar:
         result = study.analyse(
             scenario, loop, executor, bar.tell, lambda tests: bar.write(f"{tests}\n")
         )
@@ -65,7 +74,7 @@ def _suggest(scenario: Scenario, out: Path) -> int:
     from approxjac.scenario import gains
 
     make_folder(out)
-    with ShareBar() as bar:
+    with ShareBar(_LONG) as bar:
         result = gains.suggested(scenario, partial(bar.tell, "gains"))
     gains.write(result, out)
     print(gains.text(result))

@@ -179,6 +179,18 @@ class Robot(Immutable):
             )
         return vector
 
+    def angles(self, q: Sequence[float] | Array) -> Array:
+        """Return the position of each joint at q, (…, nq) → (…, n_v): back from `configuration`.
+
+        Those of continuous joints are from -π to π [rad or m].
+        """
+        q = np.asarray(q, dtype=float)
+        if self.nq == self.nv:
+            return q
+        zero, each = self.neutral(), q.reshape(-1, self.nq)
+        found = [pin.difference(self.model, zero, one) for one in each]
+        return np.array(found).reshape(*q.shape[:-1], self.nv)
+
     def frame_id(self, frame: str) -> int:
         """Return Pinocchio's index of a frame.
 

@@ -223,7 +223,7 @@ class Result:
 
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
-        run, built = self.run, self.built
+        run, built, robot = self.run, self.built, self.built.plant.robot
         sizes = {"final_error": self.final_error, "start_error": self.errors_at(0)}
         if self.on_path:
             names = ("largest_error", "rms_error", "last_quarter_rms_error")
@@ -244,8 +244,8 @@ class Result:
             "start": run.x[0],
             "target": run.target,
             "end": run.x[-1],
-            "q_start": built.q0,
-            "q_end": run.q[-1],
+            "q_start": robot.angles(built.q0),
+            "q_end": robot.angles(run.q[-1]),
             "controller": repr(built.law),
             "gains": built.gains,
             "kinematics": self._kinematics_summary(),

@@ -137,12 +137,13 @@ class JointBox(Region):
             return "all configurations within the joint limits"
         radius, unit = 0.5 * self.spread, "rad" if set(self.robot.joint_units) == {"rad"} else ""
         away = f"{numbers(radius)} {unit or 'rad or m'}" + (" each" if np.ptp(radius) else "")
-        return f"configurations whose joints are within {away} of {numbers(self.center)}"
+        center = numbers(self.robot.angles(self.center))
+        return f"configurations whose joints are within {away} of {center}"
 
     def __repr__(self) -> str:
         bounds = f"{self.robot.name!r}, {short(self.lower)}, {short(self.upper)}"
         away = np.abs(pin.difference(self.robot.model, self.robot.neutral(), self.center)).max()
-        center = f", center={short(self.center)}" if away > 0.0 else ""
+        center = f", center={short(self.robot.angles(self.center))}" if away > 0.0 else ""
         return f"JointBox({bounds}{center})"
 
 

@@ -218,6 +218,7 @@ class StabilityReport:
     def summary(self) -> dict[str, Any]:
         """Return what goes into summary.json."""
         first, local, samples = self.theorem1, self.local, self.samples
+        angles = self.loop.controller.task.robot.angles
         names = ("certified", "margin", "share", "violations", "checked", "violating_at_most")
         found = {
             "robot": self.loop.controller.task.robot.name,
@@ -231,17 +232,19 @@ class StabilityReport:
             "certified_in_continuous_time": self.certified_in_continuous_time,
             "largest_growth": self.growth.max(),
             "sampled": self._sampled_summary(names),
-            "singular_q": self.singular_q,
-            "damped_q": self.damped_q,
+            **{
+                f"{what}_q": None if q is None else angles(q)
+                for what, q in (("singular", self.singular_q), ("damped", self.damped_q))
+            },
             "theorem1": {
                 **{name: getattr(first, name) for name in _THEOREM1},
                 "constants": {name: getattr(first, name) for name in CONSTANTS},
-                "worst_q": {name: samples.q[first.worst[name]] for name in CONSTANTS},
+                "worst_q": {name: angles(samples.q[first.worst[name]]) for name in CONSTANTS},
             },
             "matrix": {
                 family: {
                     **{name: getattr(test, name) for name in names},
-                    "worst_q": samples.q[test.worst],
+                    "worst_q": angles(samples.q[test.worst]),
                     "worst_truth": self.describe_truth(int(samples.truth[test.worst])),
                     **test.weights._asdict(),
                 }
@@ -253,7 +256,7 @@ class StabilityReport:
                 "configurations": len(local.q),
                 "slowest_decay_rate": local.decay_rates.min(),
                 "smallest_damping_ratio": local.damping_ratios.min(),
-                "worst_q": local.q[local.worst],
+                "worst_q": angles(local.q[local.worst]),
                 "worst_truth": self.describe_truth(int(local.truth[local.worst])),
             },
         }
@@ -268,7 +271,7 @@ class StabilityReport:
             **{
                 name: getattr(test, name) for name in (*names, "speed", "level", "covered", "reach")
             },
-            "worst_q": self.samples.q[test.worst],
+            "worst_q": self.loop.controller.task.robot.angles(self.samples.q[test.worst]),
             **test.weights._asdict(),
             "largest_period": self.largest_period[0],
             "largest_stable_period": self.largest_period[1],

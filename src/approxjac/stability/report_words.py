@@ -17,6 +17,7 @@ from approxjac.stability.region import JointBox
 from approxjac.stability.rollouts import Rollouts
 from approxjac.stability.samples import Samples
 from approxjac.stability.uncertainty import Uncertainty
+from approxjac.validation import Array
 
 if TYPE_CHECKING:
     from approxjac.stability.report import StabilityReport
@@ -158,14 +159,14 @@ def _beware(report: StabilityReport) -> list[Row]:
     if report.singular_q is not None:
         figures = (
             "the estimated Jacobian loses rank in the region, where the arm may stand still "
-            f"away from its target: at q = {numbers_of(report.singular_q.round(3))}; nothing below "
+            f"away from its target: at q = {_angles(report, report.singular_q, 3)}; nothing below "
             "holds there; a bound on sigma_min leaves such configurations out (RegularPart)"
         )
         rows.append(("rank", "not regular", figures))
     if report.damped_q is not None:
         figures = (
             "learning uses a damped pseudo-inverse near singular configurations, such as q = "
-            f"{numbers_of(report.damped_q.round(3))}, which nothing below covers; a bound on "
+            f"{_angles(report, report.damped_q, 3)}, which nothing below covers; a bound on "
             "sigma_min leaves them out (RegularPart)"
         )
         rows.append(("learning", "damped", figures))
@@ -350,8 +351,13 @@ def _rollouts(found: Rollouts) -> list[Row]:
 
 def _case(report: StabilityReport, among: Samples | LocalTest, index: int) -> str:
     """One of the cases: the true robot and the configuration."""
-    q = numbers_of(among.q[index].round(2))
+    q = _angles(report, among.q[index], 2)
     return f"{report.describe_truth(int(among.truth[index]))} at q = {q}"
+
+
+def _angles(report: StabilityReport, q: Array, digits: int) -> str:
+    """Return a configuration as one number a joint."""
+    return numbers_of(report.loop.plants[0].robot.angles(q).round(digits))
 
 
 def _ms(seconds: float) -> str:
