@@ -197,6 +197,9 @@ def test_corners_as_rows_are_told_how_to_become_a_vector_in_few_words(panda):
 def test_corners_in_the_right_order_are_accepted_with_a_wrong_camera(panda):
     sensor = tag_in_view(panda)
     x = sensor.value(Q)
+    for nothing in (np.zeros(8), np.full(8, 1e200), np.tile([1e300, -1e300], 4), x * np.inf):
+        assert not sensor._is_mirrored(nothing, x)
+        assert not sensor._is_mirrored(the_other_way(x), nothing)
     for roll in (80.0, -170.0):
         task = CombinedTask(believed(sensor, roll, 1.5), np.eye(6, 8))
         held(task).initial_state(at(Q, x))

@@ -244,10 +244,14 @@ def _points(points: object) -> Array:
 
 
 def _turn(images: Array) -> float:
-    """Return twice the area of a polygon (k, 2) over its squared sides, > 0 if clockwise."""
-    u, v = images.T
-    sides = images - np.roll(images, -1, axis=0)
-    return float((u @ np.roll(v, -1) - v @ np.roll(u, -1)) / np.sum(sides**2))
+    """Return twice the area of a polygon (k, 2) over its squared sides, > 0 if clockwise.
+
+    NaN of what is lost, of a single point, and beyond what squares may be.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        u, v = (images - images[0]).T
+        sides = images - np.roll(images, -1, axis=0)
+        return float((u @ np.roll(v, -1) - v @ np.roll(u, -1)) / np.sum(sides**2))
 
 
 def _roundness(points: Array) -> float:
