@@ -116,7 +116,7 @@ class Measurement(NamedTuple):
         q: Joint configuration, shape (nq,) [rad or m].
         v: Joint velocity q̇, shape (nv,) [rad/s or m/s].
         x: Task value measured by a sensor, shape (n_x,) [unit of the task]; NaN when lost.
-        t_x: Time at which x was taken [s]; None if it is not known.
+        t_x: Time at which x was taken, by the clock of t [s]; None if it is not known.
     """
 
     t: float

@@ -15,6 +15,7 @@ from rehearsal import SLOW, START, Wrapped, driver_of, goal, run
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
+from approxjac.realtime.start_checks import require_near
 from approxjac.view.browser.document import _legend
 
 
@@ -319,6 +320,7 @@ REFUSED = {
     "blind": "x must be known before the arm moves",
     "clock": "the clock of the driver must go on",
     "two clocks": "t_x must be by the clock of t: x was taken 1.7e+09 s after t: two clocks?",
+    "millimetres": "m from the base of an arm that reaches 1.09 m; 1 mm is 0.001",
     "period": "must be",
     "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got shapes (6,), (7,), (3,)",
     "duration": "duration must be a finite number > 0 [s], got 0.0",
@@ -333,6 +335,7 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         "moving": lambda m: m._replace(v=np.full(7, 0.1)),
         "blind": lambda m: m._replace(x=np.full(3, np.nan)),
         "clock": lambda m: m._replace(t=1.0),
+        "millimetres": lambda m: m._replace(x=1e3 * m.x),
         "two clocks": lambda m: m._replace(t_x=m.t + 1.7e9),
         "sizes": lambda m: m._replace(q=m.q[:6]),
     }
@@ -357,6 +360,15 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         control(given, controller, goal(plant), 0.0 if what == "duration" else 1.0)
     assert REFUSED[what] in str(refused.value)
     assert driver.sent == []
+
+
+def test_a_tracker_may_stand_elsewhere_in_a_hall(panda):
+    x = np.array([30.0, -20.0, 3.0])
+    require_near(aj.PositionTask(panda), x)
+    placed = aj.tasks.TrackerTask(panda, offset=1e3 * x)
+    require_near(placed, 1e3 * x + 0.5)
+    with pytest.raises(InvalidInputError, match=r"x must be in m, got \["):
+        require_near(placed, 1e3 * x + 100.0)
 
 
 @pytest.mark.parametrize("frames", [300, 1100])

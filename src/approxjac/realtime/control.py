@@ -23,7 +23,12 @@ from approxjac.realtime.loop import RobotLoop
 from approxjac.realtime.onlooker import Onlooker
 from approxjac.realtime.robot_run import RobotRun
 from approxjac.realtime.scheduling import undisturbed
-from approxjac.realtime.start_checks import require_able, require_at_rest, require_held
+from approxjac.realtime.start_checks import (
+    require_able,
+    require_at_rest,
+    require_held,
+    require_near,
+)
 from approxjac.realtime.stop_signals import StopSignals
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import Observer
@@ -138,6 +143,8 @@ def control(
             driver, brake, plant, controller, wanted, first, steps, stride, accuracy or Accuracy(),
             speeds, far, hidden, _fastest(driver, plant), patience, late, state,
         )  # fmt: skip
+        if not loop.learns_sensor:
+            require_near(task, first.x)
         require_held(driver, controller, loop.measurement.q, loop.answer)
         for _ in range(_WARM):
             controller.step(loop.state, loop.measurement, loop._wanted, driver.dt)

@@ -64,6 +64,7 @@ class RobotLoop(Loop):
 
     Attributes:
         fault: What is wrong, or None.
+        learns_sensor: Whether the controller learns where the sensor is.
         detail: Of the fault, in words: which joint, and by how much; "" for none.
         halting: Whether it is being brought to rest.
     """
@@ -106,8 +107,8 @@ class RobotLoop(Loop):
         commands_velocity = driver.command == "velocity"
         self._watch = FaultWatch(plant.robot, self.dt, accuracy, fastest, late, commands_velocity)
         learnt = scene_of(plant, controller, len(self.state)).learnt
-        self._accuracy, self._is_learnt = accuracy, bool(learnt)
-        self._sensor = SensorWatch(controller.task, self.dt, accuracy, unseen, self._is_learnt)
+        self._accuracy, self.learns_sensor = accuracy, bool(learnt)
+        self._sensor = SensorWatch(controller.task, self.dt, accuracy, unseen, self.learns_sensor)
         self.fault: Fault | None = None
         self.detail = ""
         self.halting = False
@@ -188,7 +189,7 @@ class RobotLoop(Loop):
         require_able(self._driver, controller)
         super().exchange(controller)
         self._sensor = SensorWatch(
-            controller.task, self.dt, self._accuracy, self._unseen, self._is_learnt
+            controller.task, self.dt, self._accuracy, self._unseen, self.learns_sensor
         )
 
     def record(self) -> Record:

@@ -13,12 +13,14 @@ from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.reading import read, two_clocks
 from approxjac.robots import Dynamics
-from approxjac.robots.joint_limits import beyond_positions
+from approxjac.robots.joint_limits import beyond_positions, reach_bound
 from approxjac.tasks import Task
+from approxjac.tasks.analysis import features
 from approxjac.validation import Array
 
 _READS = 5
 _AT_REST = 0.05  # rad/s or m/s
+_FAR, _REACHES = 50.0, 20.0  # m and reaches of the arm, beyond both of which no x is in metres
 _HELD = 0.2  # share of the largest torque by which what is believed of gravity may be off
 
 
@@ -82,6 +84,28 @@ def require_at_rest(driver: Driver, task: Task, patience: float) -> Measurement:
             f"q must be within the joints' limits, got {listed(measured.q)}", given=measured
         )
     return measured
+
+
+def require_near(task: Task, x: Array) -> None:
+    """Refuse positions so far from the arm that they are in millimetres, say.
+
+    A tracker may have its origin elsewhere in a hall.
+    """
+    for feature in features(task):
+        if not feature.axes or feature.frame is None:
+            continue
+        origin, reach = reach_bound(task.robot, feature.frame)
+        given = x[feature.entries][: len(feature.axes)]
+        if feature.placed is not None:
+            R, b = feature.placed
+            given = (given - b) @ R
+        away = float(np.linalg.norm(given - origin[["xyz".index(axis) for axis in feature.axes]]))
+        if away > max(_FAR, _REACHES * reach):
+            raise InvalidInputError(
+                f"x must be in m, got {listed(x)}: the tip would be {away:.3g} m from the base of "
+                f"an arm that reaches {reach:.3g} m; 1 mm is 0.001",
+                given=x,
+            )
 
 
 def require_held(driver: Driver, controller: Controller, q: Array, answer: Evaluation) -> None:
