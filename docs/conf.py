@@ -1,5 +1,6 @@
 """Sphinx configuration. Build with `sphinx-build -W docs docs/_build`."""
 
+import enum
 import sys
 from pathlib import Path
 
@@ -31,9 +32,11 @@ html_title = "approxjac"
 html_static_path = ["_static"]
 html_extra_path = ["_generated/site"]  # pages of runs
 (HERE / "_generated" / "site").mkdir(parents=True, exist_ok=True)
-html_css_files = ["formulas.css", "gallery.css"]
+html_css_files = ["page.css", "formulas.css", "gallery.css"]
 html_js_files = [("offline_search.js", {"priority": 900})]
 html_theme_options = {"footer_icons": []}
+html_domain_indices = False  # the list of modules: there is only one
+smartquotes = False  # quotes and dashes of commands are in docstrings, too
 exclude_patterns = ["_build", "_ext", "_generated/*.md", "tables"]  # included by other pages
 nitpicky = False
 
@@ -50,5 +53,13 @@ def hide_protocol_signature(app, what, name, member, options, signature, returns
     return ("", returns) if getattr(member, "_is_protocol", False) else None
 
 
+def list_outcomes(app, what, name, member, options, lines):
+    """Members of an enum by name, each with what it says."""
+    if isinstance(member, enum.EnumMeta):
+        for each in member:
+            lines += ["", f"``{each.name}``", f"    {getattr(each, 'message', each.value)}"]
+
+
 def setup(app):
     app.connect("autodoc-process-signature", hide_protocol_signature)
+    app.connect("autodoc-process-docstring", list_outcomes)

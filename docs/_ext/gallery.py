@@ -18,10 +18,13 @@ from pathlib import Path
 
 from study_figures import ROOT, gather
 
+from approxjac.view import write_index
+
 sys.path.insert(0, str(ROOT / "docs"))
 from page_picture import at, opened, save
 
 FOLDER = ROOT / "examples"
+SHOWN = "results/examples"  # what a page calls the folder that files were written to
 CARD = (640, 360)
 MOMENT = 0.15  # of a run at which its robot is shown: most have their way before them
 
@@ -105,7 +108,9 @@ def story(path, printed):
     if not pictures:
         raise RuntimeError(f"{path.name} printed no path of a PNG: the gallery has no picture")
     pages = [file for file in made.values() if file.suffix == ".html" and file.name != "index.html"]
-    return Story(path, pictures, pages, "\n".join(line for line in lines if line not in made))
+    told = "\n".join(line for line in lines if line not in made)
+    # as the command on its page has it, not where this machine keeps it
+    return Story(path, pictures, pages, told.replace(str(pictures[0].parent), SHOWN))
 
 
 def picture(told, file, up=""):
@@ -157,7 +162,7 @@ hide-toc: true
 {runs(told, "../")}
 
 ```sh
-python examples/{told.path.name} --out results/examples
+python examples/{told.path.name} --out {SHOWN}
 ```
 
 When this site was built, it printed:
@@ -219,6 +224,7 @@ def make(app):
     folder = Path(results, "examples") if results else None
     stories = [left(path, folder, out) if folder else run(path, out) for path in examples()]
     write(docs, with_robots(stories, out))
+    write_index(out, "Runs of the examples")  # those of the examples know only their own
     gather(out, docs / "_generated" / "site" / "runs" / "examples")
 
 

@@ -3,6 +3,7 @@
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -34,7 +35,7 @@ def waves(tmp_path):
     path.write_text(
         f"{HEADER}import pathlib, sys\nout = pathlib.Path(sys.argv[2])\nout.mkdir()\n"
         f"for name in {files}:\n    (out / name).write_text('')\n    print(out / name)\n"
-        "print('|e| 3 -> 0 mm')\n",
+        "print('|e| 3 -> 0 mm')\nprint(out / 'arm.urdf')\n",
         encoding="utf-8",
     )
     return path
@@ -83,14 +84,14 @@ def test_an_example_is_run_and_told_by_its_header_and_its_output(gallery, waves,
     assert told.text == "You will see: a wave."
     assert told.pictures == [out / "wave.png"]
     assert told.pages == [out / "wave.html", out / "wave_ur5.html"]
-    assert told.printed == "|e| 3 -> 0 mm"
+    assert told.printed == "|e| 3 -> 0 mm\nresults/examples/arm.urdf"  # no path of this machine
 
     card, page = gallery.card(told), gallery.page(told)
     assert images(card) == [("An arm that waves.", "_generated/examples/wave.png")]
     assert images(page) == [("An arm that waves.", "../_generated/examples/wave.png")]
     assert '"runs/examples/wave.html">Watch it move<' in card
     assert '"../runs/examples/wave_ur5.html">Watch ur5<' in page
-    assert "```text\n|e| 3 -> 0 mm\n```" in page
+    assert "```text\n|e| 3 -> 0 mm\nresults/examples/arm.urdf\n```" in page
 
 
 def test_a_failing_example_and_one_without_a_picture_stop_the_build(gallery, waves, tmp_path):
@@ -99,3 +100,25 @@ def test_a_failing_example_and_one_without_a_picture_stop_the_build(gallery, wav
     waves.write_text(HEADER + "raise SystemExit('the arm is stuck')\n", encoding="utf-8")
     with pytest.raises(RuntimeError, match=r"07_an_arm_waves.py ended with 1:\nthe arm is stuck"):
         gallery.run(waves, tmp_path)
+
+
+def test_the_index_of_runs_lists_those_of_all_examples(gallery, waves, monkeypatch, tmp_path):
+    head = '<meta name="generator" content="approxjac"><title>{}</title>'
+    paths = [waves, waves.with_name("08_an_arm_bows.py")]
+    paths[1].write_text(HEADER.replace("waves", "bows"), encoding="utf-8")
+    for path, name in zip(paths, ("wave", "bow"), strict=True):
+        left = tmp_path / "results" / "examples" / path.stem
+        left.mkdir(parents=True)
+        (left / f"{name}.png").touch()
+        (left / f"{name}.html").write_text(head.format(name), encoding="utf-8")
+        (left / "index.html").write_text(f"only {name}", encoding="utf-8")  # as an example did
+        left.with_suffix(".txt").write_text(f"{left}/{name}.png\n{left}/{name}.html\n")
+    monkeypatch.setenv("APPROXJAC_RESULTS", str(tmp_path / "results"))
+    monkeypatch.setattr(gallery, "examples", lambda: paths)
+    monkeypatch.setattr(gallery, "with_robots", lambda stories, out: stories)
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    gallery.make(SimpleNamespace(srcdir=docs))
+    index = docs / "_generated" / "site" / "runs" / "examples" / "index.html"
+    text = index.read_text(encoding="utf-8")
+    assert all(f'href="{name}.html"' in text for name in ("wave", "bow"))

@@ -29,9 +29,9 @@ class PredictedMeasurement(ControllerWrapper):
     The law gets the predicted error z and its exact Jacobian Ĵ in place of the measured x and the
     believed Jacobian: for it J = Ĵ, so p = 0 of the paper's Theorem 1, whatever the true arm is.
     With kinematics whose estimates move by θ̂' ∈ L², as those of Theorem A do, s(z) and q̇ go to
-    zero, and e with z: docs/learning_kinematics.md. Noise, delay and frames of the sensor are
-    outside the loop. Until x was seen once there is none to predict, and the law does what it does
-    where x is lost; later it goes on with what is predicted.
+    zero, and e with z ("Learning the kinematics" in the documentation). Noise, delay and frames of
+    the sensor are outside the loop. Until x was seen once there is none to predict, and the law
+    does what it does where x is lost; later it goes on with what is predicted.
 
     Its state is that of the controller, followed by that of the kinematics.
 

@@ -362,7 +362,7 @@ class TrackingController(ProvenLaw):
 
     @property
     def resting(self) -> int:
-        """Numbers of the state that rest while limits give the proof up: those of the dynamics."""
+        """Numbers of the state, those of the dynamics, that rest while limits give the proof up."""
         return self._n_dynamics
 
     def passive_output(self, answer: Evaluation, v: Array, alpha: float | Array) -> Array:

@@ -104,9 +104,9 @@ def adjugate(G: list[list[float]]) -> tuple[Rows, float, float, float]:
     """Return the adjugate of a symmetric G of at most three rows, in plain numbers, and its sizes.
 
     Returns:
-        The adjugate; the determinant; what is at most the smallest eigenvalue times trace²:
-        det · trace of two rows, whose other eigenvalue is at most the trace, and 4 det of three, of
-        which the product of the other two is at most (trace/2)²; the trace.
+        The adjugate; the determinant; what is at most the smallest eigenvalue times trace² (det ·
+        trace of two rows, whose other eigenvalue is at most the trace, and 4 det of three, of which
+        the product of the other two is at most (trace/2)²); the trace.
     """
     if len(G) == 1:
         g = G[0][0]

@@ -38,7 +38,9 @@ class SimulatedDriver:
         seed: Of the sensors' noise, ≥ 0.
 
     Attributes:
-        t, q, v: Its true state now.
+        t: Its time now [s].
+        q: Its true configuration now.
+        v: Its true joint velocity now.
         braked: Whether the brake is closed; the arm then stands still.
     """
 

@@ -106,8 +106,8 @@ class GravityRegressor:
             seed: Of the random configurations.
 
         Returns:
-            θ, shape (p,), and the residual: the largest error of Z θ relative to the largest
-            gravity torque, over random configurations that the fit did not use.
+            θ, shape (p,), and the residual, which is the largest error of Z θ relative to the
+            largest gravity torque, over random configurations that the fit did not use.
 
         Raises:
             InvalidInputError: Other joints, or another gravity.

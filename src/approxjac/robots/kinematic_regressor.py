@@ -46,8 +46,8 @@ class PointMotion(NamedTuple):
 class KinematicRegressor:
     """p(q) = Y(q) θ + offset(q), with θ the translations of joint origins and of the tool.
 
-    A chain of joints 1…n with right axes, R_i the rotation of link i and t_i the origin of joint i
-    on link i − 1, has p = Σ R_{i−1} t_i + R_n t_tool: Y is nothing but the link rotations, and p, J
+    A chain of joints 1…n with right axes, Rᵢ the rotation of link i and tᵢ the origin of joint i
+    on link i − 1, has p = Σ Rᵢ₋₁ tᵢ + Rₙ t_tool: Y is nothing but the link rotations, and p, J
     and J̇ are linear in θ (affine where a joint is prismatic). Fixed joints between two that move
     are part of the second one's origin, those after the last that moves are the tool.
 

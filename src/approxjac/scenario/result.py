@@ -131,7 +131,7 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """The verdict: converged, converged late, or not; of a path followed, or not followed."""
+        """Converged, converged late, or not converged; of a path followed, or not followed."""
         done = "followed" if self.on_path else "converged"
         if self.late:
             return f"{done} late"
@@ -139,7 +139,7 @@ class Result:
 
     @property
     def late(self) -> bool:
-        """True if a target at rest was reached, but in the last tenth: too late to judge."""
+        """True if a target at rest was reached, but in the last tenth, too late to judge."""
         reached = not (self.on_path or self.in_pixels or math.isnan(self.settling_time))
         return reached and not self.converged
 

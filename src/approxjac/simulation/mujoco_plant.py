@@ -31,9 +31,9 @@ class MujocoPlant(Plant):
     MuJoCo opens the URDF that `Robot.save_urdf` writes. Without contact and within the joint
     limits, accelerations are those of `Plant` to rounding. Limits and floor are soft constraints
     with MuJoCo's own default, a time constant of 20 ms: what hits them or presses on them sinks
-    in a little, the more the harder (docs/mujoco.md has figures). What the arm and its object
-    touch is the floor only, never each other; the shapes are those of <collision> in the URDF,
-    meshes as their convex hulls.
+    in a little, the more the harder ("MuJoCo as the plant" in the documentation has figures).
+    What the arm and its object touch is the floor only, never each other; the shapes are those of
+    <collision> in the URDF, meshes as their convex hulls.
 
     Do not give `simulate` dt=None if a limit or the floor may be touched: these forces jump, and
     the continuous integration does not keep its tolerance across a jump.

@@ -63,14 +63,14 @@ class Setting:
 
     @property
     def alpha(self) -> float:
-        """α, or its natural size where it is free: half the mean rate k_p/k_v [1/s]."""
+        """α, or its natural size where it is free, half the mean rate k_p/k_v [1/s]."""
         if self.fixed_alpha is not None:
             return self.fixed_alpha
         return 0.5 * float(np.mean(self.kp / self.kv))
 
     @property
     def families(self) -> tuple[Family, ...]:
-        """Families that apply: (29) learns along q̇ + αĴ⁺s(e), which G then has to match."""
+        """Families that apply, as (29) learns along q̇ + αĴ⁺s(e), which G then has to match."""
         return FAMILIES if self.fixed_alpha is None else ("paper", "free")
 
 

@@ -66,7 +66,7 @@ class LocalStability:
 
     @property
     def damping_ratio(self) -> float:
-        """Smallest −Re λ by the size of λ: 1 does not oscillate, 0 does for ever, below 0 grows.
+        """Smallest −Re λ by the size of λ (1 does not oscillate, 0 does for ever, below 0 grows).
 
         Of the sampled loop, modes that fall to a tenth within the dead time are not counted:
         every delay has such modes, as many as samples, and nobody sees them.

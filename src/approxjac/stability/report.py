@@ -95,7 +95,7 @@ class StabilityReport:
 
     @property
     def certified_by(self) -> str | None:
-        """Return what certifies the loop as it runs: "sampled form", or None; see `reason`."""
+        """What certifies the loop as it runs, which is "sampled form", or None; see `reason`."""
         return None if self.reason else "sampled form"
 
     @property
@@ -112,7 +112,7 @@ class StabilityReport:
 
     @property
     def certified_in_continuous_time(self) -> str | None:
-        """The strongest test that certifies the region: "theorem1", "matrix", or None.
+        """The strongest test that certifies the region, "theorem1" or "matrix", or None.
 
         It says nothing of what sampling and delays do.
         """

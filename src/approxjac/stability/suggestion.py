@@ -80,7 +80,7 @@ class Suggestion:
 
     @property
     def heading(self) -> str:
-        """The first line: whether gains were found, and what is to be done if not."""
+        """The first line, whether gains were found and what is to be done if not."""
         if self.found is None:
             what = "relax" if self.relax[0].startswith(_SEVERAL) else "one of these would do"
             return f"gains: none found that meet all demands; {what}"

@@ -67,7 +67,7 @@ class Theorem1:
 
     @property
     def allowed_p_large_gains(self) -> float:
-        """The largest p that (21) allows: (22) in the limit of large gains at the same ratios."""
+        """The largest p that (21) allows, the limit of (22) for large gains at the same ratios."""
         setting = self.setting
         alpha = law.best_alpha(setting.kp, setting.kv, self.lambda_1, 0.0, 0.0, np.inf)
         return min(law.allowed_p(alpha, setting.kp, setting.kv, self.lambda_1, 0.0, 0.0))

@@ -342,7 +342,7 @@ class PinholeCamera(Camera):
 
     @property
     def calibration(self) -> Mapping[str, Calibrated]:
-        """f_x [px], distance [m] and roll [rad]: how far the camera stands back and is turned."""
+        """f_x [px], the distance that the camera stands back [m], and its roll [rad]."""
         return {
             "focal_length": Calibrated(float(self._f[0]), "px"),
             "distance": Calibrated(0.0, "m"),
