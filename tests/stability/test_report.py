@@ -125,6 +125,8 @@ def test_report_says_at_once_for_which_starts_it_holds(report):
     less = report_starts.told(replace(report, sampled=slower))
     share = float(re.search(r"from ([\d.]+) % of these", less)[1])
     assert 0.0 < share < 100.0
+    none = report_starts.told(replace(report, sampled=replace(report.sampled, level=0.0)))
+    assert none.endswith(" away in the median: of these nothing is proven.")
 
 
 def test_report_says_what_no_test_knows_of():

@@ -142,10 +142,11 @@ def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> list[str]
             such = "" if length is None else f", such as --believed-length {length:.3g}"
             steps.append(f"a belief in the middle of each range{such}")
         if result.damping is None and result.certified_part is None:
-            none = "" if result.tolerances["matrix"].scale else "; not even without errors it holds"
+            scale = min(1.0, result.tolerances["matrix"].scale)
+            smaller = f"errors down to {0.5 * scale:.2g} times these"
             lines.append(
                 "tried, and nothing found: up to 20 times the damping, damping in the shape of "
-                f"the arm's inertia, smaller errors{none}"
+                f"the arm's inertia, {smaller if scale else 'no errors at all'}"
             )
     return [*lines, f"next: {'; '.join(steps)}"]
 

@@ -22,7 +22,8 @@ def told(report: StabilityReport) -> str:
     e = usual_errors(report)
     saturation = report.loop.controller.saturation
     share = (sampled.weights.at_rest(saturation.S(e), saturation.s(e)) <= sampled.level).mean()
-    of_these = "all" if share == 1.0 else f"{percent(share)} %" if share else "none"
+    of_these = "all" if share == 1.0 else f"{percent(share)} %"
+    goes = f"from {of_these} of these the error goes to zero as long as the arm stays in the region"
     if stays is not None and stays.radius:
         both = "start and target" if report.loop.target is None else "start"
         begins = (
@@ -33,8 +34,7 @@ def told(report: StabilityReport) -> str:
         begins = "From no start is it proven that the arm stays in the region"
     return (
         f"{begins}; those drawn here are {np.median(np.linalg.norm(e, axis=1)):.2g} {unit} away in "
-        f"the median: from {of_these} of these the error goes to zero as long as the arm stays in "
-        "the region."
+        f"the median: {goes if share else 'of these nothing is proven'}."
     )
 
 
