@@ -58,6 +58,8 @@ def test_every_arm_starts_at_a_valid_neutral_and_random_configuration(arm, rng):
         assert (motion <= upper + 1e-12).all()
         assert_allclose(arm.configuration(arm.angles(q)), q, atol=1e-12)
     assert arm.angles(np.tile(q, (3, 2, 1))).shape == (3, 2, arm.nv)
+    with pytest.raises(aj.InvalidInputError, match="q must have shape"):
+        arm.angles(q[1:])
 
 
 def test_a_zero_or_missing_effort_means_no_limit_known():

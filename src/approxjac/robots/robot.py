@@ -185,6 +185,8 @@ class Robot(Immutable):
         Those of continuous joints are from -π to π [rad or m].
         """
         q = np.asarray(q, dtype=float)
+        if q.shape[-1:] != (self.nq,):
+            raise InvalidInputError(f"q must have shape (..., {self.nq}), got {q.shape}", given=q)
         if self.nq == self.nv:
             return q
         zero, each = self.neutral(), q.reshape(-1, self.nq)
