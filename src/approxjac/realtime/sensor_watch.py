@@ -7,6 +7,7 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from approxjac.interface import Measurement
 from approxjac.realtime.accuracy import Accuracy
@@ -31,7 +32,7 @@ class _Frame(NamedTuple):
     x: Array
     x_hat: Array
     path: float  # ∫‖q̇‖ dt until then
-    rotation: Array  # of the tip link, shape (3, 3)
+    rotation: Array  # of the tip link in the axes of x, shape (3, 3)
     x_d: Array  # the target when it came
 
 
@@ -45,8 +46,9 @@ class SensorWatch:
         7√2 σ + ℓ ‖R' − R‖ + κ ‖Ĵ‖ ∫‖q̇‖ dt
 
     at most, with σ the largest noise, ℓ and κ those of `Accuracy` (`tool`, `jacobian`) and ‖Ĵ‖ the
-    largest singular value. Coordinates of different units are looked at apart. Where kinematics are
-    learnt, the sensor may be turned: lengths of motions are compared then.
+    largest singular value. Of that, (R' − R) d is square to the axis about which the link has
+    turned: a tool explains nothing along it. Coordinates of different units are looked at apart.
+    Where kinematics are learnt, the sensor may be turned: lengths of motions are compared then.
 
     Args:
         task: The controller's task.
@@ -62,7 +64,12 @@ class SensorWatch:
         self._task, self._dt, self._unseen = task._measured, dt, unseen
         self._is_learnt, self._tool = is_learnt, accuracy.tool
         # a task of several ends has no one tip; its tool counts as known then
-        tip = task.robot.tip
+        tip, self._turn, features = task.robot.tip, np.eye(3), self._task._features
+        # positions along all axes, in the axes of a tracker where one is believed
+        self._is_spatial = len(features) == 1 and features[0].axes == "xyz"
+        if self._is_spatial:
+            tip = features[0].frame
+            self._turn = self._turn if features[0].placed is None else features[0].placed[0]
         self._link = None if tip is None else FrameKinematics(task.robot, tip)
         units = np.array(self._task.units)
         self._groups = [np.flatnonzero(units == unit) for unit in dict.fromkeys(self._task.units)]
@@ -145,11 +152,15 @@ class SensorWatch:
         seen, believed = self._motions(new, old)
         if self._is_learnt:
             pairs = zip(self._sizes(seen), self._sizes(believed), strict=True)
-            off = [abs(a - b) for a, b in pairs]
-        else:
-            off = self._sizes(seen - believed)
-        slack = zip(off, self._noise, self._unknown(new, old), strict=True)
-        return any(size > noise + unknown for size, noise, unknown in slack)
+            return self._exceeds([abs(a - b) for a, b in pairs], self._unknown(new, old))
+        off, besides = seen - believed, self._besides(new, old)
+        if not self._exceeds(self._sizes(off), besides):  # mostly nothing needs a tool
+            return False
+        return self._exceeds(self._sizes(self._unexplained(off, new, old)), besides)
+
+    def _exceeds(self, off: list[float], unknown: list[float]) -> bool:
+        slack = zip(off, self._noise, unknown, strict=True)
+        return any(size > noise + more for size, noise, more in slack)
 
     def _is_still(self, new: _Frame, old: _Frame) -> bool:
         """Return whether x does not move though it is led to, and though the joints move it.
@@ -168,15 +179,35 @@ class SensorWatch:
     def _motions(self, new: _Frame, old: _Frame) -> tuple[Array, Array]:
         return self._task.error(new.x, old.x), self._task.error(new.x_hat, old.x_hat)
 
+    def _unexplained(self, error: Array, new: _Frame, old: _Frame) -> Array:
+        """Return what is left of an error where a tip elsewhere on its link explains all it can."""
+        left, turned = error.copy(), self._turned(new, old)
+        for group, is_place in zip(self._groups, self._is_place, strict=True):
+            if is_place:
+                along = np.zeros(len(group))
+                if self._is_spatial:
+                    turn = pin.log3(new.rotation @ old.rotation.T)
+                    along = turn * (turn @ error[group]) / max(turn @ turn, 1e-18)
+                across = error[group] - along
+                size = math.hypot(*across.tolist())
+                left[group] = along + max(1.0 - turned / max(size, 1e-12), 0.0) * across
+        return left
+
+    def _turned(self, new: _Frame, old: _Frame) -> float:
+        """Return by how much a tip elsewhere on its link may move otherwise [m]."""
+        # ‖R' − R‖ is √2 times smaller in the spectral norm than in Frobenius'
+        return self._tool * float(np.linalg.norm(new.rotation - old.rotation)) / math.sqrt(2.0)
+
+    def _besides(self, new: _Frame, old: _Frame) -> list[float]:
+        """Return by how much motions may differ besides that and noise, of each unit."""
+        way = new.path - old.path
+        shares = zip(self._share, self._norms, strict=True)
+        return [share * norm * way if way > 0.0 else 0.0 for share, norm in shares]
+
     def _unknown(self, new: _Frame, old: _Frame) -> list[float]:
         """Return by how much motions may differ without noise, of each unit."""
-        way = new.path - old.path
-        # ‖R' − R‖ is √2 times smaller in the spectral norm than in Frobenius'
-        turned = self._tool * float(np.linalg.norm(new.rotation - old.rotation)) / math.sqrt(2.0)
-        return [
-            is_place * turned + (share * norm * way if way > 0.0 else 0.0)
-            for norm, share, is_place in zip(self._norms, self._share, self._is_place, strict=True)
-        ]
+        turned, besides = self._turned(new, old), self._besides(new, old)
+        return [a * turned + b for a, b in zip(self._is_place, besides, strict=True)]
 
     def _sizes(self, error: Array) -> list[float]:
         """Return the lengths of the parts of an error that have one unit each."""
@@ -190,7 +221,7 @@ class SensorWatch:
         return Fault.SENSOR_FROZEN if self._is_off(now, last) or self._is_still(now, last) else None
 
     def _frame(self, t: float, x: Array, q: Array, path: float, x_d: Array) -> _Frame:
-        rotation = np.eye(3) if self._link is None else self._link.placement(q)[0]
+        rotation = self._turn if self._link is None else self._turn @ self._link.placement(q)[0]
         return _Frame(t, x, self._task.value(q), path, rotation, x_d)
 
     def _lost(self, q: Array, seen: Array) -> Fault | None:
