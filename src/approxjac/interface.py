@@ -155,7 +155,7 @@ class TargetPath(Protocol):
 
 
 class Evaluation(NamedTuple):
-    """Answer of a controller to one measurement.
+    """Answer of a controller to one measurement; `answer._replace(torque=...)` is a changed copy.
 
     Attributes:
         torque: Joint torque τ, shape (nv,) [N m or N]; from a controller with command="velocity"

@@ -241,7 +241,10 @@ def test_a_compiled_law_runs_in_lanes_as_the_one_that_it_was_made_from():
 def test_without_llvmlite(monkeypatch):
     loop = study("ur5")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert aj.rollouts(*loop, runs=1, duration=0.01).study.reason == "llvmlite is not installed"
+    found = aj.rollouts(*loop, runs=1, duration=0.01)
+    assert found.study.reason == "llvmlite is not installed"
+    told = " ".join(str(found).split())
+    assert told.endswith("engine in Python, as llvmlite is not installed")
 
     def missing(extra, name):
         raise MissingPackageError("no", given=name)

@@ -288,7 +288,9 @@ def test_a_report_of_an_own_saturation_is_that_of_the_librarys():
         )
         for s in (Own(0.1), Tanh(0.1))
     )  # fmt: skip
-    assert str(own_report) == str(report)
+    own_text, text = (" ".join(str(each).split()) for each in (own_report, report))  # as wrapped
+    named = text.replace("saturation Tanh (gamma 0.1 m)", "saturation Own (your own)")
+    assert own_text == named != text
 
 
 def test_what_rounding_leaves_at_zero_is_no_fault():
@@ -315,3 +317,18 @@ def test_a_saturation_that_fails_on_the_way_is_an_error_and_no_torque():
     limited = aj.TorqueLimited(aj.SetpointController(task, saturation=Gap(0.1)))
     with pytest.raises(MeasurementError, match="the torque overflows or is no number"):
         limited.step(limited.initial_state(measurement), measurement, x - 0.0123, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("saturation", "words"),
+    [
+        (None, "no saturation"),
+        (Sine(0.05), "saturation Sine (gamma 0.05 m)"),
+        (Tanh((0.05, 0.1)), "saturation Tanh (gamma 0.05 0.1 m)"),
+        (Own(), "saturation Own (your own)"),
+        (type("Straight", (Linear,), {"__module__": "mine"})(), "saturation Straight (your own)"),
+    ],
+)
+def test_a_law_names_its_saturation_as_no_run_can_be_repeated_without(saturation, words):
+    law = aj.SetpointController(TASKS[2], aj.Gains(100.0, 50.0), saturation=saturation)
+    assert f", {words}; gravity " in " ".join(str(law).split())

@@ -205,7 +205,8 @@ def test_printing_a_controller_says_what_was_chosen_and_why():
     text = " ".join(str(law).split())  # long lines are wrapped
     chosen, text = text.split("position task (x, y, z) of ur5 ")
     assert chosen.startswith("set-point law (28), K_p ")
-    assert chosen.endswith("gravity learnt ")
+    told = f"saturation Tanh (gamma {float(law.saturation.gamma[0]):.4g} m); gravity learnt "
+    assert chosen.endswith(told)
     time, gamma = text.split("gamma ")
     gamma, learns = gamma.split("learns ")
     assert time.startswith("settling time ")

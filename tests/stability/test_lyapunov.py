@@ -350,3 +350,11 @@ def test_learning_within_bounds_keeps_v_falling(metric):
         assert (rates[0][:12][at_a_bound[:12] == lower] >= -round_off).all()
         assert (rates[0][:12][at_a_bound[:12] == upper] <= round_off).all()
     assert at_work >= 15
+
+
+def test_alpha_is_the_controllers_by_default(adaptive_two_link):
+    plant, controller, target, *_ = adaptive_two_link
+    arguments = (np.array([0.4, 1.1]), np.array([0.1, -0.2]), target)
+    learnt = {"state": np.zeros(2), "theta": np.ones(2)}
+    given = lyapunov(plant, controller, *arguments, controller.alpha, **learnt)
+    assert lyapunov(plant, controller, *arguments, **learnt) == given

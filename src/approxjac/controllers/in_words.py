@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from approxjac.formatting import numbers, wrapped
+from approxjac.formatting import joined, numbers, wrapped
+from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
 
 if TYPE_CHECKING:
@@ -46,7 +47,19 @@ def of_law(law: SetpointController | TrackingController) -> str:
     gravity = _GRAVITY.get(name, f"by {name}")
     if name == "NoGravity" and not law.task.robot.gravity.any():
         gravity = "known exactly: the arm is taken without it"
-    return f"set-point law {number}, {of_gains(law.gains)}; gravity {gravity}"
+    gains = f"{of_gains(law.gains)}, {of_saturation(law.saturation, law.task)}"
+    return f"set-point law {number}, {gains}; gravity {gravity}"
+
+
+def of_saturation(saturation: Saturation, task: Task) -> str:
+    """Return s(e) in words, such as "saturation Tanh (gamma 0.058 m)"."""
+    name = type(saturation).__name__
+    if type(saturation) is Linear:
+        return "no saturation"
+    if not type(saturation).__module__.startswith("approxjac."):
+        return f"saturation {name} (your own)"
+    gamma = vars(saturation)["gamma"]
+    return f"saturation {name} (gamma {numbers(gamma)} {joined(task.units)})"
 
 
 def text(law: SetpointController | TrackingController) -> str:

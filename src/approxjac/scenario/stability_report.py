@@ -102,7 +102,7 @@ def advice(result: StabilityResult) -> list[str]:
         allowed = f"{'<' if first.holds else '>='} {max(first.allowed_p, 0.0):.3g}"
         lines = [
             f"in continuous time Theorem 1 {'certifies' if first.holds else 'does not certify'} "
-            f"{errors}: p = {first.p:.3g} {allowed}",
+            f"{errors}: p = {first.p:.3g} {allowed}{first.too_fast}",
             f"in continuous time the matrix form "
             f"{'certifies' if best.certified else 'does not certify'} it: margin "
             f"{best.margin:.3g}, violated in {best.violations} of {best.checked} further "

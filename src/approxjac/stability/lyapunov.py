@@ -28,7 +28,7 @@ def lyapunov(
     q: Array,
     v: Array,
     target: Array,
-    alpha: float,
+    alpha: float | None = None,
     *,
     state: Array | None = None,
     theta: Array | None = None,
@@ -46,7 +46,7 @@ def lyapunov(
         q: Configuration, shape (nq,).
         v: Velocity, shape (n_v,).
         target: x_d, shape (n_x,).
-        alpha: α of (10) [1/s].
+        alpha: α of (10) [1/s]; the controller's by default.
         state: Controller state, needed where gravity is learnt, shape (n_state,).
         theta: True gravity parameters in the regressor of the controller, needed where gravity
             is learnt, shape (p,); `GravityRegressor.fit` finds them.
@@ -61,6 +61,7 @@ def lyapunov(
     require_setpoint(controller)
     plant.require_task(controller.task)
     plant.require_ideal("the Lyapunov function")
+    alpha = controller.alpha if alpha is None else alpha
     alpha = as_number("alpha", alpha, unit="1/s", above=0.0)
     if controller.velocity is not None:
         raise InvalidInputError(

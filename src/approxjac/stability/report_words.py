@@ -301,7 +301,7 @@ def _in_continuous_time(report: StabilityReport) -> list[Row]:
     passed = "holds" if report.is_as_assumed else "would hold"
     figures = (
         f"Jacobian error p = {first.p:.3g} {'<' if first.holds else '>='} "
-        f"{max(first.allowed_p, 0.0):.3g} allowed"
+        f"{max(first.allowed_p, 0.0):.3g} allowed{first.too_fast}"
     )
     said = passed if first.holds else "does not hold"
     rows = [("in continuous time, Theorem 1", said, figures)]

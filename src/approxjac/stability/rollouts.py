@@ -176,6 +176,8 @@ class Rollouts:
             "others": f"{self.n_diverged} diverged, {self.n_left} more left the region",
             "worst": f"run {worst.index} {ended}, with {study.uncertainty.describe(worst.values)}",
         }
+        if study.reason:  # slow, and nobody asked for it
+            told["engine"] = f"in Python, as {study.reason}"
         return "\n".join([f"converged: {self.n_converged} of {self.n} runs", *rows(told, 2)])
 
 

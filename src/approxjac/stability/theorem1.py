@@ -66,6 +66,13 @@ class Theorem1:
         return min(law.allowed_p(self.alpha, kp, kv, self.lambda_1, self.c0, self.c1))
 
     @property
+    def too_fast(self) -> str:
+        """Return in words that learning has a larger α than (14) allows; empty if it has not."""
+        if self.setting.fixed_alpha is None or self.alpha < self.alpha_max:
+            return ""
+        return f": learning has alpha = {self.alpha:.3g} 1/s, (14) allows {self.alpha_max:.3g}"
+
+    @property
     def allowed_p_large_gains(self) -> float:
         """The largest p that (21) allows, the limit of (22) for large gains at the same ratios."""
         setting = self.setting

@@ -53,7 +53,8 @@ def plot_allowed_error(
         if own_a is not None:
             a = np.array(own_a)
             bounds = law.allowed_p_velocity(a, alpha, lambda2), law.allowed_p_position(a, alpha)
-            label = f"the controller's own $a$ = {own_a:.3g} allows $p$ = {min(bounds):.3g}"
+            label = f"the controller's own $a$ = {own_a:.3g} allows $p$ = {min(bounds):.3g} with\n"
+            label += r"this $\alpha$ and large gains (the report: its own $\alpha$ and gains)"
             ax.axvline(own_a, color=SERIES[3], label=label)
         ax.set(xlabel="$a = k_p / k_v$ [1/s]", ylabel=f"allowed $p$ [{unit}]", xlim=(left, right))
         ax.set(ylim=(0.0, 1.25 * max(p, float(velocity.max()))))
