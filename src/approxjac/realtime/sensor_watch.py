@@ -76,7 +76,8 @@ class SensorWatch:
         names = [self._task.units[group[0]] for group in self._groups]
         self._is_place = [name == "m" for name in names]
         self._share = [_IMAGE if name == "px" else accuracy.jacobian for name in names]
-        sd = np.broadcast_to(np.asarray(accuracy.x, float), self._task.m)
+        known = accuracy.for_units(self._task.units)
+        sd = np.broadcast_to(np.asarray(known.x, float), self._task.m)
         spread = _SIGMAS * math.sqrt(2.0)
         self._noise = [spread * float(sd[group].max()) for group in self._groups]
         self._norms = [math.inf] * len(self._groups)  # of Ĵ
