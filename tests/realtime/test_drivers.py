@@ -191,8 +191,10 @@ def test_a_second_signal_interrupts_a_start_that_hangs(plant, controller):
     assert signal.getsignal(signal.SIGINT) == before
 
 
-def test_a_bridge_of_long_periods_is_not_late(by_velocities):
+def test_a_bridge_of_long_periods_is_not_late(by_velocities, monkeypatch):
     plant, law = by_velocities
+    # a busy machine may well stand still for 40 ms, and this is about the robot's clock
+    monkeypatch.setattr(sys.modules["approxjac.realtime.control"], "_HANGS", 100.0)
 
     class Blinking(Wrapped):
         def read(self):
