@@ -7,6 +7,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
 
+from docutils import nodes  # noqa: E402
+
 import approxjac  # noqa: E402
 
 project = "approxjac"
@@ -60,6 +62,13 @@ def list_outcomes(app, what, name, member, options, lines):
             lines += ["", f"``{each.name}``", f"    {getattr(each, 'message', each.value)}"]
 
 
+def write_dashes(app, doctree):
+    """What Sphinx puts before the text of a parameter, and leaves to smart quotes."""
+    for text in list(doctree.findall(lambda node: node == " -- ")):
+        text.parent.replace(text, nodes.Text(" – "))
+
+
 def setup(app):
     app.connect("autodoc-process-signature", hide_protocol_signature)
     app.connect("autodoc-process-docstring", list_outcomes)
+    app.connect("doctree-read", write_dashes)

@@ -22,10 +22,10 @@ def members():
 
 
 def tests_of(number, name):
-    """Test files that use a name of the law, or say that they test its equation."""
+    """Names of test files that use a name of the law, or say that they test its equation."""
     pattern = re.compile(rf"\b(law|aj)\.{name}\b|Eq\. \({number}\)")
     return sorted(
-        str(path.relative_to(ROOT))
+        path.name
         for path in (ROOT / "tests").rglob("test_*.py")
         if pattern.search(path.read_text(encoding="utf-8"))
     )

@@ -99,13 +99,14 @@ def table(outcomes):
     """Return the outcomes as lines of Markdown."""
     lines = head(
         "arm", "tool believed", "loop", "ẋ_d", "first turn, RMS", "after it, RMS", "largest",
-        "asked of the motors", "",
+        "asked of the motors",
     )  # fmt: skip
     for o in outcomes:
         c, errors = o.case, (f"{1e3 * e:.1f} mm" for e in (o.first, o.rms, o.worst))
         told = "fed forward" if c.feed_forward else "not told"
-        lines.append(row(c.robot, c.belief, c.loop, told, *errors, f"{o.asked:.2f}", o.reason))
-    return lines
+        lines.append(row(c.robot, c.belief, c.loop, told, *errors, f"{o.asked:.2f}"))
+    ended = [f"- {o.case.robot}: {o.reason}" for o in outcomes if o.reason]
+    return [*lines, *(["", *ended] if ended else [])]
 
 
 def main(arguments=None):

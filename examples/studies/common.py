@@ -51,6 +51,12 @@ def head(*cells):
     return [row(*cells), f"|{'---|' * len(cells)}"]
 
 
+def two_digits(value):
+    """Return a number with two digits, as people write it: 710, not 7.1e+02."""
+    text = f"{value:.2g}"
+    return text if abs(value) < 99.5 else f"{float(text):.0f}"
+
+
 def write(out, tables, summary):
     """Write and print the tables by name, and write summary.json.
 

@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 import reaches
-from common import head, parser, row, run_all, write
+from common import head, parser, row, run_all, two_digits, write
 from defaults_before import controller_before
 from operational_space import OperationalSpace
 from reach_mujoco import SENSORS
@@ -126,7 +126,8 @@ def cells(mine):
     """Return the cells of a row."""
     near = np.median([o.near if math.isfinite(o.near) else math.inf for o in mine])
     rms = [1e3 * o.rms for o in mine]
-    return *reaches.cells(mine), f"{near:.2f} s", f"{np.median(rms):.2g} mm ({max(rms):.2g} mm)"
+    told = f"{two_digits(np.median(rms))} mm ({two_digits(max(rms))} mm)"
+    return *reaches.cells(mine), f"{near:.2f} s", told
 
 
 def by_kind(outcomes):

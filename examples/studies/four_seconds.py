@@ -11,7 +11,7 @@ import subprocess
 import sys
 from typing import NamedTuple
 
-from common import head, parser, row, run_all, write
+from common import head, parser, row, run_all, two_digits, write
 from reaches import ARMS
 
 OPTIONS = "--object-length 0.1 --object-mass 0.1 --believed-length 0 --duration 4"
@@ -65,14 +65,16 @@ def main(arguments=None):
         for seed in given.seeds
     ]
     outcomes = run_all(run_case, cases, given.jobs)
-    lines = head("arm", "error at 0 s", "at the end", "torque, share of the motors", "speed", "")
+    lines = head("arm", "error at 0 s", "at the end", "torque, share of the motors", "speed")
     for o in outcomes:
-        errors = f"{1e3 * o.start_error:.0f} mm", f"{1e3 * o.final_error:.2g} mm"
-        lines.append(row(o.robot, *errors, f"{o.torque:.2f}", f"{o.speed:.2f}", o.reason))
+        errors = f"{1e3 * o.start_error:.0f} mm", f"{two_digits(1e3 * o.final_error)} mm"
+        lines.append(row(o.robot, *errors, f"{o.torque:.2f}", f"{o.speed:.2f}"))
+    if ended := [f"- {o.robot}: {o.reason}" for o in outcomes if o.reason]:
+        lines += ["", *ended]
     write(given.out, {"four_seconds.md": "\n".join(lines) + "\n"}, {"runs": outcomes})
-    short = [o.robot for o in outcomes if o.final_error > WANTED or o.torque > 1.0 + 1e-9]
-    print(f"fell short: {', '.join(short)}" if short else "all kept")
-    return 1 if short else 0
+    failed = [o.robot for o in outcomes if o.final_error > WANTED or o.torque > 1.0 + 1e-9]
+    print(f"fell short: {', '.join(failed)}" if failed else "all kept")
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":

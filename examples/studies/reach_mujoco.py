@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 import reaches
-from common import head, parser, row, run_all, write
+from common import head, parser, row, run_all, two_digits, write
 from reaches import Case
 
 STICTION = 0.2  # MuJoCo's frictionloss of every joint [N m]
@@ -81,9 +81,10 @@ def cells(mine):
     return (
         len(mine),
         sum(diverged(o) for o in mine),
-        f"{middle(o.rms for o in mine):.2g} mm ({1e3 * max(o.rms for o in mine):.2g} mm)",
-        f"{1e3 * np.mean([o.mean for o in mine]):.2g} mm",
-        f"{1e3 * max(o.worst for o in mine):.2g} mm",
+        f"{two_digits(middle(o.rms for o in mine))} mm "
+        f"({two_digits(1e3 * max(o.rms for o in mine))} mm)",
+        f"{two_digits(1e3 * np.mean([o.mean for o in mine]))} mm",
+        f"{two_digits(1e3 * max(o.worst for o in mine))} mm",
         f"{np.median(near):.2f} s",
         f"{max(o.asked for o in mine):.2f}",
     )
@@ -91,7 +92,7 @@ def cells(mine):
 
 def table(outcomes):
     """Return all outcomes of each kind, and those of each arm, as lines of Markdown."""
-    lines = head("", "arm", *COLUMNS)
+    lines = head("loop", "arm", *COLUMNS)
     for kind in dict.fromkeys(o.case.kind for o in outcomes):
         mine = [o for o in outcomes if o.case.kind == kind]
         lines.append(row(f"**{kind}**", "**all**", *cells(mine)))

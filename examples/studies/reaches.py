@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from common import head, row
+from common import head, row, two_digits
 
 import approxjac as aj
 from approxjac.controllers import law_of
@@ -204,7 +204,9 @@ def failure(outcome):
     """Return a line on one run: how far it got, what its limits and joint ends did, and why."""
     case, told = outcome.case, []
     if math.isfinite(outcome.final_error):
-        told.append(f"{1e3 * outcome.start_error:.0f} -> {1e3 * outcome.final_error:.2g} mm")
+        told.append(
+            f"{1e3 * outcome.start_error:.0f} -> {two_digits(1e3 * outcome.final_error)} mm"
+        )
     if outcome.stops:
         told.append(f"{outcome.stops} at the end of its range")
     if outcome.limited > 0.0:

@@ -2,10 +2,12 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
+nodes = pytest.importorskip("docutils.nodes")
 pytestmark = pytest.mark.site  # with what builds the site
 
 
@@ -18,7 +20,8 @@ def formula(monkeypatch):
 
 @pytest.mark.parametrize("accent", [r"\hat", r"\dot", r"\ddot", r"\bar", r"\tilde"])
 def test_marks_above_a_letter_are_accents(formula, accent):
-    assert '<mover accent="true"><mi>J</mi>' in formula(rf"{accent} J")
+    assert '<mover accent="true"><mpadded height="0.8em"><mi>J</mi>' in formula(rf"{accent} J")
+    assert '<mover accent="true"><mpadded height="0.6em"><mi>q</mi>' in formula(rf"{accent} q")
     assert 'accent="true"' not in formula(r"\overset{!}{=}")
 
 
@@ -26,7 +29,20 @@ def test_an_exponent_does_not_stand_above_the_hat(formula):
     for source in (r"\hat J^T", r"\hat J_c^+"):
         assert '<mpadded height="0.66em"><mover' in formula(source)
     assert '<mpadded height="0.45em"><mover' in formula(r"\dot q^T")
-    assert "mpadded" not in formula(r"J^T + \hat J")
+    assert formula(r"J^T + \hat J").count("mpadded height") == 1  # that of the hat
+
+
+def test_names_of_functions_stand_apart(formula):
+    assert '<mo lspace="0.17em" rspace="0">tanh</mo>' in formula(r"\gamma\tanh(e)")
+    assert '<mo lspace="0" rspace="0.17em">sin</mo><mi>q</mi>' in formula(r"\sin q")
+
+
+def test_the_number_of_an_equation_stands_beside_it(formula):
+    translator = SimpleNamespace(body=[])
+    with pytest.raises(nodes.SkipNode):
+        sys.modules["mathml"].visit_block(translator, nodes.math_block("", r"a=b\qquad(28)"))
+    assert translator.body[0].endswith('</math><span class="eqno">(28)</span></div>')
+    assert "28" not in translator.body[0].split("</math>")[0]
 
 
 @pytest.mark.browser
