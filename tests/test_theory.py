@@ -137,3 +137,16 @@ def test_the_rate_of_a_slow_direction():
     )
     slow = np.linalg.eigvals(A).real.max()
     assert slow == pytest.approx(-kp * sigma * sigma_hat / (kv * sigma_hat**2 + b), rel=1e-5)
+
+
+def test_theorem_1_depends_on_the_unit_of_length_for_given_gains():
+    """In another unit λ₂ is multiplied by c² and p by c: (21) may fail then, (25) does not."""
+    p, lambda_2, a = 0.9, 1.0, np.ones(1)
+    holds, best = {}, {}
+    for c in (1.0, 10.0):
+        alpha = law.best_alpha(a, np.ones(1), c**2 * lambda_2, 0.0, 0.0, np.inf)
+        allowed = law.allowed_p(alpha, a, np.ones(1), c**2 * lambda_2, 0.0, 0.0)
+        holds[c] = c * p < min(allowed)
+        best[c] = c * p < law.largest_allowed_p(c**2 * lambda_2)
+    assert holds == {1.0: True, 10.0: False}
+    assert best == {1.0: True, 10.0: True}

@@ -1,4 +1,4 @@
-"""The table equation → function → tests, made from the docstrings of `approxjac.law`."""
+"""The table equation → function → tests: of the docstrings of `approxjac.law`, and the rest."""
 
 import importlib
 import inspect
@@ -9,6 +9,15 @@ from pathlib import Path
 import approxjac.law
 
 ROOT = Path(__file__).parents[2]
+ELSEWHERE = [  # equations that are no function of `approxjac.law`, and where they are
+    (11, "step of the proof: V̇ = −W", ["tests/stability/test_lyapunov.py"]),
+    (15, "`stability.theorem1`: c₀ and c₁ over a region", ["tests/stability/test_certificate.py"]),
+    *((number, "used in the proof only", []) for number in (16, 17, 18, 19)),
+    (20, "`stability.theorem1`: λ₁ over a region", ["tests/stability/test_certificate.py"]),
+    (26, "step of the proof: V̇ ≤ 0", ["tests/stability/test_lyapunov.py"]),
+    (32, "`jacobian` of an `ImageTask` of the true robot", ["tests/tasks/test_image.py"]),
+    (33, "`jacobian` of an `ImageTask` of the believed robot", ["tests/tasks/test_image.py"]),
+]
 MARK = re.compile(r"Implements Eq\. \((\d+)\)")
 
 
@@ -39,17 +48,18 @@ def rows():
         for number in MARK.findall(text):
             departure = re.search(r"Departures?:(.*?)(?:\n\n|\Z)", text, re.DOTALL)
             note = " ".join(departure.group(1).split()) if departure else ""
-            found.append((int(number), name, note, tests_of(number, name)))
+            found.append((int(number), f"`law.{name}`", note, tests_of(number, name)))
+    found += [(number, where, "", tests) for number, where, tests in ELSEWHERE]
     return sorted(found)
 
 
 def table():
     """The table as Markdown."""
-    lines = ["| Eq. | `approxjac.law.` | departure from the print | tests |", "|---|---|---|---|"]
+    lines = ["| Eq. | in `approxjac` | departure from the print | tests |", "|---|---|---|---|"]
     for number, name, departure, tests in rows():
         lines.append(
-            f"| ({number}) | `{name}` | {departure or '–'} | "
-            f"{', '.join(f'`{test}`' for test in tests)} |"
+            f"| ({number}) | {name} | {departure or '–'} | "
+            f"{', '.join(f'`{test}`' for test in tests) or '–'} |"
         )
     return "\n".join(lines) + "\n"
 

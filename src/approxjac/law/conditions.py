@@ -38,8 +38,8 @@ def allowed_p(
 ) -> tuple[float, float]:
     """The p below which l₁ λ_max[K_v] > αc₀, and that below which l₂ λ_max[K_v] > αc₁.
 
-    Implements Eq. (22), solved for p; (21) is the same with c₀ = c₁ = 0. Departure: λ₁ is that of
-    ĴᵀK_vĴ + B, not of J.
+    Implements Eq. (22), solved for p. Implements Eq. (21), too, with c₀ = c₁ = 0. Departure: λ₁ is
+    that of ĴᵀK_vĴ + B, not of J.
 
     Args:
         alpha: α > 0 [1/s].

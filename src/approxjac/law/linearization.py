@@ -45,10 +45,11 @@ def adaptive_closed_loop_matrix(
 ) -> Array:
     """A = [[A₉, [0; M⁻¹Z]], [[−αLZᵀĴ⁺J, −LZᵀ], 0]] with A₉ of `closed_loop_matrix`.
 
-    Implements Eq. (28), (29) to first order in (δq, q̇, δθ̂) about q̇ = 0, e = 0, θ̂ = θ, where
-    s'(0) = 1. Of Z(q)θ̂ − g(q) only Z δθ̂ is left: Z(q)θ is g(q) for every q, so the gradients of
-    the two cancel. Ĵ and Z in (29) are taken at the target: what multiplies their changes is zero
-    there.
+    Implements Eq. (30), with (29), to first order in (δq, q̇, δθ̂) about q̇ = 0, e = 0, θ̂ = θ,
+    where s'(0) = 1. Departure: the paper prints Ṁ for ½Ṁ, of no effect to first order.
+
+    Of Z(q)θ̂ − g(q) only Z δθ̂ is left: Z(q)θ is g(q) for every q, so the gradients of the two
+    cancel. Ĵ and Z in (29) are taken at the target: what multiplies their changes is zero there.
 
     The arguments are those of `closed_loop_matrix`; Ĵ⁺ as the law has it, shape (…, n_v, m); the
     gravity regressor Z at the target, shape (…, n_v, p); the adaptation gain L, a diagonal (p,) or
