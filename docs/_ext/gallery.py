@@ -122,10 +122,25 @@ def runs(told, up=""):
     """Links to the pages of its runs. They are no documents of Sphinx, so these are HTML."""
     links = []
     for file in told.pages:
-        which = file.stem.removeprefix(told.pictures[0].stem).replace("_", " ").strip()
+        which = variant(told, file)
         href = f"{up}runs/examples/{file.name}"
         links.append(f'<a class="run" href="{href}">Watch {which or "it move"}</a>')
     return " · ".join(links)
+
+
+def variant(told, file):
+    """What the name of a page has beyond that of the first picture, such as its arm, or ""."""
+    return file.stem.removeprefix(told.pictures[0].stem).replace("_", " ").strip()
+
+
+def index(stories, out):
+    """Write an index of all pages: those that examples wrote know only their own."""
+    table = {"": ("example", "what it shows")}
+    for told in stories:
+        for file in told.pages:
+            which = variant(told, file)
+            table[file.name] = (f"{told.title}, {which}" if which else told.title, told.summary)
+    write_index(out, "Runs of the examples", table=table)
 
 
 def card(told):
@@ -224,7 +239,7 @@ def make(app):
     folder = Path(results, "examples") if results else None
     stories = [left(path, folder, out) if folder else run(path, out) for path in examples()]
     write(docs, with_robots(stories, out))
-    write_index(out, "Runs of the examples")  # those of the examples know only their own
+    index(stories, out)
     gather(out, docs / "_generated" / "site" / "runs" / "examples")
 
 
