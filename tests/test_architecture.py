@@ -33,7 +33,7 @@ ALLOWED = {
     "simulation": {
         "files", "controllers", "law", "tasks", "robots", "interface", "formatting", "validation",
         "errors",
-        "extras",
+        "extras", "__init__",
     },
     "realtime": {
         "simulation", "controllers", "tasks", "robots", "interface", "formatting", "validation",

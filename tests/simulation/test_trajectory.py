@@ -230,3 +230,26 @@ def test_a_damaged_scene_is_a_named_error(panda, tmp_path):
         np.savez(path, texts=np.array(json.dumps(broken)), **arrays)
         with pytest.raises(TrajectoryFileError, match="is not a trajectory written by"):
             aj.Trajectory.load(path)
+
+
+def test_a_file_keeps_the_law_in_words(panda, tmp_path):
+    task, x_d = aj.PositionTask(panda), aj.PositionTask(panda).value(START)
+    laws = [aj.SetpointController(task, aj.Gains(kp, 80.0, 5.0)) for kp in (300.0, 400.0)]
+
+    def change(loop):
+        if loop.step == 2:
+            loop.exchange(laws[1])
+
+    run = aj.simulate(aj.Plant(panda, task), laws[0], x_d, START, 0.004, dt=1e-3, observer=change)
+    lines = f"approxjac {aj.__version__}, dt 0.001 s\n{laws[0]}\nfrom t = 0.003 s:\n{laws[1]}"
+    path = run.save(tmp_path / "run")
+    assert aj.Trajectory.load(path).law == run.law == lines
+    with np.load(path) as file:
+        arrays = dict(file)
+    texts = json.loads(str(arrays.pop("texts")))
+    np.savez(path, texts=np.array(json.dumps(texts | {"law": 3})), **arrays)
+    with pytest.raises(TrajectoryFileError, match="its law is no text"):
+        aj.Trajectory.load(path)
+    del texts["law"]  # as older files are
+    np.savez(path, texts=np.array(json.dumps(texts)), **arrays)
+    assert aj.Trajectory.load(path).law == ""

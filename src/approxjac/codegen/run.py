@@ -53,7 +53,11 @@ class WholeLoops:
                 del self._loops[next(iter(self._loops))]
             self._loops[key] = plant, _Loop(self._law, plant, loop.dt, loop.integrator)
         columns = self._loops[key][1].run(loop, stride, progress)
-        return None if columns is None else Record.of(plant, loop.controller, columns).trajectory()
+        return (
+            None
+            if columns is None
+            else Record.of(plant, loop.controller, columns, loop.dt).trajectory()
+        )
 
 
 class _Loop:

@@ -122,7 +122,7 @@ class RobotLoop(Loop):
         self._stopped_at = first.x
         self._stride = stride
         rounds = steps + math.ceil(patience / self.dt) + 2  # with those of a stop
-        self._record = Record(plant, rounds // stride + _TAIL + 2)
+        self._record = Record(plant, rounds // stride + _TAIL + 2, self.dt)
         self._tail: deque[tuple[int, tuple[Any, ...], tuple[Array, Array, float]]] = deque()
         self._errors: list[Array] = []
         self.gaps = np.zeros(rounds, dtype=np.float32)

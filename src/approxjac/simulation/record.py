@@ -33,8 +33,9 @@ _RECORDED = (
 class Record:
     """Collects instants of a run, `capacity` at most, and makes a `Trajectory` of them."""
 
-    def __init__(self, plant: Plant, capacity: int) -> None:
+    def __init__(self, plant: Plant, capacity: int, dt: float | None = None) -> None:
         self._plant = plant
+        self._dt = dt
         self._capacity = capacity
         self._count = 0
         self._columns: tuple[Array, ...] = ()
@@ -71,9 +72,11 @@ class Record:
         self._count += 1
 
     @classmethod
-    def of(cls, plant: Plant, controller: Controller, columns: Sequence[Array]) -> Record:
+    def of(
+        cls, plant: Plant, controller: Controller, columns: Sequence[Array], dt: float
+    ) -> Record:
         """Return a whole run of one controller: `_RECORDED`, e, Ĵ and the rate of the state."""
-        record = cls(plant, len(columns[0]))
+        record = cls(plant, len(columns[0]), dt)
         record._columns, record._count = tuple(columns), len(columns[0])
         record._controllers = [(0, controller)]
         return record
@@ -101,8 +104,21 @@ class Record:
             derived=self._derive,
         )
 
-    def _derive(self, run: Trajectory, name: str) -> Array:
-        """Return "task_torque", "V" or "sigma_min" of the run, by the controllers that ran."""
+    def _law(self) -> str:
+        """Return the controllers that ran in words, with what else repeats a run."""
+        import approxjac
+
+        dt = "in continuous time" if self._dt is None else f"dt {self._dt:g} s"
+        told = [f"approxjac {approxjac.__version__}, {dt}"]
+        for start, controller in self._controllers:
+            told += [f"from t = {self._columns[0][start]:g} s:"] if start else []
+            told.append(str(controller))
+        return "\n".join(told)
+
+    def _derive(self, run: Trajectory, name: str) -> Any:
+        """Return "task_torque", "V", "sigma_min" or "law", by the controllers that ran."""
+        if name == "law":
+            return self._law()
         e, J_hat, rate = self._columns[len(_RECORDED) :]
         if name == "sigma_min":
             return _sigma_min(J_hat[: len(run.t)])

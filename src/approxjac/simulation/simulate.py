@@ -248,7 +248,7 @@ def _sampled(
     loop: SampledLoop, stride: int, observer: Observer | None, progress: Progress | None
 ) -> Trajectory:
     """Run a sampled loop to its end, and record every so many steps."""
-    record = Record(loop.plant, loop.steps // stride + 2)
+    record = Record(loop.plant, loop.steps // stride + 2, loop.dt)
     with observer if isinstance(observer, AbstractContextManager) else nullcontext():
         while True:
             # as they are before an observer changes them

@@ -47,7 +47,7 @@ class Trajectory:
         task_labels: Names of the task coordinates, length m.
         task_units: Their units, length m.
         scene: Who took part, to draw the run with; None if that is not known.
-        derived: Returns V, task torque or σ_min of a run, by name, when they are asked for.
+        derived: Returns V, task torque, σ_min or law of a run, by name, when they are asked for.
     """
 
     t: Array
@@ -68,7 +68,7 @@ class Trajectory:
     task_labels: tuple[str, ...]
     task_units: tuple[str, ...]
     scene: Scene | None = None
-    derived: Callable[[Trajectory, str], Array] = field(kw_only=True)
+    derived: Callable[[Trajectory, str], Any] = field(kw_only=True)
     _more_arrays: ClassVar[tuple[str, ...]] = ()  # of what derives from it, in its files too
     _more_texts: ClassVar[tuple[str, ...]] = ()
 
@@ -90,7 +90,7 @@ class Trajectory:
 
         NaN of laws other than `SetpointController`, limited or held; shape (N, n_v).
         """
-        return self.derived(self, "task_torque")
+        return np.asarray(self.derived(self, "task_torque"))
 
     @cached_property
     def V(self) -> Array:
@@ -98,12 +98,17 @@ class Trajectory:
 
         With the α of the `SetpointController`; NaN of other laws.
         """
-        return self.derived(self, "V")
+        return np.asarray(self.derived(self, "V"))
 
     @cached_property
     def sigma_min(self) -> Array:
         """Smallest singular value of Ĵ, shape (N,)."""
-        return self.derived(self, "sigma_min")
+        return np.asarray(self.derived(self, "sigma_min"))
+
+    @cached_property
+    def law(self) -> str:
+        """The controllers that ran, as printed, dt and the version; "" of files without them."""
+        return str(self.derived(self, "law"))
 
     @property
     def target(self) -> Array:
@@ -181,6 +186,7 @@ class Trajectory:
         path = _npz(path)
         arrays = {name: getattr(self, name) for name in (*_ARRAYS, *self._more_arrays)}
         texts = {name: getattr(self, name) for name in (*_TEXTS, *self._more_texts)}
+        texts["law"] = self.law
         texts["scene"] = None if self.scene is None else self.scene.to_dict()
         try:
             # an open file, because numpy would add a second ending to .NPZ
@@ -204,12 +210,15 @@ class Trajectory:
             with path.open("rb") as stream:
                 arrays = read_arrays(stream, ("texts", *_ARRAYS, *cls._more_arrays))
             texts = json.loads(str(arrays.pop("texts")))
+            law = texts.get("law", "")  # which older files do not have
+            if not isinstance(law, str):
+                raise ValueError("its law is no text")
             known = (*_TEXTS, *cls._more_texts, "scene")
             texts = {name: texts[name] for name in known}
             scene = texts.pop("scene")
             for name in ("joint_names", "joint_units", "task_labels", "task_units"):
                 texts[name] = tuple(texts[name])
-            derived = partial(_read, {name: arrays.pop(name) for name in _DERIVED})
+            derived = partial(_read, {name: arrays.pop(name) for name in _DERIVED} | {"law": law})
             scene = None if scene is None else Scene.from_dict(scene)
             run = cls(**arrays, **texts, scene=scene, derived=derived)
             run._require_shapes()
@@ -297,9 +306,9 @@ class Trajectory:
         return "" if set(counts) == {LimitStatus.UNLIMITED} else _counted(counts)
 
 
-def _read(arrays: Mapping[str, Array], run: Trajectory, name: str) -> Array:
+def _read(found: Mapping[str, Any], run: Trajectory, name: str) -> Any:
     """Return what was read from a file with a run."""
-    return arrays[name]
+    return found[name]
 
 
 def _counted(counts: Mapping[Any, int]) -> str:
