@@ -76,9 +76,7 @@ def test_the_page_of_the_study_has_the_numbers_of_the_code():
     assert "\n".join(rows) in page
     setup = paper.Setup()
     start, target = (f"({a:g}°, {b:g}°)" for a, b in np.degrees([setup.start, setup.target]))
-    assert (
-        f"q(0) = {start} at rest, and its target is the image of the configuration {target}" in page
-    )
+    assert f"starts at rest in q(0) = {start}; its target is the image of {target}" in page
     assert f"each run lasts {setup.duration:g} s" in page
 
 

@@ -92,7 +92,9 @@ def test_a_mesh_that_cannot_be_found_does_not_matter():
 def test_every_name_loads():
     assert {"two_link", "panda", "ur5", "kinova"} < set(robot_names())
     assert all(aj.load_robot(name).nv >= 2 for name in robot_names())
-    with pytest.raises(UnknownNameError, match="frame '' not in panda; valid are"):
+    with pytest.raises(
+        UnknownNameError, match="frame '' not in panda; likely tips are panda_hand_tcp, "
+    ):
         aj.load_robot("panda", tip="")
 
 
