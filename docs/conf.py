@@ -1,6 +1,7 @@
 """Sphinx configuration. Build with `sphinx-build -W docs docs/_build`."""
 
 import enum
+import re
 import sys
 from pathlib import Path
 
@@ -50,9 +51,18 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 
-def hide_protocol_signature(app, what, name, member, options, signature, returns):
-    """A protocol is described, not called."""
-    return ("", returns) if getattr(member, "_is_protocol", False) else None
+def short_signature(app, what, name, member, options, signature, returns):
+    """A protocol is described, not called; types are named as in the source."""
+    if getattr(member, "_is_protocol", False):
+        return "", returns
+    return tuple(None if text is None else in_short(text) for text in (signature, returns))
+
+
+def in_short(text):
+    """`Array` stands for what it is short for; what a factory makes is left out."""
+    text = text.replace("~numpy.", "").replace("numpy.", "").replace("~typing.", "")
+    text = text.replace("ndarray[tuple[Any, ...], dtype[float64]]", "Array")
+    return text.replace("<factory>", "...")
 
 
 def list_outcomes(app, what, name, member, options, lines):
@@ -69,6 +79,6 @@ def write_dashes(app, doctree):
 
 
 def setup(app):
-    app.connect("autodoc-process-signature", hide_protocol_signature)
+    app.connect("autodoc-process-signature", short_signature)
     app.connect("autodoc-process-docstring", list_outcomes)
     app.connect("doctree-read", write_dashes)
