@@ -1,7 +1,6 @@
 """Sphinx configuration. Build with `sphinx-build -W docs docs/_build`."""
 
 import enum
-import re
 import sys
 from pathlib import Path
 
