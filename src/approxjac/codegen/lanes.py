@@ -19,6 +19,7 @@ from approxjac.codegen.program import Block, Program
 from approxjac.codegen.regions import Box
 from approxjac.interface import Controller, Measurement, Target, TargetPath
 from approxjac.simulation import Plant
+from approxjac.tasks.analysis import image_feature
 from approxjac.validation import Array
 
 _BLOCK = 256  # steps that are drawn at once: some 20 MB of 1024 runs
@@ -52,9 +53,10 @@ class Begun(NamedTuple):
         cls, controller: Controller, plant: Plant, q: Array, target: Array, seed: int = 0
     ) -> Begun:
         """Return that of a plant at rest."""
-        # only law (5) begins with x, once it is measured
+        # only law (5) begins with x, once it is measured, and of images the points' order is seen
         law = law_of(inside(controller))
-        x = target if law.velocity is None else plant.sensor.value(q)
+        needed = law.velocity is not None or image_feature(law.task) is not None
+        x = plant.sensor.value(q) if needed else target
         state = controller.initial_state(Measurement(0.0, q, np.zeros(plant.robot.nv), x))
         numbers = arm_numbers(plant.robot, tasks.frames(plant.sensor))
         holding = plant.dynamics.g(q) if plant.actuator_delay > 0.0 else np.zeros(plant.robot.nv)
