@@ -31,11 +31,12 @@ class ControllerWrapper(Immutable, Controller):
     """
 
     controller: Controller
-    _what: str  # it does, in words
+    _what: str = ""  # it does, in words
     _memory: int  # length of what it keeps itself
 
     def __str__(self) -> str:
-        return "\n".join([str(self.controller), *wrapped(self._what, "  ")])
+        what = self._what or f"within {type(self).__name__}"
+        return "\n".join([str(self.controller), *wrapped(what, "  ")])
 
     @property
     def command(self) -> Literal["torque", "velocity"]:  # type: ignore[override]  # read-only
