@@ -253,3 +253,28 @@ def test_a_file_keeps_the_law_in_words(panda, tmp_path):
     del texts["law"]  # as older files are
     np.savez(path, texts=np.array(json.dumps(texts)), **arrays)
     assert aj.Trajectory.load(path).law == ""
+
+
+class Around(aj.controllers.ControllerWrapper):
+    """A controller of somebody's own, which says nothing of itself."""
+
+    _memory = 0
+
+    def __init__(self, controller):
+        self._remember(locals())
+        self.controller = controller
+
+    def initial_state(self, measurement):
+        return self.controller.initial_state(measurement)
+
+    def step(self, state, measurement, target, dt):
+        return self.controller.step(state, measurement, target, dt)
+
+
+def test_a_run_of_a_wrapper_of_ones_own_is_saved(tmp_path):
+    arm = aj.load_robot("two_link")
+    task = aj.PositionTask(arm, axes="xz")
+    law = Around(aj.SetpointController(task, aj.Gains(60.0, 20.0)))
+    run = aj.simulate(aj.Plant(arm, task), law, (0.5, 1.2), (0.3, 0.8), 0.01, dt=1e-3)
+    run.save(tmp_path / "run.npz")
+    assert aj.Trajectory.load(tmp_path / "run.npz").law.endswith("within Around")
