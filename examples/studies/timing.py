@@ -75,7 +75,11 @@ def run_once(minutes, compiled, out, priority=None, collects=False):
     panda = aj.load_robot("panda")
     truth, belief = panda.with_object(0.2, 0.5, axis="x"), panda.with_object(0.0)
     plant = aj.Plant(truth, aj.PositionTask(truth))
-    law = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
+    law = aj.SetpointController(
+        aj.PositionTask(belief),
+        gravity=aj.AdaptiveGravity(belief),
+        posture=aj.controllers.Posture(START, stiffness=10.0),  # else it drifts to its stops
+    )
     controller = aj.TorqueLimited(law, aj.Limits(effort=belief.effort_limits))
     if compiled:
         controller = aj.codegen.compiled(controller)

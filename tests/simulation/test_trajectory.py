@@ -278,3 +278,13 @@ def test_a_run_of_a_wrapper_of_ones_own_is_saved(tmp_path):
     run = aj.simulate(aj.Plant(arm, task), law, (0.5, 1.2), (0.3, 0.8), 0.01, dt=1e-3)
     run.save(tmp_path / "run.npz")
     assert aj.Trajectory.load(tmp_path / "run.npz").law.endswith("within Around")
+
+
+def test_v_is_of_the_rest_where_the_robot_adds_gravity(panda):
+    told, loaded = (panda.with_object(0.1, mass) for mass in (0.3, 1.0))
+    task = aj.PositionTask(told)
+    law = aj.SetpointController(task, gravity=aj.AdaptiveGravity(told, theta0=0.0))
+    plant = aj.Plant(loaded, adds_gravity=told)
+    run = aj.simulate(plant, law, task.value(START) + 0.05, START, 1.0, dt=1e-3, record_every=0.01)
+    assert np.diff(run.V).max() < 1e-3 * run.V[0]
+    assert run.V[-1] < 0.7 * run.V[0]

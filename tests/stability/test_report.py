@@ -118,8 +118,10 @@ def test_report_says_at_once_for_which_starts_it_holds(report):
     told = " ".join(str(report).split("\n\n")[0].splitlines()[1:])
     stays, usual = report.attraction, np.linalg.norm(report_starts.usual_errors(report), axis=1)
     assert stays.error < 0.2 * np.median(usual)
-    assert told.startswith(f"Covers starts up to {stays.error:.2g} m from their target (start and ")
-    assert f"; those drawn here are {np.median(usual):.2g} m away in the median: " in told
+    assert told.startswith(
+        f"Covers starts at rest up to {stays.error:.2g} m from their target (start "
+    )
+    assert f"; usual ones are {np.median(usual):.2g} m away in the median: " in told
     assert "from all of these the error goes to zero as long as the arm stays in the " in told
     slower = replace(report.sampled, level=0.1 * report.sampled.level)
     less = report_starts.told(replace(report, sampled=slower))

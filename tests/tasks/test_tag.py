@@ -159,11 +159,10 @@ def at(q, x):
     return aj.Measurement(0.0, q, np.zeros(7), x)
 
 
-@pytest.mark.parametrize("count", [3, 4])
-def test_corners_in_the_order_of_pupil_apriltags_are_refused(panda, count):
-    sensor = tag_in_view(panda, count=count)
+def test_corners_in_the_order_of_pupil_apriltags_are_refused(panda):
+    sensor = tag_in_view(panda)
     x = sensor.value(Q)
-    combined = CombinedTask(believed(sensor, 30.0, 1.2), np.eye(6, 2 * count))
+    combined = CombinedTask(believed(sensor, 30.0, 1.2), np.eye(6, 8))
     stacked = aj.StackedTask(combined, aj.PositionTask(panda, "panda_link4", axes="z"))
     z = stacked.value(Q)[-1:]
     for task, more in ((combined, []), (stacked, z)):
@@ -171,13 +170,17 @@ def test_corners_in_the_order_of_pupil_apriltags_are_refused(panda, count):
         law.initial_state(at(Q, np.append(x, more)))
         with pytest.raises(aj.InvalidInputError, match=r"^x must .* pupil.*corners\[::-1\]"):
             law.initial_state(at(Q, np.append(the_other_way(x), more)))
-    plant, law = aj.Plant(panda, sensor), held(combined)
-    with pytest.raises(aj.InvalidInputError, match=r"^target must .*in the measured x"):
-        aj.simulate(plant, law, the_other_way(x), Q, 0.01, dt=2e-3)
-    driver = aj.realtime.SimulatedDriver(plant, Q, pace=np.inf)
-    limited = aj.TorqueLimited(law.controller, driver.limits)
+    driver = aj.realtime.SimulatedDriver(aj.Plant(panda, sensor), Q, pace=np.inf)
+    limited = aj.TorqueLimited(held(combined).controller, driver.limits)
     with pytest.raises(aj.InvalidInputError, match=r"^target must .*in the measured x"):
         aj.control(driver, limited, the_other_way(x), 0.01)
+
+
+def test_a_triangle_may_be_seen_from_either_side(panda):
+    """Targets of few points are drawn, too, and then from anywhere."""
+    sensor = tag_in_view(panda, count=3)
+    law = aj.SetpointController(believed(sensor, 30.0, 1.2), aj.Gains(50.0, 10.0, 1.0))
+    law.initial_state(at(Q, the_other_way(sensor.value(Q))))
 
 
 def test_corners_as_rows_are_told_how_to_become_a_vector_in_few_words(panda):

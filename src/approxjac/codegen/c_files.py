@@ -58,7 +58,7 @@ def export_c(controller: SetpointController | TorqueLimited, folder: str | PathL
     filled = {
         "controller.h": _filled(templates.HEADER, named),
         "controller.c": _filled(templates.SOURCE, named | _source(step)),
-        "main.c": _filled(templates.EXAMPLE, named | _example(records) | {"dt": repr(dt)}),
+        "main.c": _filled(templates.EXAMPLE, named | _example(records) | {"dt": repr(float(dt))}),
         "selftest.c": _filled(
             templates.SELFTEST, named | {"records": _rows(records), "dt": constant(dt)}
         ),

@@ -103,7 +103,7 @@ def _made_from(
 def _of_rest(step: SampledStep) -> str:
     if step.initial_state[: step.law.resting].any():
         return ""
-    return "; from 0, for a robot that adds its own gravity: only the rest of it is learnt"
+    return "; from 0: all of it is learnt, or the rest where the robot adds its own"
 
 
 def _numbers(values: Array) -> str:

@@ -44,7 +44,7 @@ def require_array(name: str, value: Array, size: int, task: Task) -> None:
         how = ""
         if isinstance(value, _NUMBERS):
             how = f"; numpy.array({name}, dtype=float) makes one of numbers"
-        elif np.size(value) == size:  # such as corners, one a row
+        elif isinstance(value, np.ndarray) and value.size == size:  # such as corners, one a row
             how = f"; {name}.ravel() makes one"
         elif name == "q" and given == (task.robot.nv,):  # continuous joints have (cos, sin)
             how = "; task.robot.configuration(q) makes one of one angle a joint"

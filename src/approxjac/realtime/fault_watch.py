@@ -101,6 +101,7 @@ class FaultWatch:
             now: When it was read, by this machine's clock [s].
         """
         t, q, v = measurement.t, measurement.q, measurement.v
+        self.detail = ""
         if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
             self._unknown += 1
             return Fault.JOINTS_UNKNOWN if self._unknown > _UNKNOWN else None

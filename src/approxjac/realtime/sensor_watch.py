@@ -67,6 +67,7 @@ class SensorWatch:
         tip, self._turn, features = task.robot.tip, np.eye(3), self._task._features
         # positions along all axes, in the axes of a tracker where one is believed
         self._is_spatial = len(features) == 1 and features[0].axes == "xyz"
+        self._is_spatial &= list(self._task.units).count("m") == 3
         if self._is_spatial:
             tip = features[0].frame
             self._turn = self._turn if features[0].placed is None else features[0].placed[0]

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from approxjac.controllers import Limits
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement
 from approxjac.realtime.pace import Pace
 from approxjac.robots import Dynamics, Robot
@@ -56,6 +57,12 @@ class SimulatedDriver:
     ) -> None:
         require("plant", plant, Plant, "a Plant")
         robot = plant.robot
+        if adds_gravity is not None and (plant.adds_gravity or plant.servo) is not None:
+            raise InvalidInputError(
+                "adds_gravity must be None of a plant that adds gravity by itself, or has a servo, "
+                f"got {adds_gravity.name} with {plant!r}",
+                given=adds_gravity,
+            )
         self.plant, self.dt = plant, as_number("dt", dt, unit="s", above=0.0)
         self.command: Literal["torque", "velocity"] = plant.command
         q = robot.configuration(plant.ready_configuration() if q0 is None else q0, "q0")

@@ -385,10 +385,10 @@ def _require_own(robot: Robot, sensor: Task) -> None:
 
 def _added(other: Robot, robot: Robot, servo: VelocityServo | None) -> Dynamics:
     require("adds_gravity", other, Robot, "the Robot whose gravity it adds, or None")
-    if other.nv != robot.nv or servo is not None:
+    if other.joint_names != robot.joint_names or other.nq != robot.nq or servo is not None:
         raise InvalidInputError(
-            f"adds_gravity must be of a robot with the {robot.nv} joints of {robot.name}, and "
-            f"without a servo, got {other.name} with {other.nv} and servo={servo!r}",
+            f"adds_gravity must be of a robot with the joints of {robot.name}, and without a "
+            f"servo, got {other.name} with {', '.join(other.joint_names)} and servo={servo!r}",
             given=other,
         )
     return Dynamics(other)

@@ -142,6 +142,8 @@ class Record:
         if law.adaptation is not None:
             theta_hat = law.learnt(run.state[which])
             theta = _true_parameters(law.adaptation.regressor, self._plant.robot)
+            if self._plant.adds_gravity is not None:  # the rest is what there is to learn
+                theta = theta - _true_parameters(law.adaptation.regressor, self._plant.adds_gravity)
             unlearnt = np.zeros(theta_hat.shape[1] - len(theta))  # forces that are not there
             theta_error = list(np.concatenate([theta, unlearnt]) - theta_hat)
         columns = run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error

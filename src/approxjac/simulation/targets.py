@@ -78,7 +78,6 @@ def first_state(
 
     Its initial state, unless another one is given.
     """
-    require_start(controller.task, wanted, measurement.x)
     state = controller.initial_state(measurement)
     if given is not None:
         state = as_array("state", given, state.shape)

@@ -27,13 +27,13 @@ def told(report: StabilityReport) -> str:
     if stays is not None and stays.radius:
         both = "start and target" if report.loop.target is None else "start"
         begins = (
-            f"Covers starts up to {stays.error:.2g} {unit} from their target ({both} within "
+            f"Covers starts at rest up to {stays.error:.2g} {unit} from their target ({both} within "
             f"{stays.radius:.2g} {_joint_unit(report)} of the region's middle)"
         )
     else:
         begins = "From no start is it proven that the arm stays in the region"
     return (
-        f"{begins}; those drawn here are {np.median(np.linalg.norm(e, axis=1)):.2g} {unit} away in "
+        f"{begins}; usual ones are {np.median(np.linalg.norm(e, axis=1)):.2g} {unit} away in "
         f"the median: {goes if share else 'of these nothing is proven'}."
     )
 

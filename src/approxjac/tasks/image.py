@@ -256,7 +256,7 @@ def _turn(images: Array) -> float:
 
 def _roundness(points: Array) -> float:
     """Return |`_turn`| of points (k, 3) as seen from the front; 0 of what is no plane polygon."""
-    if len(points) < 3:
+    if len(points) < 4:  # a triangle is often seen from either side
         return 0.0
     about = points - points.mean(axis=0)
     _, extent, axes = np.linalg.svd(about)
