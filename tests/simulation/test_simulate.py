@@ -140,7 +140,7 @@ def test_a_robot_that_adds_its_own_gravity_stands_without_torque(two_link):
     for what in (plant.require_ideal, plant.require_linear):
         with pytest.raises(InvalidInputError, match="gravity that it adds"):
             what("a test")
-    with pytest.raises(InvalidInputError, match="adds_gravity must be of a robot with the 2 joi"):
+    with pytest.raises(InvalidInputError, match="adds_gravity must be of a robot with the joi"):
         aj.Plant(two_link, adds_gravity=aj.load_robot("panda"))
 
 

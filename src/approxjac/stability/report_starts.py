@@ -27,8 +27,8 @@ def told(report: StabilityReport) -> str:
     if stays is not None and stays.radius:
         both = "start and target" if report.loop.target is None else "start"
         begins = (
-            f"Covers starts at rest up to {stays.error:.2g} {unit} from their target ({both} within "
-            f"{stays.radius:.2g} {_joint_unit(report)} of the region's middle)"
+            f"Covers starts at rest up to {stays.error:.2g} {unit} from their target ({both} "
+            f"within {stays.radius:.2g} {_joint_unit(report)} of the region's middle)"
         )
     else:
         begins = "From no start is it proven that the arm stays in the region"
