@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+import approxjac as aj
 from approxjac.realtime import SimulatedDriver, control
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -43,3 +44,19 @@ def run(driver, controller, duration=1.0, **options):
     plant = driver.driver.plant
     options = {"late": SLOW, **options}
     return control(driver, controller, goal(plant), duration, **options)
+
+
+class Around(aj.controllers.ControllerWrapper):
+    """A controller of somebody's own, which says nothing of itself."""
+
+    _memory = 0
+
+    def __init__(self, controller):
+        self._remember(locals())
+        self.controller = controller
+
+    def initial_state(self, measurement):
+        return self.controller.initial_state(measurement)
+
+    def step(self, state, measurement, target, dt):
+        return self.controller.step(state, measurement, target, dt)

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from rehearsal import START, Wrapped, driver_of, goal, run
+from rehearsal import START, Around, Wrapped, driver_of, goal, run
 
 import approxjac as aj
 from approxjac.errors import ControlError, InvalidInputError
@@ -113,17 +113,8 @@ def test_nothing_is_sent_once_the_watchdog_brakes(plant, controller, in_thread):
     assert driver.after == 0
 
 
-class Spoiling(aj.controllers.ControllerWrapper):
-    """A controller of somebody's own, whose commands become NaN."""
-
-    _memory = 0
-
-    def __init__(self, controller):
-        self._remember(locals())
-        self.controller = controller
-
-    def initial_state(self, measurement):
-        return self.controller.initial_state(measurement)
+class Spoiling(Around):
+    """Its commands become NaN."""
 
     def step(self, state, measurement, target, dt):
         after, answer = self.controller.step(state, measurement, target, dt)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from own_controller import OwnController
+from rehearsal import Around
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, law_of
@@ -253,22 +254,6 @@ def test_a_file_keeps_the_law_in_words(panda, tmp_path):
     del texts["law"]  # as older files are
     np.savez(path, texts=np.array(json.dumps(texts)), **arrays)
     assert aj.Trajectory.load(path).law == ""
-
-
-class Around(aj.controllers.ControllerWrapper):
-    """A controller of somebody's own, which says nothing of itself."""
-
-    _memory = 0
-
-    def __init__(self, controller):
-        self._remember(locals())
-        self.controller = controller
-
-    def initial_state(self, measurement):
-        return self.controller.initial_state(measurement)
-
-    def step(self, state, measurement, target, dt):
-        return self.controller.step(state, measurement, target, dt)
 
 
 def test_a_run_of_a_wrapper_of_ones_own_is_saved(tmp_path):

@@ -95,7 +95,7 @@ class StabilityReport:
 
     @property
     def certified_by(self) -> str | None:
-        """What certifies the loop as it runs, which is "sampled form", or None; see `reason`."""
+        """Return "sampled form" if that certifies the loop as it runs, else None; see `reason`."""
         return None if self.reason else "sampled form"
 
     @property
