@@ -85,7 +85,7 @@ class Sensing:
 
     @property
     def is_linear(self) -> bool:
-        """Return whether it only delays x and filters q̇, with nothing random, rounded or repeated."""
+        """Return whether it only delays x and filters q̇, nothing random, rounded or repeated."""
         if self.x_rate is not None or self.x_lost or self.x_frozen:
             return False
         others = (self.x_noise, self.x_quantum, self.x_dropout, self.q_noise, self.q_quantum)
