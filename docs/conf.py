@@ -64,6 +64,11 @@ def in_short(text):
     return text.replace("<factory>", "...")
 
 
+def shorten_types(app, what, name, member, options, lines):
+    """Types that napoleon puts beside the attributes of a class."""
+    lines[:] = [in_short(line) if line.startswith(":vartype") else line for line in lines]
+
+
 def list_outcomes(app, what, name, member, options, lines):
     """Members of an enum by name, each with what it says."""
     if isinstance(member, enum.EnumMeta):
@@ -77,7 +82,16 @@ def write_dashes(app, doctree):
         text.parent.replace(text, nodes.Text(" – "))
 
 
+def link_pictures(app, doctree):
+    """A picture leads to its file, which a phone can enlarge."""
+    cards = app.env.docname == "gallery"  # which are links as a whole
+    for picture in [] if cards else doctree.findall(nodes.image):
+        picture.setdefault("scale", 100)
+
+
 def setup(app):
     app.connect("autodoc-process-signature", short_signature)
+    app.connect("autodoc-process-docstring", shorten_types)
     app.connect("autodoc-process-docstring", list_outcomes)
     app.connect("doctree-read", write_dashes)
+    app.connect("doctree-read", link_pictures)

@@ -69,6 +69,22 @@ def test_every_page_is_reached_from_the_navigation(pages):
     assert {path.relative_to(SITE).as_posix() for path in own - reached} == set()
 
 
+def test_types_are_named_as_in_the_source(pages):
+    text = pages[SITE / "api" / "interface.html"].xpath("string(//article)")
+    assert "ndarray" not in text
+    assert "q (Array) – Joint configuration" in " ".join(text.split())
+
+
+def test_a_picture_leads_to_its_file(pages):
+    alone = [
+        f"{path.name}: {image.get('src')}"
+        for path, root in pages.items()
+        for image in root.xpath("//article//img")
+        if image.getparent().tag != "a" and path.name != "gallery.html"  # whose cards are links
+    ]
+    assert alone == []
+
+
 def test_no_formula_is_left_as_source(pages):
     formulas = 0
     for path, root in pages.items():

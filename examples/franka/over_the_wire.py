@@ -20,6 +20,7 @@ from approxjac.realtime import FrankaDriver
 FAR, DURATION = 0.12, 8.0  # m, s
 ALONE = {"cpu": min(os.sched_getaffinity(0)), "late": 0.5}  # the simulated robot has the last one
 LATE = {"noise": 1e-3, "rate": 60.0, "late": 0.03}  # of a camera: 1 mm, 60 Hz, 30 ms
+STIFF = 0.4  # s, for stiffer gains than by default: friction hides less of the error
 ROTORS = 0.1  # inertia of the drives as the joints feel them [kg m²]
 
 
@@ -28,7 +29,7 @@ def reach(robot, seed=0):
     driver = FrankaDriver(robot.address, Camera(robot.truth), realtime=False)
     belief = robot.arm.with_object(0.0)
     rest = aj.AdaptiveGravity(belief, theta0=0.0)  # of gravity, which the robot adds
-    law = aj.SetpointController(aj.PositionTask(belief), gravity=rest)
+    law = aj.SetpointController(aj.PositionTask(belief), gravity=rest, settling_time=STIFF)
     controller = aj.TorqueLimited(law, driver.limits)
     return aj.control(driver, controller, away(driver.read().x, seed), DURATION, **ALONE)
 

@@ -78,7 +78,7 @@ def test_the_rest_is_learnt_of_a_robot_that_adds_its_own_gravity():
     built = made(gravity="rest").build()
     assert built.plant.adds_gravity == built.law.task.robot != built.plant.robot
     done = built.run()
-    assert "beside the gravity that the robot adds" in " ".join(report.text(done).split())
+    assert "with the gravity that the robot adds" in " ".join(report.text(done).split())
     run = done.run
     assert not built.law.learnt(run.state[0]).any()
     last = run.error_norm[-1]

@@ -144,6 +144,32 @@ def test_a_robot_that_adds_its_own_gravity_stands_without_torque(two_link):
         aj.Plant(two_link, adds_gravity=aj.load_robot("panda"))
 
 
+@pytest.mark.parametrize("kind", [aj.Plant, aj.MujocoPlant])
+def test_gravity_that_a_robot_adds_is_as_if_it_were_sent(panda, kind):
+    told = panda.with_object(0.1, 0.5)
+    adds, plain = kind(panda, adds_gravity=told, friction=0.3), kind(panda, friction=0.3)
+    own, rng = aj.robots.Dynamics(told), np.random.default_rng(0)
+    least, most = panda.position_limits
+    for at_stop in (False, True):
+        q = least + rng.uniform(0.2, 0.8, 7) * (most - least)
+        q[3] = most[3] + 0.01 if at_stop else q[3]
+        v, tau = rng.normal(size=(2, 7))
+        given = adds.advance(q, v, tau, 1e-3, INTEGRATORS["rk4"])
+        same = plain.advance(q, v, tau + own.g(q), 1e-3, INTEGRATORS["rk4"])
+        assert_allclose(np.concatenate(given), np.concatenate(same), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("late", [{"dt": None}, {"actuator_delay": 4e-3}])
+def test_a_robot_that_adds_gravity_is_led_without_gravity(panda, late):
+    timing = {"dt": late.get("dt", 1e-3)}
+    plant = aj.Plant(panda, adds_gravity=panda, actuator_delay=late.get("actuator_delay", 0.0))
+    task = aj.PositionTask(panda.with_object(0.0))
+    law = aj.SetpointController(task, gravity=aj.NoGravity(task.robot))
+    q0 = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
+    run = aj.simulate(plant, law, task.value(q0) + 0.05, q0, 2.0, **timing)
+    assert run.error_norm[-1] < 1e-3
+
+
 def test_gravity_direction_is_the_plants():
     robot = aj.load_robot("two_link")
     q0 = np.array([0.3, 0.4])

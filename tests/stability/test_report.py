@@ -118,9 +118,12 @@ def test_report_says_at_once_for_which_starts_it_holds(report):
     told = " ".join(str(report).split("\n\n")[0].splitlines()[1:])
     stays, usual = report.attraction, np.linalg.norm(report_starts.usual_errors(report), axis=1)
     assert stays.error < 0.2 * np.median(usual)
+    both = "start" if report.loop.target is not None else "start and target"
+    within = f"{both} within {stays.radius:.2g} rad of the region's middle"
     assert told.startswith(
-        f"Covers starts at rest up to {stays.error:.2g} m from their target (start "
+        f"Covers starts at rest up to {stays.error:.2g} m from their target ({within})"
     )
+    assert f"holds from rest, {within} in every joint" in " ".join(str(report).split())
     assert f"; usual ones are {np.median(usual):.2g} m away in the median: " in told
     assert "from all of these the error goes to zero as long as the arm stays in the " in told
     slower = replace(report.sampled, level=0.1 * report.sampled.level)
@@ -571,6 +574,11 @@ def test_a_law_of_ones_own_is_not_certified_as_the_one_it_is_derived_from():
     errors = aj.Uncertainty(arm, lambda robot: aj.PositionTask(robot, axes="xz"))
     law = Pushed(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0), gravity=aj.NoGravity(arm))
     region = aj.JointBox.around(arm, [0.3, 0.8], 0.1)
-    for test in (aj.stability_report, aj.tolerance):
+    task = law.task
+
+    def V_and_W(law, *_):
+        return aj.stability.lyapunov(aj.Plant(arm, task), law, [0.3, 0.8], [0.0, 0.0], [0.5, 0.5])
+
+    for test in (aj.stability_report, aj.tolerance, V_and_W):
         with pytest.raises(aj.InvalidInputError, match="Pushed has another evaluate; rollouts"):
             test(law, errors, region)

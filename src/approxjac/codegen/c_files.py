@@ -81,7 +81,7 @@ def _period(controller: SetpointController | TorqueLimited) -> float:
     """Return the period that a controller was made for [s]; 1 ms where it does not say."""
     law = law_of(controller)
     assert isinstance(law, SetpointController)
-    if law.latency is None and isinstance(controller, TorqueLimited):
+    if isinstance(controller, TorqueLimited):
         return controller._dt
     return (law.latency or Latency()).period
 

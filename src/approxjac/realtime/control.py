@@ -112,7 +112,7 @@ def control(
             braked, and `given` is the run until then.
     """
     require("driver", driver, Driver, "a Driver, with read, send and brake")
-    plant = Plant(controller.task.robot, controller.task._measured, **_servo(controller))
+    plant = _believed(driver, controller)
     require_fit(plant, controller, driver.dt)
     require_able(driver, controller)
     wanted = wanted_of(controller.task, target, 0.0)
@@ -229,9 +229,15 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
     )
 
 
-def _servo(controller: Controller) -> dict[str, Any]:
-    """Return the options of a plant that takes what the controller commands."""
-    return {"servo": VelocityServo()} if controller.command == "velocity" else {}
+def _believed(driver: Driver, controller: Controller) -> Plant:
+    """Return the robot as it is believed to be, which takes what the controller commands."""
+    robot = controller.task.robot
+    options: dict[str, Any] = {}
+    if controller.command == "velocity":
+        options["servo"] = VelocityServo()
+    elif driver.adds_gravity:
+        options["adds_gravity"] = robot
+    return Plant(robot, controller.task._measured, **options)
 
 
 def _bounds(name: str, given: Any, task: Task, usual: Mapping[str, float], per: str = "") -> Array:

@@ -81,7 +81,7 @@ def text(result: Result) -> str:
         if math.isnan(torque)
         else f"{'asks for up to' if built.limits is None else 'up to'} "
         f"{100.0 * torque:.0f} % of the limits"
-        f"{'' if built.plant.adds_gravity is None else ', beside the gravity that the robot adds'}",
+        f"{'' if built.plant.adds_gravity is None else ', with the gravity that the robot adds'}",
         "law's status": shares(run.status_counts()),
     }
     if isinstance(law, SetpointController) and law.adaptation is not None:

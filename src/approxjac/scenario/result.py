@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from approxjac.controllers import TrackingController, law_of
 from approxjac.formatting import plain
 from approxjac.interface import LimitStatus, Status
+from approxjac.robots import Dynamics
 from approxjac.robots.joint_limits import beyond_positions
 from approxjac.scenario.build import BuiltScenario
 from approxjac.scenario.reachability import too_far
@@ -110,10 +112,19 @@ class Result:
 
     # -- limits -------------------------------------------------------------------------
 
+    @cached_property
+    def motor_torque(self) -> Array:
+        """Torque that the motors were asked for, with gravity that the robot adds, (N, n_v)."""
+        run, robot = self.run, self.built.plant.adds_gravity
+        if robot is None:
+            return run.tau
+        own = Dynamics(robot)
+        return np.array([tau + own.g(q) for tau, q in zip(run.tau, run.q, strict=True)])
+
     @property
     def peak_torque_ratio(self) -> float:
         """Largest torque asked for, as a share of what its motor delivers; NaN if not known."""
-        return _peak(self.run.tau, self.built.plant.motor_limits)
+        return _peak(self.motor_torque, self.built.plant.motor_limits)
 
     @property
     def peak_speed_ratio(self) -> float:
@@ -172,7 +183,7 @@ class Result:
         if stands and at_stop.any():
             return f"stands at the joint stops of {', '.join(np.array(run.joint_names)[at_stop])}"
         most = self.built.plant.motor_limits * (1.0 + 1e-9)  # solvers round
-        if mostly((np.abs(run.tau[last]) > most).any(axis=1)):
+        if mostly((np.abs(self.motor_torque[last]) > most).any(axis=1)):
             return "the law asks for more torque than the motors deliver"
         if mostly(run.limit_status[last] > LimitStatus.FREE):
             return self._held_back()
@@ -210,7 +221,7 @@ class Result:
         """Return what limits did at the end, and which."""
         run = self.run
         beyond = beyond_positions(self.built.plant.robot, run.q[-1:])[0]
-        weak = np.abs(run.tau[-1]) > 0.999 * self.built.plant.motor_limits
+        weak = np.abs(self.motor_torque[-1]) > 0.999 * self.built.plant.motor_limits
         limits = [
             f"the {kind} limits of {', '.join(np.array(run.joint_names)[there])}"
             for kind, there in (("position", beyond > -_AT_LIMIT), ("torque", weak))

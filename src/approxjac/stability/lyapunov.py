@@ -10,7 +10,7 @@ from approxjac import law
 from approxjac.controllers import SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
-from approxjac.stability.region import require_seen, require_setpoint
+from approxjac.stability.region import require_seen, require_torque_of_the_laws
 from approxjac.tasks.analysis import require_jacobian_of_q
 from approxjac.validation import Array, as_array, as_number, require
 
@@ -52,13 +52,13 @@ def lyapunov(
             is learnt, shape (p,); `GravityRegressor.fit` finds them.
 
     Raises:
-        InvalidInputError: A controller of law (5); one that learns gravity without `state` and
-            `theta`, or with another α; another task than the sensor's, or one whose Jacobian uses
-            the measured x; a q that the sensor does not see; a singular Ĵ; a plant with Coulomb
-            friction, sensing, actuator delay or torque limits.
+        InvalidInputError: A controller of law (5), or of your own; one that learns gravity
+            without `state` and `theta`, or with another α; another task than the sensor's, or one
+            whose Jacobian uses the measured x; a q that the sensor does not see; a singular Ĵ; a
+            plant with Coulomb friction, sensing, actuator delay or torque limits.
     """
     require("plant", plant, Plant, "a Plant")
-    require_setpoint(controller)
+    require_torque_of_the_laws(controller)
     plant.require_task(controller.task)
     plant.require_ideal("the Lyapunov function")
     alpha = controller.alpha if alpha is None else alpha

@@ -345,8 +345,8 @@ def require_setpoint(controller: SetpointController) -> None:
     require("controller", controller, SetpointController, wanted)
 
 
-def require_law(controller: SetpointController) -> None:
-    """Refuse a controller whose closed loop is neither eq. (9) nor that of (28), (29)."""
+def require_torque_of_the_laws(controller: SetpointController) -> None:
+    """Refuse a class that is derived from `SetpointController` and returns another torque."""
     require_setpoint(controller)
     own = [
         name
@@ -359,6 +359,11 @@ def require_law(controller: SetpointController) -> None:
             f"{type(controller).__name__} has another {' and '.join(own)}; rollouts judge any law",
             given=controller,
         )
+
+
+def require_law(controller: SetpointController) -> None:
+    """Refuse a controller whose closed loop is neither eq. (9) nor that of (28), (29)."""
+    require_torque_of_the_laws(controller)
     if controller.velocity is not None or controller.posture is not None:
         raise InvalidInputError(
             "the conditions are those of the laws (6) and (28) without a posture torque, got "

@@ -25,10 +25,9 @@ def told(report: StabilityReport) -> str:
     of_these = "all" if share == 1.0 else f"{percent(share)} %"
     goes = f"from {of_these} of these the error goes to zero as long as the arm stays in the region"
     if stays is not None and stays.radius:
-        both = "start and target" if report.loop.target is None else "start"
         begins = (
-            f"Covers starts at rest up to {stays.error:.2g} {unit} from their target ({both} "
-            f"within {stays.radius:.2g} {_joint_unit(report)} of the region's middle)"
+            f"Covers starts at rest up to {stays.error:.2g} {unit} from their target "
+            f"({_within(report)} of the region's middle)"
         )
     else:
         begins = "From no start is it proven that the arm stays in the region"
@@ -68,11 +67,17 @@ def staying(report: StabilityReport) -> tuple[str, str, str]:
     if found is None or not found.radius:
         return name, "assumed", "from no start is it proven that the arm stays in the region"
     figures = (
-        f"holds from rest if start and target are within {found.radius:.2g} {_joint_unit(report)} "
-        f"of the region's middle in every joint (errors of up to {found.error:.2g} "
-        f"{_unit(report)}); assumed elsewhere"
+        f"holds from rest, {_within(report)} of the region's middle in every joint (errors of up "
+        f"to {found.error:.2g} {_unit(report)}); assumed elsewhere"
     )
     return name, "in part", figures
+
+
+def _within(report: StabilityReport) -> str:
+    """Return what must be near the region's middle: the start, and a target that is not fixed."""
+    assert report.attraction is not None
+    both = "start and target" if report.loop.target is None else "start"
+    return f"{both} within {report.attraction.radius:.2g} {_joint_unit(report)}"
 
 
 def _unit(report: StabilityReport) -> str:
