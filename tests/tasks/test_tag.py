@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
+from approxjac.controllers import KnownKinematics
 from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.extras import package_of
 from approxjac.robots import Dynamics
@@ -165,8 +166,8 @@ def test_corners_in_the_order_of_pupil_apriltags_are_refused(panda):
     combined = CombinedTask(believed(sensor, 30.0, 1.2), np.eye(6, 8))
     stacked = aj.StackedTask(combined, aj.PositionTask(panda, "panda_link4", axes="z"))
     z = stacked.value(Q)[-1:]
-    for task, more in ((combined, []), (stacked, z)):
-        law = held(task)
+    follows = aj.TrackingController(combined, kinematics=KnownKinematics(combined))
+    for law, more in ((held(combined), []), (held(stacked), z), (follows, [])):
         law.initial_state(at(Q, np.append(x, more)))
         with pytest.raises(aj.InvalidInputError, match=r"^x must .* pupil.*corners\[::-1\]"):
             law.initial_state(at(Q, np.append(the_other_way(x), more)))

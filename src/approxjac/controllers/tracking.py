@@ -31,7 +31,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import require_controllable, vanishing
+from approxjac.tasks.analysis import require_as_believed, require_controllable, vanishing
 from approxjac.validation import Array, as_limits, as_number, as_vector, require
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
@@ -187,10 +187,11 @@ class TrackingController(ProvenLaw):
         """Return the state before the first step.
 
         Raises:
-            InvalidInputError: A measurement of the wrong shapes.
+            InvalidInputError: A measurement of the wrong shapes, or of mirrored corners.
         """
         state, x_d = np.zeros(self._n_state), np.zeros(self.task.n_x)
-        _, v, _ = require_arrays(state, measurement, x_d, self.task, self._n_state)
+        q, v, x = require_arrays(state, measurement, x_d, self.task, self._n_state)
+        require_as_believed(self.task, q, x)
         if self._commands is None:
             state[: self._n_dynamics] = self.dynamics.initial_state()
         else:
