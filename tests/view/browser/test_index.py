@@ -11,6 +11,7 @@ from approxjac import view
 
 PAGE = """<!doctype html><head><meta name="generator" content="approxjac">
 <meta name="description" content="error: 3 &lt; 4"><title>{}</title></head>"""
+LONG = "4. Seven joints keep their posture, of a Panda and then of an xArm7"
 
 
 def test_it_links_the_pages_of_runs_in_their_order(tmp_path):
@@ -69,11 +70,11 @@ def test_a_folder_without_pages_is_refused(tmp_path):
 
 def test_a_table_opens_the_index(tmp_path, open_page):
     (tmp_path / "fig3.html").write_text(PAGE.format("Figure 3: K_v < 1"), encoding="utf-8")
-    rows = {"": ["figure", "verdict"], "fig3.html": ["Figure 3", "K_v too <small>"]}
+    rows = {"": ["figure", "verdict"], "fig3.html": [LONG, "K_v too <small>"]}
     index = view.write_index(tmp_path, table=rows)
     assert "<td" in index.read_text(encoding="utf-8").partition("<li>")[0]
     page = open_page(index, (400, 800))
-    assert page.locator("td").all_inner_texts() == ["Figure 3", "Kv too <small>"]
+    assert page.locator("td").all_inner_texts() == [LONG, "Kv too <small>"]
     assert page.evaluate("document.documentElement.scrollWidth") == 400
     page.locator("td a").click()
     assert page.url.endswith("fig3.html")
