@@ -17,6 +17,7 @@ from approxjac.errors import ControlError, InvalidInputError
 from approxjac.realtime import Fault, RobotRun, SimulatedDriver, control
 from approxjac.realtime.start_checks import require_near
 from approxjac.view.browser.document import _legend
+from approxjac.view.browser.page import page
 
 
 def test_it_brings_the_tip_there_and_brakes(plant, controller):
@@ -43,6 +44,19 @@ def test_a_run_is_saved_whole(plant, controller, tmp_path):
     assert "its time was over" in str(again)
     plain = aj.Trajectory.load(tmp_path / "run.npz")
     assert_array_equal(plain.q, found.q)
+    assert (plain.ended, plain.fault_name) == (found.ended, "")
+    assert "its time was over" in str(plain)
+
+
+def test_a_page_says_why_a_robots_run_ended(plant, controller):
+    found = run(driver_of(plant), controller, 0.05)
+    text = page(found)
+    assert '<p id="alarm" role="alert"></p>' in text
+    assert "ended: its time was over: brought to rest" in text.split("<title>")[0]
+    why = "SENSOR_FROZEN: the joints move, and x does not; braked at once"
+    text = page(dataclasses.replace(found, fault_name="SENSOR_FROZEN", ended=why), "Monday")
+    assert f'<p id="alarm" role="alert">{why}</p>' in text
+    assert "<title>SENSOR_FROZEN: Monday</title>" in text
 
 
 def test_long_runs_keep_their_last_second(plant, controller):

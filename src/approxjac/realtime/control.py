@@ -219,9 +219,9 @@ def _run_of(loop: RobotLoop, why: str) -> RobotRun:
     done = slice(1, max(loop.step, 1))
     kept = {field.name: getattr(run, field.name) for field in fields(Trajectory)}
     return RobotRun(
-        **kept | {"error": loop.errors, "scene": scene},
-        ended=why,
-        fault_name="" if fault is None else fault.name,
+        **kept
+        | {"error": loop.errors, "scene": scene, "ended": why}
+        | {"fault_name": "" if fault is None else fault.name},
         stop_distance=float(loop.stop_distance),
         stop_bound=float(loop.stop_bound),
         gap=loop.gaps[done].astype(float),

@@ -24,8 +24,6 @@ class RobotRun(Trajectory):
     taken, as `Measurement.t_x` tells; without it to the target of the same instant.
 
     Attributes:
-        ended: Why it ended, in words.
-        fault_name: Of the `Fault` that ended it; "" without one.
         stop_distance: How far x went from the call for a controlled stop until the brake, NaN
             without one [length in the units of the task].
         stop_bound: How far it may go: the error then, the way of the target that comes to rest,
@@ -34,16 +32,12 @@ class RobotRun(Trajectory):
         work: Time from the measurement to the command in each, shape (K,) [s].
     """
 
-    ended: str = field(kw_only=True)
-    fault_name: str = field(kw_only=True)
     stop_distance: float = field(kw_only=True)
     stop_bound: float = field(kw_only=True)
     gap: Array = field(kw_only=True)
     work: Array = field(kw_only=True)
     _more_arrays: ClassVar[tuple[str, ...]] = ("gap", "work")
-    _more_texts: ClassVar[tuple[str, ...]] = (
-        "ended", "fault_name", "stop_distance", "stop_bound",
-    )  # fmt: skip
+    _more_texts: ClassVar[tuple[str, ...]] = ("stop_distance", "stop_bound")
 
     @property
     def fault(self) -> Fault | None:
@@ -65,7 +59,7 @@ class RobotRun(Trajectory):
         return f"target led {way:.3g} {self.task_unit} away from the start, {error}"
 
     def __str__(self) -> str:
-        told = {"ended": self.ended}
+        told = {}
         if np.isfinite(self.stop_distance):
             told["stop"] = (
                 f"within {self.stop_distance:.3g} {self.task_unit} "

@@ -335,7 +335,7 @@ class Robot(Immutable):
 
         Mesh files are named by their full path, so the file is meant for this machine. Collision
         meshes in formats that MuJoCo does not read are converted to STL, into a folder beside the
-        file. Gravity is not part of URDF and is not written.
+        file. A URDF tells neither gravity nor the tip: `load_robot(path, tip=robot.tip)`.
 
         Args:
             path: File to write; its folder must exist.

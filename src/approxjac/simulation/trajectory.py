@@ -48,6 +48,8 @@ class Trajectory:
         task_units: Their units, length m.
         scene: Who took part, to draw the run with; None if that is not known.
         derived: Returns V, task torque, σ_min or law of a run, by name, when they are asked for.
+        ended: Why a run on a robot ended, in words; "" of others.
+        fault_name: Of the `Fault` that ended it; "" without one.
     """
 
     t: Array
@@ -69,6 +71,8 @@ class Trajectory:
     task_units: tuple[str, ...]
     scene: Scene | None = None
     derived: Callable[[Trajectory, str], Any] = field(kw_only=True)
+    ended: str = field(default="", kw_only=True)
+    fault_name: str = field(default="", kw_only=True)
     _more_arrays: ClassVar[tuple[str, ...]] = ()  # of what derives from it, in its files too
     _more_texts: ClassVar[tuple[str, ...]] = ()
 
@@ -185,7 +189,7 @@ class Trajectory:
         """
         path = _npz(path)
         arrays = {name: getattr(self, name) for name in (*_ARRAYS, *self._more_arrays)}
-        texts = {name: getattr(self, name) for name in (*_TEXTS, *self._more_texts)}
+        texts = {name: getattr(self, name) for name in (*_TEXTS, *_ENDS, *self._more_texts)}
         texts["law"] = self.law
         texts["scene"] = None if self.scene is None else self.scene.to_dict()
         try:
@@ -210,9 +214,11 @@ class Trajectory:
             with path.open("rb") as stream:
                 arrays = read_arrays(stream, ("texts", *_ARRAYS, *cls._more_arrays))
             texts = json.loads(str(arrays.pop("texts")))
+            ends = {name: texts.get(name, "") for name in _ENDS}
             law = texts.get("law", "")  # which older files do not have
-            if not isinstance(law, str):
-                raise ValueError("its law is no text")
+            for name, text in {"law": law, **ends}.items():
+                if not isinstance(text, str):
+                    raise ValueError(f"its {name} is no text")
             known = (*_TEXTS, *cls._more_texts, "scene")
             texts = {name: texts[name] for name in known}
             scene = texts.pop("scene")
@@ -220,7 +226,7 @@ class Trajectory:
                 texts[name] = tuple(texts[name])
             derived = partial(_read, {name: arrays.pop(name) for name in _DERIVED} | {"law": law})
             scene = None if scene is None else Scene.from_dict(scene)
-            run = cls(**arrays, **texts, scene=scene, derived=derived)
+            run = cls(**arrays, **texts, **ends, scene=scene, derived=derived)
             run._require_shapes()
             return run
         except FileNotFoundError as error:
@@ -278,6 +284,8 @@ class Trajectory:
             told["limits' status"] = shares(self.limit_status_counts())
         if self.at_stops:
             told["stops"] = self.stops_told()
+        if self.ended:
+            told["ended"] = self.ended
         return "\n".join([*wrapped(self._error_told()), *rows(told, 2)])
 
     def _error_told(self) -> str:
@@ -325,8 +333,9 @@ def _npz(path: str | Path) -> Path:
 
 
 _TEXTS = ("robot_name", "joint_names", "joint_units", "task_labels", "task_units")
+_ENDS = ("ended", "fault_name")  # of runs on robots
 _NUMBERS = (np.dtype(np.float64), np.dtype(np.int64))
 _DERIVED = ("task_torque", "V", "sigma_min")
-_OTHERS = (*_TEXTS, "scene", "derived")
+_OTHERS = (*_TEXTS, *_ENDS, "scene", "derived")
 _OWN = tuple(f.name for f in fields(Trajectory) if f.name not in _OTHERS)
 _ARRAYS = (*_OWN, *_DERIVED)

@@ -109,9 +109,12 @@ def document(data: Mapping[str, Any], *scripts: str) -> str:
     # "</script" would end the element that it stands in, and "<!--" change how it is read
     values = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     ended = [part.replace("</script", "<\\/script") for part in code]
+    alarm = str(data.get("alarm", ""))
+    facts = [f"{name}: {said}" for name, said in data["facts"]]
     parts = {
         "title": html.escape(str(data["title"])),
-        "description": html.escape("; ".join(f"{name}: {said}" for name, said in data["facts"])),
+        "alarm": html.escape(alarm),
+        "description": html.escape("; ".join([alarm] * bool(alarm) + facts)),
         "css": asset("uPlot.min.css") + asset("page.css"),
         "data": values,
         "licences": "\n\n".join(licences).replace("<", "(").replace(">", ")"),

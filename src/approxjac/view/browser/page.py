@@ -137,7 +137,10 @@ def page(run: Trajectory, title: str | None = None) -> str:
         )
     stage, kept = Stage(run.scene), _thinned(run.t, run.q)
     columns = Frames(run.scene).columns(run, kept)
-    return document(page_data(stage, run, columns, run.q[kept], title, _facts(run)))
+    data = page_data(stage, run, columns, run.q[kept], title, _facts(run))
+    if run.fault_name:  # in the tab, in an index, and above all else
+        data |= {"title": f"{run.fault_name}: {data['title']}", "alarm": run.ended}
+    return document(data)
 
 
 def open_browser(url: str) -> bool:
@@ -171,7 +174,7 @@ def _thinned(t: Array, q: Array) -> Any:
 def _facts(run: Trajectory) -> list[tuple[str, str]]:
     """Return how the run ended and what was unusual in it, each a name and a text."""
     units = [display_unit(unit) for unit in run.task_units]
-    facts = []
+    facts = [("ended", run.ended)] if run.ended and not run.fault_name else []
     for unit in dict.fromkeys(name for name, _ in units):
         rows = [i for i, (name, _) in enumerate(units) if name == unit]
         scaled = run.error[:, rows] * [units[i][1] for i in rows]
