@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import re
+import shlex
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,9 +18,11 @@ from approxjac.scenario import Scenario
 from approxjac.scenario import gains as study_gains
 from approxjac.scenario import stability as study
 from approxjac.scenario import stability_report as report
+from approxjac.scenario.build import BuiltScenario
 from approxjac.stability import Suggestion, Tolerance, stability_map, tolerance
 from approxjac.stability.suggestion import Candidate
 
+ROOT = Path(__file__).parents[2]
 AROUND = ("0", "-0.5", "0", "-2", "0", "1.8", "0")
 NOT_TOLERATED = Tolerance("matrix", 0.0, 0.0, np.zeros(1), None)
 QUICK = ["--configurations", "40", "--runs", "1", "--map-points", "2", "--map-runs", "0"]
@@ -420,3 +424,41 @@ def test_a_map_says_of_its_own_point_what_the_report_does():
     assert (found.matrix[coarse] > 0.0) == certified
     first, *_ = report.told_of_map(result, Path("out"))
     assert first.startswith("map: tests at 25 points; the matrix form at 9 of them, between which")
+
+
+def _shell_commands():
+    """Commands of pages that only shells run: those of console blocks are run as tests."""
+    for page in [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"]:
+        for block in re.findall(r"^```sh\n(.*?)^```", page.read_text("utf-8"), re.M | re.S):
+            for line in block.splitlines():
+                if line.startswith(("approxjac stability ", "approxjac simulate ")):
+                    yield pytest.param(shlex.split(line)[1:], id=f"{page.name}: {line[:60]}")
+
+
+@pytest.mark.parametrize("words", list(_shell_commands()))
+def test_commands_of_the_pages_get_as_far_as_the_work(words, tmp_path, monkeypatch):
+    class Works(Exception):
+        pass
+
+    def work(*_, **__):
+        raise Works
+
+    tube = SimpleNamespace(q=np.zeros((1, 7)))  # of a run that was made before
+    monkeypatch.setattr(study.Trajectory, "load", lambda path: tube)
+    monkeypatch.setattr(study, "analyse", work)
+    monkeypatch.setattr(study_gains, "suggest_gains", work)
+    monkeypatch.setattr(BuiltScenario, "run", work)
+    monkeypatch.chdir(tmp_path)
+    words = [str(ROOT / word) if (ROOT / word).is_file() else word for word in words]
+    with pytest.raises(Works):
+        main([word for word in words if word != "--view"])
+
+
+def test_joint_errors_are_of_the_arm_whose_tip_the_law_commands():
+    given = {"joint_shifts": {"joint1": (0.0, 0.0, 0.02)}}
+    scenario = Scenario("two_link").with_values({"stability": given})
+    loop = study.prepare(scenario)
+    assert loop.truth.names == ("joint1 shift z",)  # and no object that nobody asked for
+    task, sensor = loop.controller.task, loop.truth.plant([0.02]).sensor
+    assert sensor.frame == task.frame
+    assert sensor.value([0.0, 0.0]) - task.value([0.0, 0.0]) == pytest.approx([0.0, 0.02])

@@ -15,7 +15,7 @@ from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.interface import Controller
 from approxjac.robots import Robot
 from approxjac.scenario.analysis import Analysis
-from approxjac.scenario.build import BuiltScenario, build, loaded_arm, sensing_of
+from approxjac.scenario.build import BuiltScenario, build, holding, loaded_arm, sensing_of
 from approxjac.scenario.configurations import configuration_of
 from approxjac.scenario.control import latency_of, limits_of
 from approxjac.scenario.scenario import Scenario
@@ -192,6 +192,9 @@ def _truth(arm: Robot, built: BuiltScenario, analysis: Analysis) -> Uncertainty 
         return Plant(built.plant.robot, sensor, friction)
     if believed.shifts or believed.rotations:
         arm = arm.with_kinematic_error(believed.shifts, believed.rotations)
+    held = believed.object
+    if not (analysis.object_length or analysis.object_mass or held.length or held.mass):
+        arm = holding(arm, held.like(built.scenario.true.object), {}, {})  # whose tip the law has
     make: Callable[..., Task] = task.on
     if isinstance(sensor, ImageTask):
         make = partial(_image_task, sensor, C)
