@@ -364,11 +364,66 @@ def test_suggested_gains_are_written_as_a_scenario_that_is_taken(tmp_path, monke
     found = Suggestion("matrix", candidate, (), (candidate,))
     monkeypatch.setattr(study_gains, "suggest_gains", lambda *args, **options: found)
     errors = ["--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius", "0.1"]
-    given = ["--settling-time", "2", "--suggest-gains"]
+    given = ["--settling-time", "2", "--suggest-gains", "--configurations", "20"]
     assert stability(tmp_path, "two_link", *errors, *given) == 0
     assert "settling_time" not in (tmp_path / "scenario.toml").read_text(encoding="utf-8")
     built = Scenario.load(tmp_path / "scenario.toml").build()
     np.testing.assert_array_equal(built.law.diagonals.damping, [2.0, 2.0])
+
+
+def test_suggested_gains_are_said_to_be_of_known_gravity_where_it_is_learnt(
+    tmp_path, monkeypatch, capsys
+):
+    """What is printed is what the report of the scenario that is written says."""
+    candidate = Candidate(aj.Gains(100.0, 20.0, 2.0), 0.2, torque_ratio=0.5, settling_time=1.47)
+    found = Suggestion("matrix", candidate, (), (candidate,))
+    monkeypatch.setattr(study_gains, "suggest_gains", lambda *args, **options: found)
+    given = [
+        "two_link", "--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius", "0.1",
+        "--configurations", "20", "--suggest-gains", "--gravity", "learnt",
+    ]  # fmt: skip
+    code = stability(tmp_path, *given)
+    shown = capsys.readouterr().out
+    loop = study.prepare(scenario := Scenario.load(tmp_path / "scenario.toml"))
+    own = study.tested(scenario, loop)
+    assert shown.splitlines()[0].endswith(" as if gravity were known")
+    assert f"with gravity learnt: {own.verdict()}" in " ".join(shown.split())
+    assert "--gravity exact" in shown
+    assert code == (not own.passed)
+    scales = {"matrix": NOT_TOLERATED}
+    *_, following = report.advice(study.StabilityResult(scenario, failing(own), scales))
+    assert following.startswith("next: --gravity exact, which tells what is certified as if ")
+    assert "--suggest-gains" not in following
+
+
+def failing(own):
+    """A report that no family certifies, as where learning is fast."""
+    none = {
+        family: dataclasses.replace(test, margins=np.full_like(test.margins, -1.0))
+        for family, test in own.matrix.items()
+    }
+    first = dataclasses.replace(own.theorem1, p=9.0)
+    failed = dataclasses.replace(own, matrix=none, theorem1=first)
+    assert not failed.passed
+    return failed
+
+
+def test_without_gains_no_scenario_is_written(tmp_path, monkeypatch, capsys):
+    candidate = Candidate(aj.Gains(100.0, 20.0, 2.0), 0.2, torque_ratio=0.5, settling_time=1.47)
+    failed = SimpleNamespace(passed=False, reason="errors grow")
+    monkeypatch.setattr(study_gains, "tested", lambda *args: failed)
+    none = Suggestion("matrix", None, ("with 1.18 times the torque limits: K_p 9",), (candidate,))
+    wrong = Suggestion("matrix", candidate, (), (candidate,))  # which the report does not certify
+    for found, said in ((none, "that meet all demands"), (wrong, "that a report of all ")):
+        monkeypatch.setattr(study_gains, "suggest_gains", lambda *args, found=found, **_: found)
+        errors = ["--object-length", "0", "0.1", "--around", "0.3", "1.0", "--radius", "0.1"]
+        code = stability(tmp_path, "two_link", *errors, "--configurations", "20", "--suggest-gains")
+        assert code == 1
+        assert not (tmp_path / "scenario.toml").exists()
+        assert not json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["found"]
+        shown = capsys.readouterr().out
+        assert shown.startswith(f"gains: none found {said}")
+        assert "without gains there is no scenario.toml" in shown
 
 
 def test_what_takes_long_is_told_once_where_no_bar_is_shown(capsys):

@@ -37,9 +37,9 @@ def stability(
 
     Args:
         scenario: The scenario.
-        suggest_gains: Find gains with which the errors are certified, in place of a report. They
-            settle within --settling-time, 1 s by default, and within --limits; scenario.toml has
-            them then.
+        suggest_gains: Find gains with which the errors are certified where gravity is known, in
+            place of a report. They settle within --settling-time, 1 s by default, and within
+            --limits; scenario.toml has them, and is written only where some are found.
         jobs: How many processes share the rollouts.
         out: Folder for figure1, workspace and map as .png and .svg, summary.json, scenario.toml.
     """
@@ -78,7 +78,12 @@ def _suggest(scenario: Scenario, out: Path) -> int:
         result = gains.suggested(scenario, partial(bar.tell, "gains"))
     gains.write(result, out)
     print(gains.text(result))
+    if result.report is None:
+        print(f"\nsummary.json is in {out}; without gains there is no scenario.toml")
+        return 1
     print(f"\nsummary.json and scenario.toml are in {out}")
-    if result.found.found is not None:
-        print(f"Its report: approxjac stability {out / 'scenario.toml'}")
-    return 0 if result.found.found is not None else 1
+    its = f"approxjac stability {out / 'scenario.toml'}"
+    print(f"Its report: {its}")
+    if result.needs_known_gravity:
+        print(f"As if gravity were known: {its} --gravity exact")
+    return 0 if result.report.passed else 1

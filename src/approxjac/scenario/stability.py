@@ -132,14 +132,8 @@ def analyse(
     }  # fmt: skip
     runs = analysis.runs if isinstance(loop.truth, Uncertainty) else 0
     as_it_runs = rollout_options(scenario, controller)
-    limits = limits_of(scenario, controller.task.robot)
-    limited: SetpointController | TorqueLimited = controller
-    if limits is not None:  # a report looks at efforts alone
-        limited = TorqueLimited(controller, Limits(effort=limits.effort))
-    report = stability_report(
-        limited, loop.truth, executor=executor, progress=tell, runs=runs, **drawn,
-        **as_it_runs if runs else {},
-    )  # fmt: skip
+    more = {"executor": executor, "runs": runs, **as_it_runs} if runs else {}
+    report = tested(scenario, loop, progress=tell, **more)
     found(report)
     if uncertainty is None:
         return StabilityResult(scenario, report)
@@ -166,6 +160,19 @@ def analyse(
         if analysis.map_by == "tests":
             map_ = _as_reported(map_, report)
     return StabilityResult(scenario, report, tolerances, damping, part, map_)
+
+
+def tested(scenario: Scenario, loop: ClosedLoop, **options: Any) -> StabilityReport:
+    """Return the tests of a loop that `prepare` made; options are those of `stability_report`."""
+    controller, analysis = loop.controller, scenario.stability
+    limits = limits_of(scenario, controller.task.robot)
+    limited: SetpointController | TorqueLimited = controller
+    if limits is not None:  # a report looks at efforts alone
+        limited = TorqueLimited(controller, Limits(effort=limits.effort))
+    return stability_report(
+        limited, loop.truth, loop.region, target=loop.target, latency=latency_of(scenario),
+        configurations=analysis.configurations, seed=scenario.run.seed, **options,
+    )  # fmt: skip
 
 
 def rollout_options(scenario: Scenario, controller: Controller) -> dict[str, Any]:

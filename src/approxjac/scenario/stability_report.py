@@ -134,7 +134,13 @@ def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> list[str]
     """Return what was tried and found nothing, and what to do next where nothing is certified."""
     lines, steps = [], ["a smaller --radius around a configuration (--around)"]
     if uncertainty is not None:
-        steps.insert(0, "--suggest-gains, in place of --kp, --kv and --damping")
+        learns = result.report.loop.controller.adaptation is not None
+        steps.insert(
+            0,
+            "--gravity exact, which tells what is certified as if gravity were known"
+            if learns  # of which gains that are found would say nothing
+            else "--suggest-gains, in place of --kp, --kv and --damping",
+        )
         least, most = uncertainty.low, uncertainty.high
         if (abs(least + most - 2.0 * uncertainty.believed) > 0.2 * (most - least)).any():
             middle = dict(zip(uncertainty.names, 0.5 * (least + most), strict=True))

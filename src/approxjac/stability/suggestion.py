@@ -267,13 +267,13 @@ def _relaxations(
     if known := [c for c, _, torque, time in met if torque and time]:
         best = max(known, key=lambda c: c.margin)
         if share := tolerated(best.gains):
-            lines.append(f"the errors: {share:.2g} of them pass with {best}")
+            lines.append(f"with {share:.2g} of the errors: {best}")
     known = sorted((c for c, test, _, time in met if test and time), key=lambda c: c.torque_ratio)
     if found := first_that_passes(known):
-        lines.append(f"the torque limits: {found.torque_ratio:.3g} times them: {found}")
+        lines.append(f"with {found.torque_ratio:.3g} times the torque limits: {found}")
     known = sorted((c for c, test, torque, _ in met if test and torque), key=_time)
     if found := first_that_passes(known):
-        lines.append(f"the settling time: {found.settling_time:.3g} s: {found}")
+        lines.append(f"with a settling time of {found.settling_time:.3g} s: {found}")
     if lines:
         return tuple(lines)
     in_time, gentle = ({c for c, *each in met if each[k]} for k in (2, 1))
