@@ -37,7 +37,10 @@ def consequences(result: StabilityResult) -> str:
     verdict, *more = advice(result)
     lines = [*wrapped(verdict), *(line for each in more for line in wrapped(each, "- "))]
     if result.tolerances:
-        lines += ["", *wrapped("in continuous time, by a search on fewer configurations:")]
+        told = (
+            "in continuous time, by a search on fewer configurations; a report confirms it or not:"
+        )
+        lines += ["", *wrapped(told)]
         lines += [str(each) for each in result.tolerances.values()]
     return "\n".join(lines)
 

@@ -26,8 +26,8 @@ Test = Literal["theorem1", "matrix", "local", "rollouts"]
 TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")
 """The tests that need no simulation."""
 _WORDS = {
-    "theorem1": "Theorem 1 (a certificate)",
-    "matrix": "the matrix form (a certificate)",
+    "theorem1": "Theorem 1 (not checked in other configurations)",
+    "matrix": "the matrix form (not checked in other configurations)",
     "local": "the linearisation (near targets only)",
     "rollouts": "rollouts (no proof)",
 }
@@ -93,8 +93,11 @@ def tolerance(
 ) -> dict[Test, Tolerance]:
     """Find the largest scaling of a set of errors for which each test still passes.
 
-    Theorem 1 and the matrix form certify, in continuous time, motions that stay in the region; the
-    local test speaks of what begins near its target only, and rollouts prove nothing.
+    Theorem 1 and the matrix form are about motions that stay in the region, in continuous time. The
+    configurations that choose the Lyapunov function are the only ones it is tried in: this finds
+    how large errors may be about, and `stability_report`, which checks it in others, may find none
+    a little below. The local test speaks of what begins near its target only, and rollouts prove
+    nothing.
 
     A region with a configuration where Ĵ loses rank passes neither of the first two tests, at any
     scale.
