@@ -268,6 +268,35 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert "learnt parameters" not in str(known)
 
 
+def test_a_gravity_of_ones_own_is_judged_by_what_it_returns():
+    scratch = np.empty(7)
+
+    class Own(aj.controllers.ModelGravity):
+        share = 1.0
+
+        def torque(self, q):
+            np.multiply(self.share, super().torque(q), out=scratch)
+            return scratch  # the same memory at each call
+
+    class Weak(Own):
+        share = 0.9
+
+    arm = aj.load_robot("panda")
+    region = aj.JointBox.around(arm, Q, 0.3)
+    drawn = region.sample(5, np.random.default_rng(0))
+    most = max(np.abs(aj.Plant(arm).dynamics.g(q)).max() for q in drawn)
+    for gravity, off in ((Own(arm), 0.0), (Weak(arm), 0.1)):
+        law = aj.SetpointController(
+            aj.PositionTask(arm), aj.Gains(400.0, 80.0, 5.0), gravity=gravity
+        )
+        found = ClosedLoop(law, arm, region).gravity_error(drawn)
+        assert_allclose(found, off * most, atol=1e-9)
+    report = aj.stability_report(law, arm, region, configurations=20)
+    assert not report.gravity_is_exact
+    assert report.certified_by is None
+    assert "gravity by Weak" in " ".join(str(report).split())
+
+
 def test_progress_tells_what_is_being_done(report, seen):
     assert {"configurations", "matrix form", "local"} <= {what for what, _ in seen}
     assert all(0.0 <= share <= 1.0 for _, share in seen)

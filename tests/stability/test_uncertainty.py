@@ -47,6 +47,19 @@ def everything(arm):
     )
 
 
+def test_a_derived_class_may_not_say_itself_what_its_coordinates_are():
+    with pytest.raises(InvalidInputError, match="got Stretch with units, high of its own; give jo"):
+
+        class Stretch(aj.Uncertainty):
+            units, high = ("",), np.array([0.05])
+
+    class Greasy(aj.Uncertainty):  # of its own elsewhere
+        def plant(self, values):
+            return aj.Plant(super().plant(values).robot, friction=0.3)
+
+    assert Greasy(aj.load_robot("two_link"), PLANE, object_length=(0.0, 0.2)).d == 1
+
+
 def test_names_units_and_ranges(everything):
     table = {
         "object_length": ("m", 0.1, 0.0, 0.3),

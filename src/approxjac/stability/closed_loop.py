@@ -111,8 +111,8 @@ class ClosedLoop:
         for plant in self.plants[: len(self.corners) + _WEIGHED]:
             g = np.array([plant.dynamics.g(q) for q in configurations])
             if learning is None:
-                known = [self.controller.gravity.torque(q) for q in configurations]  # type: ignore[union-attr]
-                error = g - np.array(known)
+                torque = self.controller.gravity.torque  # type: ignore[union-attr]
+                error = g - np.array([np.array(torque(q)) for q in configurations])
             else:
                 error = learning.regressor.fit(plant.robot)[1] * g
             worst = max(worst, float(np.abs(error).max()))

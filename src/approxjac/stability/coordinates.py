@@ -156,3 +156,18 @@ def in_words(name: str, value: float, unit: str) -> str:
 def spoken(name: str) -> str:
     """Return the name of a coordinate or parameter as text; joints keep theirs."""
     return name.replace("object_", "object ").replace("focal_length", "focal length")
+
+
+def require_ranges_only(cls: type) -> None:
+    """Refuse a class that says itself what the coordinates are: its box would be another one."""
+    made = ("names", "units", "d", "believed", "low", "high")
+    own = [name for name in made if name in vars(cls)]
+    if own:
+        raise InvalidInputError(
+            f"a class derived from Uncertainty must leave {', '.join(made)} to the ranges that it "
+            f"is given, as its corners and its scaling are made of them, got {cls.__name__} with "
+            f"{', '.join(own)} of its own; give joint_shifts and joint_rotations that hold your "
+            "errors (which are then independent), or judge one true robot at a time with "
+            "stability_report(controller, robot) or simulate(Plant(robot), ...)",
+            given=cls,
+        )

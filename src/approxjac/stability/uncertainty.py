@@ -24,6 +24,7 @@ from approxjac.stability.coordinates import (
     camera_coordinates,
     in_words,
     joint_coordinates,
+    require_ranges_only,
     spoken,
 )
 from approxjac.tasks import Camera, ImageTask, PositionTask, Task, best_axes
@@ -37,8 +38,8 @@ class Uncertainty:
     """A box of errors: how the true robot may differ from the one that the controller believes.
 
     Each range that is given is one uncertain coordinate, in the order of the attributes below,
-    and x, y, z within a joint. The truth is a point of the box, the values (d,) of these
-    coordinates; the belief is one of its points too. Everything else is certain.
+    and x, y, z within a joint. The truth is any point of the box (errors are independent), the
+    values (d,) of these coordinates; so is the belief. Everything else is certain.
 
     An object is held if any length or mass of one is given; then the belief holds it too, with
     the length and the mass that are believed.
@@ -103,6 +104,9 @@ class Uncertainty:
     factor: float = 1.0
     _coordinates: tuple[Coordinate, ...] = field(init=False)
     _moved: Plant | None = field(init=False, default=None)
+
+    def __init_subclass__(cls) -> None:
+        require_ranges_only(cls)
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
