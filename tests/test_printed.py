@@ -41,7 +41,7 @@ def results():
             stability_map(law, errors, region, runs=1, **grid, **few, **brief),
             "map over error and a: ",
         ),
-        "tolerance": (tolerated["matrix"], "tolerated by the matrix form (not checked in other "),
+        "tolerance": (tolerated["matrix"], "tolerated by the matrix form (not "),
         "suggestion": (
             aj.suggest_gains(errors, region, test="local", settling_time=3.0, **few),
             "gains: found, ",

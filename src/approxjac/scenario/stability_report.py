@@ -37,9 +37,7 @@ def consequences(result: StabilityResult) -> str:
     verdict, *more = advice(result)
     lines = [*wrapped(verdict), *(line for each in more for line in wrapped(each, "- "))]
     if result.tolerances:
-        told = (
-            "in continuous time, by a search on fewer configurations; a report confirms it or not:"
-        )
+        told = "in continuous time, by a search on fewer configurations; a report may find less:"
         lines += ["", *wrapped(told)]
         lines += [str(each) for each in result.tolerances.values()]
     return "\n".join(lines)
