@@ -38,10 +38,9 @@ class CombinedTask(WrappedTask):
     leaves no other x. `balanced` chooses such a C.
 
     Corners, or the tag's pose? Corners by this task need nothing of the lens or the tag's size to
-    be exact: what the pixels say is what is controlled, to a fraction of a pixel. Take them where a
-    camera is known to some ten degrees and the tag's side is a tenth of its distance or more.
-    A tag's tilt is seen badly, though. Where the camera's pose may be wrong by more, or the tag is
-    small, compute its pose by `cv2.solvePnP`, which needs the true K, distortion and size of the
+    be exact: what the pixels say is what is controlled, to a fraction of a pixel. Take them where
+    gravity is known, not learnt, the camera to some ten degrees, and the tag's side is a tenth of
+    its distance or more. A tag's tilt is seen badly, though. Otherwise compute its pose by `cv2.solvePnP`, which needs the true K, distortion and size of the
     tag, and take a `PoseTrackerTask`, or a `TrackerTask` of its position alone.
 
     Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
