@@ -480,8 +480,16 @@ def test_wrappers_take_it_or_say_why_not(panda_law):
         aj.HeldMeasurement(panda_law, 0.05)
     with pytest.raises(aj.InvalidInputError, match=r"controls the measured x, got TorqueL.* pred"):
         aj.HeldMeasurement(aj.TorqueLimited(panda_law), 0.05)
-    with pytest.raises(aj.InvalidInputError, match="dt must be that of the controller inside"):
+    with pytest.raises(
+        aj.InvalidInputError, match=r"inside, .*: TrackingController\(\.\.\., dt=0.002\)"
+    ):
         aj.TorqueLimited(panda_law, dt=2e-3)
+    limited = aj.TorqueLimited(panda_law)
+    seen = measured(panda_law.task, STARTS["panda"])
+    state = limited.initial_state(seen)
+    with pytest.raises(aj.InvalidInputError, match="around this one, such as a TorqueLimited"):
+        panda_law.resumed(state, seen)
+    assert_allclose(limited.resumed(state, seen), state)
     with pytest.raises(aj.InvalidInputError, match="alpha must be None for a TrackingController"):
         aj.TorqueLimited(panda_law, alpha=1.0)
     velocity = known(panda_law.task, command="velocity")

@@ -330,12 +330,15 @@ REFUSED = {
     "falls": "the controller must compensate gravity, such as by AdaptiveGravity",
     "adds": "the robot adds its own gravity: the controller must learn what is left of it",
     "adds to T": "own gravity: take it off each torque in the driver's send, as FrankaDriver(grav",
+    "beyond": "limits, got panda_joint4 at 0.1 rad, limits -3.072 and -0.0698",
+    "degrees": "q must be in radians: it is 111.",
     "moving": "the arm must be at rest",
     "blind": "x must be known before the arm moves",
     "clock": "the clock of the driver must go on",
     "two clocks": "t_x must be by the clock of t: x was taken 1.7e+09 s after t: two clocks?",
     "millimetres": "m from the base of an arm that reaches 1.09 m; 1 mm is 0.001",
     "period": "must be",
+    "tuning": "is for a period of 0.001 s, and the driver's dt is 0.002 s; take Setpoint",
     "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got shapes (6,), (7,), (3,)",
     "duration": "duration must be a finite number > 0 [s], got 0.0",
     "driver": "driver must be a Driver",
@@ -349,6 +352,8 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         "moving": lambda m: m._replace(v=np.full(7, 0.1)),
         "blind": lambda m: m._replace(x=np.full(3, np.nan)),
         "clock": lambda m: m._replace(t=1.0),
+        "beyond": lambda m: m._replace(q=np.append(START[:3], [0.1, *START[4:]])),
+        "degrees": lambda m: m._replace(q=np.degrees(m.q)),
         "millimetres": lambda m: m._replace(x=1e3 * m.x),
         "two clocks": lambda m: m._replace(t_x=m.t + 1.7e9),
         "sizes": lambda m: m._replace(q=m.q[:6]),
@@ -369,11 +374,21 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         controller = aj.TorqueLimited(law, aj.Limits.of(belief))
     elif what == "period":
         driver.dt = 2e-3
+    elif what == "tuning":
+        driver.dt = 2e-3
+        controller = aj.TorqueLimited(controller.controller, driver.limits, dt=2e-3)
     given = object() if what == "driver" else driver
     with pytest.raises(InvalidInputError) as refused:
         control(given, controller, goal(plant), 0.0 if what == "duration" else 1.0)
     assert REFUSED[what] in str(refused.value)
     assert driver.sent == []
+
+
+def test_a_law_tuned_for_the_period_may_begin(plant, controller):
+    law, limits = controller.controller, aj.Limits.of(controller.task.robot)
+    slow = aj.SetpointController(law.task, gravity=law.gravity, latency=aj.Latency(period=2e-3))
+    found = run(driver_of(plant, dt=2e-3), aj.TorqueLimited(slow, limits, dt=2e-3), 0.02)
+    assert "its time was over" in found.ended
 
 
 def test_a_tracker_may_stand_elsewhere_in_a_hall(panda):

@@ -17,6 +17,7 @@ from approxjac.controllers.arguments import (
     require_arrays,
     require_dt,
     require_finite,
+    require_state,
     with_rates,
 )
 from approxjac.controllers.kinematic_report import KinematicReport
@@ -32,7 +33,7 @@ from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import require_as_believed, require_controllable, vanishing
-from approxjac.validation import Array, as_limits, as_number, as_vector, require
+from approxjac.validation import Array, as_limits, as_number, require
 
 _OK, _SINGULAR = Status.OK, Status.NEAR_SINGULAR  # members of an enum are slow to look up
 _PREDICTED, _UNPREDICTED, _LOST = Status.PREDICTED, Status.NOT_PREDICTED, Status.MEASUREMENT_LOST
@@ -117,12 +118,8 @@ class TrackingController(ProvenLaw):
             dynamics = AdaptiveDynamics(robot, fastest=_QUICK * self.kappa)
         self.dynamics = dynamics
         self._require_parts()
-        self.speed = as_limits(
-            "speed",
-            usual_speeds(task) if speed is None else speed,
-            task.m,
-            unit="unit of the task/s",
-        )
+        fast = usual_speeds(task) if speed is None else speed
+        self.speed = as_limits("speed", fast, task.m, unit="unit of the task/s")
         self.self_motion = as_number("self_motion", self_motion, unit="1/s", minimum=0.0)
         self._rest = RestConfiguration(task, posture, self.self_motion)
         require("command", command, str, '"torque" or "velocity"')
@@ -207,7 +204,7 @@ class TrackingController(ProvenLaw):
         Raises:
             InvalidInputError: A state of another controller, or a measurement of the wrong shapes.
         """
-        state = as_vector("state", state, self._n_state)
+        state = require_state(state, self._n_state)
         fresh, (p, end) = self.initial_state(measurement), (self._n_dynamics, self._end)
         fresh[:p] = state[:p]
         fresh[p:end] = self.kinematics.resumed(state[p:end], measurement)
@@ -324,7 +321,7 @@ class TrackingController(ProvenLaw):
 
     def _of_kinematics(self, state: Array) -> Array:
         """Return the kinematics' part of a state, or refuse one of another controller."""
-        return as_vector("state", state, self._n_state)[self._n_dynamics : self._end]
+        return require_state(state, self._n_state)[self._n_dynamics : self._end]
 
     def kinematics_learnt(self, state: Array) -> KinematicReport:
         """Return what a state has learnt of the kinematics.

@@ -5,20 +5,28 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 
-from approxjac.controllers import ControllerWrapper, TorqueLimited, TrackingController, law_of
+from approxjac.controllers import (
+    ControllerWrapper,
+    SetpointController,
+    TorqueLimited,
+    TrackingController,
+    law_of,
+)
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed
 from approxjac.interface import Controller, Evaluation, LimitStatus, Measurement
 from approxjac.realtime.driver import Driver
 from approxjac.realtime.reading import read, two_clocks
-from approxjac.robots import Dynamics
-from approxjac.robots.joint_limits import beyond_positions, reach_bound
+from approxjac.robots import Dynamics, Robot
+from approxjac.robots.joint_limits import beyond_positions, reach_bound, require_radians
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import features
 from approxjac.validation import Array
 
 _READS = 5
+_SLOWER = 1.2  # times the period that gains were chosen for
 _AT_REST = 0.05  # rad/s or m/s
 _FAR, _REACHES = 50.0, 20.0  # m and reaches of the arm, beyond both of which no x is in metres
 _HELD = 0.2  # share of the largest torque by which what is believed of gravity may be off
@@ -32,7 +40,15 @@ def require_able(driver: Driver, controller: Controller) -> None:
             f"{controller.command!r} of {controller!r}",
             given=controller,
         )
-    nv = controller.task.robot.nv
+    law, nv = law_of(controller), controller.task.robot.nv
+    tuning = law.tuning if isinstance(law, SetpointController) else None
+    if tuning is not None and driver.dt > _SLOWER * tuning.latency.period:
+        raise InvalidInputError(
+            f"latency of the law must be that of the loop: what it chose by itself is for a period "
+            f"of {tuning.latency.period:g} s, and the driver's dt is {driver.dt:g} s; take "
+            f"SetpointController(..., latency=Latency(period={driver.dt:g}))",
+            given=controller,
+        )
     if driver.command != "torque":
         return
     inside = controller
@@ -79,11 +95,24 @@ def require_at_rest(driver: Driver, task: Task, patience: float) -> Measurement:
             f"the arm must be at rest, below {_AT_REST} rad/s or m/s, got v = {listed(measured.v)}",
             given=measured,
         )
+    require_radians("q", robot, measured.q)
     if (beyond_positions(robot, measured.q[None])[0] > 0.0).any():
         raise InvalidInputError(
-            f"q must be within the joints' limits, got {listed(measured.q)}", given=measured
+            f"q must be within the joints' limits, got {_beyond(robot, measured.q)}", given=measured
         )
     return measured
+
+
+def _beyond(robot: Robot, q: Array) -> str:
+    """Return in words which joints are beyond their limits, where, and the limits."""
+    low, high = robot.position_limits
+    angles = pin.difference(robot.model, robot.neutral(), q)
+    told = zip(robot.joint_names, angles, robot.joint_units, low, high, strict=True)
+    return "; ".join(
+        f"{name} at {angle:.4g} {unit}, limits {least:.4g} and {most:.4g}"
+        for name, angle, unit, least, most in told
+        if not least <= angle <= most
+    )
 
 
 def require_near(task: Task, x: Array) -> None:
