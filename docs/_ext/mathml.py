@@ -10,7 +10,8 @@ SPACE = "{http://www.w3.org/1998/Math/MathML}"
 ACCENTS = frozenset("^~¯˙¨→")  # combining ones are lost at times as Chromium paints
 NUMBER = re.compile(r"\\qquad\s*(\(\d+\))\s*\Z")  # of an equation
 THIN = "0.17em"
-TALL = frozenset("bdfhklβδθλ") | {chr(code) for code in range(ord("A"), ord("Z") + 1)}
+TALL = frozenset("bdfhklβδθϑλΓΔΘΛΞΠΣΦΨΩ") | {chr(code) for code in range(ord("A"), ord("Z") + 1)}
+RELATIONS = frozenset("⪰⪯")  # which latex2mathml takes for names
 
 
 def visit_inline(translator, node):
@@ -53,6 +54,15 @@ def formula(source, display="inline"):
             padded = etree.Element(f"{SPACE}mpadded", height=height)
             base.getparent().replace(base, padded)
             padded.append(base)
+    for name in root.iter(f"{SPACE}mi"):
+        if name.get("mathvariant") == "script" and name.text == "R":
+            name.text = "ℛ"  # browsers know no other variant than normal
+        if name.text in RELATIONS:
+            name.tag = f"{SPACE}mo"
+    for bar in root.iter(f"{SPACE}mo"):
+        if bar.text in ("|", "‖"):
+            bar.set("lspace", "0")
+            bar.set("rspace", "0")
     for name in root.iter(f"{SPACE}mi", f"{SPACE}mo"):
         if len(name.text or "") > 1 and name.text.isalpha():
             before, after = name.getprevious(), name.getnext()

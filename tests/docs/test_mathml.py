@@ -22,7 +22,15 @@ def formula(monkeypatch):
 def test_marks_above_a_letter_are_accents(formula, accent):
     assert '<mover accent="true"><mpadded height="0.8em"><mi>J</mi>' in formula(rf"{accent} J")
     assert '<mover accent="true"><mpadded height="0.6em"><mi>q</mi>' in formula(rf"{accent} q")
+    assert '<mpadded height="0.8em"><mi>Λ</mi>' in formula(r"\dot\Lambda")
+    assert '<mpadded height="0.8em"><mi>ϑ</mi>' in formula(r"\dot\vartheta")
     assert 'accent="true"' not in formula(r"\overset{!}{=}")
+
+
+def test_relations_bars_and_script_letters_are_what_they_are(formula):
+    assert "<mo>⪰</mo>" in formula(r"Q\succeq\mu")
+    assert formula("|a|").count('lspace="0" rspace="0">|</mo>') == 2
+    assert ">ℛ</mi>" in formula(r"\mathcal R")
 
 
 def test_an_exponent_does_not_stand_above_the_hat(formula):
