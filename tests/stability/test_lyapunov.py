@@ -165,6 +165,29 @@ def test_a_force_and_joint_torques_that_are_learnt_beside_gravity():
         assert_v_dot_is_minus_w(plant, controller, target, alpha, samples=4, h=2e-5, theta=theta)
 
 
+def test_theta_of_the_regressor_means_that_no_constant_forces_are_there():
+    truth, belief = true_and_believed("panda")
+    plant = aj.Plant(truth, aj.PositionTask(truth))
+    controller = aj.SetpointController(aj.PositionTask(belief), gravity=aj.AdaptiveGravity(belief))
+    theta = controller.adaptation.regressor.fit(truth)[0]
+    q, v, target = truth.neutral(), np.full(7, 0.1), plant.sensor.value(truth.neutral()) + 0.1
+    state = controller.initial_state(plant.measure(0.0, q, v)) + 0.5
+
+    def V(theta):
+        return lyapunov(plant, controller, q, v, target, state=state, theta=theta).V
+
+    assert (len(theta), len(state)) == (12, 22)
+    assert (
+        V(list(theta)) == V(np.append(theta, np.zeros(10))) != V(np.append(theta, np.full(10, 2.0)))
+    )
+    run = aj.simulate(plant, controller, target, q, 0.002, dt=1e-3)
+    start = {"state": run.state[0], "theta": theta}
+    found = lyapunov(plant, controller, run.q[0], run.v[0], run.x_d[0], **start).V
+    assert found == pytest.approx(run.V[0], rel=1e-9)
+    with pytest.raises(aj.InvalidInputError, match="theta"):
+        V(theta[:11])
+
+
 @pytest.fixture
 def adaptive_two_link(two_link):
     """A closed loop of (28), (29), its V along the flow, and one state of it."""

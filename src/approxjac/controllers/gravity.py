@@ -303,7 +303,11 @@ class Adaptation(NamedTuple):
     def fit(self, robot: Robot) -> tuple[Array, float]:
         """Return θ = (θ_g, 0, 0) of a true robot (P,), and what is left of gravity: its share."""
         theta, left = self.regressor.fit(robot)
-        return np.concatenate([theta, np.zeros(sum(self.sizes[1:]))]), left
+        return self.whole(theta), left
+
+    def whole(self, theta: Array) -> Array:
+        """Return θ = (θ_g, 0, 0), shape (P,), of θ_g (p,): constant forces are not there."""
+        return np.pad(theta, (0, sum(self.sizes[1:])))
 
     def words(self, theta_hat: Array, task: Task) -> str:
         """Return what a θ̂ (P,) says: a load on the last link, a force on the task, joint torques.
@@ -367,7 +371,7 @@ def require_gravity(gravity: Gravity, task: Task) -> None:
     """Refuse what is no source of gravity torque, or one of a robot with other joints."""
     wanted = (
         "one of ModelGravity, RegressorGravity, AdaptiveGravity and NoGravity, such as "
-        "AdaptiveGravity(belief)"
+        "AdaptiveGravity(belief), or derived from ModelGravity with a torque(q) of your own"
     )
     require("gravity", gravity, get_args(Gravity), wanted)
     robot = task.robot

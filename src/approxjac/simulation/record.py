@@ -144,8 +144,7 @@ class Record:
             theta = _true_parameters(law.adaptation.regressor, self._plant.robot)
             if self._plant.adds_gravity is not None:  # the rest is what there is to learn
                 theta = theta - _true_parameters(law.adaptation.regressor, self._plant.adds_gravity)
-            unlearnt = np.zeros(theta_hat.shape[1] - len(theta))  # forces that are not there
-            theta_error = list(np.concatenate([theta, unlearnt]) - theta_hat)
+            theta_error = list(law.adaptation.whole(theta) - theta_hat)
         columns = run.x[which], run.x_d[which], run.q[which], run.v[which], J_hat, theta_error
         return [
             lyapunov_value(

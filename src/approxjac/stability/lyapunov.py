@@ -12,7 +12,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.simulation import Plant
 from approxjac.stability.region import require_seen, require_torque_of_the_laws
 from approxjac.tasks.analysis import require_jacobian_of_q
-from approxjac.validation import Array, as_array, as_number, require
+from approxjac.validation import Array, as_array, as_number, require, shape_of
 
 
 class LyapunovValue(NamedTuple):
@@ -48,8 +48,9 @@ def lyapunov(
         target: x_d, shape (n_x,).
         alpha: α of (10) [1/s]; the controller's by default.
         state: Controller state, needed where gravity is learnt, shape (n_state,).
-        theta: True gravity parameters in the regressor of the controller, needed where gravity
-            is learnt, shape (p,); `GravityRegressor.fit` finds them.
+        theta: True θ, needed where gravity is learnt: that of the controller's regressor, shape
+            (p,), as `GravityRegressor.fit` finds it, or with the constant task force and joint
+            torques that are learnt beside it (`AdaptiveGravity`), which are 0 if not given.
 
     Raises:
         InvalidInputError: A controller of law (5), or of your own; one that learns gravity
@@ -99,6 +100,9 @@ def lyapunov(
                 given=(alpha, state, theta),
             )
         state = as_array("state", state, learning.theta0.shape)
+        p = learning.regressor.p
+        if shape_of(theta) == (p,):
+            theta = learning.whole(as_array("theta", theta, (p,)))
         theta = as_array("theta", theta, learning.theta0.shape)
         V += law.parameter_potential(theta - controller.learnt(state), learning.L)
     s_dot = controller.saturation.ds(e) * (J_e @ v)
