@@ -82,7 +82,7 @@ def test_report_says_what_each_test_says(report):
     text = str(report)
     assert text.startswith("certified: yes, margin 0.")
     assert text.splitlines()[0].endswith(", as it runs at 2 kHz")
-    assert "not proven between them." in text.split("about")[0]
+    assert "not proven between them." in " ".join(text.split("about")[0].split())
     assert "  timing   a period of 0.5 ms, no delays" in text
     assert max(map(len, text.splitlines())) <= 100
     rows = {test: (said, figures) for test, said, figures in report.lines()}
@@ -124,14 +124,28 @@ def test_report_says_at_once_for_which_starts_it_holds(report):
         f"Covers starts at rest up to {stays.error:.2g} m from their target ({within})"
     )
     assert f"holds from rest, {within} in every joint" in " ".join(str(report).split())
-    assert f"; usual ones are {np.median(usual):.2g} m away in the median: " in told
-    assert "from all of these the error goes to zero as long as the arm stays in the " in told
+    usually = f"the usual starts ({np.median(usual):.2g} m from their target in the median) "
+    goes = "the error goes to zero as long as the arm stays in the region."
+    assert f". From all of {usually}{goes}" in told
     slower = replace(report.sampled, level=0.1 * report.sampled.level)
     less = report_starts.told(replace(report, sampled=slower))
-    share = float(re.search(r"from ([\d.]+) % of these", less)[1])
+    share = float(re.search(r"From ([\d.]+) % of the usual starts", less)[1])
     assert 0.0 < share < 100.0
     none = report_starts.told(replace(report, sampled=replace(report.sampled, level=0.0)))
-    assert none.endswith(" away in the median: of these nothing is proven.")
+    assert none.endswith(f". From none of {usually}is anything proven.")
+
+
+def test_the_headline_says_what_is_only_assumed(report):
+    """A certificate with no start of which staying is proven holds while the arm stays."""
+    ends = ", as it runs at 2 kHz"
+    assert report.verdict().endswith(ends)
+    for stays in (None, replace(report.attraction, radius=0.0)):
+        unproven = replace(report)
+        vars(unproven)["attraction"] = stays
+        assert unproven.verdict().endswith(f"{ends}, as long as the arm stays in the region")
+        assert "From no start is it proven that the arm stays in the region. From all" in " ".join(
+            str(unproven).split()
+        )
 
 
 def test_report_says_what_no_test_knows_of():

@@ -13,6 +13,12 @@ if TYPE_CHECKING:
     from approxjac.stability.report import StabilityReport
 
 _DRAWN = 400  # starts that tell what is usual
+IF_IT_STAYS = "as long as the arm stays in the region"
+
+
+def are_any(report: StabilityReport) -> bool:
+    """Return whether there are starts from which it is proven that the region is not left."""
+    return report.attraction is not None and bool(report.attraction.radius)
 
 
 def told(report: StabilityReport) -> str:
@@ -22,8 +28,9 @@ def told(report: StabilityReport) -> str:
     e = usual_errors(report)
     saturation = report.loop.controller.saturation
     share = (sampled.weights.at_rest(saturation.S(e), saturation.s(e)) <= sampled.level).mean()
-    of_these = "all" if share == 1.0 else f"{percent(share)} %"
-    goes = f"from {of_these} of these the error goes to zero as long as the arm stays in the region"
+    of_these = "all" if share == 1.0 else f"{percent(share)} %" if share else "none"
+    goes = f"the error goes to zero {IF_IT_STAYS}" if share else "is anything proven"
+    away = f"{np.median(np.linalg.norm(e, axis=1)):.2g} {unit} from their target in the median"
     if stays is not None and stays.radius:
         begins = (
             f"Covers starts at rest up to {stays.error:.2g} {unit} from their target "
@@ -31,10 +38,7 @@ def told(report: StabilityReport) -> str:
         )
     else:
         begins = "From no start is it proven that the arm stays in the region"
-    return (
-        f"{begins}; usual ones are {np.median(np.linalg.norm(e, axis=1)):.2g} {unit} away in "
-        f"the median: {goes if share else 'of these nothing is proven'}."
-    )
+    return f"{begins}. From {of_these} of the usual starts ({away}) {goes}."
 
 
 def usual_errors(report: StabilityReport) -> Array:
@@ -64,7 +68,7 @@ def covered(report: StabilityReport) -> str:
 def staying(report: StabilityReport) -> tuple[str, str, str]:
     """Return the row about starts from which the region is not left."""
     name, found = "as it runs, staying", report.attraction
-    if found is None or not found.radius:
+    if found is None or not are_any(report):
         return name, "assumed", "from no start is it proven that the arm stays in the region"
     figures = (
         f"holds from rest, {_within(report)} of the region's middle in every joint (errors of up "

@@ -48,7 +48,9 @@ def verdict(report: StabilityReport) -> str:
     """Return in one line whether the loop as it runs is certified, and why not."""
     runs = _timed(report.latency)
     if report.certified_by is not None and report.sampled is not None:
-        return f"certified: yes, margin {report.sampled.margin:.2g}, as it runs at {runs}"
+        if_it_stays = "" if report_starts.are_any(report) else f", {report_starts.IF_IT_STAYS}"
+        margin = report.sampled.margin
+        return f"certified: yes, margin {margin:.2g}, as it runs at {runs}{if_it_stays}"
     if report.passed:
         margin = max(test.margin for test in report.matrix.values())
         return (
