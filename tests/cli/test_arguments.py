@@ -40,6 +40,26 @@ simulate panda --object-length long
 simulate panda --object-length nan
 --object-length must be a finite number >= 0, got nan
 
+simulate panda --object-length 15
+--object-length must be at most 10 [m], got 15; 200 mm are 0.2
+
+simulate panda --believed.object.radius 15
+--believed.object.radius must be at most 10 [m], got 15; 200 mm are 0.2
+
+stability panda --object-length 0 20
+--object-length must be at most 10 [m], got 20; 200 mm are 0.2
+
+stability panda --object-length 0 1 --believed-length 15
+--believed-length must be at most 10 [m], got 15; 200 mm are 0.2
+
+stability panda --object-length 0.12 0.18
+--object-length must contain what is believed, 0 [m], got 0.12 0.18; 0.0 0.18 does; or believe \
+the middle, --believed-length 0.15
+
+stability panda --object-mass 1 2
+--object-mass must contain what is believed, 0 [kg], got 1.0 2.0; 0.0 2.0 does; or believe the \
+middle, --believed-mass 1.5
+
 simulate panda --believed-length -0.1
 --believed-length must be a finite number >= 0, got -0.1
 

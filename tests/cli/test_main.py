@@ -72,6 +72,7 @@ def test_the_help_is_short_and_leads_to_all_options(command, capsys):
     assert max(map(len, [*common, *every])) <= 100
     assert f"approxjac {command} --help-all" in " ".join(common)
     assert "[true.object]" in every
+    assert any(line.startswith("  --believed-mass N") for line in common)
     assert "  --sensor.noise N" in {line[:18] for line in every}
     shown = [line for line in common if line.startswith("  --")]
     assert len(shown) == len(options.COMMON[command])  # each of these is an option

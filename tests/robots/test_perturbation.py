@@ -127,5 +127,5 @@ def test_sizes_that_no_object_has_are_refused(panda):
     assert pin.neutral(perturbation.robot(0.2, 0.0, none, none).model).shape == (7,)
     with pytest.raises(aj.InvalidInputError, match=r"mass must be a finite number >= 0 \[kg\]"):
         perturbation.robot(0.1, -0.1, none, none)
-    with pytest.raises(aj.InvalidInputError, match="length and radius must be at most 10"):
+    with pytest.raises(aj.InvalidInputError, match="length must be at most 10"):
         perturbation.robot(11.0, 0.1, none, none)

@@ -499,9 +499,12 @@ REFUSED = [
     ),
     (
         {"object_length": (0.1, 0.3)},
-        r"_length must contain what is believed, 0 \[m\], got \(0.1, 0.3\); \(0.0, 0.3\) does",
+        r"_length must contain what is believed, 0 \[m\], got \(0.1, 0.3\); \(0.0, 0.3\) does; or "
+        "believe the middle, believed_length 0.2",
     ),
     ({"object_mass": (0.0, 1.0), "believed_mass": 2.0}, "object_mass must contain what is"),
+    ({"object_length": (0.0, 20.0)}, r"object_length must be at most 10 \[m\], got 20"),
+    ({"believed_length": 12.0}, r"believed_length must be at most 10 \[m\], got 12"),
     ({"object_length": (-0.1, 0.3)}, r"object_length must be >= 0 in the whole set \[m\]"),
     ({"object_mass": (-0.1, 0.3)}, r"object_mass must be >= 0 in the whole set \[kg\], got -0.1"),
     ({"believed_length": -1.0}, r"believed_length must be a finite number >= 0 \[m\], got -1"),

@@ -185,6 +185,10 @@ def in_words_of_user(
         if "." in option.key:
             pattern = rf"(?<![\w.\-]){re.escape(option.key)}(?![\w\-]|\.\w)"
             message = re.sub(pattern, shown(option), message)
+    for option in options:  # an argument that is to be given, such as believed_length
+        word = option.names[0][2:].replace("-", "_")
+        if "." in option.key and "_" in word and not message.startswith(word):
+            message = re.sub(rf"(?<![\w.\-/']){re.escape(word)}(?= \d)", shown(option), message)
     first = re.match(r"(\w+)(?= (must|needs|is)\b)", message)
     if first:  # an argument of a function that the value was handed to
         own = f"--{first[1].replace('_', '-')}"

@@ -96,20 +96,20 @@ SHORT: Mapping[str, Mapping[str, str]] = {
 
 COMMON: Mapping[str, Sequence[str]] = {
     "simulate": (
-        "--object-length", "--object-mass", "--object-axis", "--believed-length", "--gravity",
-        "--settling-time", "--limits", "--start", "--target", "--target-offset",
+        "--object-length", "--object-mass", "--object-axis", "--believed-length", "--believed-mass",
+        "--gravity", "--settling-time", "--limits", "--start", "--target", "--target-offset",
         "--path circle|line|waypoints", "--learn-kinematics", "--duration", "--seed", "--task.kind",
         "--view", "--out",
     ),
     "stability": (
         "--object-length", "--object-mass", "--joint-shifts", "--joint-rotations",
-        "--believed-length", "--around", "--radius", "--target", "--gravity", "--settling-time",
-        "--kp", "--kv", "--damping", "--loop.dt", "--runs", "--map-points", "--suggest-gains",
-        "--jobs", "--out",
+        "--believed-length", "--believed-mass", "--around", "--radius", "--target", "--gravity",
+        "--settling-time", "--kp", "--kv", "--damping", "--loop.dt", "--runs", "--map-points",
+        "--suggest-gains", "--jobs", "--out",
     ),
     "export": (
-        "--object-length", "--believed-length", "--gravity", "--settling-time", "--kp", "--kv",
-        "--damping", "--limits", "--effort-only", "--folder",
+        "--object-length", "--believed-length", "--believed-mass", "--gravity", "--settling-time",
+        "--kp", "--kv", "--damping", "--limits", "--effort-only", "--folder",
     ),
 }  # fmt: skip
 """Command → the options that its help shows."""

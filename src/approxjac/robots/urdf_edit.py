@@ -38,16 +38,18 @@ def direction(axis: str | Sequence[float]) -> Array:
 
 def object_size(length: float, mass: float, radius: float) -> tuple[float, float, float]:
     """Return length [m], mass [kg] and radius [m] of an object as numbers."""
-    length = as_number("length", length, unit="m", minimum=0.0)
     mass = as_number("mass", mass, unit="kg", minimum=0.0)
-    radius = as_number("radius", radius, unit="m", minimum=0.0)
-    if max(length, radius) > _LONGEST:
+    return as_size("length", length), mass, as_size("radius", radius)
+
+
+def as_size(name: str, value: Any) -> float:
+    """Return the length or radius of an object as a number [m]."""
+    size = as_number(name, value, unit="m", minimum=0.0)
+    if size > _LONGEST:
         raise InvalidInputError(
-            f"length and radius must be at most {_LONGEST:g} [m], got {length:g} and "
-            f"{radius:g}; 200 mm are 0.2",
-            given=(length, radius),
+            f"{name} must be at most {_LONGEST:g} [m], got {size:g}; 200 mm are 0.2", given=value
         )
-    return length, mass, radius
+    return size
 
 
 def require_new(name: str, taken: Collection[str], robot: str) -> None:

@@ -78,9 +78,13 @@ def as_range(name: str, given: Any, believed: float, unit: str, of: str = "") ->
             given=given,
         )
     if not low <= believed <= high:
+        remedy = ""
+        if name.startswith("object_"):
+            own = name.replace("object", "believed")
+            remedy = f"; or believe the middle, {own} {0.5 * (low + high):g}"
         raise InvalidInputError(
             f"{name} must contain what is believed, {believed:g} [{unit}], got {(low, high)}; "
-            f"{(min(low, believed), max(high, believed))} does",
+            f"{(min(low, believed), max(high, believed))} does{remedy}",
             given=given,
         )
     return [Coordinate(of + name, unit, float(believed), low, high)]
