@@ -585,3 +585,14 @@ def test_configurations_are_told_as_angles():
     angles = np.array([float(word) for word in told.split()[3:]])
     np.testing.assert_allclose(np.cos(angles - wrapped), 1.0, atol=1e-6)
     assert len(result.summary()["q_start"]) == len(result.summary()["q_end"]) == len(q)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0)])
+def test_a_run_that_never_began_has_no_verdict(offset):
+    """As with --view and Ctrl-C before the page is opened; neither at its target nor away from."""
+    run = {"start": HOME, "target": {"offset": offset}, "duration": 1.0}
+    result = reach(run=run).build().run(observer=lambda loop: loop.stop())
+    assert result.run.t[-1] == 0.0
+    assert report.text(result).startswith("stopped after 0 s: nothing was simulated")
+    assert result.failed
+    assert result.summary()["verdict"] == "stopped after 0 s"

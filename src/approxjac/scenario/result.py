@@ -142,11 +142,21 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """Converged, converged late, or not converged; of a path followed, or not followed."""
+        """Converged, converged late, or not converged; of a path followed, or not followed.
+
+        A run of no time, as one that was stopped before it began, has none.
+        """
+        if self.never_began:
+            return "stopped after 0 s"
         done = "followed" if self.on_path else "converged"
         if self.late:
             return f"{done} late"
         return f"not {done}" if self.failed else done
+
+    @property
+    def never_began(self) -> bool:
+        """True if the run took no time, of which nothing can be said."""
+        return float(self.run.t[-1]) == 0.0
 
     @property
     def late(self) -> bool:
@@ -157,11 +167,13 @@ class Result:
     @property
     def failed(self) -> bool:
         """True if the task was not done; what is too late to judge is no failure."""
-        return bool(self.reason) and not self.late
+        return self.never_began or (bool(self.reason) and not self.late)
 
     @property
     def reason(self) -> str:
         """The reason why the task was not done, or cannot be judged; nothing if it was done."""
+        if self.never_began:
+            return "nothing was simulated, so there is no verdict"
         far = too_far(self.built.plant.sensor, self.run.x_d if self.on_path else self.run.x_d[-1:])
         if self.converged and not (self.on_path and far):
             return ""
