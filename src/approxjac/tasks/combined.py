@@ -40,8 +40,9 @@ class CombinedTask(WrappedTask):
     Corners, or the tag's pose? Corners by this task need nothing of the lens or the tag's size to
     be exact: what the pixels say is what is controlled, to a fraction of a pixel. Take them where
     gravity is known, not learnt, the camera to some ten degrees, and the tag's side is a tenth of
-    its distance or more. A tag's tilt is seen badly, though. Otherwise compute its pose by `cv2.solvePnP`, which needs the true K, distortion and size of the
-    tag, and take a `PoseTrackerTask`, or a `TrackerTask` of its position alone.
+    its distance or more. A tag's tilt is seen badly, though. Otherwise compute its pose by
+    `cv2.solvePnP`, which needs the true K, distortion and size of the tag, and take a
+    `PoseTrackerTask`, or a `TrackerTask` of its position alone.
 
     Source: the combination matrix of B. Espiau, F. Chaumette and P. Rives, "A new approach to
     visual servoing in robotics", IEEE Trans. Robotics and Automation 8 (1992).
