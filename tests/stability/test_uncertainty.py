@@ -352,6 +352,8 @@ def test_an_angle_beyond_a_full_turn_is_refused():
         aj.Uncertainty(ARM, joint_rotations={"joint2": (4.0, 0.0, 0.0)})
     rolls = aj.Uncertainty(ARM, camera=camera, roll=(-1.0, 1.0))
     assert_allclose(rolls.largest_scale(10.0), np.pi, rtol=1e-3)
+    lenses = aj.Uncertainty(ARM, camera=camera, focal_length=(0.04, 0.05))
+    assert_allclose(lenses.scaled(lenses.largest_scale(10.0)).low, 0.005)  # 0 is of no lens
 
 
 def test_a_camera_that_may_be_rolled_any_way_is_not_certified():

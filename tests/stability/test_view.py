@@ -124,6 +124,11 @@ def test_errors_that_turn_the_camera_away_are_errors_that_fail():
     region = aj.JointBox.around(ARM, (0.1, 1.2), 0.1)
     found = aj.tolerance(controller, errors, region, tests=("local",), configurations=8)["local"]
     assert 1.0 < found.scale < found.fails_at < 6.0
+    assert not found.is_tested
+    assert "not tested at" in repr(found)
+    told = " ".join(str(found).split())
+    assert "outside the region only, or not seen; a larger region would tell" in told
+    assert "fails" not in told
     with pytest.raises(aj.InvalidInputError, match="the region must hold configurations"):
         aj.tolerance(controller, errors.scaled(5.1), region, tests=("local",), configurations=8)
 

@@ -13,6 +13,7 @@ from approxjac.tasks import Camera
 from approxjac.validation import as_array, is_scalar, require
 
 _PIECE = 0.25 * math.pi  # longest range of an angle that its two ends stand for [rad]
+_LEAST_FOCAL = 0.1  # of the believed one
 _TURN = 2.0 * math.pi * (1.0 + 1e-9)
 _CALIBRATION = ("focal_length", "distance", "roll")  # of a camera
 
@@ -34,6 +35,13 @@ class Coordinate(NamedTuple):
         believed = self.believed
         low, high = (factor * end + (1.0 - factor) * believed for end in (self.low, self.high))
         return self._replace(low=min(low, believed), high=max(high, believed))
+
+    @property
+    def largest_factor(self) -> float:
+        """The factor beyond which this grows to what no lens is: a tenth of the focal length."""
+        if self.name != "camera focal_length" or self.low >= self.believed:
+            return math.inf
+        return max(1.0, (1.0 - _LEAST_FOCAL) * self.believed / (self.believed - self.low))
 
     def ends(self) -> tuple[float, ...]:
         """The ends of the range, or of the pieces that two ends of an angle can stand for.

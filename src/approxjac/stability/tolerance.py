@@ -43,6 +43,8 @@ class Tolerance:
         scale: The largest scale at which it passed, with the test passing at all the smaller
             ones that bisection tried; 0 if it does not even pass without errors.
         fails_at: The smallest scale at which it failed; infinite if it never did, up to `largest`.
+        is_tested: Whether it was tested there. Not so where a true robot attains the target outside
+            the region only, or hardly sees the region.
         worst: The true values that fail there, shape (d,); those at `scale` if nothing fails.
         uncertainty: The set at `scale`.
     """
@@ -52,6 +54,7 @@ class Tolerance:
     fails_at: float
     worst: Array
     uncertainty: Uncertainty
+    is_tested: bool = True
 
     @property
     def worst_text(self) -> str:
@@ -61,7 +64,8 @@ class Tolerance:
     def __repr__(self) -> str:
         if not np.isfinite(self.fails_at):
             return f"Tolerance({self.test!r}: did not fail up to {self.scale:.3g}, the largest)"
-        return f"Tolerance({self.test!r}: scale {self.scale:.3g}, fails at {self.fails_at:.3g})"
+        ends = "fails" if self.is_tested else "not tested"
+        return f"Tolerance({self.test!r}: scale {self.scale:.3g}, {ends} at {self.fails_at:.3g})"
 
     def __str__(self) -> str:
         box = f"{self.scale:.3g} times the errors"
@@ -69,8 +73,14 @@ class Tolerance:
         if self.scale == 0.0:
             return "\n".join(wrapped(f"tolerated by {what}: no errors"))
         told = {"errors": self.uncertainty.describe_box()}
-        if np.isfinite(self.fails_at):
-            told["fails"] = f"at {self.fails_at:.3g} times, with {self.worst_text}"
+        at = f"at {self.fails_at:.3g} times, with {self.worst_text}"
+        if not self.is_tested:
+            told["not tested"] = (
+                f"{at}: the target is attained outside the region only, or not seen; a larger "
+                "region would tell"
+            )
+        elif np.isfinite(self.fails_at):
+            told["fails"] = at
         else:
             box += ", the most that was tried"
         return "\n".join([*wrapped(f"tolerated by {what}: {box}"), *rows(told, 2)])
@@ -123,7 +133,8 @@ def tolerance(
         options: Others of `rollouts`, such as duration, dt, tolerance, executor.
 
     Raises:
-        InvalidInputError: Numbers out of range, or what `stability_report` refuses.
+        InvalidInputError: Numbers out of range, options without rollouts, or what
+            `stability_report` refuses.
         UnknownNameError: No such test.
     """
     require("uncertainty", uncertainty, Uncertainty, "an Uncertainty")
@@ -135,9 +146,17 @@ def tolerance(
     for test in tests:
         if test not in (*TESTS, "rollouts"):
             raise UnknownNameError("test", test, "the tests", (*TESTS, "rollouts"))
+    if options and "rollouts" not in tests:
+        raise InvalidInputError(
+            f"options must be of a chosen test, got {', '.join(options)} with tests = "
+            f"{tuple(tests)}; options are those of 'rollouts'",
+            given=options,
+        )
     largest = uncertainty.largest_scale(as_number("largest", largest, above=0.0))
     precision = as_number("precision", precision, above=0.0)
     loop.require_gravity()
+
+    untested: set[tuple[Test, float]] = set()
 
     def failing(test: Test, scale: float) -> Array | None:
         """The true values with which a test fails at a scale, or None if it passes."""
@@ -154,6 +173,7 @@ def tolerance(
             if scale <= 1.0:
                 raise
             # grown errors have put the target out of reach, or have a camera look elsewhere
+            untested.add((test, scale))
             of_run = test == "rollouts"
             return np.array(error.given if of_run else scaled.values[error.truth])
 
@@ -173,7 +193,8 @@ def tolerance(
                 fails, worst = scale, culprit
             scale = min(2.0 * passes, largest) if np.isinf(fails) else 0.5 * (passes + fails)
         worst = uncertainty.believed if worst is None else worst
-        found[test] = Tolerance(test, passes, fails, worst, uncertainty.scaled(passes))
+        is_tested = (test, fails) not in untested
+        found[test] = Tolerance(test, passes, fails, worst, uncertainty.scaled(passes), is_tested)
     return found
 
 

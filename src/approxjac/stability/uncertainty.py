@@ -178,13 +178,13 @@ class Uncertainty:
 
     def largest_scale(self, bound: float) -> float:
         """The largest factor up to a bound > 0 for which all robots of `scaled` can exist."""
+        bound = min([bound, *(known.largest_factor for known in self._coordinates)])
         low, high, factor = 0.0, bound, bound
         for _ in range(20):
             try:
                 self.scaled(factor)
-                if factor == bound:
-                    return bound
-                low = factor
+                if (low := factor) == bound:
+                    break
             except InvalidInputError:
                 high = factor
             factor = 0.5 * (low + high)
