@@ -137,6 +137,8 @@ def test_what_was_learnt_is_told(turned_run, truth):
     assert report.is_explained
     for part in ("tool.x", "not seen", "camera turned by", "chi squared a degree of freedom"):
         assert part in str(report)
+    joint = truth.joint_names[-1]
+    assert f"tool: from the origin of {joint} to the tip, flange and all" in str(report)
     assert "do not explain x" not in str(report)
 
 

@@ -369,5 +369,5 @@ class AdaptiveCamera(Kinematics):
         untested, told_seen = TiltedAxes(1.0, 0.0, "", 0.0), (noise, math.sqrt(variance))
         return KinematicReport(
             rows, P, angle, chi, untested, told_seen, seconds, int(restarts), "px",
-            self._frames.silence(state[at["frames"]]),
+            self._frames.silence(state[at["frames"]]), self._points.regressor.movers[-1],
         )  # fmt: skip

@@ -96,6 +96,7 @@ class KinematicReport(NamedTuple):
         restarts: How often learning began anew, as the sensor was moved or the tool slipped.
         unit: Of the noise, "m" or "px".
         silence: For how long there was no frame to learn from [s].
+        last_joint: From whose origin, and along whose link's axes, "tool" is measured.
     """
 
     rows: tuple[LearntNumber, ...]
@@ -108,6 +109,7 @@ class KinematicReport(NamedTuple):
     restarts: int
     unit: str = "m"
     silence: float = 0.0
+    last_joint: str = ""
 
     @property
     def is_explained(self) -> bool:
@@ -123,6 +125,8 @@ class KinematicReport(NamedTuple):
             said = f"{100.0 * row.share:5.0f} %" if row.is_seen else "not seen"
             numbers = f"{row.believed:10.4f} {row.value:10.4f} {row.sd:9.4f} {said:>8}"
             lines.append(f"{row.name:{width}}  {numbers} {row.unit}".rstrip())
+        if self.last_joint and any(row.name == "tool.x" for row in self.rows):
+            lines.append(f"tool: from the origin of {self.last_joint} to the tip, flange and all")
         if self.angle:
             lines.append(f"camera turned by {self.angle:.4f} rad")
         factor, unit = (1e3, "mm") if self.unit == "m" else (1.0, self.unit)

@@ -380,7 +380,8 @@ class AdaptiveKinematics(Kinematics):
         found, scale = self._estimator.tilts(state[at["sums"]]), (self.noise / max(noise)) ** 2
         axes = tilted_axes(found, self.regressor.turning, scale)
         times = seconds, int(restarts), "m", self._frames.silence(state[at["frames"]])
-        return KinematicReport(rows, P, angle, chi, axes, noise, *times)
+        last = self.regressor.movers[-1]
+        return KinematicReport(rows, P, angle, chi, axes, noise, *times, last)
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with what a state has learnt of its tool and origins."""

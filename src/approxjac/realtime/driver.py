@@ -29,8 +29,10 @@ class Driver(Protocol):
     def read(self) -> Measurement:
         """Wait for the state of the next period and return it.
 
-        t is the robot's clock [s]; q, v in the order of `Robot.joint_names`; x is the last value
-        that the sensor gave, taken at t_x of the same clock, or NaN where there is none.
+        t is the robot's clock [s]; q, v in the order of `Robot.joint_names`; q has one number a
+        joint, angles of continuous ones too, or (cos, sin) of those as `Robot.neutral` has; x is
+        the last value that the sensor gave, taken at t_x of the same clock, or NaN where there is
+        none.
         """
         ...
 
