@@ -16,6 +16,7 @@ import approxjac as aj
 from approxjac.formatting import percent
 from approxjac.robots import GravityRegressor
 from approxjac.stability.region import Region
+from approxjac.stability.report_words import _rollouts
 from approxjac.stability.rollout_study import _judged
 from approxjac.stability.rollouts import as_study, clopper_pearson
 from approxjac.tasks.analysis import fine_error
@@ -167,6 +168,23 @@ def test_what_became_of_them(controller, uncertainty, serial):
     left = aj.rollouts(controller, uncertainty, narrow, **SHORT)
     assert left.n_left == sum(not run.stayed for run in left.runs) > 0
     assert [run.final_error for run in left.runs] == [run.final_error for run in serial.runs]
+
+
+def test_torques_that_no_motor_has_are_told(serial):
+    def told(*peaks):
+        columns = serial.columns | {"peak_torque": np.array(peaks)}
+        found = dataclasses.replace(serial, columns=columns)
+        return str(found), [row for row in _rollouts(found) if row[0].endswith("torques")]
+
+    text, (row,) = told(0.5, math.nan, 1.0, 1.2, 7.41)
+    assert "  torques    motors are not limited here: up to 7.41 times their limits, " in text
+    assert "above them in 2 of 5 runs" in text
+    assert row[1:] == (
+        "2 of 5", "beyond motors, which are not limited here: up to 7.41 times their limits"
+    )  # fmt: skip
+    text, rows = told(0.5, math.nan, 1.0, 1.0 + 1e-9, 0.0)  # as of TorqueLimited
+    assert "motors" not in text
+    assert not rows
 
 
 def test_divergence_counts_as_not_converged(uncertainty):

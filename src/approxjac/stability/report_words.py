@@ -338,6 +338,11 @@ def _rollouts(found: Rollouts) -> list[Row]:
     unit = joined(study.controller.task.units)
     ended = "diverged" if worst.diverged else f"ended {worst.final_error:.3g} {unit} off"
     values = study.uncertainty.describe(worst.values)
+    torques: list[Row] = []
+    if found.n_beyond_torque:
+        said = f"{found.n_beyond_torque} of {found.n}"
+        told = f"beyond motors, which are not limited here: {found.most_torque}"
+        torques = [("rollouts, torques", said, told)]
     return [
         (
             "rollouts, converged",
@@ -347,6 +352,7 @@ def _rollouts(found: Rollouts) -> list[Row]:
         ),
         ("rollouts, diverged", f"{found.n_diverged} of {found.n}", ""),
         ("rollouts, left the region", f"{found.n_left} of {found.n}", "without diverging"),
+        *torques,
         ("rollouts, worst", f"run {worst.index}", f"{ended}, with {values}"),
     ]
 

@@ -28,6 +28,7 @@ from approxjac.validation import Array, as_integer, as_number, require
 _EXECUTOR: Any = (Executor, NoneType)
 _FOLDER: Any = (str, PathLike, NoneType)
 _DURATION = 10.0  # [s]
+_BEYOND = 1.0 + 1e-6  # of a limit: a torque at it, and round-off, is not beyond
 _PROGRESS: Any = (Callable, bool, NoneType)
 
 Engine = Literal["lanes", "python"]
@@ -146,9 +147,19 @@ class Rollouts:
         return int((~np.logical_or(self.columns["stayed"], self.columns["diverged"])).sum())
 
     @property
+    def n_beyond_torque(self) -> int:
+        """Number of runs that asked a motor for more than its limit, which is not kept here."""
+        return int((self.columns["peak_torque"] > _BEYOND).sum())
+
+    @property
     def share(self) -> float:
         """Share of the runs that converged."""
         return self.n_converged / self.n
+
+    @property
+    def most_torque(self) -> str:
+        """The largest torque asked for, where one is beyond the limit of its motor, in words."""
+        return f"up to {np.nanmax(self.columns['peak_torque']):.3g} times their limits"
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -176,6 +187,11 @@ class Rollouts:
             "others": f"{self.n_diverged} diverged, {self.n_left} more left the region",
             "worst": f"run {worst.index} {ended}, with {study.uncertainty.describe(worst.values)}",
         }
+        if self.n_beyond_torque:
+            told["torques"] = (
+                f"motors are not limited here: {self.most_torque}, above them in "
+                f"{self.n_beyond_torque} of {self.n} runs"
+            )
         if study.reason:  # slow, and nobody asked for it
             told["engine"] = f"in Python, as {study.reason}"
         return "\n".join([f"converged: {self.n_converged} of {self.n} runs", *rows(told, 2)])
