@@ -423,7 +423,7 @@ def test_without_gains_no_scenario_is_written(tmp_path, monkeypatch, capsys):
         assert not json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["found"]
         shown = capsys.readouterr().out
         assert shown.startswith(f"gains: none found {said}")
-        assert "without gains there is no scenario.toml" in shown
+        assert "without gains no scenario.toml is written" in shown
 
 
 def test_what_takes_long_is_told_once_where_no_bar_is_shown(capsys):
@@ -436,7 +436,10 @@ def test_what_takes_long_is_told_once_where_no_bar_is_shown(capsys):
 def test_where_nothing_is_found_it_says_what_was_tried_and_what_is_next():
     scenario = Scenario(
         "two_link", controller={"gravity": "exact", "kp": 5000.0, "kv": 2.0, "damping": 0.01},
-        stability={"object_length": (0.0, 0.3), "around": (0.3, 1.0), "radius": 0.1},
+        stability={
+            "object_length": (0.0, 0.3), "object_mass": (0.0, 0.1), "around": (0.3, 1.0),
+            "radius": 0.1,
+        },
     )  # fmt: skip
     loop = study.prepare(scenario)
     failed = aj.stability_report(loop.controller, loop.truth, loop.region, configurations=20)
@@ -447,7 +450,7 @@ def test_where_nothing_is_found_it_says_what_was_tried_and_what_is_next():
     assert tried.endswith(" the arm's inertia, no errors at all")
     assert following.startswith("next: --suggest-gains, in place of --kp, --kv and --damping; a ")
     assert following.endswith(
-        " a belief in the middle of each range, such as --believed-length 0.15"
+        " a belief in the middle of each range, such as --believed-length 0.15 --believed-mass 0.05"
     )
     part = study.StabilityResult(scenario, failed, scales, certified_part=loop.truth.scaled(0.5))
     *_, found, following = report.advice(part)

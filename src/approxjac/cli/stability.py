@@ -79,7 +79,7 @@ def _suggest(scenario: Scenario, out: Path) -> int:
     gains.write(result, out)
     print(gains.text(result))
     if result.report is None:
-        print(f"\nsummary.json is in {out}; without gains there is no scenario.toml")
+        print(f"\nsummary.json is in {out}; without gains no scenario.toml is written")
         return 1
     print(f"\nsummary.json and scenario.toml are in {out}")
     its = f"approxjac stability {out / 'scenario.toml'}"

@@ -145,8 +145,12 @@ def _next(result: StabilityResult, uncertainty: Uncertainty | None) -> list[str]
         least, most = uncertainty.low, uncertainty.high
         if (abs(least + most - 2.0 * uncertainty.believed) > 0.2 * (most - least)).any():
             middle = dict(zip(uncertainty.names, 0.5 * (least + most), strict=True))
-            length = middle.get("object_length")
-            such = "" if length is None else f", such as --believed-length {length:.3g}"
+            options = [
+                f"--believed-{what} {middle[f'object_{what}']:.3g}"
+                for what in ("length", "mass")
+                if f"object_{what}" in middle
+            ]
+            such = f", such as {' '.join(options)}" if options else ""
             steps.append(f"a belief in the middle of each range{such}")
         if result.damping is None and result.certified_part is None:
             scale = min(1.0, result.tolerances["matrix"].scale)
