@@ -21,6 +21,7 @@ from approxjac.stability.closed_loop import ClosedLoop
 from approxjac.stability.inverse_kinematics import inverse_kinematics
 from approxjac.stability.local import local_test
 from approxjac.stability.matrix_form import MatrixForm
+from approxjac.stability.report_words import _wrong_gravity
 from approxjac.stability.suggestion import Candidate, _relaxations
 from approxjac.stability.theorem1 import theorem1
 
@@ -280,6 +281,29 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert learnt.local.stable
     assert "(learnt parameters, often slow, included)" in " ".join(str(learnt).split())
     assert "learnt parameters" not in str(known)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({}, "the learnt task force and joint torques can take it up, and then the error is 0"),
+        ({"task_force": 1.0}, "the learnt task force can take it up"),
+        ({"task_force": 0.0}, "need not go to 0, unless a task force or joint torques are learnt"),
+    ],
+)
+def test_gravity_that_no_parameters_explain_is_not_said_to_want_learning(options, told):
+    arm = aj.load_robot("panda")
+    tilted = aj.Uncertainty(arm, joint_rotations={"panda_joint1": (0.2, 0.0, 0.0)})
+    options = options and {"L": 0.2, "alpha": 1.0} | options
+    law = controller_of(tilted, gravity=aj.AdaptiveGravity(arm, **options))
+    loop = ClosedLoop(law, tilted, aj.JointBox.around(arm, Q, 0.1))
+    error = loop.gravity_error(Q[np.newaxis])
+    assert error > 1.0
+    figures = _wrong_gravity(SimpleNamespace(gravity_error=error, loop=loop))
+    assert figures.startswith(f"no learnt gravity parameters explain up to {error:.3g} N m of it")
+    assert told in figures
+    with pytest.raises(aj.InvalidInputError, match="no learnt gravity parameters explain it"):
+        loop.require_gravity()
 
 
 def test_a_gravity_of_ones_own_is_judged_by_what_it_returns():

@@ -122,10 +122,12 @@ class ClosedLoop:
         """Raise if gravity is neither compensated exactly nor can be learnt."""
         error = self.gravity_error(self.region.sample(5, np.random.default_rng(0)))
         if error > EXACT_GRAVITY:
+            how = "AdaptiveGravity learns it"
+            if self.controller.adaptation is not None:
+                how = "no learnt gravity parameters explain it, as of a tilted base"
             raise InvalidInputError(
                 f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} "
-                "N m; AdaptiveGravity learns it, and robots with_gravity((0, 0, 0)) take it as "
-                "compensated",
+                f"N m; {how}, and robots with_gravity((0, 0, 0)) take it as compensated",
                 given=self.controller,
             )
 

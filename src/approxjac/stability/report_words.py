@@ -152,12 +152,7 @@ def _beware(report: StabilityReport) -> list[Row]:
     """Rows about what is not as certificates assume, or as one may think."""
     rows = []
     if not report.gravity_is_exact:
-        figures = (
-            f"off by up to {report.gravity_error:.3g} N m: the error does not go to 0 but to "
-            "where K_p makes up for it, unless gravity is learnt (AdaptiveGravity); if it is "
-            "known exactly, leave it out (a robot without gravity, NoGravity)"
-        )
-        rows.append(("gravity", "not exact", figures))
+        rows.append(("gravity", "not exact", _wrong_gravity(report)))
     if report.singular_q is not None:
         figures = (
             "the estimated Jacobian loses rank in the region, where the arm may stand still "
@@ -183,6 +178,30 @@ def _beware(report: StabilityReport) -> list[Row]:
     if counted:
         rows.append(("timing", "rounded", counted))
     return rows
+
+
+def _wrong_gravity(report: StabilityReport) -> str:
+    """Return what a gravity torque does that is neither compensated nor learnt."""
+    error, learning = f"{report.gravity_error:.3g} N m", report.loop.controller.adaptation
+    if learning is None:
+        return (
+            f"off by up to {error}: the error does not go to 0 but to where K_p makes up for it, "
+            "unless gravity is learnt (AdaptiveGravity); if it is known exactly, leave it out (a "
+            "robot without gravity, NoGravity)"
+        )
+    told = f"no learnt gravity parameters explain up to {error} of it, as of a tilted base"
+    parts = ("task force", "joint torques")
+    learnt = [part for part, size in zip(parts, learning.sizes[1:], strict=True) if size]
+    if not learnt:
+        return (
+            f"{told}: the error need not go to 0, unless a task force or joint torques are learnt, "
+            "too (task_force, joint_torque)"
+        )
+    # at rest θ̂ stands still: Ĵ y = α s(e) = 0 with d, and y = 0 with w
+    return (
+        f"{told}; the learnt {' and '.join(learnt)} can take it up, and then the error is 0 where "
+        "the arm comes to rest, but nothing is proven"
+    )
 
 
 def _beyond_limits(report: StabilityReport) -> list[str]:
