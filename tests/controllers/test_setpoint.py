@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import approxjac as aj
 from approxjac import paper
-from approxjac.controllers import DifferentiatedVelocity, RegressorGravity
+from approxjac.controllers import DifferentiatedVelocity, ModelGravity, RegressorGravity
 from approxjac.controllers.run_terms import lyapunov_value
 from approxjac.errors import MeasurementError
 from approxjac.law import Sine, Tanh
@@ -389,6 +389,21 @@ def test_gains_of_the_wrong_length_are_refused(panda):
 def test_a_redundant_arm_needs_added_damping(panda):
     with pytest.raises(aj.InvalidInputError, match="it has 7 joints for 3 task coordinates"):
         aj.SetpointController(aj.PositionTask(panda), aj.Gains(400.0, 80.0))
+
+
+def test_gravity_of_another_arm_than_the_believed_one_is_printed_with_its_model(panda):
+    truth, task = panda.with_object(0.2, 0.5, axis="x"), aj.PositionTask(panda)
+
+    class Own(ModelGravity):
+        pass
+
+    for gravity, text in (
+        (ModelGravity(truth), "as of another model: panda (tip object_tip, 17.32 kg)"),
+        (ModelGravity(aj.load_robot("panda")), "as of the believed arm"),
+        (Own(truth), "by Own"),
+    ):
+        law = aj.SetpointController(task, aj.Gains(1, 1, 1), gravity=gravity)
+        assert f"; gravity {text} position task" in " ".join(str(law).split())
 
 
 def test_objects_of_the_wrong_kind_are_refused(panda):

@@ -195,7 +195,11 @@ def test_by_rollouts_over_errors_and_places(plane):
     [
         (("object_length", "a"), "rollouts", "names must both be of what is drawn"),
         (("object_length", "roll"), "rollouts", "parameter 'roll' not in the map"),
-        (("object_length", "a"), "tests", "parameter 'object_length' not in the map"),
+        (
+            ("object_length", "a"),
+            "tests",
+            "'object_length' not in the map; errors and places need by=\"rollouts\"; valid are a",
+        ),
         (("a", "kv"), "eye", "by 'eye' not in stability_map"),
     ],
 )

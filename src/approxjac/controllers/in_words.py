@@ -45,6 +45,9 @@ def of_law(law: SetpointController | TrackingController) -> str:
     number = "(28)" if law.adaptation is not None else "(6)" if law.velocity is None else "(5)"
     name = type(law.gravity).__name__
     gravity = _GRAVITY.get(name, f"by {name}")
+    if name == "ModelGravity" and law.gravity.robot != law.task.robot:
+        robot = law.gravity.robot
+        gravity = f"as of another model: {robot.name} (tip {robot.tip}, {robot.mass:.4g} kg)"
     if name == "NoGravity" and not law.task.robot.gravity.any():
         gravity = "known exactly: the arm is taken without it"
     gains = f"{of_gains(law.gains)}, {of_saturation(law.saturation, law.task)}"

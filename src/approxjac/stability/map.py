@@ -49,6 +49,8 @@ _POOL = 200  # targets that the hard ones are chosen from
 class StabilityMap:
     """Verdicts of the tests over a grid of two parameters.
 
+    `view.plot_shares(m.x, m.y, m.rollouts, labels=m.names)` draws one that is by rollouts.
+
     Attributes:
         names: Of the two parameters, along x and y.
         x: Values of the first, shape (N_x,).
@@ -185,7 +187,8 @@ def stability_map(
     known = labels(uncertainty) if by == "rollouts" else PARAMETERS
     for name in names:
         if name not in known:
-            raise UnknownNameError("parameter", name, "the map", known)
+            likely = 'errors and places need by="rollouts"' if name in labels(uncertainty) else ""
+            raise UnknownNameError("parameter", name, "the map", known, likely)
     if len(set(names)) != 2:
         raise InvalidInputError(f"names must be two different parameters, got {names}", given=names)
     xs, ys = (_values(name, values) for name, values in zip(names, (x, y), strict=True))
