@@ -25,6 +25,7 @@ extensions = [
     "mathml",
     "study_figures",
     "gallery",
+    "shell_options",
 ]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3

@@ -62,11 +62,11 @@ for column, (name, (home, tool)) in enumerate(ARMS.items()):
         away.plot(run.t, distance, color=COLORS[label], label=label)
     with view.style():
         error.set(
-            xlabel="time [s]", ylabel="‖x − x_d‖ [mm]", title=f"Size of the task error: {name}"
+            xlabel="time [s]", ylabel="$‖x - x_d‖$ [mm]", title=f"Size of the task error: {name}"
         )
         away.set(
             xlabel="time [s]",
-            ylabel="‖q − q_home‖ [rad]",
+            ylabel=r"$‖q - q_\mathrm{home}‖$ [rad]",
             ylim=(0.0, 1.0),
             title=f"Distance from the posture: {name}",
         )

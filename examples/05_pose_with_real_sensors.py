@@ -67,8 +67,10 @@ for i, label in enumerate("xyz"):
     left.plot(run.t, 1e3 * position[:, i], color=view.SERIES[i], label=label)
     middle.plot(run.t, np.degrees(turn[:, i]), color=view.SERIES[i], label=f"r{label}")
 with view.style():
-    left.set(xlabel="time [s]", ylabel="p − p_d [mm]", title="True error of the position")
-    middle.set(xlabel="time [s]", ylabel="log(R R_dᵀ) [deg]", title="True error of the orientation")
+    left.set(xlabel="time [s]", ylabel="$p - p_d$ [mm]", title="True error of the position")
+    middle.set(
+        xlabel="time [s]", ylabel=r"$\log(R R_d^T)$ [deg]", title="True error of the orientation"
+    )
 for ax in (left, middle):
     ax.axhline(0.0, color=view.COLORS["neutral"], linewidth=0.8)
     view.legend_below(ax)

@@ -70,7 +70,7 @@ with view.style():
     ax.set_xticks(DAMPING, [f"{damping:g}" for damping in DAMPING])
     ax.set_xticks([], minor=True)
     ax.set(
-        xlabel="added joint damping B_c [N m s/rad]",
+        xlabel="added joint damping $B_c$ [N m s/rad]",
         ylabel="tolerated length [m]",
         title="Panda: the longest unknown tool that each test lets pass",
     )

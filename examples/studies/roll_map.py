@@ -327,7 +327,7 @@ def draw(cells):
                 label="test and simulation differ",
             )  # fmt: skip
             ax.set_yticks(heights, [f"{ratio:g}" for ratio in RATIOS])
-            ax.set(xlabel="error of the believed roll [°]", ylabel="a = k_p / k_v [1/s]")
+            ax.set(xlabel="error of the believed roll [°]", ylabel="$a = k_p / k_v$ [1/s]")
             ax.set_title(LOOPS[loop])
             ax.grid(visible=False)
         bar = figure.colorbar(shown, ax=axes, label="share of goals that converge (undecided: ½)")

@@ -40,6 +40,17 @@ def test_an_exponent_does_not_stand_above_the_hat(formula):
     assert formula(r"J^T + \hat J").count("mpadded height") == 1  # that of the hat
 
 
+def test_options_of_commands_are_not_broken(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs" / "_ext")
+    whole = __import__("shell_options").whole
+    box = '<div class="highlight-sh notranslate"><pre>a<span class="w"> </span>--dry-run 1-2</pre>'
+    assert whole(box).count('<span class="option">--dry-run</span>') == 1
+    assert whole(box).count("option") == 1
+    assert whole('<span class="pre">--out</span>') == '<span class="pre option">--out</span>'
+    python = '<div class="highlight-python notranslate"><pre>a --b</pre>'
+    assert whole(python) == python
+
+
 def test_names_of_functions_stand_apart(formula):
     assert '<mo lspace="0.17em" rspace="0">tanh</mo>' in formula(r"\gamma\tanh(e)")
     assert '<mo lspace="0" rspace="0.17em">sin</mo><mi>q</mi>' in formula(r"\sin q")

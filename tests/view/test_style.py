@@ -92,6 +92,15 @@ NAMES = (
 )  # fmt: skip
 
 
+def test_symbols_on_the_axes_of_maps_are_formulas():
+    grid = np.array([[1.0, 2.0], [3.0, 4.0]])
+    for draw in (lambda **labels: view.plot_map(*grid, grid, [], **labels),
+                 lambda **labels: view.plot_shares(*grid, grid, **labels)):  # fmt: skip
+        ax = draw(labels=("gain ratio k_p / k_v", "added damping B_c"))
+        assert ax.get_xlabel() == "gain ratio $k_{p}$ / $k_{v}$"
+        assert ax.get_ylabel() == "added damping $B_{c}$"
+
+
 def test_no_plot_is_forgotten(plots):
     public = {name for name in view.__all__ if name.startswith("plot_")}
     assert {name.split(",")[0] for name in NAMES} | {"plot_run"} == public

@@ -10,7 +10,7 @@ from matplotlib.patheffects import Normal, TickedStroke
 
 from approxjac import law
 from approxjac.validation import Array, plane_rows
-from approxjac.view.style import COLORS, SERIES, styled
+from approxjac.view.style import COLORS, SERIES, formulas, styled
 
 
 def plot_allowed_error(
@@ -152,7 +152,7 @@ def plot_map(
         if own is not None:
             ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label="as given")
         _scale(ax, x, y)
-        ax.set(xlabel=labels[0], ylabel=labels[1], title=title)
+        ax.set(xlabel=formulas(labels[0]), ylabel=formulas(labels[1]), title=title)
         ax.grid(visible=False)
     return ax
 
@@ -190,7 +190,7 @@ def plot_shares(
         if own is not None:
             ax.plot(*own, "*", color=SERIES[6], mec="white", ms=14, label=own_name)
         _scale(ax, x, y)
-        ax.set(xlabel=labels[0], ylabel=labels[1], title=title)
+        ax.set(xlabel=formulas(labels[0]), ylabel=formulas(labels[1]), title=title)
         ax.grid(visible=False)
     return ax
 
