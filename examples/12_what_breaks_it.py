@@ -2,8 +2,7 @@
 
 You will see: six ways to fail, as curves of what is left after 6 s: a camera rolled too far, a
 measurement that is late, damping faster than it is sampled; joint axes that point elsewhere, a
-payload neither known nor learnt, weak motors. Dashed: where the local test predicts failure;
-points at the upper edge diverged.
+payload neither known nor learnt, weak motors. Dashed: where the local test predicts failure.
 
 You will learn: what the limits of the law look like, and which of them can be predicted.
 
@@ -94,13 +93,13 @@ SHARE, MM, SPEED = "error left, share of the first", "error left [mm]", "largest
 PANELS = [  # what is made worse, by how much, a curve for each of, what is shown; test up to there
     (rolled, "unknown roll [°]", range(0, 101, 10), {"a = 1 1/s": 1, "a = 8 1/s": 8}, SHARE, 120),
     (late, "age of x [ms]", range(0, 321, 40), {"settling in 0.5 s": 0.5, "1 s": 1.0}, SHARE, 400),
-    (damped, "sampling period [ms]", range(3, 25, 2), {"usual damping": 1, "4 times": 4}, SPEED, 40),
+    (damped, "sampling period [ms]", range(3, 25, 2), {"usual damping": 1, "x 4": 4}, SPEED, 40),
     (tilted, "axes off by [°]", range(0, 41, 5), {"θ fitted": False, "θ learnt": True}, MM, 0),
     (loaded, "unknown payload [kg]", [0, 0.1, 0.3, 1, 3], {"g believed": 0, "g learnt": 1}, MM, 0),
     (weak, "share of the motors' torques [–]", [0.2, 0.25, 0.28, 0.3, 0.35],
      {"clipped": False, "limited by the QP": True}, MM, 0),
 ]  # fmt: skip
-figure, axes = view.new_figure(3, 2, title="Left after 6 s. Dashed: what the local test says")
+figure, axes = view.new_figure(3, 2, title="Left after 6 s; at the upper edge: diverged. Dashed: the local test")
 for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=True):
     for color, (label, setting) in zip(view.SERIES, curves.items(), strict=False):
         y = [left(*make(value, setting), NEAR if limit else FAR, shown) for value in values]
