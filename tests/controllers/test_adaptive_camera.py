@@ -422,6 +422,11 @@ def test_wrong_numbers_are_told(room, options, text):
 def test_wrong_tasks_are_told(panda, room, hand):
     with pytest.raises(InvalidInputError, match="task must be an ImageTask of the believed robot"):
         AdaptiveCamera(aj.PositionTask(panda))
+    tag = aj.ImageTask(panda, CAMERA, points=aj.tasks.tag_corners(0.08))
+    for task in (tag, aj.tasks.CombinedTask(tag, np.eye(8)[:6])):
+        with pytest.raises(InvalidInputError, match=r"take three corners, .*points=points\[:3\]"):
+            AdaptiveCamera(task)
+    AdaptiveCamera(aj.ImageTask(panda, CAMERA, points=tag.points[:3]))
     planar = aj.ImageTask(aj.load_robot("two_link"), PlanarCamera(0.05, 3.0))
     with pytest.raises(InvalidInputError, match="task must have a PinholeCamera"):
         AdaptiveCamera(planar)

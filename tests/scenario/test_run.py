@@ -510,8 +510,12 @@ def test_what_does_not_explain_an_image_is_said_to_be_its_center_or_distortion(p
     learnt = kinematics.report(state)._replace(chi_squared=5.3, angle=2.0, seconds=3.0)
     told = report._kinematics(learnt, is_image=True)
     assert "camera turned by 114.6 deg, chi squared 5.30" in told
-    assert told.endswith("does not explain x: its center and distortion are not learnt")
-    assert "do not explain x: a camera's center and distortion are not learnt" in str(learnt)
+    never = "a camera's center and distortion, which are not learnt; late images"
+    assert told.endswith(f"does not explain x; it may be: {never}")
+    assert f"do not explain x; it may be: {never}" in str(learnt)
+    few = learnt._replace(rows=[row for row in learnt.rows if row.name.startswith("camera")])
+    wanted = f"do not explain x; it may be: tool or points, focal_length (taken for known); {never}"
+    assert wanted in str(few)
 
 
 def test_a_pose_is_learnt_from_a_tracker():

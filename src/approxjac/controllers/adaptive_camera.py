@@ -55,7 +55,7 @@ class AdaptiveCamera(Kinematics):
 
     Args:
         task: An `ImageTask` of the believed robot with a `PinholeCamera`, as it is believed. Its
-            center and distortion are taken for true.
+            center and distortion are taken for true. Of a tag take three corners, `points[:3]`.
         unknown: What may be wrong: "tool", or "points" of the world, where what is watched is, all
             by one translation; "origins" of the joints; "camera", its position and rotation;
             "focal_length". By default all but the origins.

@@ -11,8 +11,8 @@ from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
 from approxjac.controllers.image_estimator import Deviations, Estimate
 from approxjac.controllers.watched_points import WatchedPoints
 from approxjac.errors import InvalidInputError
-from approxjac.tasks import ImageTask, PinholeCamera
-from approxjac.tasks.analysis import require_controllable
+from approxjac.tasks import CombinedTask, ImageTask, PinholeCamera
+from approxjac.tasks.analysis import controllable_coordinates, require_controllable
 from approxjac.validation import Array, require
 
 USUAL_SD: Mapping[str, float] = {
@@ -20,6 +20,7 @@ USUAL_SD: Mapping[str, float] = {
     "focal_length": 0.3,
 }  # fmt: skip
 """Plausible errors: of translations along each axis [m], rotation [rad], and the log of f."""
+_THREE = "; of a tag take three corners, ImageTask(robot, camera, points=points[:3])"
 
 
 class CameraUnknowns:
@@ -73,7 +74,15 @@ class CameraUnknowns:
 
 def _camera(task: Any) -> PinholeCamera:
     """Return the camera of a task that can be learnt."""
-    require("task", task, ImageTask, "an ImageTask of the believed robot")
+    wanted = "an ImageTask of the believed robot"
+    if isinstance(task, CombinedTask):
+        wanted += f" without a combination of coordinates{_THREE}"
+    require("task", task, ImageTask, wanted)
+    if task.m > controllable_coordinates(task) == 6:
+        raise InvalidInputError(
+            f"task must have at most 6 coordinates, got {task!r} with {task.m}{_THREE}",
+            given=task,
+        )
     require_controllable(task)
     camera = task.camera
     if not isinstance(camera, PinholeCamera):

@@ -116,6 +116,17 @@ class KinematicReport(NamedTuple):
         """Return whether the parameters that may be wrong explain x, of which they were learnt."""
         return self.seconds > 0.0 and self.chi_squared <= _UNEXPLAINED and not self.axes.are_tilted
 
+    @property
+    def suspects(self) -> str:
+        """What may be wrong with an image that is not explained, the likeliest first; or ""."""
+        if self.unit != "px":
+            return ""
+        kinds = (("tool", "points"), ("camera",), ("focal_length",))
+        learnt = {row.name.split(".")[0] for row in self.rows}
+        known = [" or ".join(kind) for kind in kinds if learnt.isdisjoint(kind)]
+        taken = f"{', '.join(known)} (taken for known); " if known else ""
+        return f"{taken}a camera's center and distortion, which are not learnt; late images"
+
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)
         head = f"{'':{width}}  {'believed':>10} {'learnt':>10} {'sd':>9} {'seen':>6}"
@@ -137,7 +148,7 @@ class KinematicReport(NamedTuple):
             since = f"for the last {self.silence:.1f} s" if self.seconds else "yet"
             lines.append(f"no frame to learn from {since}: x is lost, or too old to tell q at it")
         if self.seconds and not self.is_explained:
-            rest = ": a camera's center and distortion are not learnt" if self.unit == "px" else ""
+            rest = f"; it may be: {self.suspects}" if self.suspects else ""
             lines.append(f"the parameters that may be wrong do not explain x{rest}")
         if self.axes.are_tilted:
             degrees = math.degrees(self.axes.angle)

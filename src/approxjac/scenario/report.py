@@ -184,7 +184,7 @@ def _kinematics(learnt: KinematicReport, is_image: bool) -> str:
         told.append(f"{which} turned by {math.degrees(learnt.angle):.1f} deg{rows}")
     told.append(f"chi squared {learnt.chi_squared:.2f} a degree of freedom")
     if not learnt.is_explained:
-        why = ": its center and distortion are not learnt" if learnt.unit == "px" else ""
+        why = f"; it may be: {learnt.suspects}" if learnt.suspects else ""
         told.append(f"which does not explain x{why}")
     return ", ".join(told)
 

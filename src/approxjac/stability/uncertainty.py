@@ -180,11 +180,10 @@ class Uncertainty:
         """The largest factor up to a bound > 0 for which all robots of `scaled` can exist."""
         bound = min([bound, *(known.largest_factor for known in self._coordinates)])
         low, high, factor = 0.0, bound, bound
-        for _ in range(20):
+        while high - low > 1e-6 * bound:
             try:
                 self.scaled(factor)
-                if (low := factor) == bound:
-                    break
+                low = factor
             except InvalidInputError:
                 high = factor
             factor = 0.5 * (low + high)
@@ -254,10 +253,8 @@ class Uncertainty:
         camera = None if self.camera is None else self._true_camera(self._by_name(values))
         plant = self._nominal._of(robot, self._task_of(robot, camera))
         make = self._make_task
-        is_same = (
-            isinstance(make, partial) and make.func is PositionTask and "axes" in make.keywords
-        )
-        if is_same and self._perturbation.moves(robot):  # other tasks may look at the robot
+        same = isinstance(make, partial) and make.func is PositionTask and "axes" in make.keywords
+        if same and self._perturbation.moves(robot):  # other tasks may look at the robot
             self._set("_moved", plant)
         return plant
 
