@@ -99,7 +99,7 @@ PANELS = [  # what is made worse, by how much, a curve for each of, what is show
     (weak, "share of the motors' torques [–]", [0.2, 0.25, 0.28, 0.3, 0.35],
      {"clipped": False, "limited by the QP": True}, MM, 0),
 ]  # fmt: skip
-figure, axes = view.new_figure(3, 2, title="After 6 s; upper edge: diverged; dashed: the local test")
+figure, axes = view.new_figure(3, 2, title="After 6 s; at the edge: diverged; dashed: local test")
 for ax, (make, name, values, curves, shown, limit) in zip(axes, PANELS, strict=True):
     for color, (label, setting) in zip(view.SERIES, curves.items(), strict=False):
         y = [left(*make(value, setting), NEAR if limit else FAR, shown) for value in values]
