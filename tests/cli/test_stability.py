@@ -230,6 +230,19 @@ def test_gravity_may_be_learnt_or_not_be_felt():
     assert not loop("exact").truth.arm.gravity.any()
 
 
+@pytest.mark.parametrize("gravity", ["believed", "learnt"])
+def test_gravity_of_a_tilted_base_is_a_report_and_no_bad_input(gravity):
+    tilt = {"joint_rotations": {"shoulder_pan_joint": (0.1, 0.0, 0.0)}}
+    small = {"configurations": 20, "runs": 0, "map_points": 2}
+    scenario = Scenario("ur5", controller={"gravity": gravity}, stability=tilt | small)
+    result = study.analyse(scenario, study.prepare(scenario))
+    assert not result.report.gravity_is_exact
+    assert (result.tolerances, result.map) == ({}, None)
+    told = " ".join(report.consequences(result).split())
+    assert told.startswith("not certified: gravity is neither known nor can it be learnt")
+    assert report.told_of_map(result, Path("out")) == []
+
+
 def test_several_points_are_combined_in_the_controller_and_in_the_truth():
     for ranges in ({}, {"roll": (-0.1, 0.1)}):
         scenario = Scenario(

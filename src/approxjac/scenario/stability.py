@@ -138,7 +138,10 @@ def analyse(
     if uncertainty is None:
         return StabilityResult(scenario, report)
 
-    tolerances = tolerance(controller, uncertainty, progress=partial(tell, "tolerance"), **where)
+    tolerances: dict[Test, Tolerance] = {}
+    if report.gravity_is_exact:  # as is assumed by all tests but rollouts
+        tell_it = partial(tell, "tolerance")
+        tolerances = tolerance(controller, uncertainty, progress=tell_it, **where)
     damping = part = map_ = None
     # whatever damping and errors are, nothing certifies where Ĵ loses rank or gravity is wrong
     if not report.passed and report.gravity_is_exact and report.singular_q is None:
@@ -149,7 +152,7 @@ def analyse(
             controller, uncertainty, largest=min(1.0, tolerances["matrix"].scale),
             progress=partial(tell, "smaller errors"), **drawn,
         )  # fmt: skip
-    if analysis.map_points:
+    if analysis.map_points and (report.gravity_is_exact or analysis.map_by == "rollouts"):
         given = analysis.map_runs
         runs = _MAP_RUNS[analysis.map_by] if given is None else given
         x, y = (_values(name, loop, uncertainty, analysis.map_points) for name in analysis.map)
