@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import os
+import re
 import signal
 import threading
 import time
@@ -164,8 +165,29 @@ def test_a_driver_that_hangs_is_braked_by_the_watchdog(plant, controller):
 
     found = run(driver_of(plant, Hanging), controller, late=0.1)
     assert found.fault is Fault.READ_HUNG
+    assert re.search(r"; the last command took this machine [\d.]+ ms, [\d.]+ in", found.ended)
     assert len(braked) == 1
     assert 0.15 < braked[0] < 2.0  # twice `late`, on a machine that may be busy
+
+
+def test_a_late_torque_says_how_long_the_step_took(plant, controller):
+    class Busy(Wrapped):
+        late = 0.0
+
+        def read(self):
+            measured = super().read()
+            return measured._replace(t=measured.t + self.late)
+
+        def send(self, command):
+            if len(self.sent) == 50:
+                time.sleep(0.35)
+                self.late = 0.31
+            super().send(command)
+
+    found = run(driver_of(plant, Busy), controller, late=0.3)
+    assert found.fault is Fault.TORQUE_LATE
+    took, usual = re.search(r"took this machine (\d+) ms, ([\d.]+) in", found.ended).groups()
+    assert float(took) >= 350.0 > 10.0 * float(usual)
 
 
 def test_a_few_periods_without_q_are_bridged(plant, controller):

@@ -164,7 +164,8 @@ def control(
             brake.close()
         if watchdog.bit:
             loop.fault = Fault.READ_HUNG
-            loop.detail = f"no command for {1e3 * _HANGS * late:.3g} ms, twice `late`"
+            told = f"no command for {1e3 * _HANGS * late:.3g} ms, twice `late`"
+            loop.detail = told + loop.work_told()
         elif error is not None:
             loop.fault, loop.detail = Fault.FAILED, ""
         run = _run_of(loop, why)

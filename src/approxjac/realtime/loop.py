@@ -135,7 +135,8 @@ class RobotLoop(Loop):
         self.measurement = measurement
         fault = self._watch.look(measurement, self._read)
         known = bool(np.isfinite(measurement.q).all() and np.isfinite(measurement.v).all())
-        self._note(fault, self._watch.detail)
+        late = fault is Fault.TORQUE_LATE
+        self._note(fault, self._watch.detail + (self.work_told() if late else ""))
         if fault is None and known:
             self._note(self._sensor.look(measurement, self.target))
             if told := two_clocks(measurement, self.dt):
@@ -266,6 +267,14 @@ class RobotLoop(Loop):
             self._note(Fault.BLIND)
         elif self._limited * self.dt > self._patience:
             self._note(Fault.LIMITS)
+
+    def work_told(self) -> str:
+        """Return in words how long it took from a state to its command, at last and usually."""
+        works = 1e3 * self.works[: self.step]
+        if not len(works):
+            return ""
+        last, usual = works[-1], np.median(works)
+        return f"; the last command took this machine {last:.3g} ms, {usual:.3g} in the median"
 
     def told(self) -> str:
         """Return the fault in words."""
