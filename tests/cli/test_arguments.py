@@ -49,6 +49,9 @@ simulate panda --believed.object.radius 15
 stability panda --object-length 0 20
 --object-length must be at most 10 [m], got 20; 200 mm are 0.2
 
+stability panda --object-mass 0 1e300
+--object-mass must be at most 10000 [kg], got 1e+300; 500 g are 0.5
+
 stability panda --object-length 0 1 --believed-length 15
 --believed-length must be at most 10 [m], got 15; 200 mm are 0.2
 

@@ -342,6 +342,7 @@ def test_objects_can_be_stacked(panda):
     [
         ({"length": -0.1}, aj.InvalidInputError, "length must be a finite number >= 0 [m], got -0"),
         ({"mass": -1}, aj.InvalidInputError, "mass must be a finite number >= 0 [kg], got -1"),
+        ({"mass": 1e300}, aj.InvalidInputError, "mass must be at most 10000 [kg], got 1e+300; 500"),
         ({"radius": -1}, aj.InvalidInputError, "radius must be a finite number >= 0 [m], got -1"),
         ({"length": 1e308}, aj.InvalidInputError, "length must be at most 10 [m], got 1e+308; 200"),
         ({"radius": 11}, aj.InvalidInputError, "radius must be at most 10 [m], got 11; 200 mm"),

@@ -19,6 +19,7 @@ from approxjac.validation import Array, as_array, as_number
 OBJECT_RADIUS = 0.01
 """Radius of an object that nothing is said about [m]."""
 _LONGEST = 10.0  # object [m]; what is longer was meant in mm or cm
+_HEAVIEST = 1e4  # object [kg], likewise
 
 
 def direction(axis: str | Sequence[float]) -> Array:
@@ -38,8 +39,7 @@ def direction(axis: str | Sequence[float]) -> Array:
 
 def object_size(length: float, mass: float, radius: float) -> tuple[float, float, float]:
     """Return length [m], mass [kg] and radius [m] of an object as numbers."""
-    mass = as_number("mass", mass, unit="kg", minimum=0.0)
-    return as_size("length", length), mass, as_size("radius", radius)
+    return as_size("length", length), as_mass("mass", mass), as_size("radius", radius)
 
 
 def as_size(name: str, value: Any) -> float:
@@ -50,6 +50,16 @@ def as_size(name: str, value: Any) -> float:
             f"{name} must be at most {_LONGEST:g} [m], got {size:g}; 200 mm are 0.2", given=value
         )
     return size
+
+
+def as_mass(name: str, value: Any) -> float:
+    """Return the mass of an object as a number [kg]."""
+    mass = as_number(name, value, unit="kg", minimum=0.0)
+    if mass > _HEAVIEST:
+        raise InvalidInputError(
+            f"{name} must be at most {_HEAVIEST:g} [kg], got {mass:g}; 500 g are 0.5", given=value
+        )
+    return mass
 
 
 def require_new(name: str, taken: Collection[str], robot: str) -> None:

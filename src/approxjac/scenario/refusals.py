@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Any
 
 from approxjac.errors import InvalidInputError
-from approxjac.robots.urdf_edit import as_size
+from approxjac.robots.urdf_edit import as_mass, as_size
 from approxjac.scenario.scenario import Scenario
 
 _TRACKED = ("position", "pose")  # kinds of tasks that a tracker can be the sensor of
@@ -24,6 +24,7 @@ def require_effect(scenario: Scenario) -> None:
     for kind, held in (("true", scenario.true.object), ("believed", scenario.believed.object)):
         for name, size in (("length", held.length), ("radius", held.radius)):
             as_size(f"{kind}.object.{name}", size or 0.0)
+        as_mass(f"{kind}.object.mass", held.mass or 0.0)
     for value, told in _faults(scenario):
         raise InvalidInputError(told, given=value)
 

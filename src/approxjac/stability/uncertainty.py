@@ -15,7 +15,7 @@ import numpy as np
 
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Perturbation, Robot
-from approxjac.robots.urdf_edit import as_size, direction
+from approxjac.robots.urdf_edit import as_mass, as_size, direction
 from approxjac.simulation import Plant
 from approxjac.stability.coordinates import (
     Coordinate,
@@ -112,7 +112,7 @@ class Uncertainty:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
         self._require_task()
         as_size("believed_length", self.believed_length)
-        as_number("believed_mass", self.believed_mass, unit="kg", minimum=0.0)
+        as_mass("believed_mass", self.believed_mass)
         as_number("factor", self.factor, minimum=0.0)
         if self.object_axis is not None:
             direction(self.object_axis)
@@ -375,8 +375,8 @@ class Uncertainty:
                     f"got {known.low:.4g} to {known.high:.4g}{grown}",
                     given=(known.low, known.high),
                 )
-            if known.name == "object_length":
-                as_size(known.name, known.high)
+            if known.name.startswith("object_"):
+                (as_mass if known.unit == "kg" else as_size)(known.name, known.high)
         # a camera knows itself what it cannot be, and is that in a corner first
         unsure = [known for known in self._coordinates if known.name.startswith("camera ")]
         for corner in itertools.product(*((known.low, known.high) for known in unsure)):
