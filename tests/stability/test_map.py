@@ -1,6 +1,7 @@
 """The stability map against the tests that it is made of."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -206,6 +207,16 @@ def test_by_rollouts_over_errors_and_places(plane):
 def test_refused_by_rollouts(plane, names, by, text):
     with pytest.raises(aj.errors.ApproxJacError, match=text):
         stability_map(*plane, by=by, names=names, x=(0.1, 1.0), y=(0.1, 1.0))
+
+
+def test_a_plot_that_is_given_a_map_says_which_of_its_arrays_it_takes(found):
+    m = replace(found, rollouts=np.ones((3, 4)))
+    for plot, arrays in ((aj.view.plot_shares, "m.rollouts, l"), (aj.view.plot_map, "m.decay_rat")):
+        with pytest.raises(aj.InvalidInputError, match=f"a StabilityMap m m.x, m.y, {arrays}"):
+            plot(m)
+    ax = aj.view.plot_shares(m.x, m.y, m.rollouts, labels=m.names)
+    assert ax.get_xlabel() == "error"
+    assert aj.view.plot_map(m.x, m.y, m.decay_rate, boundaries=[], labels=m.names)
 
 
 def test_grown_errors_may_have_a_camera_look_elsewhere():

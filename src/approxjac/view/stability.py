@@ -2,15 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import ParamSpec
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patheffects import Normal, TickedStroke
 
 from approxjac import law
-from approxjac.validation import Array, plane_rows
+from approxjac.errors import InvalidInputError
+from approxjac.validation import Array, plane_rows, shape_of
 from approxjac.view.style import COLORS, SERIES, formulas, styled
+
+_Given = ParamSpec("_Given")
+
+
+def _of_arrays(arrays: str) -> Callable[[Callable[_Given, Axes]], Callable[_Given, Axes]]:
+    """Have a plot of a map's arrays tell which, if it is given the map itself."""
+
+    def told(plot: Callable[_Given, Axes]) -> Callable[_Given, Axes]:
+        @wraps(plot)
+        def drawn(*args: _Given.args, **options: _Given.kwargs) -> Axes:
+            if len(args) == 1 and shape_of(args[0]) == ():
+                raise InvalidInputError(
+                    f"{plot.__name__} takes arrays, of a StabilityMap m {arrays}, got {args[0]!r}",
+                    given=args[0],
+                )
+            return plot(*args, **options)
+
+        return drawn
+
+    return told
 
 
 def plot_allowed_error(
@@ -103,6 +126,7 @@ def plot_margins(
     return ax
 
 
+@_of_arrays("m.x, m.y, m.decay_rate, boundaries=[], labels=m.names")
 def plot_map(
     x: Array,
     y: Array,
@@ -157,6 +181,7 @@ def plot_map(
     return ax
 
 
+@_of_arrays("m.x, m.y, m.rollouts, labels=m.names")
 def plot_shares(
     x: Array,
     y: Array,
