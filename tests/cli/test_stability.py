@@ -68,7 +68,7 @@ def test_a_certified_set(certified):
     assert np.array(summary["map"]["decay_rate"]).shape == (2, 2)
     assert summary["scenario"]["stability"]["object_length"] == [0.0, 0.1]
     verdict, starts, first, second = summary["advice"]
-    assert " of these the error goes to zero as long as the arm stays in the region" in starts
+    assert ") the error goes to zero as long as the arm stays in the region" in starts
     assert verdict.startswith("certified: yes, margin 0.")
     assert "as it runs at 1 kHz" in verdict
     assert first.startswith(
