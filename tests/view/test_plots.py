@@ -217,5 +217,8 @@ def test_what_is_learnt_of_kinematics_is_drawn_with_its_uncertainty(panda):
     assert learnt.get_ydata()[-1] == last.value
     edges = band.get_paths()[0].vertices
     assert np.isclose(edges[edges[:, 0] == run.t[-1], 1].max(), last.value + 2.0 * last.sd)
+    low, high = ax.get_ylim()  # of what was learnt, not of the belief
+    assert low < last.value - 2.0 * last.sd < last.value + 2.0 * last.sd < high
+    assert high - low < 0.5 * np.ptp(edges[:, 1])
     with pytest.raises(aj.errors.UnknownNameError, match=r"tool.w.*what is learnt"):
         view.plot_kinematics(run, controller, ["tool.w"])

@@ -16,6 +16,7 @@ from approxjac.view.style import SERIES, styled
 
 _INSTANTS = 200
 _USUAL = ("tool.", "camera.")
+_SHOWN = 0.1  # share of the run after which values and bands are to be within the axes
 
 
 def plot_kinematics(
@@ -28,6 +29,8 @@ def plot_kinematics(
     title: str = "What is learnt of the kinematics",
 ) -> Axes:
     """Draw numbers that are learnt against time, with bands of two standard deviations.
+
+    The axes hold what is drawn after the first tenth of the run: bands begin as wide as beliefs.
 
     Args:
         run: A run of the controller.
@@ -52,6 +55,7 @@ def plot_kinematics(
     for name in chosen:
         if name not in known:
             raise UnknownNameError("number", name, "what is learnt", known)
+    within: list[float] = []
     with styled(ax) as ax:
         for i, name in enumerate(chosen):
             j, color = known.index(name), SERIES[i % len(SERIES)]
@@ -61,8 +65,16 @@ def plot_kinematics(
             ax.fill_between(
                 run.t[kept], values - 2.0 * sd, values + 2.0 * sd, color=color, alpha=0.15, lw=0
             )
+            late = kept >= _SHOWN * kept[-1]
+            # a band of what is not seen is that of the belief, beside which curves lie on a line
+            bands = sd * [report.rows[j].is_seen for report in reports]
+            within += [*(values - 2.0 * bands)[late], *(values + 2.0 * bands)[late]]
             if truth is not None and name in truth:
+                within.append(truth[name])
                 ax.axhline(truth[name], color=color, linestyle="--", linewidth=0.9)
         units = dict.fromkeys(reports[0].rows[known.index(name)].unit or "–" for name in chosen)
         over_time(ax, run, ylabel=f"learnt, ± 2 sd [{' or '.join(units)}]", title=title)
+        if within:
+            room = 0.05 * (max(within) - min(within)) or 1e-3
+            ax.set_ylim(min(within) - room, max(within) + room)
     return ax
