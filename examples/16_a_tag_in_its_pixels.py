@@ -47,7 +47,7 @@ with tempfile.TemporaryDirectory() as folder:
 camera = camera.standing_at((1.25, -0.25, 0.75), looking_at=(0.55, 0.0, 0.5))  # in truth
 wrong = camera.with_error(rotation=(0.0, 0.0, np.radians(20.0)), shift=(0.05, 0.0, -0.15))
 arm = aj.load_robot("panda")
-truth, belief = arm.with_object(0.15, 0.3, axis="x"), arm.with_object(0.0)
+truth, belief = arm.with_object(0.15, 0.3, axis="x"), arm.with_object(0.0)  # weighed only
 corners = tag_corners(SIZE, TAG)
 
 
@@ -82,29 +82,29 @@ class Eye:
         return found[0].astype(float).ravel()
 
 
-eye = Eye()
+eye, dt = Eye(), 1e-3  # [s]
 x_d = eye.corners(eye.image(GOAL))  # the target is shown
 task = CombinedTask.balanced(aj.ImageTask(belief, wrong, points=corners), x_d)
-late = aj.Latency(image_period=1 / 30, image_age=0.04)
-gravity = ModelGravity(truth)  # the tool was weighed
-law = aj.SetpointController(task, gravity=gravity, latency=late, settling_time=2.0)
-loop = aj.HeldMeasurement(aj.TorqueLimited(law, aj.Limits.of(belief), dt=1e-3), unseen=60.0)
+late = aj.Latency(period=dt, image_period=1 / 30, image_age=0.04)
+law = aj.SetpointController(task, gravity=ModelGravity(truth), latency=late, settling_time=2.0)
+loop = aj.HeldMeasurement(aj.TorqueLimited(law, aj.Limits.of(belief), dt=dt), unseen=60.0)
 
-robot = SimulatedDriver(aj.Plant(truth), START, pace=np.inf)  # yours: tells q and q̇, takes torques
+robot = SimulatedDriver(aj.Plant(truth), START, dt=dt, pace=np.inf)  # yours: tells q, q̇; takes τ
 images, kept = deque([(np.full(8, np.nan), -np.inf)]), []
 state = loop.initial_state(aj.Measurement(0.0, START, np.zeros(7), images[0][0]))
-for step in range(12_000):
+print("12 s of control with 30 images each, which takes some 10 s or more")
+for step in range(round(12.0 / dt)):
     now, q, v, *_ = robot.read()
-    if step % 33 == 0:  # 30 images a second, each of which is there when it was looked through
+    if step % round(1 / 30 / dt) == 0:  # an image is there when it was looked through
         images.append((eye.corners(eye.image(q)), now))
     if len(images) > 1 and now - images[1][1] >= 0.04:
         images.popleft()
     measured = aj.Measurement(now, q, v, *images[0])
-    state, answer = loop.step(state, measured, x_d, 1e-3)
+    state, answer = loop.step(state, measured, x_d, dt)
     robot.send(answer.torque)
     kept.append((now, *(images[0][0] - x_d), *(answer.torque / truth.effort_limits)))
-t, error, effort = np.split(np.array(kept[50:]), (1, 9), axis=1)
-first, last = np.abs(error[0]).max(), np.abs(error[-1000:]).max()
+t, error, effort = np.split(np.array(kept[round(0.05 / dt) :]), (1, 9), axis=1)
+first, last = np.abs(error[0]).max(), np.abs(error[t[:, 0] > 11.0]).max()
 print(f"largest error of a corner: {first:.0f} px at first, {last:.2f} px in the last second")
 assert last < 1.5 < 100.0 < first  # NaN, had the tag been lost
 
