@@ -1,7 +1,7 @@
 """A Panda with half its motor torque and with joint limits reaches a target with an unknown tool.
 
 You will see: the same law, the same start and target, with its torque clipped and with the torque
-limited by a QP. Clipping lets the joints run ten times too fast and far beyond their ends.
+limited by a QP. Clipping lets the joints run ten times too fast and into their stops.
 The QP keeps torques and positions within their limits, and speeds as well as the believed inertia
 (without the tool) predicts them. It takes longer, and says in which steps the theorem's decrease of
 V was kept.
