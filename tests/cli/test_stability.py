@@ -436,6 +436,11 @@ def test_without_gains_no_scenario_is_written(tmp_path, monkeypatch, capsys):
         assert not json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["found"]
         shown = capsys.readouterr().out
         assert shown.startswith(f"gains: none found {said}")
+        assert "an earlier one" not in shown
+        (tmp_path / "scenario.toml").write_text("of an earlier run", encoding="utf-8")
+        stability(tmp_path, "two_link", *errors, "--configurations", "20", "--suggest-gains")
+        assert "scenario.toml there is an earlier one" in capsys.readouterr().out
+        (tmp_path / "scenario.toml").unlink()
         assert "without gains no scenario.toml is written" in shown
 
 

@@ -79,7 +79,13 @@ def test_the_rest_is_learnt_of_a_robot_that_adds_its_own_gravity():
     assert built.plant.adds_gravity == built.law.task.robot != built.plant.robot
     done = built.run()
     assert "with the gravity that the robot adds" in " ".join(report.text(done).split())
-    run = done.run
+    run, own = done.run, aj.robots.Dynamics(built.law.task.robot)
+    asked = [tau + own.g(q) for tau, q in zip(run.tau, run.q, strict=True)]  # of the motors
+    share = np.abs(asked / built.plant.motor_limits).max()
+    assert done.peak_torque_ratio == pytest.approx(share)
+    assert share > 1.2 * np.abs(run.tau / built.plant.motor_limits).max()
+    drawn = report.draw(done).axes[1].lines[:6]
+    assert np.abs([line.get_ydata() for line in drawn]).max() == pytest.approx(share)
     assert not built.law.learnt(run.state[0]).any()
     last = run.error_norm[-1]
     assert last < 0.2 * run.error_norm[0]

@@ -80,6 +80,8 @@ def _suggest(scenario: Scenario, out: Path) -> int:
     print(gains.text(result))
     if result.report is None:
         print(f"\nsummary.json is in {out}; without gains no scenario.toml is written")
+        if (out / "scenario.toml").exists():
+            print("The scenario.toml there is an earlier one, and as it was")
         return 1
     print(f"\nsummary.json and scenario.toml are in {out}")
     its = f"approxjac stability {out / 'scenario.toml'}"

@@ -154,7 +154,8 @@ def draw(result: Result) -> Figure:
     title = f"{run.robot_name}: {result.verdict}"
     figure, axes = new_figure(*((2, 2) if limited else (3, 1)), title=title)
     plot_error(run, axes[0])
-    plot_torque(run, axes[1], limits=built.plant.motor_limits)
+    asked = run if built.plant.adds_gravity is None else replace(run, tau=result.motor_torque)
+    plot_torque(asked, axes[1], limits=built.plant.motor_limits)
     if isinstance(sensor, ImageTask):
         plot_image(run, sensor.camera, axes[2])
     else:

@@ -196,7 +196,10 @@ class Result:
             return f"stands at the joint stops of {', '.join(np.array(run.joint_names)[at_stop])}"
         most = self.built.plant.motor_limits * (1.0 + 1e-9)  # solvers round
         if mostly((np.abs(self.motor_torque[last]) > most).any(axis=1)):
-            return "the law asks for more torque than the motors deliver"
+            who = "the law asks"
+            if self.built.plant.adds_gravity is not None:
+                who = "the law and the gravity that the robot adds ask"
+            return f"{who} for more torque than the motors deliver"
         if mostly(run.limit_status[last] > LimitStatus.FREE):
             return self._held_back()
         if self.on_path:

@@ -300,6 +300,7 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             test: {
                 "scale": each.scale,
                 "fails_at": each.fails_at,
+                "is_tested": each.is_tested,
                 "errors": each.uncertainty.describe_box(),
                 "worst": each.worst_text,
             }

@@ -42,7 +42,8 @@ class Tolerance:
         test: The test.
         scale: The largest scale at which it passed, with the test passing at all the smaller
             ones that bisection tried; 0 if it does not even pass without errors.
-        fails_at: The smallest scale at which it failed; infinite if it never did, up to `largest`.
+        fails_at: The smallest scale at which it failed, or could not be tested; infinite if it
+            never did, up to `largest`.
         is_tested: Whether it was tested there. Not so where a true robot attains the target outside
             the region only, or hardly sees the region.
         worst: The true values that fail there, shape (d,); those at `scale` if nothing fails.

@@ -26,7 +26,7 @@ def _of_arrays(arrays: str) -> Callable[[Callable[_Given, Axes]], Callable[_Give
         def drawn(*args: _Given.args, **options: _Given.kwargs) -> Axes:
             if len(args) == 1 and shape_of(args[0]) == ():
                 raise InvalidInputError(
-                    f"{plot.__name__} takes arrays, of a StabilityMap m {arrays}, got {args[0]!r}",
+                    f"{plot.__name__} takes arrays, of a StabilityMap m: {arrays}, got {args[0]!r}",
                     given=args[0],
                 )
             return plot(*args, **options)
