@@ -262,6 +262,6 @@ def test_a_tag_that_a_camera_in_the_room_sees_is_a_pose_of_the_hand(panda):
     tag = pin.SE3(pin.exp3(np.array([0.3, -0.2, 0.5])), np.array([0.02, 0.0, 0.06]))  # in the hand
     hand = pin.SE3(*aj.tasks.FrameKinematics(panda, panda.tip).placement(Q))
     seen = pin.SE3(*camera.placement()).actInv(hand * tag)  # what cv2.solvePnP would say
-    center = seen.translation * 600.0 / seen.translation[2] + [320.0, 240.0, 0.0]
+    center = seen.translation * 600.0 / seen.translation[2] + [319.5, 239.5, 0.0]
     assert_allclose(camera.project((hand * tag).translation), center[:2], atol=1e-6)
     assert_allclose(pin.SE3ToXYZQUAT(seen * tag.inverse()), task.value(Q), atol=1e-9)
