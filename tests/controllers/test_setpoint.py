@@ -397,8 +397,13 @@ def test_gravity_of_another_arm_than_the_believed_one_is_printed_with_its_model(
     class Own(ModelGravity):
         pass
 
+    moon = np.array([0.0, 0.0, -1.62])
+    lighter, vector = aj.load_robot("panda", gravity=moon), "gravity vector [0, 0, -1.62] m/s²"
+    both = truth.with_gravity(moon)
     for gravity, text in (
-        (ModelGravity(truth), "as of another model: panda (tip object_tip, 17.32 kg)"),
+        (ModelGravity(truth), "as of another model: panda (17.32 kg)"),
+        (ModelGravity(lighter), f"as of another model: panda ({vector})"),
+        (ModelGravity(both), f"as of another model: panda (17.32 kg, {vector})"),
         (ModelGravity(aj.load_robot("panda")), "as of the believed arm"),
         (Own(truth), "by Own"),
     ):

@@ -1,5 +1,6 @@
 """The loop on a robot: where it begins, how it ends, and that the arm is always braked."""
 
+import copy
 import dataclasses
 import math
 import os
@@ -165,9 +166,60 @@ def test_a_driver_that_hangs_is_braked_by_the_watchdog(plant, controller):
 
     found = run(driver_of(plant, Hanging), controller, late=0.1)
     assert found.fault is Fault.READ_HUNG
-    assert re.search(r"; the last command took this machine [\d.]+ ms, [\d.]+ in", found.ended)
+    told = r"twice `late`: no state came; the command before took this machine [\d.]+ ms, [\d.]+ in"
+    assert re.search(told, found.ended)
     assert len(braked) == 1
     assert 0.15 < braked[0] < 2.0  # twice `late`, on a machine that may be busy
+
+
+@pytest.mark.parametrize(
+    ("what", "in_thread"), [("read", True), ("law", False), ("law", True), ("send", False)]
+)
+def test_a_loop_that_hangs_says_whether_the_state_had_come(plant, controller, what, in_thread):
+    class Hanging(Wrapped):
+        def read(self):
+            if what == "read" and len(self.sent) == 20:
+                time.sleep(0.3)
+            return super().read()
+
+        def send(self, command):
+            if what == "send" and len(self.sent) == 20:
+                time.sleep(0.3)
+            super().send(command)
+
+    driver = driver_of(plant, Hanging)
+    hanging, found = copy.copy(controller), []
+    if what == "law":
+        step = controller.step
+
+        def slow(*given):
+            if len(driver.sent) == 20:
+                time.sleep(0.3)
+            return step(*given)
+
+        hanging.step = slow
+    go = threading.Thread(target=lambda: found.append(run(driver, hanging, late=0.1)))
+    if in_thread:
+        go.start()
+        go.join()
+    else:
+        go.run()
+    assert found[0].fault is Fault.READ_HUNG
+    state = "no state came;"
+    if what != "read":
+        state = (
+            r"the state was read after [\d.]+ ms; the command, or sending it, did not come back;"
+        )
+    assert re.search(rf"no command for 200 ms, twice `late`: {state}", found[0].ended)
+
+
+def test_a_run_is_printed_in_one_block(plant, controller):
+    found = dataclasses.replace(run(driver_of(plant), controller, 0.05), stop_distance=0.01)
+    lines = str(found).splitlines()[1:]
+    names = [line[2:18].strip() for line in lines if line[2] != " "]
+    assert names[:2] == ["run", "torque"]
+    assert names[-3:] == ["ended", "stop", "work"]
+    assert all(line[16:18] == "  " and line[18] != " " for line in lines), lines
 
 
 def test_a_late_torque_says_how_long_the_step_took(plant, controller):
@@ -360,7 +412,7 @@ REFUSED = {
     "two clocks": "t_x must be by the clock of t: x was taken 1.7e+09 s after t: two clocks?",
     "millimetres": "m from the base of an arm that reaches 1.09 m; 1 mm is 0.001",
     "period": "must be",
-    "tuning": "is for a period of 0.001 s, and the driver's dt is 0.002 s; take Setpoint",
+    "tuning": "(gains or learning) is for a period of 0.001 s, and the driver's dt is 0.002 s; ",
     "sizes": "driver must read q, q̇ and x with 7, 7 and 3 numbers, got shapes (6,), (7,), (3,)",
     "duration": "duration must be a finite number > 0 [s], got 0.0",
     "driver": "driver must be a Driver",
@@ -404,6 +456,15 @@ def test_what_may_not_begin_is_refused_and_sends_nothing(plant, controller, pand
         control(given, controller, goal(plant), 0.0 if what == "duration" else 1.0)
     assert REFUSED[what] in str(refused.value)
     assert driver.sent == []
+
+
+def test_the_remedy_for_another_period_keeps_the_rest_of_the_latency(plant, controller):
+    law, limits = controller.controller, aj.Limits.of(controller.task.robot)
+    latency = aj.Latency(image_period=0.03, image_age=0.06)
+    law = aj.SetpointController(law.task, gravity=law.gravity, latency=latency)
+    remedy = r"latency=Latency\(period=0.002, image_period=0.03, image_age=0.06\)\)$"
+    with pytest.raises(InvalidInputError, match=remedy):
+        run(driver_of(plant, dt=2e-3), aj.TorqueLimited(law, limits, dt=2e-3), 0.02)
 
 
 def test_a_law_tuned_for_the_period_may_begin(plant, controller):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from approxjac.formatting import joined, numbers, wrapped
+from approxjac.formatting import joined, listed, numbers, wrapped
 from approxjac.law import Linear, Saturation
 from approxjac.tasks import Task
 
@@ -47,7 +47,10 @@ def of_law(law: SetpointController | TrackingController) -> str:
     gravity = _GRAVITY.get(name, f"by {name}")
     if name == "ModelGravity" and law.gravity.robot != law.task.robot:
         robot = law.gravity.robot
-        gravity = f"as of another model: {robot.name} (tip {robot.tip}, {robot.mass:.4g} kg)"
+        other = [f"{robot.mass:.4g} kg"] if robot.urdf != law.task.robot.urdf else []
+        if (robot.gravity != law.task.robot.gravity).any():
+            other.append(f"gravity vector {listed(robot.gravity)} m/s²")
+        gravity = f"as of another model: {robot.name} ({', '.join(other)})"
     if name == "NoGravity" and not law.task.robot.gravity.any():
         gravity = "known exactly: the arm is taken without it"
     gains = f"{of_gains(law.gains)}, {of_saturation(law.saturation, law.task)}"

@@ -135,7 +135,10 @@ class TorqueLimited(Limiter):
         inside = controller.dt
         if inside is not None and not math.isclose(inside, self._dt):
             wanted = f"that of the controller inside, {inside:g} [s]"
-            told = f"{dt!r}; for another, build that with {type(controller).__name__}(..., dt=...)"
+            told = (
+                f"{dt!r}; take TorqueLimited(..., dt={inside:g}), or build the controller inside "
+            )
+            told += "for another"
             raise InvalidInputError(f"dt must be {wanted}, got {told}", given=dt)
         require("proof", proof, bool, "True or False")
         robot = controller.task.robot

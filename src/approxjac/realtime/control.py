@@ -164,8 +164,7 @@ def control(
             brake.close()
         if watchdog.bit:
             loop.fault = Fault.READ_HUNG
-            told = f"no command for {1e3 * _HANGS * late:.3g} ms, twice `late`"
-            loop.detail = told + loop.work_told()
+            loop.detail = loop.hung_told(_HANGS * late)
         elif error is not None:
             loop.fault, loop.detail = Fault.FAILED, ""
         run = _run_of(loop, why)

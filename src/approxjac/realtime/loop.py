@@ -269,12 +269,21 @@ class RobotLoop(Loop):
             self._note(Fault.LIMITS)
 
     def work_told(self) -> str:
-        """Return in words how long it took from a state to its command, at last and usually."""
+        """Return in words how long it took from a state to its command, before and usually."""
         works = 1e3 * self.works[: self.step]
         if not len(works):
             return ""
         last, usual = works[-1], np.median(works)
-        return f"; the last command took this machine {last:.3g} ms, {usual:.3g} in the median"
+        return f"; the command before took this machine {last:.3g} ms, {usual:.3g} in the median"
+
+    def hung_told(self, longest: float) -> str:
+        """Return in words what did not come back within a time after the last command [s]."""
+        came = self._read - self._sent  # later: the state came after the brake, to another thread
+        told = "no state came"
+        if 0.0 < came < longest:
+            told = f"the state was read after {1e3 * came:.3g} ms; the command, or sending it, "
+            told += "did not come back"
+        return f"no command for {1e3 * longest:.3g} ms, twice `late`: {told}{self.work_told()}"
 
     def told(self) -> str:
         """Return the fault in words."""

@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from approxjac.formatting import rows
 from approxjac.realtime.faults import Fault
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.validation import Array
@@ -58,8 +57,9 @@ class RobotRun(Trajectory):
         way = max(float(np.linalg.norm(sensor.error(x_d, self.x_d[0]))) for x_d in some)
         return f"target led {way:.3g} {self.task_unit} away from the start, {error}"
 
-    def __str__(self) -> str:
-        told = {}
+    def _told(self) -> dict[str, str]:
+        """Return what is told of any run, with how it stopped and how long commands took."""
+        told = super()._told()
         if np.isfinite(self.stop_distance):
             told["stop"] = (
                 f"within {self.stop_distance:.3g} {self.task_unit} "
@@ -71,4 +71,4 @@ class RobotRun(Trajectory):
                 f"{half:.0f} µs in the median, 99 % within {most:.0f}, worst {worst:.0f}; "
                 f"longest gap {1e3 * self.gap.max():.3g} ms"
             )
-        return "\n".join([super().__str__(), *rows(told, 2)])
+        return told

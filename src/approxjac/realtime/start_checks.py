@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ import pinocchio as pin
 
 from approxjac.controllers import (
     ControllerWrapper,
+    Latency,
     SetpointController,
     TorqueLimited,
     TrackingController,
@@ -43,10 +45,14 @@ def require_able(driver: Driver, controller: Controller) -> None:
     law, nv = law_of(controller), controller.task.robot.nv
     tuning = law.tuning if isinstance(law, SetpointController) else None
     if tuning is not None and driver.dt > _SLOWER * tuning.latency.period:
+        assert isinstance(law, SetpointController)  # for mypy
+        # as it was given: the rule's own has the lag of law (5), too
+        latency = dataclasses.replace(law.latency or Latency(), period=driver.dt)
         raise InvalidInputError(
-            f"latency of the law must be that of the loop: what it chose by itself is for a period "
-            f"of {tuning.latency.period:g} s, and the driver's dt is {driver.dt:g} s; take "
-            f"SetpointController(..., latency=Latency(period={driver.dt:g}))",
+            f"latency of the law must be that of the loop: what it chose by itself (gains or "
+            f"learning) is for a period of {tuning.latency.period:g} s, and the driver's dt is "
+            f"{driver.dt:g} s; take its latency with that period, SetpointController(..., "
+            f"latency={latency!r})",
             given=controller,
         )
     if driver.command != "torque":

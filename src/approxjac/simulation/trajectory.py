@@ -273,6 +273,10 @@ class Trajectory:
 
     def __str__(self) -> str:
         """Return the error first, then the largest torque, and what was wrong meanwhile."""
+        return "\n".join([*wrapped(self._error_told()), *rows(self._told(), 2)])
+
+    def _told(self) -> dict[str, str]:
+        """Return names and what is told of each below the error."""
         k = int(np.abs(self.tau).max(axis=0).argmax())
         unit = {"rad": "N m", "m": "N"}[self.joint_units[k]]
         told = {
@@ -286,7 +290,7 @@ class Trajectory:
             told["stops"] = self.stops_told()
         if self.ended:
             told["ended"] = self.ended
-        return "\n".join([*wrapped(self._error_told()), *rows(told, 2)])
+        return told
 
     def _error_told(self) -> str:
         norm, last = self.error_norm, len(self.t) - 1
