@@ -517,11 +517,16 @@ def test_what_does_not_explain_an_image_is_said_to_be_its_center_or_distortion(p
     told = report._kinematics(learnt, is_image=True)
     assert "camera turned by 114.6 deg, chi squared 5.30" in told
     never = "a camera's center and distortion, which are not learnt; late images"
-    assert told.endswith(f"does not explain x; it may be: {never}")
-    assert f"do not explain x; it may be: {never}" in str(learnt)
+    assert told.endswith(f"does not explain x; it may be: origins (taken for known); {never}")
+    assert f"do not explain x; it may be: origins (taken for known); {never}" in str(learnt)
     few = learnt._replace(rows=[row for row in learnt.rows if row.name.startswith("camera")])
-    wanted = f"do not explain x; it may be: tool or points, focal_length (taken for known); {never}"
-    assert wanted in str(few)
+    suspects = "tool or points, focal_length, origins (taken for known)"
+    assert f"do not explain x; it may be: {suspects}; {never}" in str(few)
+    every = aj.controllers.AdaptiveCamera(
+        aj.ImageTask(panda, camera), unknown=("tool", "origins", "camera", "focal_length")
+    )
+    state = every.initial_state(aj.Measurement(0.0, q, 0.0 * q, kinematics.task.value(q)))
+    assert every.report(state).suspects == never
 
 
 def test_a_pose_is_learnt_from_a_tracker():

@@ -14,6 +14,7 @@ _NOT_SEEN = 0.5  # share of the prior variance below which nothing was learnt of
 _BEYOND = 3.5  # standard deviations of χ²
 _SILENT = 1.0  # without a frame to learn from [s]
 _UNEXPLAINED = 1.5  # χ² a degree of freedom
+_NO_JOINTS = {"tool", "points", "camera", "focal_length", "offset", "scale"}  # others have origins
 
 
 class LearntNumber(NamedTuple):
@@ -126,6 +127,8 @@ class KinematicReport(NamedTuple):
         kinds = (("tool", "points"), ("camera",), ("focal_length",))
         learnt = {row.name.split(".")[0] for row in self.rows}
         known = [" or ".join(kind) for kind in kinds if learnt.isdisjoint(kind)]
+        if learnt <= _NO_JOINTS:
+            known.append("origins")
         taken = f"{', '.join(known)} (taken for known); " if known else ""
         return f"{taken}a camera's center and distortion, which are not learnt; late images"
 

@@ -15,6 +15,7 @@ from approxjac.formatting import joined, numbers, percent, plain, wrapped
 from approxjac.scenario.stability import StabilityResult, rollout_options, uncertainty_of
 from approxjac.simulation import Plant
 from approxjac.stability import Uncertainty, report_starts
+from approxjac.stability.closed_loop import OF_WRONG_AXES
 from approxjac.stability.map import PARAMETERS, labels
 from approxjac.stability.rollout_map import PLACES
 from approxjac.stability.rollouts import clopper_pearson
@@ -81,10 +82,10 @@ def advice(result: StabilityResult) -> list[str]:
     errors = "the true robot" if isinstance(report.loop.truth, Plant) else "the belief as it is"
     errors = errors if uncertainty is None else uncertainty.describe_box()
     if not report.gravity_is_exact:
-        return [
-            "not certified: gravity is neither known nor can it be learnt (wrong joint axes); "
-            "--gravity exact tells of all else"
-        ]
+        why = "gravity is neither known nor learnt"
+        if report.loop.controller.adaptation is not None:
+            why = f"no learnt gravity parameters explain all of gravity, {OF_WRONG_AXES}"
+        return [f"not certified: {why}; --gravity exact tells of all else"]
     if report.singular_q is not None:
         return [
             "not certified: the estimated Jacobian loses rank in the region, where the arm may "

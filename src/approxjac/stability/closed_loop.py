@@ -30,6 +30,8 @@ from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5
 """Gravity torque that counts as none [N m or N]."""
+OF_WRONG_AXES = "as of wrong joint axes or a tilted base"
+"""Why gravity may be off that no learnt parameters explain."""
 SHARED = 8
 """Samples that functions are chosen on, of each true robot from inside of the errors."""
 _REGULAR = 0.5  # times a tenth of the typical σ_max: configurations below it are left out
@@ -118,13 +120,20 @@ class ClosedLoop:
             worst = max(worst, float(np.abs(error).max()))
         return worst
 
+    @property
+    def takers(self) -> list[str]:
+        """What is learnt that can take up gravity that no learnt parameters explain."""
+        learning, parts = self.controller.adaptation, ("task force", "joint torques")
+        sizes = (0, 0) if learning is None else learning.sizes[1:]
+        return [part for part, size in zip(parts, sizes, strict=True) if size]
+
     def require_gravity(self) -> None:
         """Raise if gravity is neither compensated exactly nor can be learnt."""
         error = self.gravity_error(self.region.sample(5, np.random.default_rng(0)))
         if error > EXACT_GRAVITY:
             how = "AdaptiveGravity learns it"
             if self.controller.adaptation is not None:
-                how = "no learnt gravity parameters explain it, as of a tilted base"
+                how = f"no learnt gravity parameters explain it, {OF_WRONG_AXES}"
             raise InvalidInputError(
                 f"gravity must be compensated exactly or be learnt, got an error of {error:.3g} "
                 f"N m; {how}, and robots with_gravity((0, 0, 0)) take it as compensated",

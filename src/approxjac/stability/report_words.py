@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from approxjac.controllers import Latency, in_words
 from approxjac.formatting import joined, numbers_of, percent, wrapped
 from approxjac.stability import report_starts
 from approxjac.stability.certificate import MatrixTest
+from approxjac.stability.closed_loop import OF_WRONG_AXES
 from approxjac.stability.local import LocalTest
 from approxjac.stability.region import JointBox
 from approxjac.stability.rollouts import Rollouts
@@ -113,7 +115,8 @@ def _meaning(report: StabilityReport) -> str:
             "Sampled infinitely fast, the error would go to zero as long as the arm stays in the "
             f"region.{left} As it runs nothing is proven, though no instability was found."
         )
-    if report.contradiction:
+    judged = replace(report, gravity_error=0.0) if report.loop.takers else report
+    if judged.contradiction:
         rounded = " Some tests round the delays: see beware." if _counted(report.latency) else ""
         return f"This is a problem found in the loop, not just a missing proof.{rounded}"
     where = "near targets and rollouts" if runs else "near targets"
@@ -189,9 +192,8 @@ def _wrong_gravity(report: StabilityReport) -> str:
             "unless gravity is learnt (AdaptiveGravity); if it is known exactly, leave it out (a "
             "robot without gravity, NoGravity)"
         )
-    told = f"no learnt gravity parameters explain up to {error} of it, as of a tilted base"
-    parts = ("task force", "joint torques")
-    learnt = [part for part, size in zip(parts, learning.sizes[1:], strict=True) if size]
+    told = f"no learnt gravity parameters explain up to {error} of it, {OF_WRONG_AXES}"
+    learnt = report.loop.takers
     if not learnt:
         return (
             f"{told}: the error need not go to 0, unless a task force or joint torques are learnt, "
@@ -359,9 +361,7 @@ def _rollouts(found: Rollouts) -> list[Row]:
     values = study.uncertainty.describe(worst.values)
     torques: list[Row] = []
     if found.n_beyond_torque:
-        said = f"{found.n_beyond_torque} of {found.n}"
-        told = f"beyond motors, which are not limited here: {found.most_torque}"
-        torques = [("rollouts, torques", said, told)]
+        torques = [("rollouts, torques", *found.beyond_torque)]
     return [
         (
             "rollouts, converged",

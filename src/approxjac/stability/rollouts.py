@@ -148,7 +148,10 @@ class Rollouts:
 
     @property
     def n_beyond_torque(self) -> int:
-        """Number of runs that asked a motor for more than its limit, which is not kept here."""
+        """Number of runs that asked a motor for more than its limit, which is not kept here.
+
+        Runs that diverged do not count: their peaks are not known.
+        """
         return int((self.columns["peak_torque"] > _BEYOND).sum())
 
     @property
@@ -157,9 +160,11 @@ class Rollouts:
         return self.n_converged / self.n
 
     @property
-    def most_torque(self) -> str:
-        """The largest torque asked for, where one is beyond the limit of its motor, in words."""
-        return f"up to {np.nanmax(self.columns['peak_torque']):.3g} times their limits"
+    def beyond_torque(self) -> tuple[str, str]:
+        """How many runs are beyond the limit of a motor, where one is, and how far, in words."""
+        most = f"up to {np.nanmax(self.columns['peak_torque']):.3g} times their limits"
+        count = f"{'at least ' if self.n_diverged else ''}{self.n_beyond_torque} of {self.n}"
+        return count, f"beyond motors, which are not limited here: {most}"
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -188,10 +193,7 @@ class Rollouts:
             "worst": f"run {worst.index} {ended}, with {study.uncertainty.describe(worst.values)}",
         }
         if self.n_beyond_torque:
-            told["torques"] = (
-                f"motors are not limited here: {self.most_torque}, above them in "
-                f"{self.n_beyond_torque} of {self.n} runs"
-            )
+            told["torques"] = " runs ".join(self.beyond_torque)
         if study.reason:  # slow, and nobody asked for it
             told["engine"] = f"in Python, as {study.reason}"
         return "\n".join([f"converged: {self.n_converged} of {self.n} runs", *rows(told, 2)])

@@ -177,7 +177,7 @@ class Uncertainty:
         return replace(self, factor=self.factor * factor)
 
     def largest_scale(self, bound: float) -> float:
-        """The largest factor up to a bound > 0 for which all robots of `scaled` can exist."""
+        """The largest factor ≤ bound where robots exist; focal lengths keep ≥ 1/10 of the belief."""
         bound = min([bound, *(known.largest_factor for known in self._coordinates)])
         low, high, factor = 0.0, bound, bound
         while high - low > 1e-6 * bound:
