@@ -136,7 +136,7 @@ class TorqueLimited(Limiter):
         if inside is not None and not math.isclose(inside, self._dt):
             wanted = f"that of the controller inside, {inside:g} [s]"
             told = (
-                f"{dt!r}; take TorqueLimited(..., dt={inside:g}), or build the controller inside "
+                f"{dt!r}; take TorqueLimited(..., dt={inside!r}), or build the controller inside "
             )
             told += "for another"
             raise InvalidInputError(f"dt must be {wanted}, got {told}", given=dt)
