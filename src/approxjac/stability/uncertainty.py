@@ -177,7 +177,7 @@ class Uncertainty:
         return replace(self, factor=self.factor * factor)
 
     def largest_scale(self, bound: float) -> float:
-        """The largest factor ≤ bound where robots exist; focal lengths keep ≥ 1/10 of the belief."""
+        """The largest factor ≤ bound: robots can exist, a focal length keeps ≥ 1/10 of its own."""
         bound = min([bound, *(known.largest_factor for known in self._coordinates)])
         low, high, factor = 0.0, bound, bound
         while high - low > 1e-6 * bound:
