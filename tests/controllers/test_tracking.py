@@ -480,7 +480,7 @@ def test_wrappers_take_it_or_say_why_not(panda_law):
         aj.HeldMeasurement(panda_law, 0.05)
     with pytest.raises(aj.InvalidInputError, match=r"controls the measured x, got TorqueL.* pred"):
         aj.HeldMeasurement(aj.TorqueLimited(panda_law), 0.05)
-    with pytest.raises(aj.InvalidInputError, match=r"inside, .* TrackingController\(\.\.\., dt="):
+    with pytest.raises(aj.InvalidInputError, match=r"inside.* TorqueLimited\(\.\.\., dt=0\.001"):
         aj.TorqueLimited(panda_law, dt=2e-3)
     limited = aj.TorqueLimited(panda_law)
     seen = measured(panda_law.task, STARTS["panda"])

@@ -212,7 +212,7 @@ def test_refused_by_rollouts(plane, names, by, text):
 def test_a_plot_that_is_given_a_map_says_which_of_its_arrays_it_takes(found):
     m = replace(found, rollouts=np.ones((3, 4)))
     for plot, arrays in ((aj.view.plot_shares, "m.rollouts, l"), (aj.view.plot_map, "m.decay_rat")):
-        with pytest.raises(aj.InvalidInputError, match=f"a StabilityMap m m.x, m.y, {arrays}"):
+        with pytest.raises(aj.InvalidInputError, match=f"a StabilityMap m: m.x, m.y, {arrays}"):
             plot(m)
     ax = aj.view.plot_shares(m.x, m.y, m.rollouts, labels=m.names)
     assert ax.get_xlabel() == "error"
