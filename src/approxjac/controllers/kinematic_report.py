@@ -121,7 +121,7 @@ class KinematicReport(NamedTuple):
 
     @property
     def suspects(self) -> str:
-        """What may be wrong with an image that is not explained, the likeliest first; or ""."""
+        """Return what may be wrong with an image not explained, the likeliest first; or ""."""
         if self.unit != "px":
             return ""
         kinds = (("tool", "points"), ("camera",), ("focal_length",))

@@ -44,22 +44,21 @@ def object_size(length: float, mass: float, radius: float) -> tuple[float, float
 
 def as_size(name: str, value: Any) -> float:
     """Return the length or radius of an object as a number [m]."""
-    size = as_number(name, value, unit="m", minimum=0.0)
-    if size > _LONGEST:
-        raise InvalidInputError(
-            f"{name} must be at most {_LONGEST:g} [m], got {size:g}; 200 mm are 0.2", given=value
-        )
-    return size
+    return _at_most(_LONGEST, name, value, "m", "200 mm are 0.2")
 
 
 def as_mass(name: str, value: Any) -> float:
     """Return the mass of an object as a number [kg]."""
-    mass = as_number(name, value, unit="kg", minimum=0.0)
-    if mass > _HEAVIEST:
+    return _at_most(_HEAVIEST, name, value, "kg", "500 g are 0.5")
+
+
+def _at_most(most: float, name: str, value: Any, unit: str, such: str) -> float:
+    number = as_number(name, value, unit=unit, minimum=0.0)
+    if number > most:
         raise InvalidInputError(
-            f"{name} must be at most {_HEAVIEST:g} [kg], got {mass:g}; 500 g are 0.5", given=value
+            f"{name} must be at most {most:g} [{unit}], got {number:g}; {such}", given=value
         )
-    return mass
+    return number
 
 
 def require_new(name: str, taken: Collection[str], robot: str) -> None:

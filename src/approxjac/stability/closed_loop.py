@@ -122,7 +122,7 @@ class ClosedLoop:
 
     @property
     def takers(self) -> list[str]:
-        """What is learnt that can take up gravity that no learnt parameters explain."""
+        """Return what is learnt that can take up gravity that no parameters explain."""
         learning, parts = self.controller.adaptation, ("task force", "joint torques")
         sizes = (0, 0) if learning is None else learning.sizes[1:]
         return [part for part, size in zip(parts, sizes, strict=True) if size]

@@ -161,7 +161,7 @@ class Rollouts:
 
     @property
     def beyond_torque(self) -> tuple[str, str]:
-        """How many runs are beyond the limit of a motor, where one is, and how far, in words."""
+        """Return how many runs go beyond the limit of a motor, and how far, in words."""
         most = f"up to {np.nanmax(self.columns['peak_torque']):.3g} times their limits"
         count = f"{'at least ' if self.n_diverged else ''}{self.n_beyond_torque} of {self.n}"
         return count, f"beyond motors, which are not limited here: {most}"
